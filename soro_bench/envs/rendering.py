@@ -1,0 +1,65 @@
+"""Pictures of a task's first simulation."""
+
+import mujoco
+
+from soro_bench.models.simulation import Simulation
+
+_HEIGHT, _WIDTH = 480, 640
+_HINT = "rendering needs OpenGL; on a machine without a display set MUJOCO_GL=egl (or osmesa) before Python starts"
+
+
+def make_renderer(sim: Simulation, render_mode: str):
+    """The renderer of ``render_mode``, "human" or "rgb_array"."""
+    return _Viewer(sim) if render_mode == "human" else _Camera(sim)
+
+
+class _Snapshot:
+    """The first simulation's model and data, refreshed on demand."""
+
+    def __init__(self, sim: Simulation):
+        self._sim = sim
+        self.model = sim.batch.get_model(0)
+        self.data = mujoco.MjData(self.model)
+
+    def update(self):
+        self._sim.batch.get_model(0, self.model)
+        self._sim.batch.get_data(0, self.data)
+        mujoco.mj_forward(self.model, self.data)
+
+
+class _Camera:
+    def __init__(self, sim):
+        self._snapshot = _Snapshot(sim)
+        try:
+            self._renderer = mujoco.Renderer(self._snapshot.model, _HEIGHT, _WIDTH)
+        except mujoco.FatalError as error:
+            raise RuntimeError(_HINT) from error
+        self._camera = self._snapshot.model.camera("review").id
+
+    def render(self):
+        self._snapshot.update()
+        self._renderer.update_scene(self._snapshot.data, camera=self._camera)
+        return self._renderer.render()
+
+    def close(self):
+        self._renderer.close()
+
+
+class _Viewer:
+    def __init__(self, sim):
+        import glfw
+        import mujoco.viewer
+
+        if not glfw.init():  # MuJoCo's viewer would end the process
+            raise RuntimeError("render_mode='human' needs a display; use 'rgb_array' on a machine without one")
+        self._snapshot = _Snapshot(sim)
+        self._viewer = mujoco.viewer.launch_passive(self._snapshot.model, self._snapshot.data)
+
+    def render(self):
+        if self._viewer.is_running():
+            with self._viewer.lock():
+                self._snapshot.update()
+            self._viewer.sync()
+
+    def close(self):
+        self._viewer.close()

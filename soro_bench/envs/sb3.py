@@ -1,0 +1,74 @@
+"""Stable-Baselines3's view of a vector environment."""
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from stable_baselines3.common.vec_env import VecEnv
+
+from soro_bench.envs.vector import SoftRobotVectorEnv
+
+
+class SB3VecEnv(VecEnv):
+    """Adapts a :class:`SoftRobotVectorEnv` in "SameStep" mode to Stable-Baselines3's ``VecEnv``.
+
+    Infos hold what Stable-Baselines3 reads (terminal_observation, TimeLimit.truncated, episode) and ``distance``.
+    """
+
+    def __init__(self, envs: SoftRobotVectorEnv):
+        if envs.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
+            raise ValueError("Stable-Baselines3 resets in the same step: make the envs with autoreset_mode='SameStep'")
+        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+        self.envs = envs
+        self._seed: int | None = None
+        self._actions: np.ndarray | None = None
+        self._returns = np.zeros(envs.num_envs)
+        self._lengths = np.zeros(envs.num_envs, int)
+
+    def seed(self, seed: int | None = None):
+        """Environment i starts from seed + i at the next reset."""
+        self._seed = seed
+        return [None if seed is None else seed + i for i in range(self.num_envs)]
+
+    def reset(self):
+        observation, _ = self.envs.reset(seed=self._seed)
+        self._seed = None
+        self._returns[:] = 0
+        self._lengths[:] = 0
+        return observation
+
+    def step_async(self, actions):
+        self._actions = actions
+
+    def step_wait(self):
+        observation, reward, terminated, truncated, info = self.envs.step(self._actions)
+        done = terminated | truncated
+        self._returns += reward
+        self._lengths += 1
+        infos: list[dict] = [{} for _ in range(self.num_envs)]
+        for i in np.flatnonzero(done):
+            infos[i] = {
+                "terminal_observation": info["final_obs"][i],
+                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                "episode": {"r": self._returns[i], "l": self._lengths[i]},
+                "distance": info["final_info"]["distance"][i],
+            }
+        self._returns[done] = 0
+        self._lengths[done] = 0
+        return observation, reward, done, infos
+
+    def close(self):
+        self.envs.close()
+
+    def get_attr(self, attr_name, indices=None):
+        return [getattr(self.envs, attr_name)] * len(self._indices(indices))
+
+    def set_attr(self, attr_name, value, indices=None):
+        raise AttributeError(f"{attr_name}: the simulations share one environment, which has no per-simulation attributes")
+
+    def env_method(self, method_name, *method_args, indices=None, **method_kwargs):
+        raise AttributeError(f"{method_name}: the simulations share one environment, which has no per-simulation methods")
+
+    def env_is_wrapped(self, wrapper_class, indices=None):
+        return [False] * len(self._indices(indices))
+
+    def _indices(self, indices):
+        return list(self._get_indices(indices))

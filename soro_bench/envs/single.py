@@ -1,0 +1,72 @@
+"""The Gymnasium environment: a task with one simulation."""
+
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+
+from soro_bench.envs.task import Task
+
+_ONLY = np.arange(1)
+
+
+class SoftRobotEnv(gymnasium.Env):
+    """One simulation of ``task_type``.
+
+    Args:
+        render_mode: None, "human" (MuJoCo's viewer) or "rgb_array" (480 x 640 pixels).
+        task_options: what the task takes: model, action.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 20}
+    task_type: ClassVar[type[Task]]
+
+    def __init__(self, render_mode: str | None = None, **task_options):
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(f"unknown render_mode {render_mode!r}; there are {self.metadata['render_modes']}")
+        self.task = self.task_type(num_envs=1, **task_options)
+        self.observation_space = self.task.single_observation_space
+        self.action_space = self.task.single_action_space
+        self.render_mode = render_mode
+        self._renderer = None
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        super().reset(seed=seed)
+        observation, info = self.task.reset(_ONLY, [self.np_random], [options or {}])
+        if self.render_mode == "human":
+            self.render()
+        return observation[0], _row(info)
+
+    def step(self, action):
+        checked = self.task.check_actions(np.asarray(action)[None], 1)
+        step = self.task.step(_ONLY, checked)
+        if self.render_mode == "human":
+            self.render()
+        # a state that left the reals is MuJoCo's failure, not the policy's: the episode is cut, not ended
+        return (
+            step.observation[0],
+            float(step.reward[0]),
+            bool(step.terminated[0]),
+            bool(step.diverged[0]),
+            _row(step.info),
+        )
+
+    def render(self):
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() needs render_mode='rgb_array' or 'human' in gymnasium.make")
+            return None
+        if self._renderer is None:
+            from soro_bench.envs.rendering import make_renderer
+
+            self._renderer = make_renderer(self.task.sim, self.render_mode)
+        return self._renderer.render()
+
+    def close(self):
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+
+def _row(info: dict) -> dict:
+    """The only row of every array in a nested dict, as Python scalars."""
+    return {key: _row(value) if isinstance(value, dict) else value[0].item() for key, value in info.items()}

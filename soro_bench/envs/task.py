@@ -1,0 +1,163 @@
+"""A task: N simulations of one robot in one scene, with actions, observations and rewards as arrays.
+
+The single environment (single.py) is a task with N = 1 and the vector environment (vector.py) a task with N
+simulations, so there is one code path for both.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+from gymnasium import spaces
+
+from soro_bench.models.simulation import ParameterMap, Simulation
+from soro_bench.parameters import ParameterSet
+from soro_bench.randomization import Distribution
+
+ACTION_MODES = ("discrete", "continuous")
+_BAD_STATE = [
+    int(warning)
+    for warning in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+]
+
+
+@dataclass
+class Step:
+    """What one step of the simulations ``ids`` gave; every array has len(ids) rows."""
+
+    observation: np.ndarray
+    reward: np.ndarray
+    terminated: np.ndarray
+    diverged: np.ndarray
+    info: dict[str, np.ndarray]
+
+
+class Task(ABC):
+    """N simulations of one task.
+
+    Subclasses set ``parameters`` and implement the hooks below; they read the state from ``self.sim.batch``.
+    """
+
+    parameters: ClassVar[ParameterSet]
+    options: ClassVar[tuple[str, ...]] = ("params",)
+    control_timestep: ClassVar[float]  # s
+    single_observation_space: spaces.Box
+    single_action_space: spaces.Space
+
+    def __init__(self, model: mujoco.MjModel, maps: Sequence[ParameterMap], num_envs: int, num_threads: int):
+        if num_envs < 1:
+            raise ValueError(f"num_envs = {num_envs}; at least 1 is needed")
+        self.num_envs = num_envs
+        self.model = model
+        self.sim = Simulation(model, self.parameters, maps, num_envs, num_threads)
+        self._distribution: Distribution | None = None
+        self._substeps = round(self.control_timestep / model.opt.timestep)
+        self._bad_states = np.zeros(num_envs, int)
+
+    def reset(self, ids: np.ndarray, rngs: Sequence[np.random.Generator], options: Sequence[Mapping[str, Any]]):
+        """Start new episodes in simulations ``ids``.
+
+        Args:
+            ids: (n,) which simulations.
+            rngs: one generator per simulation of ``ids``.
+            options: one mapping per simulation of ``ids``: "params" overrides what the distribution draws; a task may
+                take more.
+
+        Returns:
+            (n, k) observations and a dict of (n,) info arrays.
+        """
+        checked = [self._checked_options(option) for option in options]
+        starts = [self._sample_start(rng, option) for rng, option in zip(rngs, checked, strict=True)]
+        params = [self._sample_params(rng, option) for rng, option in zip(rngs, checked, strict=True)]
+        batch = self.sim.batch
+        self.sim.set_params(ids, np.array(params))
+        batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        self._place(ids, starts)
+        batch.forward(ids, stage=mujoco.mjtStage.mjSTAGE_VEL)
+        self._bad_states[ids] = self._count_bad_states(ids)
+        self._begin(ids)
+        return self._observe(ids), self._info(ids)
+
+    def step(self, ids: np.ndarray, actions: np.ndarray) -> Step:
+        """Apply one checked action to each simulation of ``ids`` for ``control_timestep``."""
+        batch = self.sim.batch
+        batch.ctrl[ids] = self._controls(actions)
+        # the forward stages at the new state, which a persistent batch reuses in its next step
+        batch.step(ids, nstep=self._substeps, stage=mujoco.mjtStage.mjSTAGE_VEL)
+        bad = self._count_bad_states(ids)
+        diverged = bad > self._bad_states[ids]
+        self._bad_states[ids] = bad
+        reward_terms, success = self._score(ids)
+        info = {**self._info(ids), **reward_terms, "is_success": success, "diverged": diverged}
+        return Step(self._observe(ids), sum(reward_terms.values()), success, diverged, info)
+
+    def randomize(self, distribution: Distribution) -> None:
+        """Draw the parameters of every episode from ``distribution`` from the next reset on."""
+        self.parameters.check_names(distribution.names)
+        self._distribution = distribution
+
+    def check_actions(self, actions: np.ndarray, count: int) -> np.ndarray:
+        """Return ``actions`` as an array of ``count`` valid actions; raise ValueError otherwise."""
+        space = self.single_action_space
+        actions = np.asarray(actions)
+        if actions.shape != (count, *space.shape):
+            raise ValueError(f"actions have shape {actions.shape}; expected {(count, *space.shape)}")
+        if isinstance(space, spaces.Discrete):
+            valid = actions.dtype.kind in "iu" and ((actions >= 0) & (actions < space.n)).all()
+            allowed = f"integers from 0 to {space.n - 1}"
+        else:
+            # written so that NaN fails
+            valid = actions.dtype.kind in "fiu" and ((actions >= space.low) & (actions <= space.high)).all()
+            allowed = f"finite numbers from {space.low.min()} to {space.high.max()}"
+        if not valid:
+            raise ValueError(f"action {actions.tolist()} is invalid; allowed are {allowed}")
+        return actions
+
+    def _checked_options(self, options: Mapping[str, Any]) -> Mapping[str, Any]:
+        for name in options:
+            if name not in self.options:
+                raise ValueError(f"unknown reset option {name!r}; this environment has {', '.join(self.options)}")
+        return {**options, "params": self.parameters.check(options.get("params", {}))}
+
+    def _sample_params(self, rng, options) -> np.ndarray:
+        drawn = self._distribution.sample(rng) if self._distribution else {}
+        return self.parameters.to_array({**drawn, **options["params"]})
+
+    def _count_bad_states(self, ids) -> np.ndarray:
+        """(n,) how often MuJoCo found a state to be NaN or huge and reset it."""
+        return self.sim.batch.warning[ids][:, _BAD_STATE, 1].sum(axis=1)
+
+    @abstractmethod
+    def signals(self, ids: np.ndarray) -> dict[str, np.ndarray]:
+        """What a recording holds of the present state, arrays of n rows by name."""
+
+    @abstractmethod
+    def _sample_start(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Any:
+        """What one episode starts from (its goal, say), drawn from ``rng`` or taken from the options."""
+
+    @abstractmethod
+    def _place(self, ids: np.ndarray, starts: list) -> None:
+        """Write the initial states of simulations that were just reset."""
+
+    @abstractmethod
+    def _begin(self, ids: np.ndarray) -> None:
+        """Note what the rewards of an episode are measured from."""
+
+    @abstractmethod
+    def _controls(self, actions: np.ndarray) -> np.ndarray:
+        """(n, nu) controls for n checked actions."""
+
+    @abstractmethod
+    def _observe(self, ids: np.ndarray) -> np.ndarray:
+        """(n, k) observations."""
+
+    @abstractmethod
+    def _score(self, ids: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Reward terms, each (n,) and named reward_<term>, and (n,) whether the task is solved."""
+
+    def _info(self, ids: np.ndarray) -> dict[str, np.ndarray]:
+        """(n,) arrays for ``info``, one nested dict of them for "params"."""
+        return {"params": dict(zip(self.parameters.names, self.sim.params[ids].T, strict=True))}

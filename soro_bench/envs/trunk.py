@@ -1,0 +1,175 @@
+"""What the three trunk tasks share: cable actions, keypoints, goals and the published reward."""
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+from gymnasium import spaces
+
+from soro_bench.envs.task import ACTION_MODES, Task
+from soro_bench.models import trunk
+from soro_bench.models import trunk_geometry as geo
+from soro_bench.models.scene import ContactFriction, ObjectMass
+from soro_bench.models.simulation import ParameterMap
+
+NUM_KEYPOINTS = len(geo.KEYPOINT_Z)
+SUCCESS_DISTANCE = 0.001  # m, published
+TIME_PENALTY = 0.05  # per step, published
+REACH_LIMIT = 0.3  # m, how far from the clamp a goal may be given
+
+
+def potential(distance):
+    """The published potential P(d) = -0.006 d^2 - 500 ln(d^2 + 0.001) of a distance d [m], which it takes in mm."""
+    d = 1000.0 * np.asarray(distance)
+    return -0.006 * d**2 - 500.0 * np.log(d**2 + 0.001)
+
+
+@lru_cache(maxsize=8)
+def _compiled(scene: str, model: str) -> mujoco.MjModel:
+    return trunk.build_spec(scene, model).compile()
+
+
+class TrunkTask(Task):
+    """N simulations of the cable-driven trunk in one scene.
+
+    Args:
+        model: "flex" (accurate) or "cable" (cheap).
+        action: "discrete" (16 actions: pull or release one cable by 5 mm) or "continuous" (8 cable rates in units of
+            0.1 m/s).
+    """
+
+    options = ("params", "goal")
+    scene: ClassVar[str]
+    control_timestep = 0.05  # s: five command updates of 10 ms
+
+    def __init__(self, num_envs: int = 1, num_threads: int = 1, model: str = "flex", action: str = "discrete"):
+        if model not in trunk.VARIANTS:
+            raise ValueError(f"unknown model {model!r}; there are {', '.join(trunk.VARIANTS)}")
+        if action not in ACTION_MODES:
+            raise ValueError(f"unknown action mode {action!r}; there are {', '.join(ACTION_MODES)}")
+        compiled = _compiled(self.scene, model)
+        maps = [trunk.TrunkParameters(compiled), *self._scene_parameters(compiled)]
+        super().__init__(compiled, maps, num_envs, num_threads)
+        cables = len(geo.CABLE_NAMES)
+        self._discrete = action == "discrete"
+        self.single_action_space = (
+            spaces.Discrete(2 * cables) if self._discrete else spaces.Box(-1.0, 1.0, (cables,), np.float32)
+        )
+        self.single_observation_space = spaces.Box(-1.0, 1.0, (self._observation_size(),), np.float64)
+        self._keypoints = [compiled.site(f"keypoint{i}").id for i in range(NUM_KEYPOINTS)]
+        self._goal_mocap = compiled.body("goal").mocapid[0]
+        self.goal = np.zeros((num_envs, 3))  # m
+        self._initial_distance = np.ones(num_envs)  # m
+        self._links = [compiled.body("base").id, *(compiled.body(f"vertebra{k}").id for k in range(geo.NUM_NECKS))]
+        for field in ("site_xpos", "xpos", "xquat", "actuator_force"):
+            self.sim.batch.bind(field)
+
+    def signals(self, ids) -> dict[str, np.ndarray]:
+        """What a recording of simulations ``ids`` holds; every array has n rows.
+
+        keypoints (n, 21, 3) m; link_position (n, 11, 3) m and link_quaternion (n, 11, 4) w, x, y, z of the base and
+        the ten vertebrae; tension (n, 8) N; commanded (n, 8) commanded cable displacements [m].
+        """
+        batch, links = self.sim.batch, (np.asarray(ids)[:, None], self._links)
+        return {
+            "keypoints": self.keypoints(ids),
+            "link_position": batch.xpos[links],
+            "link_quaternion": batch.xquat[links],
+            "tension": batch.actuator_force[ids],
+            "commanded": batch.act[ids],
+        }
+
+    def keypoints(self, ids) -> np.ndarray:
+        """(n, 21, 3) keypoint positions [m], from the clamp to the tip."""
+        return self.sim.batch.site_xpos[np.asarray(ids)[:, None], self._keypoints]
+
+    def tip(self, ids) -> np.ndarray:
+        """(n, 3) tip position [m]: the last keypoint."""
+        return self.sim.batch.site_xpos[ids, self._keypoints[-1]]
+
+    def distance(self, ids) -> np.ndarray:
+        """(n,) the distance [m] that the task asks to bring to zero."""
+        raise NotImplementedError
+
+    def _scene_parameters(self, model: mujoco.MjModel) -> Sequence[ParameterMap]:
+        return ()
+
+    def _observation_size(self) -> int:
+        return 3 * NUM_KEYPOINTS + 3
+
+    def _sample_start(self, rng, options):
+        goal = np.asarray(options["goal"], float) if "goal" in options else self._sample_goal(rng)
+        if goal.shape != (3,) or not (np.abs(goal) <= REACH_LIMIT).all():
+            raise ValueError(f"goal {goal.tolist()} has to be 3 coordinates within {REACH_LIMIT} m of the clamp")
+        return goal
+
+    def _sample_goal(self, rng: np.random.Generator) -> np.ndarray:
+        raise NotImplementedError
+
+    def _place(self, ids, starts):
+        self.goal[ids] = starts
+        self.sim.batch.mocap_pos[ids, self._goal_mocap] = starts
+
+    def _begin(self, ids):
+        self._initial_distance[ids] = self.distance(ids)
+        if (solved := self._initial_distance[ids] <= SUCCESS_DISTANCE).any():
+            raise ValueError(f"goal {self.goal[ids][solved][0].tolist()} is reached at reset; choose another")
+
+    def _discrete_controls(self, actions):
+        cables = len(geo.CABLE_NAMES)
+        rates = np.zeros((len(actions), cables))
+        rates[np.arange(len(actions)), actions % cables] = np.where(actions < cables, geo.CABLE_RATE, -geo.CABLE_RATE)
+        return rates
+
+    def _continuous_controls(self, actions):
+        return geo.CABLE_RATE * actions.astype(float)
+
+    def _controls(self, actions):
+        return self._discrete_controls(actions) if self._discrete else self._continuous_controls(actions)
+
+    def _observe(self, ids):
+        return np.concatenate([self.keypoints(ids).reshape(len(ids), -1), self.goal[ids]], axis=1)
+
+    def _score(self, ids):
+        distance, initial = self.distance(ids), potential(self._initial_distance[ids])
+        terms = {
+            "reward_progress": (initial - potential(distance)) / initial,
+            "reward_time": np.full(len(ids), -TIME_PENALTY),
+        }
+        return terms, distance <= SUCCESS_DISTANCE
+
+    def _info(self, ids) -> Mapping[str, Any]:
+        return {**super()._info(ids), "distance": self.distance(ids)}
+
+
+class ObjectTask(TrunkTask):
+    """A trunk task with a floor and a free object, which is observed behind the goal."""
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self._object_qpos = self.model.joint("object").qposadr[0]
+        self._object_body = self.model.body("object").id
+
+    def signals(self, ids):
+        """As the trunk's, and object_pose (n, 7): position [m] and quaternion x, y, z, w."""
+        return {**super().signals(ids), "object_pose": self._object_pose(ids)}
+
+    def object_position(self, ids) -> np.ndarray:
+        """(n, 3) centre of the object [m]."""
+        return self.sim.batch.xpos[ids, self._object_body]
+
+    def _object_pose(self, ids) -> np.ndarray:
+        """(n, 7) centre [m] and orientation x, y, z, w of the object."""
+        pose = self.sim.batch.qpos[ids, self._object_qpos : self._object_qpos + 7]
+        return np.concatenate([pose[:, :3], pose[:, 4:], pose[:, 3:4]], axis=1)
+
+    def _scene_parameters(self, model):
+        return (ContactFriction(model), ObjectMass(model))
+
+    def _observation_size(self):
+        return super()._observation_size() + 7
+
+    def _observe(self, ids):
+        return np.concatenate([super()._observe(ids), self._object_pose(ids)], axis=1)

@@ -1,0 +1,86 @@
+"""TrunkLift: lift an object, if need be against a wall."""
+
+import numpy as np
+
+from soro_bench.envs.single import SoftRobotEnv
+from soro_bench.envs.trunk import ObjectTask
+from soro_bench.envs.vector import SoftRobotVectorEnv
+from soro_bench.models import trunk
+from soro_bench.models.scene import WallOffset
+from soro_bench.parameters import CUBE_MASS, FRICTION, WALL_OFFSET, ParameterSet
+from soro_bench.randomization import Uniform
+
+GOAL = np.array([-0.100, -0.025, 0.120])  # m; only y matters
+LIFT_WEIGHT, APPROACH_WEIGHT = 0.75, 0.25  # published
+# What the published study randomises: the wall, 30 mm to either side
+PUBLISHED_RANDOMIZATION = Uniform(("wall_offset",), np.array([-0.03]), np.array([0.03]))
+RANDOMIZED = (WALL_OFFSET,)
+REST_HEIGHT = -0.107978 + 0.0105 + 0.005  # m: floor, half the object's height, the 5 mm that surfaces keep apart
+
+
+class TrunkLiftTask(ObjectTask):
+    """N simulations of TrunkLift."""
+
+    scene = "lift.xml"
+    # friction 0.9 and 0.05 kg are the published nominal values of this task
+    parameters = ParameterSet(CUBE_MASS, FRICTION, WALL_OFFSET, *trunk.PARAMETERS).with_nominal(friction=0.9)
+
+    def distance(self, ids):
+        position = self.object_position(ids)
+        lift = np.abs(position[:, 1] - self.goal[ids, 1])
+        approach = np.linalg.norm(self.tip(ids) - position, axis=1)
+        return LIFT_WEIGHT * lift + APPROACH_WEIGHT * approach
+
+    def elevation(self, ids) -> np.ndarray:
+        """(n,) rise of the object's centre [m] above its rest on the floor, the published metric."""
+        return self.object_position(ids)[:, 1] - REST_HEIGHT
+
+    def _scene_parameters(self, model):
+        return (*super()._scene_parameters(model), WallOffset(model))
+
+    def _sample_goal(self, rng):
+        return GOAL
+
+    def _info(self, ids):
+        return {**super()._info(ids), "elevation": self.elevation(ids)}
+
+
+class TrunkLiftEnv(SoftRobotEnv):
+    """Lift an object with a cable-driven soft trunk that may press it against a wall.
+
+    ## Description
+    The trunk of :class:`TrunkReachEnv` above a floor, beside a wall at x = -100 mm; an object of 56 x 21 x 35 mm (0.05
+    kg, friction 0.9) is dropped from y = -60 mm. Third task of Tiboni et al., IROS 2023, where randomising the wall
+    makes the robot use it.
+
+    ## Actions
+    As in :class:`TrunkReachEnv`.
+
+    ## Observations
+    `Box(-1, 1, (73,))`, as in :class:`TrunkPushEnv`. The wall is not observed.
+
+    ## Rewards
+    As in :class:`TrunkReachEnv`, with d = 0.75 |y_object - y_goal| + 0.25 |tip - object|.
+
+    ## Episode
+    Starts straight and at rest with the object at (-30, -60, 120) mm; goal y = -25 mm. Terminates (`is_success`) at
+    d <= 1 mm; truncated after 100 steps of 0.05 s.
+
+    ## Arguments
+    As in :class:`TrunkReachEnv`; `params` also takes cube_mass (published: 0.05 and 0.1 kg), friction and wall_offset
+    (published randomisation: uniform in +-0.03 m; -0.2 puts the wall out of reach).
+
+    `info` also has `elevation` [m], the rise of the object's centre above its rest.
+
+    ## Version history
+    * v0: after the paper, see :class:`TrunkReachEnv`. The wall is not observed, as the paper says (the published code
+      writes its position into the goal's x).
+    """
+
+    task_type = TrunkLiftTask
+
+
+class TrunkLiftVectorEnv(SoftRobotVectorEnv):
+    """Vector form of :class:`TrunkLiftEnv`."""
+
+    task_type = TrunkLiftTask

@@ -1,0 +1,129 @@
+"""The Gymnasium vector environment: a task with many simulations on a thread pool."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from soro_bench.envs.task import Task
+
+
+class SoftRobotVectorEnv(VectorEnv):
+    """``num_envs`` simulations of ``task_type``, bit-identical to as many single environments.
+
+    Simulation i of ``reset(seed=s)`` is the single environment reset with seed s + i. A reset option may hold one value
+    for all simulations or one per simulation.
+
+    Args:
+        num_envs: number of simulations.
+        max_episode_steps: steps after which an episode is truncated.
+        num_threads: threads, 0 for all processors; results do not depend on it.
+        autoreset_mode: Gymnasium's "NextStep" (default), "SameStep" or "Disabled".
+        task_options: what the task takes: model, action.
+    """
+
+    task_type: ClassVar[type[Task]]
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        max_episode_steps: int | None = None,
+        num_threads: int = 0,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        **task_options,
+    ):
+        self.task = self.task_type(num_envs=num_envs, num_threads=num_threads, **task_options)
+        self.num_envs = num_envs
+        self._max_steps = np.inf if max_episode_steps is None else max_episode_steps
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self.single_observation_space = self.task.single_observation_space
+        self.single_action_space = self.task.single_action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._rngs = [seeding.np_random()[0] for _ in range(num_envs)]  # until reset(seed=...)
+        self._observation = np.zeros(self.observation_space.shape, self.observation_space.dtype)
+        self._elapsed = np.zeros(num_envs, int)
+        self._done = np.zeros(num_envs, bool)
+
+    def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None):
+        """As Gymnasium's; ``options["reset_mask"]`` (num_envs,) picks the simulations to reset."""
+        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed or [None] * self.num_envs
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments")
+        options = dict(options or {})
+        ids = np.flatnonzero(options.pop("reset_mask", np.ones(self.num_envs, bool)))
+        for i in ids:
+            if seeds[i] is not None:
+                self._rngs[i], _ = seeding.np_random(int(seeds[i]))
+        info: dict[str, Any] = {}
+        self._restart(ids, [_options_of(options, i, self.num_envs) for i in ids], info)
+        return self._observation.copy(), info
+
+    def step(self, actions):
+        actions = self.task.check_actions(actions, self.num_envs)
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
+            raise ValueError(f"environments {np.flatnonzero(self._done).tolist()} are done; reset them first")
+        restarting, ids = np.flatnonzero(self._done), np.flatnonzero(~self._done)
+        reward = np.zeros(self.num_envs)
+        terminated, truncated = np.zeros((2, self.num_envs), bool)
+        info: dict[str, Any] = {}
+        if len(ids):
+            step = self.task.step(ids, actions[ids])
+            self._elapsed[ids] += 1
+            self._observation[ids], reward[ids] = step.observation, step.reward
+            terminated[ids] = step.terminated
+            truncated[ids] = step.diverged | (self._elapsed[ids] >= self._max_steps)
+            _scatter(info, step.info, ids, self.num_envs)
+        self._restart(restarting, [{}] * len(restarting), info)
+        self._done = terminated | truncated
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
+            done = np.flatnonzero(self._done)
+            final = {"final_obs": self._observation[done], "final_info": _gather(info, done)}
+            _scatter(info, final, done, self.num_envs)
+            self._restart(done, [{}] * len(done), info)
+        return self._observation.copy(), reward, terminated, truncated, info
+
+    def _restart(self, ids, options, info):
+        """Reset simulations ``ids``; their rows of the observation and of ``info`` become those of the reset."""
+        if len(ids) == 0:
+            return
+        self._observation[ids], rows = self.task.reset(ids, [self._rngs[i] for i in ids], options)
+        self._elapsed[ids] = 0
+        self._done[ids] = False
+        _scatter(info, rows, ids, self.num_envs)
+
+
+def _options_of(options: Mapping[str, Any], i: int, num_envs: int) -> dict[str, Any]:
+    """Environment i's options: rows of arrays whose first axis has one entry per environment, else shared values."""
+
+    def pick(value, ndim):
+        array = np.asarray(value, float)
+        return array[i] if array.ndim == ndim + 1 and len(array) == num_envs else value
+
+    picked = {name: pick(value, 1) for name, value in options.items() if name != "params"}
+    if "params" in options:
+        picked["params"] = {name: pick(value, 0) for name, value in options["params"].items()}
+    return picked
+
+
+def _scatter(info: dict, rows: Mapping[str, Any], ids: np.ndarray, num_envs: int) -> None:
+    """Write each (len(ids), ...) array of ``rows`` into rows ``ids`` of ``info``, with Gymnasium's _<key> masks."""
+    for key, value in rows.items():
+        if isinstance(value, Mapping):
+            _scatter(info.setdefault(key, {}), value, ids, num_envs)
+        else:
+            info.setdefault(key, np.zeros((num_envs, *value.shape[1:]), value.dtype))[ids] = value
+        info.setdefault(f"_{key}", np.zeros(num_envs, bool))[ids] = True
+
+
+def _gather(info: Mapping[str, Any], ids: np.ndarray) -> dict[str, Any]:
+    """Rows ``ids`` of every array of ``info`` but the masks."""
+    return {
+        key: _gather(value, ids) if isinstance(value, Mapping) else value[ids]
+        for key, value in info.items()
+        if not key.startswith("_")
+    }

@@ -1,0 +1,114 @@
+"""Physical parameters that a simulation can be given at run time.
+
+``search`` is the box in which the published studies look for the parameter; ``bounds`` is what the models accept.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One named scalar of the dynamics."""
+
+    name: str
+    unit: str
+    nominal: float
+    search: tuple[float, float]
+    bounds: tuple[float, float]
+    meaning: str
+
+
+# Nominal values and search boxes: Tiboni et al., IROS 2023, Tables I and II, and their configuration files
+# (docs/reference_tasks.md). The published upper end of Poisson's ratio, 0.5, is singular in linear elasticity.
+TRUNK_MASS = Parameter(
+    "trunk_mass", "kg", 0.42, (0.005, 1.0), (0.001, 2.0),
+    "mass of the whole trunk; 83 % of it moves, the rest sits in the clamp",
+)  # fmt: skip
+YOUNG_MODULUS = Parameter(
+    "young_modulus", "Pa", 4.5e6, (2e6, 7e6), (1e6, 1e7), "Young's modulus of the trunk"
+)
+POISSON_RATIO = Parameter(
+    "poisson_ratio", "1", 0.45, (0.40, 0.495), (0.40, 0.495), "Poisson's ratio of the trunk"
+)
+# The reference simulator's Rayleigh stiffness coefficient is 0.1 s; not randomised in the published studies.
+DAMPING = Parameter(
+    "damping", "s", 0.1, (0.05, 0.2), (0.02, 0.5), "damping of the trunk per stiffness (Rayleigh)"
+)
+# Not in the reference, whose cables are rigid but pull on soft mesh nodes: 1 N stretches a long cable by 0.1 mm.
+CABLE_STIFFNESS = Parameter(
+    "cable_stiffness", "N/m", 1e4, (5e3, 2e4), (1e3, 2e4), "stiffness of a long cable and what it pulls on"
+)
+FRICTION = Parameter(
+    "friction", "1", 0.3, (0.01, 1.0), (0.0, 2.0), "Coulomb friction of every pair in contact"
+)
+CUBE_MASS = Parameter(
+    "cube_mass", "kg", 0.05, (0.005, 1.0), (0.001, 2.0), "mass of the pushed or lifted object"
+)
+WALL_OFFSET = Parameter(
+    "wall_offset", "m", 0.0, (-0.03, 0.03), (-0.2, 0.05),
+    "wall position along x, from the nominal -0.1 m; -0.2 puts it out of reach",
+)  # fmt: skip
+
+
+ALL_PARAMETERS = {
+    p.name: p
+    for p in (
+        TRUNK_MASS,
+        YOUNG_MODULUS,
+        POISSON_RATIO,
+        DAMPING,
+        CABLE_STIFFNESS,
+        FRICTION,
+        CUBE_MASS,
+        WALL_OFFSET,
+    )
+}
+
+
+class ParameterSet:
+    """An ordered set of parameters: checks values and converts between dicts and arrays."""
+
+    def __init__(self, *parameters: Parameter):
+        self.parameters = {p.name: p for p in parameters}
+        self.names = tuple(self.parameters)
+
+    def with_nominal(self, **values: float) -> "ParameterSet":
+        """The same set with other nominal values."""
+        return ParameterSet(
+            *(replace(p, nominal=values.get(p.name, p.nominal)) for p in self.parameters.values())
+        )
+
+    @property
+    def nominal(self) -> np.ndarray:
+        """(d,) nominal values in the order of ``names``."""
+        return np.array([p.nominal for p in self.parameters.values()])
+
+    def check_names(self, names: Iterable[str]) -> None:
+        """Raise ValueError if one of ``names`` is not in the set."""
+        for name in names:
+            if name not in self.parameters:
+                raise ValueError(f"unknown parameter {name!r}; this environment has {', '.join(self.names)}")
+
+    def check(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return ``values`` as floats; raise ValueError for an unknown name or a value outside its bounds."""
+        self.check_names(values)
+        checked = {}
+        for name, value in values.items():
+            low, high = self.parameters[name].bounds
+            value = float(value)
+            if not low <= value <= high:
+                raise ValueError(f"{name} = {value} is outside [{low}, {high}] {self.parameters[name].unit}")
+            checked[name] = value
+        return checked
+
+    def to_array(self, values: Mapping[str, float]) -> np.ndarray:
+        """(d,) array of checked values; missing names take their nominal value."""
+        values = self.check(values)
+        return np.array([values.get(name, p.nominal) for name, p in self.parameters.items()])
+
+    def to_dict(self, values: np.ndarray) -> dict[str, float]:
+        """The (d,) array as a dict by name."""
+        return dict(zip(self.names, map(float, values), strict=True))

@@ -1,0 +1,181 @@
+"""Distributions over named physical parameters, to and from JSON.
+
+The three families of the published study: uniform boxes, independent normals truncated at two standard deviations, and
+a full Gaussian. Samples never leave the parameters' bounds.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import NormalDist
+from typing import Protocol
+
+import numpy as np
+
+from soro_bench.parameters import ALL_PARAMETERS, Parameter
+
+
+class Distribution(Protocol):
+    """What domain randomisation samples from."""
+
+    names: tuple[str, ...]
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float]: ...
+
+    def to_dict(self) -> dict: ...
+
+
+def _bounds(names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    unknown = [name for name in names if name not in ALL_PARAMETERS]
+    if unknown:
+        raise ValueError(f"unknown parameter {unknown[0]!r}; there are {', '.join(ALL_PARAMETERS)}")
+    return tuple(np.array([ALL_PARAMETERS[name].bounds for name in names]).reshape(-1, 2).T)
+
+
+def _finite(label: str, names: Sequence[str], values: np.ndarray) -> np.ndarray:
+    values = np.asarray(values, float)
+    for name, value in zip(names, values.reshape(len(names), -1), strict=True):
+        if not np.isfinite(value).all():
+            raise ValueError(f"{label} of {name} is {value}; it has to be finite")
+    return values
+
+
+@dataclass(frozen=True)
+class Uniform:
+    """Independent uniform distributions on [low, high]."""
+
+    names: tuple[str, ...]
+    low: np.ndarray
+    high: np.ndarray
+
+    def __post_init__(self):
+        lowest, highest = _bounds(self.names)
+        for name, low, high, least, most in zip(self.names, self.low, self.high, lowest, highest, strict=True):
+            if not least <= low <= high <= most:
+                raise ValueError(f"{name}: [{low}, {high}] is no interval inside the bounds [{least}, {most}]")
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float]:
+        return dict(zip(self.names, rng.uniform(self.low, self.high).tolist(), strict=True))
+
+    def to_dict(self) -> dict:
+        return {"type": "uniform", **_columns(self.names, low=self.low, high=self.high)}
+
+
+@dataclass(frozen=True)
+class TruncatedNormal:
+    """Independent normals, truncated at mean +- 2 std and at the parameters' bounds."""
+
+    names: tuple[str, ...]
+    mean: np.ndarray
+    std: np.ndarray
+
+    def __post_init__(self):
+        lowest, highest = _bounds(self.names)
+        _finite("mean", self.names, self.mean)
+        for name, mean, std, least, most in zip(
+            self.names, self.mean, _finite("std", self.names, self.std), lowest, highest, strict=True
+        ):
+            if std < 0:
+                raise ValueError(f"{name}: a standard deviation of {std} is negative")
+            if mean + 2 * std < least or mean - 2 * std > most:
+                raise ValueError(f"{name}: {mean} +- 2 * {std} lies outside the bounds [{least}, {most}]")
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float]:
+        draws = rng.random(len(self.names))  # one draw each, whatever the truncation
+        return {
+            name: _truncated_normal_quantile(u, mean, std, least, most)
+            for name, u, mean, std, least, most in zip(
+                self.names, draws, self.mean, self.std, *_bounds(self.names), strict=True
+            )
+        }
+
+    def to_dict(self) -> dict:
+        return {"type": "truncated_normal", **_columns(self.names, mean=self.mean, std=self.std)}
+
+
+def _truncated_normal_quantile(u, mean, std, least, most) -> float:
+    low, high = max(least, mean - 2 * std), min(most, mean + 2 * std)
+    if low >= high:
+        return float(np.clip(mean, least, most))
+    normal = NormalDist(mean, std)
+    p = normal.cdf(low) + u * (normal.cdf(high) - normal.cdf(low))
+    return float(np.clip(normal.inv_cdf(p), low, high))
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """A normal distribution with full covariance, clipped to the parameters' bounds as published."""
+
+    names: tuple[str, ...]
+    mean: np.ndarray
+    cov: np.ndarray
+
+    def __post_init__(self):
+        _bounds(self.names)
+        _finite("mean", self.names, self.mean)
+        cov = _finite("covariance", self.names, self.cov)
+        if cov.shape != (len(self.names),) * 2 or not np.allclose(cov, cov.T):
+            raise ValueError(f"the covariance has to be a symmetric {len(self.names)} x {len(self.names)} matrix")
+        # scaled by the variances, as the parameters' units differ by many orders of magnitude
+        scale = np.sqrt(np.maximum(np.diag(cov), np.finfo(float).tiny))
+        if (lowest := np.linalg.eigvalsh(cov / np.outer(scale, scale)).min()) < -1e-9:
+            raise ValueError(f"the covariance is not positive semi-definite: its correlation has eigenvalue {lowest}")
+
+    def sample(self, rng: np.random.Generator) -> dict[str, float]:
+        scale = np.sqrt(np.diag(self.cov))
+        unit = np.where(scale > 0, scale, 1.0)
+        draw = rng.multivariate_normal(np.zeros(len(self.names)), self.cov / np.outer(unit, unit), method="eigh")
+        values = np.clip(self.mean + unit * draw, *_bounds(self.names))
+        return dict(zip(self.names, values.tolist(), strict=True))
+
+    def to_dict(self) -> dict:
+        return {
+            "type": "gaussian",
+            "names": list(self.names),
+            "mean": np.asarray(self.mean).tolist(),
+            "cov": np.asarray(self.cov).tolist(),
+        }
+
+
+def _columns(names, **columns) -> dict:
+    rows = zip(names, *(np.asarray(c).tolist() for c in columns.values()), strict=True)
+    return {"parameters": {name: dict(zip(columns, values, strict=True)) for name, *values in rows}}
+
+
+def search_box(parameters: Sequence[Parameter]) -> Uniform:
+    """The uniform distribution over the published search box."""
+    low, high = np.array([p.search for p in parameters]).T
+    return Uniform(tuple(p.name for p in parameters), low, high)
+
+
+def random_box(parameters: Sequence[Parameter], rng: np.random.Generator) -> Uniform:
+    """A random box inside the search box: two uniform draws per parameter are its ends, as in published UDR."""
+    box = search_box(parameters)
+    ends = np.sort(rng.uniform(box.low, box.high, size=(2, len(parameters))), axis=0)
+    return Uniform(box.names, ends[0], ends[1])
+
+
+def from_dict(data: Mapping) -> Distribution:
+    """The distribution that ``to_dict`` described; ValueError for anything else."""
+    kind = data.get("type")
+    try:
+        if kind == "gaussian":
+            return Gaussian(tuple(data["names"]), np.array(data["mean"], float), np.array(data["cov"], float))
+        families = {"uniform": (Uniform, ("low", "high")), "truncated_normal": (TruncatedNormal, ("mean", "std"))}
+        if kind not in families:
+            raise ValueError(f"unknown distribution type {kind!r}; there are {', '.join([*families, 'gaussian'])}")
+        family, columns = families[kind]
+        rows = data["parameters"]
+        values = np.array([[rows[name][c] for c in columns] for name in rows], float).reshape(-1, 2)
+        return family(tuple(rows), *values.T)
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"incomplete {kind} distribution: {error!r} is missing or malformed") from error
+
+
+def load(path: str | Path) -> Distribution:
+    """Read a distribution from a JSON file."""
+    try:
+        return from_dict(json.loads(Path(path).read_text()))
+    except (ValueError, AttributeError) as error:
+        raise ValueError(f"{path} is no distribution: {error}") from error

@@ -1,0 +1,1 @@
+"""What happened in an episode, and how to look at it."""

@@ -1,0 +1,36 @@
+"""One recorded episode."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What one episode did; T steps, so T + 1 states.
+
+    ``signals`` holds what the task's ``signals()`` gives: arrays of T + 1 rows by name, in SI units and the task's
+    frame.
+    """
+
+    env_id: str
+    model: str
+    params: dict[str, float]
+    goal: np.ndarray  # (3,) m
+    time: np.ndarray  # (T + 1,) s
+    signals: dict[str, np.ndarray]
+    actions: np.ndarray  # (T,) or (T, nu)
+    rewards: dict[str, np.ndarray]  # reward_<term>: (T,)
+    distance: np.ndarray  # (T + 1,) m
+    is_success: bool
+    diverged: bool
+
+    @property
+    def final_distance(self) -> float:
+        """The published metric of TrunkReach and TrunkPush [m]."""
+        return float(self.distance[-1])
+
+    @property
+    def total_reward(self) -> float:
+        """Sum of all reward terms."""
+        return float(sum(term.sum() for term in self.rewards.values()))
