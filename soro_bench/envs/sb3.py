@@ -16,8 +16,9 @@ class SB3VecEnv(VecEnv):
     def __init__(self, envs: SoftRobotVectorEnv):
         if envs.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
             raise ValueError("Stable-Baselines3 resets in the same step: make the envs with autoreset_mode='SameStep'")
+        self.envs = envs  # before super().__init__, which reads attributes of it
+        self.num_envs = envs.num_envs
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
-        self.envs = envs
         self._seed: int | None = None
         self._actions: np.ndarray | None = None
         self._returns = np.zeros(envs.num_envs)

@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium import spaces
 
 from soro_bench.models.simulation import ParameterMap, Simulation
-from soro_bench.parameters import ParameterSet
+from soro_bench.parameters import Parameter, ParameterSet
 from soro_bench.randomization import Distribution
 
 ACTION_MODES = ("discrete", "continuous")
@@ -42,6 +42,8 @@ class Task(ABC):
     """
 
     parameters: ClassVar[ParameterSet]
+    randomized: ClassVar[tuple[Parameter, ...]]  # what the published study of the task randomises
+    evaluation: ClassVar[tuple[Mapping[str, Any], ...]] = ({},)  # reset options of the fixed evaluation episodes
     options: ClassVar[tuple[str, ...]] = ("params",)
     control_timestep: ClassVar[float]  # s
     single_observation_space: spaces.Box

@@ -44,7 +44,11 @@ class TrunkTask(Task):
     scene: ClassVar[str]
     control_timestep = 0.05  # s: five command updates of 10 ms
 
-    def __init__(self, num_envs: int = 1, num_threads: int = 1, model: str = "flex", action: str = "discrete"):
+    def __init__(
+        self, num_envs: int = 1, num_threads: int = 1, model: str = "flex", action: str = "discrete", **unknown
+    ):
+        for name, value in unknown.items():
+            raise TypeError(f"unknown argument {name}={value!r}; this environment takes model and action")
         if model not in trunk.VARIANTS:
             raise ValueError(f"unknown model {model!r}; there are {', '.join(trunk.VARIANTS)}")
         if action not in ACTION_MODES:
@@ -100,9 +104,14 @@ class TrunkTask(Task):
         return 3 * NUM_KEYPOINTS + 3
 
     def _sample_start(self, rng, options):
-        goal = np.asarray(options["goal"], float) if "goal" in options else self._sample_goal(rng)
+        if "goal" not in options:
+            return self._sample_goal(rng)
+        try:
+            goal = np.asarray(options["goal"], float)
+        except (TypeError, ValueError):
+            goal = np.full(3, np.nan)
         if goal.shape != (3,) or not (np.abs(goal) <= REACH_LIMIT).all():
-            raise ValueError(f"goal {goal.tolist()} has to be 3 coordinates within {REACH_LIMIT} m of the clamp")
+            raise ValueError(f"goal {options['goal']} has to be 3 coordinates within {REACH_LIMIT} m of the clamp")
         return goal
 
     def _sample_goal(self, rng: np.random.Generator) -> np.ndarray:

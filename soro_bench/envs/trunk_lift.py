@@ -8,13 +8,9 @@ from soro_bench.envs.vector import SoftRobotVectorEnv
 from soro_bench.models import trunk
 from soro_bench.models.scene import WallOffset
 from soro_bench.parameters import CUBE_MASS, FRICTION, WALL_OFFSET, ParameterSet
-from soro_bench.randomization import Uniform
 
 GOAL = np.array([-0.100, -0.025, 0.120])  # m; only y matters
 LIFT_WEIGHT, APPROACH_WEIGHT = 0.75, 0.25  # published
-# What the published study randomises: the wall, 30 mm to either side
-PUBLISHED_RANDOMIZATION = Uniform(("wall_offset",), np.array([-0.03]), np.array([0.03]))
-RANDOMIZED = (WALL_OFFSET,)
 REST_HEIGHT = -0.107978 + 0.0105 + 0.005  # m: floor, half the object's height, the 5 mm that surfaces keep apart
 
 
@@ -24,6 +20,8 @@ class TrunkLiftTask(ObjectTask):
     scene = "lift.xml"
     # friction 0.9 and 0.05 kg are the published nominal values of this task
     parameters = ParameterSet(CUBE_MASS, FRICTION, WALL_OFFSET, *trunk.PARAMETERS).with_nominal(friction=0.9)
+    randomized = (WALL_OFFSET,)
+    evaluation = tuple({"params": {"cube_mass": mass}} for mass in (0.05, 0.1))  # kg, published
 
     def distance(self, ids):
         position = self.object_position(ids)
@@ -34,6 +32,10 @@ class TrunkLiftTask(ObjectTask):
     def elevation(self, ids) -> np.ndarray:
         """(n,) rise of the object's centre [m] above its rest on the floor, the published metric."""
         return self.object_position(ids)[:, 1] - REST_HEIGHT
+
+    def signals(self, ids):
+        """As for every object task, and elevation (n,) [m]."""
+        return {**super().signals(ids), "elevation": self.elevation(ids)}
 
     def _scene_parameters(self, model):
         return (*super()._scene_parameters(model), WallOffset(model))

@@ -9,7 +9,6 @@ from soro_bench.models import trunk
 from soro_bench.parameters import CUBE_MASS, FRICTION, POISSON_RATIO, TRUNK_MASS, YOUNG_MODULUS, ParameterSet
 
 GOAL = np.array([0.100, -0.100, 0.050])  # m; only x and z matter
-RANDOMIZED = (CUBE_MASS, FRICTION, TRUNK_MASS, POISSON_RATIO, YOUNG_MODULUS)  # as in the published study
 
 
 class TrunkPushTask(ObjectTask):
@@ -17,6 +16,7 @@ class TrunkPushTask(ObjectTask):
 
     scene = "push.xml"
     parameters = ParameterSet(CUBE_MASS, FRICTION, *trunk.PARAMETERS)
+    randomized = (CUBE_MASS, FRICTION, TRUNK_MASS, POISSON_RATIO, YOUNG_MODULUS)
 
     def distance(self, ids):
         return np.linalg.norm((self.object_position(ids) - self.goal[ids])[:, [0, 2]], axis=1)

@@ -16,7 +16,6 @@ GOAL_HIGH = np.array([0.030, 0.020, 0.150])
 EVALUATION_GOALS = np.array(
     list(itertools.product((-0.020, 0.0, 0.020), (0.005, -0.015, -0.035), (0.120, 0.1325, 0.145)))
 )
-RANDOMIZED = (TRUNK_MASS, POISSON_RATIO, YOUNG_MODULUS)  # what the published study randomises
 
 
 class TrunkReachTask(TrunkTask):
@@ -24,6 +23,8 @@ class TrunkReachTask(TrunkTask):
 
     scene = "reach.xml"
     parameters = ParameterSet(*trunk.PARAMETERS)
+    randomized = (TRUNK_MASS, POISSON_RATIO, YOUNG_MODULUS)
+    evaluation = tuple({"goal": goal} for goal in EVALUATION_GOALS)
 
     def distance(self, ids):
         return np.linalg.norm(self.tip(ids) - self.goal[ids], axis=1)

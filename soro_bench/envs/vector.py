@@ -1,5 +1,6 @@
 """The Gymnasium vector environment: a task with many simulations on a thread pool."""
 
+import operator
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -51,14 +52,22 @@ class SoftRobotVectorEnv(VectorEnv):
 
     def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None):
         """As Gymnasium's; ``options["reset_mask"]`` (num_envs,) picks the simulations to reset."""
-        seeds = [seed + i for i in range(self.num_envs)] if isinstance(seed, int) else seed or [None] * self.num_envs
+        if seed is None:
+            seeds = [None] * self.num_envs
+        elif isinstance(seed, int | np.integer):
+            seeds = [int(seed) + i for i in range(self.num_envs)]
+        else:
+            seeds = list(seed)
         if len(seeds) != self.num_envs:
             raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments")
         options = dict(options or {})
-        ids = np.flatnonzero(options.pop("reset_mask", np.ones(self.num_envs, bool)))
+        mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, bool)))
+        if mask.shape != (self.num_envs,) or mask.dtype != bool:
+            raise ValueError(f"reset_mask {mask.tolist()} has to be {self.num_envs} booleans")
+        ids = np.flatnonzero(mask)
         for i in ids:
             if seeds[i] is not None:
-                self._rngs[i], _ = seeding.np_random(int(seeds[i]))
+                self._rngs[i], _ = seeding.np_random(operator.index(seeds[i]))
         info: dict[str, Any] = {}
         self._restart(ids, [_options_of(options, i, self.num_envs) for i in ids], info)
         return self._observation.copy(), info
@@ -82,7 +91,7 @@ class SoftRobotVectorEnv(VectorEnv):
         self._done = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
             done = np.flatnonzero(self._done)
-            final = {"final_obs": self._observation[done], "final_info": _gather(info, done)}
+            final = {"final_obs": self._observation[done], "final_info": _take(info, done)}
             _scatter(info, final, done, self.num_envs)
             self._restart(done, [{}] * len(done), info)
         return self._observation.copy(), reward, terminated, truncated, info
@@ -101,11 +110,11 @@ def _options_of(options: Mapping[str, Any], i: int, num_envs: int) -> dict[str, 
     """Environment i's options: rows of arrays whose first axis has one entry per environment, else shared values."""
 
     def pick(value, ndim):
-        array = np.asarray(value, float)
+        array = np.asarray(value)
         return array[i] if array.ndim == ndim + 1 and len(array) == num_envs else value
 
-    picked = {name: pick(value, 1) for name, value in options.items() if name != "params"}
-    if "params" in options:
+    picked = {name: pick(value, 1) for name, value in options.items()}
+    if isinstance(options.get("params"), Mapping):
         picked["params"] = {name: pick(value, 0) for name, value in options["params"].items()}
     return picked
 
@@ -120,10 +129,12 @@ def _scatter(info: dict, rows: Mapping[str, Any], ids: np.ndarray, num_envs: int
         info.setdefault(f"_{key}", np.zeros(num_envs, bool))[ids] = True
 
 
-def _gather(info: Mapping[str, Any], ids: np.ndarray) -> dict[str, Any]:
-    """Rows ``ids`` of every array of ``info`` but the masks."""
-    return {
-        key: _gather(value, ids) if isinstance(value, Mapping) else value[ids]
-        for key, value in info.items()
-        if not key.startswith("_")
-    }
+def _take(info: Mapping[str, Any], ids: np.ndarray) -> dict[str, Any]:
+    """Rows ``ids`` of every array of ``info``, whose masks then no longer count them."""
+    taken = {}
+    for key, value in info.items():
+        if key.startswith("_"):
+            value[ids] = False
+        else:
+            taken[key] = _take(value, ids) if isinstance(value, Mapping) else value[ids]
+    return taken

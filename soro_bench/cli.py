@@ -1,0 +1,166 @@
+"""The ``soro-bench`` command."""
+
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+try:
+    import tyro
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+except ImportError as error:
+    sys.exit(f"soro-bench needs more than the core install: pip install soro_bench[all] ({error})")
+
+from soro_bench.registration import ENV_IDS, task_type
+
+_console = Console()
+EnvId = Annotated[str, tyro.conf.Positional]
+
+
+@dataclass
+class List:
+    """Show the environments and their parameters."""
+
+    def run(self) -> None:
+        for env_id in ENV_IDS:
+            task = task_type(env_id)
+            _console.print(f"[bold]{env_id}[/bold]  {len(task.evaluation)} evaluation episodes")
+            for p in task.parameters.parameters.values():
+                randomized = "randomised" if p in task.randomized else ""
+                _console.print(f"  {p.name:16} {p.nominal:>10g} {p.unit:4} in {p.bounds!s:18} {randomized:11} {p.meaning}")
+
+
+@dataclass
+class Run:
+    """Train and evaluate the baselines: the benchmark in small (quick) or in full (paper)."""
+
+    preset: Literal["quick", "paper"] = "quick"
+    """quick: oracle and UDR briefly on TrunkReach. paper: three tasks, all seeds; days of computing."""
+    out: Path = Path("runs")
+    """Folder for policies, results, plots and recordings; an interrupted run goes on from here."""
+
+    def run(self) -> None:
+        from soro_bench.presets import PRESETS
+
+        _run_plan(PRESETS[self.preset], self.out / self.preset)
+
+
+@dataclass
+class Train:
+    """Train one policy by PPO; goes on where an interrupted training stopped."""
+
+    env: EnvId
+    method: Literal["oracle", "udr"] = "oracle"
+    """oracle: nominal parameters. udr: a random box of the search space, drawn from the seed."""
+    randomization: Path | None = None
+    """JSON file of a distribution to train on instead of the method's."""
+    seed: int = 0
+    steps: int = 1_000_000
+    model: str = "cable"
+    action: Literal["discrete", "continuous"] = "continuous"
+    out: Path = Path("runs/train")
+
+    def run(self) -> None:
+        from soro_bench.experiment import METHODS
+        from soro_bench.randomization import load
+        from soro_bench.training.ppo import PPOConfig, train
+
+        task_type(self.env)
+        config = PPOConfig(
+            self.env, self.method, self.seed, self.steps, model=self.model, action=self.action
+        )
+        box = METHODS[self.method].distribution(self.env, self.seed)
+        distribution = load(self.randomization) if self.randomization else box
+        with _Bar() as bar:
+            train(config, self.out, distribution, lambda *progress: bar(f"{self.method} seed {self.seed}", *progress))
+        _console.print(f"policy in {self.out}")
+
+
+@dataclass
+class Evaluate:
+    """Run a policy on the fixed evaluation episodes and record them."""
+
+    policy: Annotated[Path, tyro.conf.Positional]
+    """Folder with policy.json and policy.safetensors."""
+    model: str = "flex"
+    out: Path | None = None
+    """Folder for the results; the policy's own by default."""
+
+    def run(self) -> None:
+        from soro_bench.experiment import write_evaluation
+        from soro_bench.report import markdown_table, table_rows
+        from soro_bench.training.policy import Policy
+
+        result = write_evaluation(Policy.load(self.policy), self.model, self.out or self.policy)
+        _console.print(markdown_table(table_rows([result])), soft_wrap=True)
+
+
+@dataclass
+class View:
+    """Open a recording in the rerun viewer."""
+
+    recording: Annotated[Path, tyro.conf.Positional]
+
+    def run(self) -> None:
+        from soro_bench.recording.rerun_log import open_viewer
+
+        open_viewer(self.recording)
+
+
+def _run_plan(plan, out: Path) -> None:
+    from soro_bench.experiment import run_method
+    from soro_bench.files import replacing, write_json
+    from soro_bench.report import markdown_table, plot_curves, plot_distances, table_rows
+
+    results = []
+    for part in plan:
+        folder = out / part.config.env_id
+        part_results = []
+        for method in part.methods:
+            with _Bar() as bar:
+                part_results += run_method(method, part.config, part.seeds[method.name], part.eval_models, folder, bar)
+        curves = {m.name: [folder / m.name / f"seed{s}" for s in part.seeds[m.name]] for m in part.methods}
+        plot_curves(curves, folder / "curves.png")
+        plot_distances(part_results, folder / "distances.png")
+        results += part_results
+    table = markdown_table(table_rows(results))
+    write_json(out / "results.json", results)
+    with replacing(out / "results.md") as temporary:
+        temporary.write_text(table + "\n")
+    _console.print(table, soft_wrap=True)
+    _console.print(f"results, plots and recordings in {out}; watch one with: soro-bench view FILE.rrd")
+
+
+class _Bar:
+    """A progress bar per training run."""
+
+    def __enter__(self):
+        columns = (TextColumn("{task.description:14}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"))
+        self._progress = Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=_console)
+        self._progress.start()
+        self._tasks: dict[str, int] = {}
+        return self
+
+    def __call__(self, label: str, steps: int, total: int, row: dict) -> None:
+        if label not in self._tasks:
+            self._tasks[label] = self._progress.add_task(label, total=total, note="")
+        note = f"{row['final_distance_mm']:.1f} mm"
+        self._progress.update(self._tasks[label], completed=steps, note=note)
+
+    def __exit__(self, *_):
+        self._progress.stop()
+
+
+COMMANDS = {"list": List, "run": Run, "train": Train, "evaluate": Evaluate, "view": View}
+
+
+def main() -> None:
+    """Entry point: one clear line for what a user can mend, no traceback."""
+    command = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="soro-bench")
+    try:
+        command.run()
+    except (ValueError, OSError, ImportError) as error:
+        sys.exit(f"soro-bench: {error}")
+    except KeyboardInterrupt:
+        sys.exit("soro-bench: interrupted; the same command goes on from the last checkpoint")

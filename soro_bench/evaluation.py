@@ -1,0 +1,88 @@
+"""Deterministic episodes from the fixed evaluation starts of an environment."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from soro_bench.envs.task import Task
+from soro_bench.recording.episode import Episode
+from soro_bench.registration import task_type
+
+
+def evaluate(
+    act: Callable[[np.ndarray], np.ndarray],
+    env_id: str,
+    model: str,
+    action: str,
+    starts: Sequence[Mapping[str, Any]] | None = None,
+    num_threads: int = 0,
+) -> list[Episode]:
+    """Run one episode from every start and record it.
+
+    Args:
+        act: (n, k) observations -> n actions, row by row.
+        env_id, model, action: the environment.
+        starts: reset options, one mapping per episode; by default the environment's fixed evaluation starts.
+        num_threads: threads, 0 for all processors; results do not depend on it.
+    """
+    starts = task_type(env_id).evaluation if starts is None else starts
+    task = task_type(env_id)(len(starts), num_threads, model=model, action=action)
+    # evaluation starts leave nothing to chance but what the task itself draws
+    rngs = [np.random.default_rng(i) for i in range(len(starts))]
+    everyone = np.arange(len(starts))
+    observation, info = task.reset(everyone, rngs, starts)
+    recorders = [_Recorder() for _ in starts]
+    _record(recorders, everyone, task, info)
+    running = everyone
+    for _ in range(gymnasium.spec(env_id).max_episode_steps):
+        actions = task.check_actions(act(observation[running]), len(running))
+        step = task.step(running, actions)
+        observation[running] = step.observation
+        _record(recorders, running, task, step.info, actions)
+        running = running[~(step.terminated | step.diverged)]
+        if len(running) == 0:
+            break
+    return [recorder.episode(env_id, model, task, i) for i, recorder in enumerate(recorders)]
+
+
+class _Recorder:
+    """Rows of one episode."""
+
+    def __init__(self):
+        self.signals: dict[str, list] = {}
+        self.distance: list = []
+        self.actions: list = []
+        self.rewards: dict[str, list] = {}
+        self.is_success = self.diverged = False
+
+    def episode(self, env_id: str, model: str, task: Task, i: int) -> Episode:
+        return Episode(
+            env_id=env_id,
+            model=model,
+            params=task.parameters.to_dict(task.sim.params[i]),
+            goal=task.goal[i].copy(),
+            time=task.control_timestep * np.arange(len(self.distance)),
+            signals={name: np.array(rows) for name, rows in self.signals.items()},
+            actions=np.array(self.actions),
+            rewards={name: np.array(rows) for name, rows in self.rewards.items()},
+            distance=np.array(self.distance),
+            is_success=bool(self.is_success),
+            diverged=bool(self.diverged),
+        )
+
+
+def _record(recorders, ids, task, info, actions=None) -> None:
+    signals = task.signals(ids)
+    for row, i in enumerate(ids):
+        recorder = recorders[i]
+        recorder.distance.append(info["distance"][row])
+        for name, values in signals.items():
+            recorder.signals.setdefault(name, []).append(values[row])
+        if actions is not None:
+            recorder.actions.append(actions[row])
+            recorder.is_success, recorder.diverged = info["is_success"][row], info["diverged"][row]
+            for name in info:
+                if name.startswith("reward_"):
+                    recorder.rewards.setdefault(name, []).append(info[name][row])

@@ -1,0 +1,105 @@
+"""Tables and plots of results."""
+
+import csv
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.files import replacing
+from soro_bench.results import interval
+
+
+def table_rows(results: Sequence[dict], metric: str = "final_distance_mm") -> list[dict]:
+    """One row per method, training model and evaluation model: mean of ``metric`` with its bootstrap interval."""
+    groups = defaultdict(list)
+    for result in results:
+        policy = result["policy"]
+        groups[policy["env_id"], policy["method"], policy["model"], result["evaluated_on"]].append(result)
+    rows = []
+    for (env_id, method, trained_on, evaluated_on), members in groups.items():
+        mean, low, high = interval([member[metric] for member in members])
+        rows.append({
+            "environment": env_id,
+            "method": method,
+            "trained on": trained_on,
+            "evaluated on": evaluated_on,
+            "seeds": len(members),
+            "episodes": sum(len(member[metric]) for member in members),
+            "mean": mean,
+            "low": low,
+            "high": high,
+            "success": float(np.mean([np.mean(member["success"]) for member in members])),
+        })  # fmt: skip
+    return rows
+
+
+def markdown_table(rows: Sequence[dict]) -> str:
+    """The rows of ``table_rows`` as a Markdown table."""
+    lines = [
+        "| environment | method | trained on | evaluated on | seeds | final distance [mm], 95 % interval | solved |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        figures = f"{row['mean']:.2f} [{row['low']:.2f}, {row['high']:.2f}]"
+        cells = [row["environment"], row["method"], row["trained on"], row["evaluated on"], row["seeds"], figures]
+        lines.append("| " + " | ".join(map(str, cells)) + f" | {row['success']:.0%} |")
+    return "\n".join(lines)
+
+
+def plot_curves(folders: dict[str, Sequence[Path]], path: str | Path) -> None:
+    """Final distance over training steps: a thin line per run, a thick median per label."""
+    plt = _pyplot()
+    figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
+    for i, (label, runs) in enumerate(folders.items()):
+        curves = [_read_curve(run / "curve.csv") for run in runs]
+        for steps, distance in curves:
+            axes.plot(steps, distance, color=f"C{i}", alpha=0.3, lw=0.8)
+        grid = max((steps for steps, _ in curves), key=len)
+        median = np.median([np.interp(grid, steps, distance) for steps, distance in curves], axis=0)
+        axes.plot(grid, median, color=f"C{i}", lw=2, label=f"{label} ({len(curves)} runs)")
+    axes.set(xlabel="environment steps", ylabel="final distance in training [mm]", yscale="log")
+    axes.grid(alpha=0.3, which="both")
+    axes.legend(frameon=False)
+    _save(figure, path)
+
+
+def plot_distances(results: Sequence[dict], path: str | Path) -> None:
+    """Final distances of every evaluation episode, a column per method and evaluation model, with the means."""
+    plt = _pyplot()
+    groups = defaultdict(list)
+    for result in results:
+        groups[f"{result['policy']['method']}\non {result['evaluated_on']}"] += result["final_distance_mm"]
+    figure, axes = plt.subplots(figsize=(1.5 + 1.2 * len(groups), 4.0), layout="constrained")
+    rng = np.random.default_rng(0)
+    for i, values in enumerate(groups.values()):
+        axes.scatter(i + rng.uniform(-0.18, 0.18, len(values)), values, s=8, alpha=0.5, color=f"C{i}", linewidths=0)
+        axes.hlines(np.mean(values), i - 0.3, i + 0.3, color="black", lw=2)
+    axes.set_xticks(range(len(groups)), groups)
+    axes.set(ylabel="final distance [mm]", xlim=(-0.6, len(groups) - 0.4))
+    axes.set_ylim(bottom=0)
+    axes.grid(alpha=0.3, axis="y")
+    _save(figure, path)
+
+
+def _read_curve(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    return np.array([int(row["steps"]) for row in rows]), np.array([float(row["final_distance_mm"]) for row in rows])
+
+
+def _pyplot():
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise ImportError("plots need matplotlib: pip install soro_bench[report]") from error
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    return plt
+
+
+def _save(figure, path) -> None:
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format=Path(path).suffix.lstrip("."), dpi=150, metadata={"Software": None})

@@ -1,0 +1,1 @@
+"""PPO training and policies (needs the ``train`` extra)."""

@@ -1,0 +1,228 @@
+"""PPO (stable-baselines3) on the vector environments, in segments that make it resumable.
+
+Training is a row of segments. At the start of each, every random generator is reseeded from (seed, segment) and all
+episodes start anew; at its end a checkpoint is written. So a run that was killed goes on from its last checkpoint and
+ends with the same bytes as one that was not.
+"""
+
+import csv
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import torch
+from stable_baselines3 import PPO
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.utils import set_random_seed
+from stable_baselines3.common.vec_env import VecNormalize
+
+from soro_bench.envs.sb3 import SB3VecEnv
+from soro_bench.files import read_json, replacing, write_json
+from soro_bench.randomization import Distribution
+from soro_bench.training.policy import OBSERVATION_CLIP, Policy, PolicyCard
+
+CURVE_COLUMNS = ("steps", "seconds", "episodes", "final_distance_mm", "return")
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """How to train; docs/training.md says how the defaults were found."""
+
+    env_id: str
+    method: str = "oracle"
+    seed: int = 0
+    total_steps: int = 2_000_000
+    model: str = "cable"
+    action: str = "continuous"
+    num_envs: int = 32
+    rollout_steps: int = 100  # per environment and update: one episode
+    rollouts_per_segment: int = 10
+    batch_size: int = 800
+    epochs: int = 10
+    learning_rate: float = 5e-4  # falls linearly to zero
+    discount: float = 0.95
+    gae_lambda: float = 0.95
+    entropy_coefficient: float = 0.0
+    initial_log_std: float = -1.0  # continuous actions
+    hidden: tuple[int, ...] = (128, 128)
+    num_threads: int = 0
+
+    @property
+    def segment_steps(self) -> int:
+        """Environment steps between checkpoints."""
+        return self.num_envs * self.rollout_steps * self.rollouts_per_segment
+
+    @property
+    def num_segments(self) -> int:
+        """Segments of the whole training, rounded up."""
+        return -(-self.total_steps // self.segment_steps)
+
+
+def train(
+    config: PPOConfig,
+    folder: str | Path,
+    distribution: Distribution | None = None,
+    progress: Callable[[int, int, dict], None] = lambda steps, total, row: None,
+) -> Policy:
+    """Train, or go on training, into ``folder`` and return the policy.
+
+    Args:
+        config: what to train; a folder that holds another configuration's run is refused.
+        folder: gets config.json, checkpoint.pt (after every segment), curve.csv and policy.*.
+        distribution: what the parameters of every episode are drawn from; nominal if None.
+        progress: called after every rollout with steps done, steps in total and the newest row of the curve.
+    """
+    folder = Path(folder)
+    _claim(folder, config, distribution)
+    torch.set_num_threads(1)  # sums would depend on the number; networks this small gain nothing from more
+    env = _make_env(config, distribution)
+    agent = _make_agent(config, env)
+    curve = _Curve()
+    first = _load_checkpoint(folder, agent, env, curve) if (folder / "checkpoint.pt").exists() else 0
+    for segment in range(first, config.num_segments):
+        _run_segment(config, segment, agent, env, curve, progress)
+        _save_checkpoint(folder, segment + 1, agent, env, curve)
+    env.close()
+    policy = _export(config, agent, env)
+    policy.save(folder)
+    return policy
+
+
+def _claim(folder: Path, config: PPOConfig, distribution) -> None:
+    described = asdict(config) | {"distribution": distribution.to_dict() if distribution else None}
+    described["hidden"] = list(config.hidden)
+    described.pop("num_threads")  # does not change the result
+    path = folder / "config.json"
+    if path.exists() and (found := read_json(path)) != described:
+        different = [key for key in described if found.get(key) != described[key]]
+        raise ValueError(f"{folder} holds a run with another {', '.join(different)}; choose another folder")
+    write_json(path, described)
+
+
+def _make_env(config: PPOConfig, distribution) -> VecNormalize:
+    envs = gymnasium.make_vec(
+        config.env_id,
+        num_envs=config.num_envs,
+        num_threads=config.num_threads,
+        model=config.model,
+        action=config.action,
+        autoreset_mode="SameStep",
+    )
+    if distribution is not None:
+        envs.unwrapped.task.randomize(distribution)
+    return VecNormalize(SB3VecEnv(envs.unwrapped), norm_reward=False, clip_obs=OBSERVATION_CLIP)
+
+
+def _make_agent(config: PPOConfig, env: VecNormalize) -> PPO:
+    def learning_rate(progress_remaining: float) -> float:
+        return config.learning_rate * progress_remaining
+
+    return PPO(
+        "MlpPolicy",
+        env,
+        learning_rate=learning_rate,
+        n_steps=config.rollout_steps,
+        batch_size=config.batch_size,
+        n_epochs=config.epochs,
+        gamma=config.discount,
+        gae_lambda=config.gae_lambda,
+        ent_coef=config.entropy_coefficient,
+        policy_kwargs={"net_arch": list(config.hidden), "log_std_init": config.initial_log_std},
+        seed=config.seed,
+        device="cpu",
+    )
+
+
+def _run_segment(config, segment, agent, env, curve, progress) -> None:
+    seed = int(np.random.SeedSequence([config.seed, segment]).generate_state(1)[0])
+    set_random_seed(seed)
+    env.seed(seed)
+    agent._last_obs = None  # makes learn() reset the environments
+    agent.num_timesteps = segment * config.segment_steps
+    total = config.num_segments * config.segment_steps
+    callback = _Watch(curve, progress, total)
+    agent.learn(config.segment_steps, callback=callback, reset_num_timesteps=False)
+
+
+class _Curve:
+    """Rows of the training curve, one per rollout."""
+
+    def __init__(self):
+        self.rows: list[dict] = []
+
+    @property
+    def seconds(self) -> float:
+        return self.rows[-1]["seconds"] if self.rows else 0.0
+
+
+class _Watch(BaseCallback):
+    """Gathers finished episodes and adds a row to the curve after every rollout."""
+
+    def __init__(self, curve: _Curve, progress, total: int):
+        super().__init__()
+        self._curve, self._progress, self._total = curve, progress, total
+        self._finished: list[dict] = []
+        self._start = time.monotonic() - curve.seconds
+
+    def _on_step(self) -> bool:
+        self._finished += [info for info in self.locals["infos"] if "episode" in info]
+        return True
+
+    def _on_rollout_end(self) -> None:
+        if not self._finished:
+            return
+        row = {
+            "steps": self.num_timesteps,
+            "seconds": round(time.monotonic() - self._start, 1),
+            "episodes": len(self._finished),
+            "final_distance_mm": round(1e3 * float(np.mean([info["distance"] for info in self._finished])), 3),
+            "return": round(float(np.mean([info["episode"]["r"] for info in self._finished])), 3),
+        }
+        self._curve.rows.append(row)
+        self._finished = []
+        self._progress(self.num_timesteps, self._total, row)
+
+
+def _save_checkpoint(folder: Path, segment: int, agent: PPO, env: VecNormalize, curve: _Curve) -> None:
+    checkpoint = {
+        "segment": segment,
+        "updates": agent._n_updates,
+        "policy": agent.policy.state_dict(),
+        "optimizer": agent.policy.optimizer.state_dict(),
+        "mean": torch.from_numpy(env.obs_rms.mean.copy()),
+        "var": torch.from_numpy(env.obs_rms.var.copy()),
+        "count": float(env.obs_rms.count),
+        "curve": curve.rows,
+    }
+    with replacing(folder / "checkpoint.pt") as temporary:
+        torch.save(checkpoint, temporary)
+    with replacing(folder / "curve.csv") as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, CURVE_COLUMNS)
+        writer.writeheader()
+        writer.writerows(curve.rows)
+
+
+def _load_checkpoint(folder: Path, agent: PPO, env: VecNormalize, curve: _Curve) -> int:
+    checkpoint = torch.load(folder / "checkpoint.pt", weights_only=True)
+    agent.policy.load_state_dict(checkpoint["policy"])
+    agent.policy.optimizer.load_state_dict(checkpoint["optimizer"])
+    agent._n_updates = checkpoint["updates"]
+    env.obs_rms.mean = checkpoint["mean"].numpy()
+    env.obs_rms.var = checkpoint["var"].numpy()
+    env.obs_rms.count = checkpoint["count"]
+    curve.rows = checkpoint["curve"]
+    return checkpoint["segment"]
+
+
+def _export(config: PPOConfig, agent: PPO, env: VecNormalize) -> Policy:
+    layers = [m for m in agent.policy.mlp_extractor.policy_net if isinstance(m, torch.nn.Linear)]
+    tensors = {"mean": env.obs_rms.mean, "std": np.sqrt(env.obs_rms.var + env.epsilon)}
+    for i, layer in enumerate([*layers, agent.policy.action_net]):
+        tensors[f"w{i}"] = layer.weight.detach().numpy()
+        tensors[f"b{i}"] = layer.bias.detach().numpy()
+    steps = config.num_segments * config.segment_steps
+    card = PolicyCard(config.env_id, config.model, config.action, config.method, config.seed, steps)
+    return Policy(card, tensors)

@@ -1,0 +1,141 @@
+"""PPO training: resumable, deterministic, and policies are data."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3", reason="needs the train extra")
+
+from safetensors.numpy import load_file, save_file
+
+from soro_bench.evaluation import evaluate
+from soro_bench.randomization import Uniform
+from soro_bench.training.policy import Policy
+from soro_bench.training.ppo import PPOConfig, train
+
+CONFIG = PPOConfig(
+    "TrunkReach-v0", total_steps=600, num_envs=2, rollout_steps=100, rollouts_per_segment=1, batch_size=100, epochs=2,
+    hidden=(16,), num_threads=1,
+)  # fmt: skip
+
+
+def _bytes(folder):
+    return {name: (folder / name).read_bytes() for name in ("policy.safetensors", "policy.json")}
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trained")
+    train(CONFIG, folder)
+    return folder
+
+
+def test_interrupted_training_ends_with_the_same_bytes(trained, tmp_path):
+    """A run that stops after one of three segments and goes on equals one that never stopped."""
+
+    class Stop(Exception):
+        pass
+
+    def stop_in_second_segment(steps, total, row):
+        if steps > CONFIG.segment_steps:
+            raise Stop
+
+    with pytest.raises(Stop):
+        train(CONFIG, tmp_path, progress=stop_in_second_segment)
+    assert not (tmp_path / "policy.json").exists()
+    train(CONFIG, tmp_path)
+    assert _bytes(tmp_path) == _bytes(trained)
+
+
+def test_two_threads_train_the_same_policy(trained, tmp_path):
+    """The number of simulation threads does not change a byte."""
+    train(PPOConfig(**{**CONFIG.__dict__, "num_threads": 2}), tmp_path)
+    assert _bytes(tmp_path) == _bytes(trained)
+
+
+def test_killed_training_loses_at_most_one_segment(trained, tmp_path):
+    """After kill -9 the folder holds a complete checkpoint, and the run goes on to the same policy."""
+    code = (
+        "import sys, tests.test_training as t; from soro_bench.training.ppo import train;"
+        "train(t.CONFIG, sys.argv[1], progress=lambda *a: print('row', flush=True))"
+    )
+    process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 120
+    while not (tmp_path / "checkpoint.pt").exists() and time.monotonic() < deadline:
+        time.sleep(0.005)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    assert (tmp_path / "checkpoint.pt").exists()
+    train(CONFIG, tmp_path)
+    assert _bytes(tmp_path) == _bytes(trained)
+    assert not [path.name for path in tmp_path.iterdir() if path.name.startswith(".policy")]
+
+
+def test_a_folder_with_another_run_is_refused(trained):
+    """Training into a folder of another configuration names what differs and changes nothing."""
+    before = (trained / "config.json").read_bytes()
+    with pytest.raises(ValueError, match="another learning_rate"):
+        train(PPOConfig(**{**CONFIG.__dict__, "learning_rate": 1e-3}), trained)
+    with pytest.raises(ValueError, match="another distribution"):
+        train(CONFIG, trained, Uniform(("trunk_mass",), np.array([0.1]), np.array([0.2])))
+    assert (trained / "config.json").read_bytes() == before
+
+
+def test_exported_policy_acts_as_the_trained_network(trained):
+    """The numpy policy gives the actions of Stable-Baselines3's deterministic policy."""
+    import torch
+
+    from soro_bench.training.ppo import _Curve, _load_checkpoint, _make_agent, _make_env
+
+    env = _make_env(CONFIG, None)
+    agent = _make_agent(CONFIG, env)
+    _load_checkpoint(trained, agent, env, _Curve())
+    env.training = False
+    observations = np.random.default_rng(0).uniform(-0.2, 0.2, (50, 66))
+    with torch.no_grad():
+        expected, _ = agent.predict(env.normalize_obs(observations), deterministic=True)
+    np.testing.assert_allclose(Policy.load(trained).act(observations), expected, atol=1e-5)
+
+
+def test_evaluation_does_not_depend_on_how_episodes_are_batched(trained):
+    """Two goals evaluated together give the bytes of each alone."""
+    policy = Policy.load(trained)
+    goals = [{"goal": np.array([0.02, -0.015, 0.1325])}, {"goal": np.array([0.0, 0.005, 0.12])}]
+    together = evaluate(policy.act, "TrunkReach-v0", "cable", "continuous", goals)
+    for episode, goal in zip(together, goals, strict=True):
+        alone = evaluate(policy.act, "TrunkReach-v0", "cable", "continuous", [goal])[0]
+        assert alone.distance.tobytes() == episode.distance.tobytes()
+        assert alone.actions.tobytes() == episode.actions.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda f: (f / "policy.json").unlink(), "policy.json is missing"),
+        (lambda f: (f / "policy.json").write_text("{"), "no JSON file"),
+        (lambda f: (f / "policy.json").write_text(json.dumps({"env_id": 1})), "no valid policy"),
+        (lambda f: (f / "policy.safetensors").write_bytes(b"\x80\x04pickle"), "no valid policy"),
+        (lambda f: (f / "policy.safetensors").write_bytes((f / "policy.safetensors").read_bytes()[:200]), "no valid"),
+        (lambda f: _rewrite(f, "w0", lambda w: w[:, 1:]), "do not fit together"),
+        (lambda f: _rewrite(f, "b0", lambda b: b * np.nan), "not finite"),
+    ],
+)
+def test_a_spoilt_policy_is_refused(trained, tmp_path, spoil, message):
+    """Missing, truncated, foreign, misshapen and NaN files give a clear error."""
+    for name, content in _bytes(trained).items():
+        (tmp_path / name).write_bytes(content)
+    spoil(tmp_path)
+    with pytest.raises(ValueError, match=message):
+        Policy.load(tmp_path)
+
+
+def _rewrite(folder, name, change):
+    tensors = load_file(str(folder / "policy.safetensors"))
+    tensors[name] = np.ascontiguousarray(change(tensors[name]))
+    save_file(tensors, str(folder / "policy.safetensors"))
