@@ -27,26 +27,16 @@ TRUNK_MASS = Parameter(
     "trunk_mass", "kg", 0.42, (0.005, 1.0), (0.001, 2.0),
     "mass of the whole trunk; 83 % of it moves, the rest sits in the clamp",
 )  # fmt: skip
-YOUNG_MODULUS = Parameter(
-    "young_modulus", "Pa", 4.5e6, (2e6, 7e6), (1e6, 1e7), "Young's modulus of the trunk"
-)
-POISSON_RATIO = Parameter(
-    "poisson_ratio", "1", 0.45, (0.40, 0.495), (0.40, 0.495), "Poisson's ratio of the trunk"
-)
+YOUNG_MODULUS = Parameter("young_modulus", "Pa", 4.5e6, (2e6, 7e6), (1e6, 1e7), "Young's modulus of the trunk")
+POISSON_RATIO = Parameter("poisson_ratio", "1", 0.45, (0.40, 0.495), (0.40, 0.495), "Poisson's ratio of the trunk")
 # The reference simulator's Rayleigh stiffness coefficient is 0.1 s; not randomised in the published studies.
-DAMPING = Parameter(
-    "damping", "s", 0.1, (0.05, 0.2), (0.02, 0.5), "damping of the trunk per stiffness (Rayleigh)"
-)
+DAMPING = Parameter("damping", "s", 0.1, (0.05, 0.2), (0.02, 0.5), "damping of the trunk per stiffness (Rayleigh)")
 # Not in the reference, whose cables are rigid but pull on soft mesh nodes: 1 N stretches a long cable by 0.1 mm.
 CABLE_STIFFNESS = Parameter(
     "cable_stiffness", "N/m", 1e4, (5e3, 2e4), (1e3, 2e4), "stiffness of a long cable and what it pulls on"
 )
-FRICTION = Parameter(
-    "friction", "1", 0.3, (0.01, 1.0), (0.0, 2.0), "Coulomb friction of every pair in contact"
-)
-CUBE_MASS = Parameter(
-    "cube_mass", "kg", 0.05, (0.005, 1.0), (0.001, 2.0), "mass of the pushed or lifted object"
-)
+FRICTION = Parameter("friction", "1", 0.3, (0.01, 1.0), (0.0, 2.0), "Coulomb friction of every pair in contact")
+CUBE_MASS = Parameter("cube_mass", "kg", 0.05, (0.005, 1.0), (0.001, 2.0), "mass of the pushed or lifted object")
 WALL_OFFSET = Parameter(
     "wall_offset", "m", 0.0, (-0.03, 0.03), (-0.2, 0.05),
     "wall position along x, from the nominal -0.1 m; -0.2 puts it out of reach",
@@ -77,9 +67,7 @@ class ParameterSet:
 
     def with_nominal(self, **values: float) -> "ParameterSet":
         """The same set with other nominal values."""
-        return ParameterSet(
-            *(replace(p, nominal=values.get(p.name, p.nominal)) for p in self.parameters.values())
-        )
+        return ParameterSet(*(replace(p, nominal=values.get(p.name, p.nominal)) for p in self.parameters.values()))
 
     @property
     def nominal(self) -> np.ndarray:
@@ -94,14 +82,18 @@ class ParameterSet:
 
     def check(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return ``values`` as floats; raise ValueError for an unknown name or a value outside its bounds."""
+        if not isinstance(values, Mapping):
+            raise ValueError(f"params {values!r} has to be a dict of {', '.join(self.names)}")
         self.check_names(values)
         checked = {}
         for name, value in values.items():
             low, high = self.parameters[name].bounds
-            value = float(value)
-            if not low <= value <= high:
+            try:
+                checked[name] = float(value)
+            except (TypeError, ValueError):
+                checked[name] = np.nan
+            if not low <= checked[name] <= high:
                 raise ValueError(f"{name} = {value} is outside [{low}, {high}] {self.parameters[name].unit}")
-            checked[name] = value
         return checked
 
     def to_array(self, values: Mapping[str, float]) -> np.ndarray:

@@ -113,7 +113,8 @@ class Gaussian:
 
     def __post_init__(self):
         _bounds(self.names)
-        _finite("mean", self.names, self.mean)
+        if _finite("mean", self.names, self.mean).shape != (len(self.names),):
+            raise ValueError(f"the mean {np.asarray(self.mean).tolist()} has to be {len(self.names)} numbers")
         cov = _finite("covariance", self.names, self.cov)
         if cov.shape != (len(self.names),) * 2 or not np.allclose(cov, cov.T):
             raise ValueError(f"the covariance has to be a symmetric {len(self.names)} x {len(self.names)} matrix")

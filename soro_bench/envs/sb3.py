@@ -63,10 +63,10 @@ class SB3VecEnv(VecEnv):
         return [getattr(self.envs, attr_name)] * len(self._indices(indices))
 
     def set_attr(self, attr_name, value, indices=None):
-        raise AttributeError(f"{attr_name}: the simulations share one environment, which has no per-simulation attributes")
+        raise AttributeError(f"{attr_name}: one environment holds all simulations; there is nothing to set for each")
 
     def env_method(self, method_name, *method_args, indices=None, **method_kwargs):
-        raise AttributeError(f"{method_name}: the simulations share one environment, which has no per-simulation methods")
+        raise AttributeError(f"{method_name}: one environment holds all simulations; there is nothing to call on each")
 
     def env_is_wrapped(self, wrapper_class, indices=None):
         return [False] * len(self._indices(indices))

@@ -43,8 +43,8 @@ class TrunkReachEnv(SoftRobotEnv):
     y up, origin in the clamp.
 
     ## Actions
-    `action="discrete"` (published): `Discrete(16)`; a < 8 pulls cable a by 5 mm, a >= 8 releases cable a - 8 by 5 mm, at
-    a steady 0.1 m/s over the step. `action="continuous"`: `Box(-1, 1, (8,))`, the rate of every cable in units of
+    `action="discrete"` (published): `Discrete(16)`; a < 8 pulls cable a by 5 mm, a >= 8 releases cable a - 8 by 5 mm,
+    at a steady 0.1 m/s over the step. `action="continuous"`: `Box(-1, 1, (8,))`, the rate of every cable in units of
     0.1 m/s. Cables 0-3 (long) and 4-7 (short) lie at +y, -x, -y, +x. Commanded displacements accumulate within
     +-70 mm (long) and +-40 mm (short); a cable that is released further than it is stretched goes slack.
 

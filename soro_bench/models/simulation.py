@@ -57,7 +57,8 @@ class Simulation:
         """Give simulations ``ids`` the parameters ``params`` (len(ids), d); MuJoCo's derived constants follow."""
         self.params[ids] = params
         named = dict(zip(self.parameters.names, np.asarray(params, float).T, strict=True))
+        column = np.asarray(ids)[:, None]
         for parameter_map in self._maps:
             for write in parameter_map.writes(named):
-                self.batch.expand(write.field)[np.ix_(ids, write.rows)] = write.values
+                self.batch.expand(write.field)[column, write.rows] = write.values
         self.batch.set_const(ids)

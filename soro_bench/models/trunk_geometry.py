@@ -60,6 +60,17 @@ TWIST = np.outer(1 / np.array([1.08, 1.00, 0.69]), _TWIST)
 AXIAL_PER_SHEAR = 3.5
 
 
+def _log_compressibility(poisson_ratio):
+    return -np.log1p(-2 * np.asarray(poisson_ratio))
+
+
+# (3, 10) coefficients of the parabolas through the rows of each table, highest power first
+_PARABOLAS = {
+    name: np.linalg.solve(np.vander(_log_compressibility(POISSON_RATIO_OF_TABLE)), table)
+    for name, table in (("bend", BEND), ("axial", AXIAL), ("twist", TWIST))
+}
+
+
 def outer_radius(z):
     """Outer radius [m] of the trunk at distance ``z`` [m] from the clamped end."""
     return np.interp(z, _OUTER_Z, _OUTER_RADIUS)
@@ -79,15 +90,9 @@ def neck_stiffness(young_modulus, poisson_ratio):
     Returns:
         dict of (N, 10) arrays: ``bend`` and ``twist`` [N m/rad], ``axial`` and ``shear`` [N/m].
     """
-    x = -np.log1p(-2 * np.asarray(poisson_ratio))[:, None]
-    knots = -np.log1p(-2 * POISSON_RATIO_OF_TABLE)
-    weights = np.stack([
-        np.prod([(x - knots[j]) / (knots[i] - knots[j]) for j in range(3) if j != i], axis=0) for i in range(3)
-    ])  # (3, N, 1), Lagrange polynomials
+    x = _log_compressibility(poisson_ratio)[:, None]
     scale = np.asarray(young_modulus)[:, None] / YOUNG_MODULUS_OF_TABLE
-    stiffness = {
-        name: scale * np.einsum("inu,ik->nk", weights, table)
-        for name, table in (("bend", BEND), ("axial", AXIAL), ("twist", TWIST))
-    }
+    # elementwise, so that a material's stiffness has the same bits alone and among others
+    stiffness = {name: scale * ((a * x + b) * x + c) for name, (a, b, c) in _PARABOLAS.items()}
     stiffness["shear"] = stiffness["axial"] / AXIAL_PER_SHEAR
     return stiffness
