@@ -1,0 +1,139 @@
+"""What a rerun recording holds: one group of entities per episode. Time series go in as whole columns."""
+
+import numpy as np
+import rerun as rr
+
+from soro_bench.parameters import ALL_PARAMETERS
+from soro_bench.recording.drawing import Drawing, Mesh, Pose
+from soro_bench.recording.episode import Episode
+
+TIMELINE = "time"
+OVERVIEW = "episodes"
+
+
+def episode_root(i: int) -> str:
+    """Entity path of episode i."""
+    return f"episode_{i + 1:02d}"
+
+
+def result(episode: Episode) -> str:
+    """How the episode ended, in a word or two."""
+    if episode.diverged:
+        return "diverged"
+    return "solved" if episode.is_success else "not solved"
+
+
+def log_episodes(recording, episodes, drawings, title: str) -> None:
+    """Send everything but the layout to a rerun stream."""
+    _log_static(recording, "/", rr.ViewCoordinates.RIGHT_HAND_Y_UP)
+    _log_static(recording, OVERVIEW, _markdown(_overview(episodes, title)))
+    for i, (episode, drawing) in enumerate(zip(episodes, drawings, strict=True)):
+        root = episode_root(i)
+        _log_static(recording, f"{root}/summary", _markdown(_summary(episode, drawing.note)))
+        _log_drawing(recording, f"{root}/world", episode, drawing)
+        _log_plots(recording, f"{root}/plots", episode, drawing)
+
+
+def _overview(episodes, title) -> str:
+    rows = [
+        f"| {i + 1} | {_millimetres(e.goal)} | {result(e)} | {1e3 * e.final_distance:.2f} | {e.total_reward:.2f} |"
+        for i, e in enumerate(episodes)
+    ]
+    solved = sum(e.is_success for e in episodes)
+    legend = "Lines: green solved, grey not solved, red diverged. Every episode has a tab above."
+    head = [f"# {title}", "", f"{solved} of {len(episodes)} solved", "", legend, ""]
+    table = ["| episode | goal [mm] | result | final distance [mm] | total reward |", "|---|---|---|---|---|"]
+    return "\n".join([*head, *table, *rows])
+
+
+def _summary(episode, note) -> str:
+    rows = {
+        "model": episode.model,
+        "result": result(episode),
+        "final distance [mm]": f"{1e3 * episode.final_distance:.2f}",
+        "total reward": f"{episode.total_reward:.3f}",
+        "steps": f"{len(episode.time) - 1}",
+        "goal [mm]": _millimetres(episode.goal),
+    }
+    params = {f"{name} [{ALL_PARAMETERS[name].unit}]": f"{value:.4g}" for name, value in episode.params.items()}
+    table = [f"| {name} | {value} |" for name, value in {**rows, **params}.items()]
+    return "\n".join([f"# {episode.env_id}", "", "| | |", "|---|---|", *table, "", note])
+
+
+def _millimetres(position) -> str:
+    return ", ".join(f"{1e3 * x:.4g}" for x in position)
+
+
+def _log_drawing(recording, root, episode, drawing: Drawing):
+    time = episode.time
+    _log_static(recording, root, rr.ViewCoordinates.RIGHT_HAND_Y_UP)
+    for name, mesh in drawing.meshes.items():
+        _log_mesh(recording, f"{root}/{name}", time, mesh)
+    for name, box in drawing.boxes.items():
+        shape = rr.Boxes3D(half_sizes=[box.half_size], colors=[box.color], fill_mode="solid")
+        _log_static(recording, f"{root}/{name}", shape)
+        _log_pose(recording, f"{root}/{name}", time, box.pose)
+    for name, line in drawing.lines.items():
+        _log_static(recording, f"{root}/{name}", rr.LineStrips3D.from_fields(radii=line.radius))
+        columns = rr.LineStrips3D.columns(strips=line.points.astype(np.float32), colors=line.colors)
+        _log_columns(recording, f"{root}/{name}", time, columns)
+    goal = rr.Points3D([episode.goal], radii=drawing.goal_radius, colors=drawing.goal_color)
+    _log_static(recording, f"{root}/goal", goal)
+
+
+def _log_mesh(recording, path, time, mesh: Mesh):
+    surface = {
+        "vertex_positions": mesh.vertices.reshape(-1, 3).astype(np.float32),
+        "vertex_normals": mesh.normals.reshape(-1, 3).astype(np.float32),
+    }
+    fixed = {"triangle_indices": mesh.faces, "albedo_factor": mesh.color}
+    if mesh.vertices.ndim == 2:
+        _log_static(recording, path, rr.Mesh3D.from_fields(**fixed, **surface))
+    else:
+        states, count, _ = mesh.vertices.shape
+        _log_static(recording, path, rr.Mesh3D.from_fields(**fixed))
+        _log_columns(recording, path, time, rr.Mesh3D.columns(**surface).partition([count] * states))
+    if mesh.pose is not None:
+        _log_pose(recording, path, time, mesh.pose)
+
+
+def _log_pose(recording, path, time, pose: Pose):
+    if pose.position.ndim == 1:
+        _log_static(recording, path, rr.Transform3D(translation=pose.position, quaternion=pose.quaternion))
+    else:
+        columns = rr.Transform3D.columns(translation=pose.position, quaternion=pose.quaternion)
+        _log_columns(recording, path, time, columns)
+
+
+def _log_plots(recording, root, episode, drawing: Drawing):
+    time = episode.time
+    _log_curves(recording, f"{root}/distance", time, 1e3 * episode.distance, ["distance"])
+    for name, values in episode.rewards.items():  # a reward belongs to the state that its step leads to
+        _log_curves(recording, f"{root}/reward/{name}", time[1:], values, [name.removeprefix("reward_")])
+    for name, plot in drawing.plots.items():
+        _log_curves(recording, f"{root}/{name}", time, plot.values, plot.names, plot.colors)
+    actions = episode.actions.reshape(len(time) - 1, -1)
+    names = [f"action {i}" for i in range(actions.shape[1])]
+    _log_curves(recording, f"{root}/action", time[:-1], actions, names, interpolation="StepAfter")
+
+
+def _log_curves(recording, path, time, values, names, colors=None, interpolation=None):
+    """k curves: ``values`` (n,) or (n, k) at ``time`` (n,) [s]."""
+    _log_static(recording, path, rr.SeriesLines(names=names, colors=colors, interpolation_mode=interpolation))
+    _log_columns(recording, path, time, rr.Scalars.columns(scalars=np.asarray(values, float)))
+
+
+def _markdown(text: str):
+    return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+
+
+def _log_static(recording, path, archetype):
+    """As ``recording.log(..., static=True)``, which however gathers rows in a thread and so mixes up their order."""
+    columns = [batch.partition([len(batch.as_arrow_array())]) for batch in archetype.as_component_batches()]
+    recording.send_columns(path, [], columns, strict=True)
+
+
+def _log_columns(recording, path, time, columns):
+    """One row of ``columns`` per ``time`` [s]."""
+    nanoseconds = np.round(1e9 * time).astype("timedelta64[ns]")
+    recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=nanoseconds)], columns, strict=True)

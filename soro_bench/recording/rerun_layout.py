@@ -1,0 +1,72 @@
+"""How rerun's viewer arranges a recording: a tab for all episodes together and one for each."""
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from soro_bench.recording.rerun_entities import OVERVIEW, TIMELINE, episode_root, result
+
+_BACKGROUND = (214, 219, 225)
+_RESULT_COLORS = {"solved": (34, 139, 34), "not solved": (90, 100, 115), "diverged": (200, 40, 40)}
+_OUTLINE_RADIUS = 0.0008  # m
+
+
+def layout(episodes, drawings) -> rrb.Blueprint:
+    """The blueprint; it opens on the first episode and plays."""
+    tabs = [_overview_tab(episodes, drawings)]
+    tabs += [_episode_tab(i, *both) for i, both in enumerate(zip(episodes, drawings, strict=True))]
+    return rrb.Blueprint(
+        rrb.Tabs(*tabs, active_tab=1),
+        rrb.TimePanel(timeline=TIMELINE, play_state="playing", loop_mode="all", state="collapsed"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.BlueprintPanel(state="collapsed"),
+    )
+
+
+def _overview_tab(episodes, drawings):
+    """The outlines of all robots, coloured by how the episode ended, and their objects beside the table of results."""
+    contents, overrides = [], {}
+    for i, (episode, drawing) in enumerate(zip(episodes, drawings, strict=True)):
+        world = f"/{episode_root(i)}/world"
+        contents += [f"{world}/{name}" for name in (drawing.outline, "goal", *({"object"} & drawing.boxes.keys()))]
+        overrides[f"{world}/{drawing.outline}"] = rr.LineStrips3D.from_fields(
+            radii=_OUTLINE_RADIUS, colors=_RESULT_COLORS[result(episode)]
+        )
+    view, text = _view3d("/", contents, drawings[0], overrides), rrb.TextDocumentView(origin=f"/{OVERVIEW}")
+    return rrb.Horizontal(view, text, column_shares=[3, 2], name="all")
+
+
+def _episode_tab(i, episode, drawing):
+    root, end = f"/{episode_root(i)}", result(episode)
+    plots = [
+        _plot(root, "distance", "distance to goal [mm]", legend=False),
+        _plot(root, "reward", "reward"),
+        # the first has the room for a legend, whose colours hold for the others
+        *(_plot(root, name, plot.title, legend=k == 0) for k, (name, plot) in enumerate(drawing.plots.items())),
+        _plot(root, "action", "action", legend=False),
+    ]
+    return rrb.Horizontal(
+        _view3d(f"{root}/world", "$origin/**", drawing),
+        rrb.Vertical(*plots, row_shares=[2, 2, 5, *([3] * (len(drawing.plots) - 1)), 2]),
+        rrb.TextDocumentView(origin=f"{root}/summary", name="episode"),
+        column_shares=[5, 4, 2],
+        name=f"{i + 1}: " + (end if end != "not solved" else f"{1e3 * episode.final_distance:.0f} mm"),
+    )
+
+
+def _plot(root, name, title, legend=True):
+    return rrb.TimeSeriesView(origin=f"{root}/plots/{name}", name=title, plot_legend=rrb.PlotLegend(visible=legend))
+
+
+def _view3d(origin, contents, drawing, overrides=None):
+    grid = rrb.LineGrid3D(visible=False)
+    if drawing.floor is not None:
+        grid = rrb.LineGrid3D(plane=rr.components.Plane3D((0, 1, 0), drawing.floor), spacing=0.05)
+    return rrb.Spatial3DView(
+        origin=origin,
+        contents=contents,
+        name="world",
+        eye_controls=rrb.EyeControls3D(position=drawing.eye, look_target=drawing.target, eye_up=(0, 1, 0)),
+        line_grid=grid,
+        background=_BACKGROUND,
+        overrides=overrides,
+    )

@@ -1,0 +1,96 @@
+"""Episodes as a rerun recording (.rrd): a view for reviewers, not the archive.
+
+Every episode has its own entities (/episode_01/world, /episode_01/plots, /episode_01/summary) and its own tab, all on
+one timeline "time" that starts at 0 s: a reviewer steps through the episodes by their tabs and sees all of them move
+together in the first one. A robot comes in as a :class:`soro_bench.recording.drawing.Drawing`.
+"""
+
+import hashlib
+import importlib.util
+import os
+import subprocess
+import sys
+import uuid
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.files import replacing
+from soro_bench.recording.drawing import Drawing
+from soro_bench.recording.episode import Episode
+from soro_bench.recording.trunk_drawing import draw_trunk
+
+APPLICATION_ID = "soro_bench"
+DRAWINGS = {"Trunk": draw_trunk}  # by how the environment's id begins
+
+
+def write_recording(path: str | Path, episodes: Sequence[Episode], title: str) -> None:
+    """Write ``episodes`` into the file ``path``, which appears complete or not at all.
+
+    The same episodes and title give the same content and recording id. The bytes differ: rerun draws ids for rows,
+    chunks and the blueprint, and orders the columns of the file's index at random.
+    """
+    require_rerun()
+    import rerun as rr
+
+    from soro_bench.recording.rerun_entities import log_episodes
+    from soro_bench.recording.rerun_layout import layout
+
+    if not episodes:
+        raise ValueError("a recording needs at least one episode")
+    drawings = [_draw(episode) for episode in episodes]
+    # without properties, which hold the time of writing; in memory, so that a full disk raises below
+    recording = rr.RecordingStream(APPLICATION_ID, recording_id=_recording_id(episodes, title), send_properties=False)
+    if not recording.is_enabled():
+        raise RuntimeError("rerun is switched off by the environment variable RERUN")
+    memory = recording.memory_recording()
+    recording.send_blueprint(layout(episodes, drawings))
+    recording.send_recording_name(title)
+    recording.flush()  # what comes now must not overtake it
+    log_episodes(recording, episodes, drawings, title)
+    with replacing(path) as temporary:
+        temporary.write_bytes(memory.drain_as_bytes())
+
+
+def open_viewer(path: str | Path) -> None:
+    """Open a recording in rerun's viewer and wait until it is closed.
+
+    The viewer collects no usage statistics and listens to this machine only (by default it listens to the network).
+    """
+    require_rerun()
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"no recording {path}")
+    command = [sys.executable, "-m", "rerun_cli", "--bind", "127.0.0.1", str(path)]
+    subprocess.run(command, env=viewer_environment(), check=True)
+
+
+def viewer_environment() -> dict[str, str]:
+    """Environment variables with which rerun's programs collect no usage statistics, whatever the user's settings.
+
+    Where CI is set, rerun takes the machine for a build server and leaves its settings alone. Its viewer still asks
+    GitHub for a newer version.
+    """
+    environment = {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"}
+    return {**environment, "CI": "true"}
+
+
+def require_rerun() -> None:
+    """Raise ImportError if rerun, an optional dependency, is not installed."""
+    if importlib.util.find_spec("rerun") is None:
+        raise ImportError("recordings need rerun: pip install soro_bench[view]")
+
+
+def _draw(episode: Episode) -> Drawing:
+    for prefix, draw in DRAWINGS.items():
+        if episode.env_id.startswith(prefix):
+            return draw(episode)
+    raise ValueError(f"{episode.env_id} has no drawing; there are drawings of {', '.join(DRAWINGS)}")
+
+
+def _recording_id(episodes, title) -> str:
+    """From title and content: the viewer takes files of one id for parts of one recording."""
+    digest = hashlib.sha256(title.encode())
+    for episode in episodes:
+        digest.update(np.ascontiguousarray(episode.distance).tobytes())
+    return str(uuid.UUID(bytes=digest.digest()[:16]))
