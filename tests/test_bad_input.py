@@ -1,0 +1,220 @@
+"""Bad input is refused with an error that names the value and what is allowed."""
+
+import json
+import re
+
+import gymnasium
+import numpy as np
+import pytest
+
+from soro_bench.randomization import Gaussian, TruncatedNormal, Uniform, from_dict, load
+
+
+def says(*parts):
+    """A pattern for a message in which ``parts`` follow one another."""
+    return "(?s)" + ".*".join(re.escape(part) for part in parts)
+
+
+@pytest.mark.parametrize(
+    ("argument", "error", "parts"),
+    [
+        ({"wibble": 3}, TypeError, ("wibble=3", "model", "action")),
+        ({"model": "fem"}, ValueError, ("model 'fem'", "flex, cable")),
+        ({"action": "torque"}, ValueError, ("action mode 'torque'", "discrete, continuous")),
+    ],
+)
+@pytest.mark.parametrize("maker", [gymnasium.make, gymnasium.make_vec])
+def test_argument(env_id, maker, argument, error, parts):
+    """An unknown argument, model or action mode."""
+    with pytest.raises(error, match=says(*parts)):
+        maker(env_id, **argument)
+
+
+@pytest.mark.filterwarnings("ignore:.*The environment is being initialised with render_mode")
+def test_render_mode(env_id):
+    """An unknown render mode."""
+    with pytest.raises(ValueError, match=says("render_mode 'ascii'", "human", "rgb_array")):
+        gymnasium.make(env_id, render_mode="ascii")
+
+
+@pytest.mark.parametrize("num_envs", [0, -1])
+def test_number_of_environments(num_envs):
+    """A vector environment without simulations."""
+    with pytest.raises(ValueError, match=says(f"num_envs = {num_envs}", "at least 1")):
+        gymnasium.make_vec("TrunkReach-v0", num_envs=num_envs)
+
+
+OPTIONS = [
+    ({"gaol": [0, 0, 0.1]}, ("option 'gaol'", "params, goal")),
+    ({"gaol": "text"}, ("option 'gaol'", "params, goal")),
+    ({"goal": [0, 0]}, ("[0, 0]", "3 coordinates within 0.3 m")),
+    ({"goal": [0, 0, 120]}, ("[0, 0, 120]", "3 coordinates within 0.3 m")),
+    ({"goal": [0, float("nan"), 0.1]}, ("nan", "3 coordinates within 0.3 m")),
+    ({"goal": "left"}, ("left", "3 coordinates within 0.3 m")),
+    ({"params": {"young": 4e6}}, ("parameter 'young'", "young_modulus")),
+    ({"params": {"young_modulus": 4500}}, ("young_modulus = 4500", "[1000000.0, 10000000.0] Pa")),
+    ({"params": {"poisson_ratio": 0.5}}, ("poisson_ratio = 0.5", "[0.4, 0.495]")),
+    ({"params": {"trunk_mass": -0.1}}, ("trunk_mass = -0.1", "[0.001, 2.0] kg")),
+    ({"params": {"trunk_mass": float("nan")}}, ("trunk_mass = nan", "[0.001, 2.0] kg")),
+    ({"params": {"trunk_mass": "heavy"}}, ("trunk_mass = heavy", "[0.001, 2.0] kg")),
+    ({"params": {"trunk_mass": None}}, ("trunk_mass = None", "[0.001, 2.0] kg")),
+    ({"params": 0.42}, ("params 0.42", "dict", "trunk_mass")),
+]
+
+
+@pytest.mark.parametrize(("options", "parts"), OPTIONS)
+@pytest.mark.parametrize("num_envs", [None, 2])
+def test_reset_options(env_id, num_envs, options, parts):
+    """An unknown option or parameter, a parameter outside its bounds, or no goal; the environment stays usable."""
+    if num_envs is None:
+        env = gymnasium.make(env_id, model="cable")
+    else:
+        env = gymnasium.make_vec(env_id, num_envs=num_envs, model="cable")
+    start, _ = env.reset(seed=0)
+    with pytest.raises(ValueError, match=says(*parts)):
+        env.reset(seed=0, options=options)
+    np.testing.assert_array_equal(env.reset(seed=0)[0], start)
+
+
+def test_parameter_of_another_task():
+    """A parameter that only other tasks have."""
+    env = gymnasium.make("TrunkReach-v0", model="cable")
+    with pytest.raises(ValueError, match=says("'friction'", "trunk_mass")):
+        env.reset(options={"params": {"friction": 0.3}})
+
+
+def test_goal_that_is_reached_already():
+    """A goal at the tip's start, from which no reward can be measured."""
+    env = gymnasium.make("TrunkReach-v0", model="cable")
+    with pytest.raises(ValueError, match=says("goal [0.0, 0.0, 0.184]", "reached at reset")):
+        env.reset(options={"goal": [0, 0, 0.184]})
+
+
+@pytest.mark.parametrize("action", [16, -1, 3.0, np.float64(3), float("nan"), None, "3", True])
+def test_discrete_action(env_id, action):
+    """An action that is no integer from 0 to 15."""
+    env = gymnasium.make(env_id, model="cable", disable_env_checker=True)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=says(str(action), "integers from 0 to 15")):
+        env.step(action)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), 1.01, -2.0])
+def test_continuous_action(env_id, bad):
+    """A rate that is not finite or outside [-1, 1], before it reaches the simulation."""
+    env = gymnasium.make(env_id, model="cable", action="continuous", disable_env_checker=True)
+    start, _ = env.reset(seed=0)
+    action = np.zeros(8)
+    action[3] = bad
+    with pytest.raises(ValueError, match=says(str(bad), "finite numbers from -1.0 to 1.0")):
+        env.step(action)
+    np.testing.assert_array_equal(env.unwrapped.task.keypoints([0]).ravel(), start[:63])
+
+
+@pytest.mark.parametrize(
+    ("mode", "action", "found"),
+    [
+        ("discrete", [1, 2], "(1, 2)"),
+        ("discrete", [3], "(1, 1)"),
+        ("continuous", np.zeros(7), "(1, 7)"),
+        ("continuous", 0.5, "(1,)"),
+    ],
+)
+def test_action_shape(env_id, mode, action, found):
+    """An action of the wrong shape."""
+    env = gymnasium.make(env_id, model="cable", action=mode, disable_env_checker=True)
+    env.reset(seed=0)
+    expected = "(1,)" if mode == "discrete" else "(1, 8)"
+    with pytest.raises(ValueError, match=says(found, f"expected {expected}")):
+        env.step(action)
+
+
+@pytest.mark.parametrize(
+    ("mode", "actions", "parts"),
+    [
+        ("discrete", np.zeros(3, int), ("(3,)", "(2,)")),
+        ("discrete", np.array([0, 16]), ("[0, 16]", "integers from 0 to 15")),
+        ("discrete", np.array([0.0, 1.0]), ("[0.0, 1.0]", "integers from 0 to 15")),
+        ("continuous", np.zeros(8), ("(8,)", "(2, 8)")),
+        ("continuous", np.full((2, 8), np.nan), ("nan", "finite numbers from -1.0 to 1.0")),
+    ],
+)
+def test_vector_actions(mode, actions, parts):
+    """Actions of a vector environment that are too few, too many or out of range."""
+    envs = gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable", action=mode)
+    envs.reset(seed=0)
+    with pytest.raises(ValueError, match=says(*parts)):
+        envs.step(actions)
+
+
+@pytest.mark.parametrize("mask", [np.ones(3, bool), np.array([1, 0]), [True]])
+def test_reset_mask(mask):
+    """A reset mask that is not one boolean per simulation."""
+    envs = gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable")
+    envs.reset(seed=0)
+    with pytest.raises(ValueError, match=says("reset_mask", "2 booleans")):
+        envs.reset(options={"reset_mask": mask})
+
+
+@pytest.mark.parametrize("seed", [[1], [1, 2, 3], []])
+def test_number_of_seeds(seed):
+    """A list of seeds that is not one per simulation."""
+    envs = gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable")
+    with pytest.raises(ValueError, match=says(f"{len(seed)} seeds", "2 environments")):
+        envs.reset(seed=seed)
+
+
+@pytest.mark.parametrize(
+    ("make", "parts"),
+    [
+        (lambda: Uniform(("mass",), [0.1], [0.2]), ("parameter 'mass'", "trunk_mass")),
+        (lambda: Uniform(("trunk_mass",), [0.2], [0.1]), ("trunk_mass: [0.2, 0.1]", "[0.001, 2.0]")),
+        (lambda: Uniform(("trunk_mass",), [0.1], [5.0]), ("trunk_mass: [0.1, 5.0]", "[0.001, 2.0]")),
+        (lambda: Uniform(("trunk_mass",), [np.nan], [1.0]), ("trunk_mass: [nan, 1.0]", "[0.001, 2.0]")),
+        (lambda: TruncatedNormal(("trunk_mass",), [0.4], [-0.1]), ("trunk_mass", "-0.1", "negative")),
+        (lambda: TruncatedNormal(("trunk_mass",), [np.inf], [0.1]), ("trunk_mass", "inf", "finite")),
+        (lambda: TruncatedNormal(("trunk_mass",), [9.0], [0.1]), ("trunk_mass: 9.0 +- 2 * 0.1", "[0.001, 2.0]")),
+        (lambda: Gaussian(("trunk_mass",), [0.4], [[1, 0], [0, 1]]), ("covariance", "symmetric 1 x 1")),
+        (lambda: Gaussian(("trunk_mass",), [0.4, 0.3], [[1]]), ("mean [0.4, 0.3]", "1 numbers")),
+        (lambda: Gaussian(("trunk_mass", "friction"), [0.4, 0.3], [[1, 2], [0, 1]]), ("symmetric 2 x 2",)),
+        (lambda: Gaussian(("trunk_mass", "friction"), [0.4, 0.3], [[1, 2], [2, 1]]), ("positive semi-definite", "-1")),
+        (lambda: Gaussian(("trunk_mass",), [0.4], [[np.nan]]), ("covariance of trunk_mass", "finite")),
+    ],
+)
+def test_distribution(make, parts):
+    """A distribution over an unknown parameter, outside the bounds, or without a meaning."""
+    with pytest.raises(ValueError, match=says(*parts)):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("data", "parts"),
+    [
+        ({"type": "beta"}, ("'beta'", "uniform, truncated_normal, gaussian")),
+        ({}, ("None", "uniform, truncated_normal, gaussian")),
+        ({"type": "uniform"}, ("uniform", "parameters")),
+        ({"type": "uniform", "parameters": {"trunk_mass": {"low": 0.1}}}, ("uniform", "high")),
+        ({"type": "uniform", "parameters": {"trunk_mass": {"low": 0.1, "high": "x"}}}, ("x",)),
+        ({"type": "gaussian", "names": ["trunk_mass"], "mean": [0.4]}, ("gaussian", "cov")),
+        ([1, 2], ()),
+    ],
+)
+def test_distribution_file(tmp_path, data, parts):
+    """A JSON file that describes no distribution; the file is named."""
+    path = tmp_path / "bad.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(ValueError, match=says(str(path), *parts)):
+        load(path)
+    if isinstance(data, dict):
+        with pytest.raises(ValueError, match=says(*parts)):
+            from_dict(data)
+
+
+def test_malformed_json(tmp_path):
+    """A file that is no JSON, and one that is not there."""
+    path = tmp_path / "broken.json"
+    path.write_text('{"type": "uniform", ')
+    with pytest.raises(ValueError, match=says(str(path))):
+        load(path)
+    with pytest.raises(FileNotFoundError, match=says("missing.json")):
+        load(tmp_path / "missing.json")

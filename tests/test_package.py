@@ -1,0 +1,61 @@
+"""The package: its assets, its registration, and what importing it does not need."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium
+import pytest
+
+import soro_bench
+from soro_bench.assets import mjcf_path
+
+CHECKOUT = Path(soro_bench.__file__).parents[1]
+USE = "import gymnasium; env = gymnasium.make('soro_bench:TrunkPush-v0', model='cable'); env.reset(seed=0); env.step(3)"
+
+
+def run_python(code, cwd):
+    """Run ``code`` in a fresh interpreter that finds packages in ``cwd`` first; return what it printed."""
+    run = subprocess.run([sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True, timeout=120)
+    assert run.returncode == 0, run.stderr
+    return run.stdout.strip()
+
+
+@pytest.mark.parametrize("name", ["trunk.xml", "reach.xml", "push.xml", "lift.xml"])
+def test_assets_are_found(name):
+    """Every scene file is found."""
+    assert mjcf_path(name).read_text().startswith("<!--")
+
+
+def test_missing_asset():
+    """A file that is not there is named."""
+    with pytest.raises(FileNotFoundError, match=r"moon\.xml"):
+        mjcf_path("moon.xml")
+
+
+def test_import_registers_environments(env_id):
+    """Importing the package registers its environments, single and vector."""
+    spec = gymnasium.spec(env_id)
+    assert spec.max_episode_steps == 100
+    assert spec.vector_entry_point is not None
+    assert soro_bench.ENV_IDS == ("TrunkReach-v0", "TrunkPush-v0", "TrunkLift-v0")
+
+
+def test_module_id_in_a_fresh_interpreter():
+    """gymnasium.make("soro_bench:TrunkPush-v0") imports the package by itself."""
+    assert run_python(f"{USE}; print(env.unwrapped.spec.id)", CHECKOUT) == "TrunkPush-v0"
+
+
+def test_environments_need_no_extras():
+    """Making and stepping an environment imports neither torch, Stable-Baselines3, Rerun, Matplotlib nor SciPy."""
+    extras = ("torch", "stable_baselines3", "rerun", "matplotlib", "scipy", "tyro")
+    assert run_python(f"{USE}; import sys; print([m for m in {extras} if m in sys.modules])", CHECKOUT) == "[]"
+
+
+def test_assets_inside_the_package(tmp_path):
+    """As in an installed wheel, the package works with its assets inside it and no checkout around it."""
+    shutil.copytree(CHECKOUT / "soro_bench", tmp_path / "soro_bench", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(CHECKOUT / "assets", tmp_path / "soro_bench" / "assets", dirs_exist_ok=True)
+    found = run_python(f"{USE}; from soro_bench.assets import mjcf_path; print(mjcf_path('push.xml'))", tmp_path)
+    assert Path(found).resolve() == (tmp_path / "soro_bench/assets/mjcf/push.xml").resolve()

@@ -1,0 +1,75 @@
+"""Pictures, drawn in a process of their own: OpenGL is chosen at import and may end the process that tries it."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+import soro_bench
+
+SCRIPT = """
+import json, sys
+import gymnasium
+import numpy as np
+import soro_bench
+
+try:
+    env = gymnasium.make(sys.argv[1], model=sys.argv[2], action="continuous", render_mode="rgb_array")
+    env.reset(seed=0)
+    pictures = [env.render()]
+    again = env.render()
+except RuntimeError as error:
+    print(json.dumps({"missing": str(error)}))
+    sys.exit()
+for _ in range(4):
+    env.step(np.zeros(8, np.float32))
+pictures.append(env.render())
+env.close()
+env.close()
+first, last = (picture.astype(int) for picture in pictures)
+print(json.dumps({
+    "shape": first.shape,
+    "dtype": str(pictures[0].dtype),
+    "levels": len(np.unique(first)),
+    "repeatable": bool((first == again).all()),
+    "moved": float((np.abs(first - last).max(axis=-1) > 20).mean()),
+}))
+"""
+
+
+@pytest.mark.parametrize(("env_id", "model"), [(env_id, "cable") for env_id in soro_bench.ENV_IDS] + [
+    ("TrunkPush-v0", "flex")
+])  # fmt: skip
+def test_rgb_array(env_id, model):
+    """rgb_array gives a 480 x 640 picture with content, the same twice, which changes when the trunk has sagged."""
+    run = subprocess.run([sys.executable, "-c", SCRIPT, env_id, model], capture_output=True, text=True, timeout=120)
+    if run.returncode < 0:
+        pytest.skip(f"OpenGL ended the process with signal {-run.returncode}")
+    assert run.returncode == 0, run.stderr
+    picture = json.loads(run.stdout.splitlines()[-1])
+    if "missing" in picture:
+        pytest.skip(picture["missing"])
+    assert picture["shape"] == [480, 640, 3]
+    assert picture["dtype"] == "uint8"
+    assert picture["levels"] > 20
+    assert picture["repeatable"]
+    assert 0.005 < picture["moved"] < 0.5
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux can take the display away")
+def test_human_mode_needs_a_display():
+    """Without a display the viewer is refused with a hint, instead of ending the process."""
+    code = """
+import gymnasium
+env = gymnasium.make("soro_bench:TrunkReach-v0", model="cable", render_mode="human")
+try:
+    env.reset(seed=0)
+except RuntimeError as error:
+    print(error)
+"""
+    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120)
+    assert run.returncode == 0, run.stderr
+    assert "rgb_array" in run.stdout
