@@ -10,7 +10,7 @@ import sys
 if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
     os.environ.setdefault("MUJOCO_GL", "egl")
 
-from soro_bench.registration import ENV_IDS, register_envs  # noqa: E402
+from soro_bench.registration import ENV_IDS, register_envs
 
 __version__ = "0.1.0"
 __all__ = ["ENV_IDS", "__version__"]

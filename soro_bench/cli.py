@@ -1,14 +1,22 @@
 """The ``soro-bench`` command."""
 
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 try:
     import tyro
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+    from rich.table import Table
 except ImportError as error:
     sys.exit(f"soro-bench needs more than the core install: pip install soro_bench[all] ({error})")
 
@@ -25,10 +33,16 @@ class List:
     def run(self) -> None:
         for env_id in ENV_IDS:
             task = task_type(env_id)
-            _console.print(f"[bold]{env_id}[/bold]  {len(task.evaluation)} evaluation episodes")
+            table = Table(
+                "parameter", "nominal", "unit", "bounds", "search box", "meaning",
+                title=f"[bold]{env_id}[/bold]: {len(task.evaluation)} evaluation episodes", title_justify="left",
+            )  # fmt: skip
             for p in task.parameters.parameters.values():
-                randomized = "randomised" if p in task.randomized else ""
-                _console.print(f"  {p.name:16} {p.nominal:>10g} {p.unit:4} in {p.bounds!s:18} {randomized:11} {p.meaning}")
+                name = f"[bold]{p.name} *[/bold]" if p.name in {q.name for q in task.randomized} else p.name
+                bounds, search = ("{:g} .. {:g}".format(*pair) for pair in (p.bounds, p.search))
+                table.add_row(name, f"{p.nominal:g}", p.unit, bounds, search, p.meaning)
+            _console.print(table)
+        _console.print("* what the published study randomises")
 
 
 @dataclass
@@ -56,7 +70,7 @@ class Train:
     randomization: Path | None = None
     """JSON file of a distribution to train on instead of the method's."""
     seed: int = 0
-    steps: int = 1_000_000
+    steps: int = 500_000
     model: str = "cable"
     action: Literal["discrete", "continuous"] = "continuous"
     out: Path = Path("runs/train")
@@ -67,9 +81,7 @@ class Train:
         from soro_bench.training.ppo import PPOConfig, train
 
         task_type(self.env)
-        config = PPOConfig(
-            self.env, self.method, self.seed, self.steps, model=self.model, action=self.action
-        )
+        config = PPOConfig(self.env, self.method, self.seed, self.steps, model=self.model, action=self.action)
         box = METHODS[self.method].distribution(self.env, self.seed)
         distribution = load(self.randomization) if self.randomization else box
         with _Bar() as bar:
@@ -93,7 +105,7 @@ class Evaluate:
         from soro_bench.training.policy import Policy
 
         result = write_evaluation(Policy.load(self.policy), self.model, self.out or self.policy)
-        _console.print(markdown_table(table_rows([result])), soft_wrap=True)
+        _console.print(markdown_table(table_rows([result])), soft_wrap=True, markup=False, highlight=False)
 
 
 @dataclass
@@ -108,27 +120,37 @@ class View:
         open_viewer(self.recording)
 
 
+@dataclass
+class Baseline:
+    """What the scripts in baselines/ take."""
+
+    env: EnvId
+    seeds: tuple[int, ...] = (0, 1, 2)
+    steps: int = 500_000
+    model: str = "cable"
+    """Model to train on."""
+    eval_models: tuple[str, ...] = ("cable", "flex")
+    out: Path = Path("runs/baselines")
+
+    def run(self, method: str) -> None:
+        from soro_bench.experiment import METHODS
+        from soro_bench.presets import Part
+        from soro_bench.training.ppo import PPOConfig
+
+        config = PPOConfig(self.env, total_steps=self.steps, model=self.model)
+        _run_plan([Part(config, (METHODS[method],), {method: self.seeds}, self.eval_models)], self.out)
+
+
 def _run_plan(plan, out: Path) -> None:
     from soro_bench.experiment import run_method
-    from soro_bench.files import replacing, write_json
-    from soro_bench.report import markdown_table, plot_curves, plot_distances, table_rows
+    from soro_bench.report import write_report
 
-    results = []
     for part in plan:
-        folder = out / part.config.env_id
-        part_results = []
         for method in part.methods:
+            seeds, folder = part.seeds[method.name], out / part.config.env_id
             with _Bar() as bar:
-                part_results += run_method(method, part.config, part.seeds[method.name], part.eval_models, folder, bar)
-        curves = {m.name: [folder / m.name / f"seed{s}" for s in part.seeds[m.name]] for m in part.methods}
-        plot_curves(curves, folder / "curves.png")
-        plot_distances(part_results, folder / "distances.png")
-        results += part_results
-    table = markdown_table(table_rows(results))
-    write_json(out / "results.json", results)
-    with replacing(out / "results.md") as temporary:
-        temporary.write_text(table + "\n")
-    _console.print(table, soft_wrap=True)
+                run_method(method, part.config, seeds, part.eval_models, folder, bar)
+    _console.print(write_report(out), soft_wrap=True, markup=False, highlight=False)
     _console.print(f"results, plots and recordings in {out}; watch one with: soro-bench view FILE.rrd")
 
 
@@ -136,8 +158,15 @@ class _Bar:
     """A progress bar per training run."""
 
     def __enter__(self):
-        columns = (TextColumn("{task.description:14}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"))
-        self._progress = Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=_console)
+        self._progress = Progress(
+            TextColumn("{task.description:14}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[note]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=_console,
+        )
         self._progress.start()
         self._tasks: dict[str, int] = {}
         return self
@@ -164,3 +193,7 @@ def main() -> None:
         sys.exit(f"soro-bench: {error}")
     except KeyboardInterrupt:
         sys.exit("soro-bench: interrupted; the same command goes on from the last checkpoint")
+
+
+if __name__ == "__main__":
+    main()

@@ -2,13 +2,39 @@
 
 import csv
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from soro_bench.files import replacing
+from soro_bench.files import read_json, replacing, write_json
 from soro_bench.results import interval
+
+
+def write_report(folder: str | Path) -> str:
+    """Gather every evaluation under ``folder`` into results.json, results.md and a plot each per environment.
+
+    Args:
+        folder: holds <environment>/<method>/seed<k>/ as written by :func:`soro_bench.experiment.run_method`.
+
+    Returns:
+        The table, Markdown.
+    """
+    folder = Path(folder)
+    results = []
+    for env_folder in sorted({path.parents[2] for path in folder.glob("*/*/seed*/evaluation_*.json")}):
+        of_env = [read_json(path) for path in sorted(env_folder.glob("*/seed*/evaluation_*.json"))]
+        curves = defaultdict(list)
+        for path in sorted(env_folder.glob("*/seed*/curve.csv")):
+            curves[path.parents[1].name].append(path)
+        plot_curves(curves, env_folder / "curves.png")
+        plot_distances(of_env, env_folder / "distances.png")
+        results += of_env
+    table = markdown_table(table_rows(results))
+    write_json(folder / "results.json", results)
+    with replacing(folder / "results.md") as temporary:
+        temporary.write_text(table + "\n")
+    return table
 
 
 def table_rows(results: Sequence[dict], metric: str = "final_distance_mm") -> list[dict]:
@@ -48,12 +74,12 @@ def markdown_table(rows: Sequence[dict]) -> str:
     return "\n".join(lines)
 
 
-def plot_curves(folders: dict[str, Sequence[Path]], path: str | Path) -> None:
-    """Final distance over training steps: a thin line per run, a thick median per label."""
+def plot_curves(files: Mapping[str, Sequence[Path]], path: str | Path) -> None:
+    """Final distance over training steps, from curve.csv files by label: thin lines, and their median."""
     plt = _pyplot()
     figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
-    for i, (label, runs) in enumerate(folders.items()):
-        curves = [_read_curve(run / "curve.csv") for run in runs]
+    for i, (label, runs) in enumerate(files.items()):
+        curves = [_read_curve(run) for run in runs]
         for steps, distance in curves:
             axes.plot(steps, distance, color=f"C{i}", alpha=0.3, lw=0.8)
         grid = max((steps for steps, _ in curves), key=len)

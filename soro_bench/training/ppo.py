@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -34,17 +35,17 @@ class PPOConfig:
     env_id: str
     method: str = "oracle"
     seed: int = 0
-    total_steps: int = 2_000_000
+    total_steps: int = 500_000
     model: str = "cable"
     action: str = "continuous"
     num_envs: int = 32
-    rollout_steps: int = 100  # per environment and update: one episode
-    rollouts_per_segment: int = 10
-    batch_size: int = 800
+    rollout_steps: int = 50  # per environment and update: half an episode
+    rollouts_per_segment: int = 20
+    batch_size: int = 400
     epochs: int = 10
-    learning_rate: float = 5e-4  # falls linearly to zero
+    learning_rate: float = 7e-4  # falls linearly to zero
     discount: float = 0.95
-    gae_lambda: float = 0.95
+    gae_lambda: float = 0.9
     entropy_coefficient: float = 0.0
     initial_log_std: float = -1.0  # continuous actions
     hidden: tuple[int, ...] = (128, 128)
@@ -120,7 +121,7 @@ def _make_agent(config: PPOConfig, env: VecNormalize) -> PPO:
     def learning_rate(progress_remaining: float) -> float:
         return config.learning_rate * progress_remaining
 
-    return PPO(
+    agent = PPO(
         "MlpPolicy",
         env,
         learning_rate=learning_rate,
@@ -134,6 +135,8 @@ def _make_agent(config: PPOConfig, env: VecNormalize) -> PPO:
         seed=config.seed,
         device="cpu",
     )
+    agent.set_logger(Logger(folder=None, output_formats=[]))  # the default leaves a folder in /tmp per segment
+    return agent
 
 
 def _run_segment(config, segment, agent, env, curve, progress) -> None:

@@ -1,0 +1,13 @@
+"""Oracle: PPO on the nominal parameters, which the evaluation uses too.
+
+    python baselines/oracle.py TrunkReach-v0 --seeds 0 1 2
+
+Trains on the cheap model, evaluates on both, writes policies, results and rerun recordings; goes on where it stopped.
+"""
+
+import tyro
+
+from soro_bench.cli import Baseline
+
+if __name__ == "__main__":
+    tyro.cli(Baseline, description=__doc__).run("oracle")

@@ -1,0 +1,13 @@
+"""Uniform domain randomisation: PPO on a random box of the search space per seed, as in the published study.
+
+    python baselines/udr.py TrunkReach-v0 --seeds 0 1 2 3 4
+
+Trains on the cheap model, evaluates on both, writes policies, results and rerun recordings; goes on where it stopped.
+"""
+
+import tyro
+
+from soro_bench.cli import Baseline
+
+if __name__ == "__main__":
+    tyro.cli(Baseline, description=__doc__).run("udr")

@@ -1,0 +1,98 @@
+"""Random actions over random parameters: does anything become NaN, crash or explode?
+
+    python benchmarks/random_episodes.py --model cable --episodes 3400
+    python benchmarks/random_episodes.py --model flex --episodes 200
+
+Runs that many episodes of every trunk task, each with parameters drawn uniformly from the published search box and
+with uniformly random actions, discrete and continuous in turn. Writes counts to
+docs/results/random_episodes_<model>.json after every batch; a run that was interrupted goes on from there.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+import soro_bench
+from soro_bench.files import read_json, write_json
+from soro_bench.randomization import search_box
+from soro_bench.registration import task_type
+
+BATCH = 50
+STEPS = 100
+RESULTS = Path(__file__).parents[1] / "docs" / "results"
+WARNINGS = [mujoco.mjtWarning(i).name for i in range(int(mujoco.mjtWarning.mjNWARNING))]
+
+
+def run_batch(env_id: str, model: str, number: int, threads: int) -> dict:
+    """Counts over one batch of episodes; ``number`` seeds it."""
+    action = ("discrete", "continuous")[number % 2]
+    task = task_type(env_id)(BATCH, threads, model=model, action=action)
+    everyone = np.arange(BATCH)
+    rng = np.random.default_rng([number, len(env_id)])
+    task.randomize(search_box(task.randomized))
+    observation, _ = task.reset(everyone, [np.random.default_rng([number, i]) for i in everyone], [{}] * BATCH)
+    diverged = np.zeros(BATCH, bool)
+    low, high = task.single_observation_space.low, task.single_observation_space.high
+    finite, inside, fastest = True, True, 0.0
+    for _ in range(STEPS):
+        actions = rng.integers(16, size=BATCH) if action == "discrete" else rng.uniform(-1, 1, (BATCH, 8))
+        step = task.step(everyone, actions)
+        finite &= bool(np.isfinite(step.observation).all() and np.isfinite(step.reward).all())
+        sane = ~step.diverged
+        inside &= bool(((step.observation[sane] >= low) & (step.observation[sane] <= high)).all())
+        diverged |= step.diverged
+        tip = step.observation[:, 60:63]
+        moved = np.linalg.norm(tip - observation[:, 60:63], axis=1)
+        fastest = max(fastest, float(moved[sane].max()) / task.control_timestep)
+        observation = step.observation
+    counts = task.sim.batch.warning[:, :, 1].sum(axis=0)
+    return {
+        "episodes": BATCH,
+        "diverged": int(diverged.sum()),
+        "diverged_params": [task.parameters.to_dict(task.sim.params[i]) for i in np.flatnonzero(diverged)],
+        "not_finite": int(not finite),
+        "outside_space": int(not inside),
+        "fastest_tip_m_per_s": fastest,
+        "warnings": {name: int(count) for name, count in zip(WARNINGS, counts, strict=True) if count},
+    }
+
+
+def merge(total: dict, batch: dict) -> dict:
+    """Sum of two counts."""
+    if not total:
+        return batch
+    merged = {key: total[key] + batch[key] for key in total if isinstance(total[key], int | list)}
+    merged["fastest_tip_m_per_s"] = max(total["fastest_tip_m_per_s"], batch["fastest_tip_m_per_s"])
+    names = sorted({*total["warnings"], *batch["warnings"]})
+    merged["warnings"] = {name: total["warnings"].get(name, 0) + batch["warnings"].get(name, 0) for name in names}
+    return merged
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--model", choices=("cable", "flex"), default="cable")
+    parser.add_argument("--episodes", type=int, default=3400, help="per task")
+    parser.add_argument("--threads", type=int, default=1)
+    options = parser.parse_args()
+    path = RESULTS / f"random_episodes_{options.model}.json"
+    totals = read_json(path) if path.exists() else {}
+    start, done_now = time.monotonic(), 0
+    for env_id in soro_bench.ENV_IDS:
+        done = totals.get(env_id, {}).get("episodes", 0)
+        for number in range(done // BATCH, -(-options.episodes // BATCH)):
+            totals[env_id] = merge(totals.get(env_id, {}), run_batch(env_id, options.model, number, options.threads))
+            write_json(path, totals)
+            done_now += BATCH
+            left = sum(max(0, options.episodes - totals.get(e, {}).get("episodes", 0)) for e in soro_bench.ENV_IDS)
+            minutes = (time.monotonic() - start) / done_now * left / 60
+            print(f"{env_id} {totals[env_id]['episodes']} episodes, {minutes:.0f} min left", end="\r", flush=True)
+    print()
+    for env_id, counts in totals.items():
+        print(env_id, {key: value for key, value in counts.items() if key != "diverged_params"})
+
+
+if __name__ == "__main__":
+    main()
