@@ -70,7 +70,7 @@ class Train:
     randomization: Path | None = None
     """JSON file of a distribution to train on instead of the method's."""
     seed: int = 0
-    steps: int = 500_000
+    steps: int = 320_000
     model: str = "cable"
     action: Literal["discrete", "continuous"] = "continuous"
     out: Path = Path("runs/train")
@@ -126,7 +126,7 @@ class Baseline:
 
     env: EnvId
     seeds: tuple[int, ...] = (0, 1, 2)
-    steps: int = 500_000
+    steps: int = 320_000
     model: str = "cable"
     """Model to train on."""
     eval_models: tuple[str, ...] = ("cable", "flex")

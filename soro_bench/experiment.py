@@ -10,7 +10,7 @@ import numpy as np
 from soro_bench.evaluation import evaluate
 from soro_bench.files import read_json, write_json
 from soro_bench.randomization import Distribution, random_box
-from soro_bench.recording.rerun_log import write_recording
+from soro_bench.recording.rerun_log import require_rerun, write_recording
 from soro_bench.registration import task_type
 from soro_bench.results import summarise, versions
 from soro_bench.training.policy import Policy
@@ -73,6 +73,7 @@ def run_method(
 
 def write_evaluation(policy: Policy, model: str, folder: str | Path) -> dict:
     """Evaluate ``policy`` on ``model``; write evaluation_<model>.json and .rrd into ``folder``; return the result."""
+    require_rerun()  # before the work, not after it
     folder = Path(folder)
     start = time.monotonic()
     card = policy.card

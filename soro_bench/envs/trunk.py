@@ -104,8 +104,9 @@ class TrunkTask(Task):
         return 3 * NUM_KEYPOINTS + 3
 
     def _sample_start(self, rng, options):
+        drawn = self._sample_goal(rng)  # also when it is given, so that what is drawn next does not depend on it
         if "goal" not in options:
-            return self._sample_goal(rng)
+            return drawn
         try:
             goal = np.asarray(options["goal"], float)
         except (TypeError, ValueError):

@@ -35,7 +35,7 @@ class PPOConfig:
     env_id: str
     method: str = "oracle"
     seed: int = 0
-    total_steps: int = 500_000
+    total_steps: int = 320_000
     model: str = "cable"
     action: str = "continuous"
     num_envs: int = 32

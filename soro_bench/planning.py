@@ -1,0 +1,223 @@
+"""Open-loop plans: piecewise linear cable displacements, searched with CMA-ES in the environments' own dynamics.
+
+A plan is given by knots, the displacements [m] of the eight cables at some steps; between them the command moves
+linearly, as far as the cables' rate and limits let it. Two equal knots are a move that is then held.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from soro_bench.envs.trunk import SUCCESS_DISTANCE, TrunkTask
+from soro_bench.models import trunk_geometry as geo
+
+EPISODE_STEPS = 100
+NUM_CABLES = len(geo.CABLE_NAMES)
+HOLD = (20, EPISODE_STEPS)  # steps at which the knots of a move that is then held are due: 1 s for up to 70 mm
+SWING = (25, 50, 75, EPISODE_STEPS)  # the same of a plan that may pass the goal in motion
+
+
+def actions_from_knots(knots: np.ndarray, due: Sequence[int]) -> np.ndarray:
+    """Continuous actions that follow the knots from rest.
+
+    Args:
+        knots: (n, k, 8) cable displacements [m].
+        due: k increasing steps at which they are due.
+
+    Returns:
+        (n, due[-1], 8) float32 rates in units of 0.1 m/s, within +-1.
+    """
+    knots = np.asarray(knots, float)
+    n, steps = len(knots), np.arange(1, due[-1] + 1)
+    start = np.concatenate([np.zeros((n, 1, NUM_CABLES)), knots], axis=1)
+    times = np.array([0, *due])
+    k = np.searchsorted(times, steps) - 1  # the knot before each step
+    share = ((steps - times[k]) / (times[k + 1] - times[k]))[:, None]
+    wanted = np.clip((1 - share) * start[:, k] + share * start[:, k + 1], -geo.CABLE_LIMITS, geo.CABLE_LIMITS)
+    reach = geo.CABLE_RATE * TrunkTask.control_timestep  # m per step
+    actions, commanded = np.zeros_like(wanted), np.zeros((n, NUM_CABLES))
+    for t in range(len(steps)):
+        actions[:, t] = np.clip((wanted[:, t] - commanded) / reach, -1, 1)
+        commanded += reach * actions[:, t]
+    return actions.astype(np.float32)
+
+
+def antagonistic(bends: np.ndarray, tightening: np.ndarray | float = 0.0) -> np.ndarray:
+    """(..., 8) displacements [m] that pull one cable of each opposing pair as far as they release the other.
+
+    Args:
+        bends: (..., 4) towards +y and +x by the long cables, then by the short ones [m].
+        tightening: what every cable is pulled in addition [m].
+    """
+    y_long, x_long, y_short, x_short = np.moveaxis(np.asarray(bends), -1, 0)
+    pulls = (y_long, -x_long, -y_long, x_long, y_short, -x_short, -y_short, x_short)
+    return np.stack(pulls, axis=-1) + tightening
+
+
+def roll_out(task: TrunkTask, actions: np.ndarray, options: dict, measure: Callable[[np.ndarray], np.ndarray]):
+    """Play action sequences from reset.
+
+    Args:
+        task: its simulations are used in turns if there are more sequences.
+        actions: (n, t, ...) valid actions.
+        options: reset options of all of them.
+        measure: takes simulation ids (m,) and returns (m, ...).
+
+    Returns:
+        (n, t, ...) what ``measure`` gave after every step; NaN once a simulation diverged.
+    """
+    parts = []
+    for first in range(0, len(actions), task.num_envs):
+        part = actions[first : first + task.num_envs]
+        ids = np.arange(len(part))
+        task.reset(ids, [np.random.default_rng(0)] * len(ids), [options] * len(ids))
+        lost, rows = np.zeros(len(ids), bool), []
+        for t in range(part.shape[1]):
+            lost |= task.step(ids, part[:, t]).diverged
+            row = np.array(measure(ids), float)
+            row[lost] = np.nan
+            rows.append(row)
+        parts.append(np.stack(rows, axis=1))
+    return np.concatenate(parts)
+
+
+def final_distance(distance: np.ndarray) -> np.ndarray:
+    """(...,) distance [m] at the end of episodes with distances (..., t): at success (1 mm) or after the last step."""
+    solved = distance <= SUCCESS_DISTANCE
+    end = np.where(solved.any(axis=-1), solved.argmax(axis=-1), distance.shape[-1] - 1)
+    final = np.take_along_axis(distance, end[..., None], axis=-1)[..., 0]
+    return np.where(np.isnan(final), np.inf, final)
+
+
+@dataclass
+class ReachPlan:
+    """The best plan found for one goal."""
+
+    goal: np.ndarray  # (3,) m
+    knots: np.ndarray | None = None  # (k, 8) m
+    due: Sequence[int] = HOLD
+    final: float = np.inf  # m, distance at the end of the episode
+    closest: float = np.inf  # m, smallest distance of the episode
+    rollouts: int = 0  # of the search for this goal
+
+    @property
+    def solved(self) -> bool:
+        return self.final <= SUCCESS_DISTANCE
+
+
+@dataclass
+class ReachPlanner:
+    """Plans for several goals of TrunkReach at once; a rollout made for one goal is scored for all.
+
+    Args:
+        task: a TrunkReachTask with continuous actions.
+        goals: (g, 3) m.
+        popsize: candidates per goal and iteration.
+        seed: of the random candidates and of CMA-ES.
+    """
+
+    task: TrunkTask
+    goals: np.ndarray
+    popsize: int = 12
+    seed: int = 0
+    plans: list[ReachPlan] = field(init=False)
+
+    def __post_init__(self):
+        self.plans = [ReachPlan(goal) for goal in self.goals]
+        self._rng = np.random.default_rng(self.seed)
+        self._searches = [None] * len(self.plans)
+        self._starts = [0] * len(self.plans)
+
+    def try_random(self, count: int) -> None:
+        """Score ``count`` random moves that are then held."""
+        bends = self._rng.uniform(-1, 1, (count, 4)) * [0.07, 0.07, 0.04, 0.04]
+        tightening = self._rng.uniform(0, 0.01, (count, 1))
+        self.try_moves(antagonistic(bends, tightening))
+
+    def try_moves(self, targets: np.ndarray) -> None:
+        """Score moves to the displacements ``targets`` (n, 8) [m] that are then held."""
+        self._evaluate(np.repeat(targets[:, None], len(HOLD), axis=1), HOLD)
+
+    def improve(self) -> Iterator[int]:
+        """Run CMA-ES for every unsolved goal; yields the number of unsolved goals after each iteration, forever.
+
+        The first search of a goal varies the eight displacements of a held move; later ones, from the best plan so
+        far, a swing of four knots and a held move in turn.
+        """
+        while unsolved := [g for g, plan in enumerate(self.plans) if not plan.solved]:
+            for due in (HOLD, SWING):
+                members = [g for g in unsolved if self._search(g).due == due]
+                if not members:
+                    continue
+                asked = [self._search(g).ask() for g in members]
+                costs = self._evaluate(np.concatenate(asked), due)  # (candidates, goals)
+                for i, g in enumerate(members):
+                    own = slice(i * self.popsize, (i + 1) * self.popsize)
+                    self._search(g).tell(costs[own, g])
+                    self.plans[g].rollouts += self.popsize
+            yield len([g for g in unsolved if not self.plans[g].solved])
+
+    def _search(self, g) -> "KnotSearch":
+        if self._searches[g] is None or self._searches[g].exhausted:
+            plan, start = self.plans[g], self._starts[g]
+            due = HOLD if start % 2 == 0 and len(plan.due) == len(HOLD) else SWING
+            seed = 1 + self.seed + 1000 * g + start
+            self._searches[g] = KnotSearch(resample(plan.knots, plan.due, due), due, self.popsize, seed)
+            self._starts[g] += 1
+        return self._searches[g]
+
+    def _evaluate(self, knots, due) -> np.ndarray:
+        """(n, g) final distances [m] of plans (n, k, 8) [m] to every goal; better ones replace the goals' plans."""
+        tips = roll_out(self.task, actions_from_knots(knots, due), {"goal": [0.0, 0.0, 0.0]}, self.task.tip)
+        distance = np.linalg.norm(tips[:, None] - self.goals[:, None], axis=-1)  # (n, g, t)
+        final = final_distance(distance)
+        for g, plan in enumerate(self.plans):
+            best = int(final[:, g].argmin())
+            if final[best, g] < plan.final:
+                plan.knots, plan.due = knots[best].copy(), due
+                plan.final, plan.closest = float(final[best, g]), float(np.nanmin(distance[best, g]))
+        return final
+
+
+def resample(knots: np.ndarray, due: Sequence[int], new_due: Sequence[int]) -> np.ndarray:
+    """(k', 8) the displacements [m] of the plan (k, 8) at the steps ``new_due``."""
+    padded = np.concatenate([np.zeros((1, knots.shape[1])), knots])
+    return np.stack([np.interp(new_due, [0, *due], column) for column in padded.T], axis=1)
+
+
+class KnotSearch:
+    """CMA-ES over the knots of one plan, in mm; a held move has one knot to vary.
+
+    Args:
+        start: (k, 8) m.
+        due: k steps.
+        popsize: candidates per iteration.
+        seed: at least 1.
+    """
+
+    def __init__(self, start: np.ndarray, due: Sequence[int], popsize: int, seed: int, step: float = 0.004):
+        import cma
+
+        self.due = due
+        self._free = 1 if due == HOLD else len(due)
+        limits = np.tile(1e3 * geo.CABLE_LIMITS, self._free)
+        x = np.clip(1e3 * start[-self._free :].ravel(), -limits, limits)
+        options = {"popsize": popsize, "seed": seed, "bounds": [-limits, limits], "verbose": -9, "tolfun": 1e-3,
+                   "tolflatfitness": 5, "maxiter": 60 * self._free}  # fmt: skip
+        self._cma = cma.CMAEvolutionStrategy(x, 1e3 * step, options)
+        self._asked: list[np.ndarray] = []
+
+    @property
+    def exhausted(self) -> bool:
+        return bool(self._cma.stop())
+
+    def ask(self) -> np.ndarray:
+        """(popsize, k, 8) candidates [m]."""
+        self._asked = self._cma.ask()
+        knots = 1e-3 * np.array(self._asked).reshape(-1, self._free, NUM_CABLES)
+        return np.repeat(knots, len(self.due), axis=1) if self._free == 1 else knots
+
+    def tell(self, costs: np.ndarray) -> None:
+        """Costs [m] of the candidates asked for last."""
+        self._cma.tell(self._asked, list(np.nan_to_num(1e3 * costs, posinf=1e6)))
