@@ -4,7 +4,7 @@ A plan is given by knots, the displacements [m] of the eight cables at some step
 linearly, as far as the cables' rate and limits let it. Two equal knots are a move that is then held.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -55,13 +55,13 @@ def antagonistic(bends: np.ndarray, tightening: np.ndarray | float = 0.0) -> np.
     return np.stack(pulls, axis=-1) + tightening
 
 
-def roll_out(task: TrunkTask, actions: np.ndarray, options: dict, measure: Callable[[np.ndarray], np.ndarray]):
+def roll_out(task: TrunkTask, actions: np.ndarray, options: Mapping, measure: Callable[[np.ndarray], np.ndarray]):
     """Play action sequences from reset.
 
     Args:
         task: its simulations are used in turns if there are more sequences.
         actions: (n, t, ...) valid actions.
-        options: reset options of all of them.
+        options: reset options of all sequences.
         measure: takes simulation ids (m,) and returns (m, ...).
 
     Returns:

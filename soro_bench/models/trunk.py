@@ -31,8 +31,8 @@ PARAMETERS = (
     prm.DAMPING,
     prm.CABLE_STIFFNESS,
 )
-# N. Two cables of 15 N hold the trunk level; opposing cables of 60 N buckle its necks, and their sideways stiffness
-# (tension / gap) outgrows the time step.
+# N. The trunk's weight asks for 25 N at the first neck's upper cables. Opposing cables of 60 N buckle the necks, and
+# their sideways stiffness (tension / gap) outgrows the time step.
 MAX_TENSION = 30.0
 # s, damping of a cable per stiffness; one 10 ms command interval gives the reference's first-action tips best
 CABLE_DAMPING_TIME = 0.01
