@@ -133,11 +133,35 @@ class ReachPlanner:
         """Score ``count`` random moves that are then held."""
         bends = self._rng.uniform(-1, 1, (count, 4)) * [0.07, 0.07, 0.04, 0.04]
         tightening = self._rng.uniform(0, 0.01, (count, 1))
-        self.try_moves(antagonistic(bends, tightening))
+        moves = antagonistic(bends, tightening)
+        self.try_knots(np.repeat(moves[:, None], len(HOLD), axis=1), HOLD)
 
-    def try_moves(self, targets: np.ndarray) -> None:
-        """Score moves to the displacements ``targets`` (n, 8) [m] that are then held."""
-        self._evaluate(np.repeat(targets[:, None], len(HOLD), axis=1), HOLD)
+    def try_knots(self, knots: np.ndarray, due: Sequence[int]) -> None:
+        """Score plans (n, k, 8) [m]."""
+        self._evaluate(knots, tuple(due))
+
+    def correct(self, cheap: TrunkTask, rounds: int = 10) -> Iterator[int]:
+        """Quasi-Newton steps of the unsolved plans; yields the number of unsolved goals after each round.
+
+        Args:
+            cheap: a TrunkReachTask whose finite differences give the first Jacobians of the final tip position with
+                respect to the knots; Broyden's updates follow.
+            rounds: one rollout per goal each.
+        """
+        steps = {
+            g: QuasiNewton(plan.goal, plan.knots, plan.due, cheap)
+            for g, plan in enumerate(self.plans)
+            if not plan.solved
+        }
+        for _ in range(rounds):
+            for due in (HOLD, SWING):
+                members = [g for g, step in steps.items() if step.due == due and not self.plans[g].solved]
+                if members:
+                    tips = self._evaluate(np.stack([steps[g].ask() for g in members]), due)[1]
+                    for g, tip in zip(members, tips[:, -1], strict=True):
+                        steps[g].tell(tip)
+                        self.plans[g].rollouts += 1
+            yield sum(not plan.solved for plan in self.plans)
 
     def improve(self) -> Iterator[int]:
         """Run CMA-ES for every unsolved goal; yields the number of unsolved goals after each iteration, forever.
@@ -151,7 +175,7 @@ class ReachPlanner:
                 if not members:
                     continue
                 asked = [self._search(g).ask() for g in members]
-                costs = self._evaluate(np.concatenate(asked), due)  # (candidates, goals)
+                costs = self._evaluate(np.concatenate(asked), due)[0]  # (candidates, goals)
                 for i, g in enumerate(members):
                     own = slice(i * self.popsize, (i + 1) * self.popsize)
                     self._search(g).tell(costs[own, g])
@@ -167,9 +191,12 @@ class ReachPlanner:
             self._starts[g] += 1
         return self._searches[g]
 
-    def _evaluate(self, knots, due) -> np.ndarray:
-        """(n, g) final distances [m] of plans (n, k, 8) [m] to every goal; better ones replace the goals' plans."""
-        tips = roll_out(self.task, actions_from_knots(knots, due), {"goal": [0.0, 0.0, 0.0]}, self.task.tip)
+    def _evaluate(self, knots, due) -> tuple[np.ndarray, np.ndarray]:
+        """(n, g) final distances [m] of plans (n, k, 8) [m] to every goal, and (n, t, 3) tips [m] on the way.
+
+        Better plans replace the goals' plans.
+        """
+        tips = play_tips(self.task, knots, due)
         distance = np.linalg.norm(tips[:, None] - self.goals[:, None], axis=-1)  # (n, g, t)
         final = final_distance(distance)
         for g, plan in enumerate(self.plans):
@@ -177,13 +204,69 @@ class ReachPlanner:
             if final[best, g] < plan.final:
                 plan.knots, plan.due = knots[best].copy(), due
                 plan.final, plan.closest = float(final[best, g]), float(np.nanmin(distance[best, g]))
-        return final
+        return final, tips
 
 
 def resample(knots: np.ndarray, due: Sequence[int], new_due: Sequence[int]) -> np.ndarray:
     """(k', 8) the displacements [m] of the plan (k, 8) at the steps ``new_due``."""
     padded = np.concatenate([np.zeros((1, knots.shape[1])), knots])
     return np.stack([np.interp(new_due, [0, *due], column) for column in padded.T], axis=1)
+
+
+def play_tips(task: TrunkTask, knots: np.ndarray, due: Sequence[int]) -> np.ndarray:
+    """(n, t, 3) tip positions [m] on the way of plans (n, k, 8) [m]; the goal is out of reach."""
+    return roll_out(task, actions_from_knots(knots, due), {"goal": [0.0, 0.0, -0.2]}, task.tip)
+
+
+class QuasiNewton:
+    """Damped steps that bring the final tip to a goal, with Broyden's updates of the Jacobian.
+
+    Args:
+        goal: (3,) m.
+        start: (k, 8) m.
+        due: k steps.
+        cheap: the task whose finite differences give the first Jacobian.
+    """
+
+    DIFFERENCE = 0.001  # m, of a knot
+    LONGEST = 0.006  # m, change of a knot per step
+    DAMPING = 0.1  # tip motion per knot motion below which a direction is not used
+
+    def __init__(self, goal: np.ndarray, start: np.ndarray, due: Sequence[int], cheap: TrunkTask):
+        self.due = tuple(due)
+        self._goal, self._knots = goal, start
+        self._spread = _spread(self.due)  # (free, knots)
+        moves = np.einsum("fk,cd->fckd", self._spread, np.eye(NUM_CABLES)).reshape(-1, len(self.due), NUM_CABLES)
+        tips = play_tips(cheap, start + self.DIFFERENCE * np.concatenate([moves, 0 * moves[:1]]), due)[:, -1]
+        self._moves = moves
+        self._jacobian = (tips[:-1] - tips[-1]).T / self.DIFFERENCE  # (3, free * 8)
+        self._tip = None
+        self._change = np.zeros(len(moves))
+
+    def ask(self) -> np.ndarray:
+        """(k, 8) m: the plan to play next, at first the start."""
+        return self._knots + np.einsum("i,ikd->kd", self._change, self._moves)
+
+    def tell(self, tip: np.ndarray) -> None:
+        """Where the plan asked for last ended, (3,) m; NaN if it diverged."""
+        if np.isnan(tip).any():
+            self._change = self._change / 2
+            return
+        if self._tip is None:
+            self._tip = tip
+        else:
+            miss = tip - self._tip - self._jacobian @ self._change
+            self._jacobian += np.outer(miss, self._change) / (self._change @ self._change + 1e-12)
+            if np.linalg.norm(tip - self._goal) < np.linalg.norm(self._tip - self._goal):
+                self._knots, self._tip = self.ask(), tip
+        normal = self._jacobian @ self._jacobian.T + self.DAMPING**2 * np.eye(3)
+        change = self._jacobian.T @ np.linalg.solve(normal, self._goal - self._tip)
+        self._change = change * min(1.0, self.LONGEST / np.abs(change).max())
+
+
+def _spread(due: Sequence[int]) -> np.ndarray:
+    """(free, k): which knots each free knot sets; a held move has one free knot."""
+    return np.ones((1, len(due))) if tuple(due) == HOLD else np.eye(len(due))
 
 
 class KnotSearch:
@@ -200,7 +283,7 @@ class KnotSearch:
         import cma
 
         self.due = due
-        self._free = 1 if due == HOLD else len(due)
+        self._free = len(_spread(due))
         limits = np.tile(1e3 * geo.CABLE_LIMITS, self._free)
         x = np.clip(1e3 * start[-self._free :].ravel(), -limits, limits)
         options = {"popsize": popsize, "seed": seed, "bounds": [-limits, limits], "verbose": -9, "tolfun": 1e-3,

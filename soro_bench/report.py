@@ -10,6 +10,8 @@ import numpy as np
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.results import interval
 
+_BINS = 20  # points of a training curve
+
 
 def write_report(folder: str | Path) -> str:
     """Gather every evaluation under ``folder`` into results.json, results.md and a plot each per environment.
@@ -110,9 +112,18 @@ def plot_distances(results: Sequence[dict], path: str | Path) -> None:
 
 
 def _read_curve(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Steps and mean final distance [mm] of the episodes in each of ``_BINS`` equal parts of a training.
+
+    A part mixes whole updates: the episodes that end early in an update are the successful ones.
+    """
     with path.open() as file:
-        rows = list(csv.DictReader(file))
-    return np.array([int(row["steps"]) for row in rows]), np.array([float(row["final_distance_mm"]) for row in rows])
+        rows = [tuple(float(row[name]) for name in ("steps", "episodes", "final_distance_mm"))
+                for row in csv.DictReader(file)]  # fmt: skip
+    steps, episodes, distance = np.array(rows).T
+    part = np.minimum((_BINS * steps / steps[-1]).astype(int), _BINS - 1)
+    present = np.unique(part)
+    means = [np.average(distance[part == k], weights=episodes[part == k]) for k in present]
+    return (present + 0.5) / _BINS * steps[-1], np.array(means)
 
 
 def _pyplot():

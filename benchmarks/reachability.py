@@ -1,0 +1,162 @@
+"""How near a planner brings the tip to each of the 27 evaluation goals of TrunkReach.
+
+    python benchmarks/reachability.py --model cable --minutes 25
+    python benchmarks/reachability.py --model flex --minutes 25      # starts from the plans for cable
+
+Searches open-loop plans (soro_bench/planning.py) for all goals at once, saves one JSON file per goal after every
+improvement and goes on from these files. Prints a table and writes docs/results/reachability_<model>.json and, of every
+model searched so far, docs/images/reachability.png.
+"""
+
+import argparse
+import itertools
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from soro_bench.envs.trunk_reach import EVALUATION_GOALS, TrunkReachTask
+from soro_bench.files import read_json, replacing, write_json
+from soro_bench.models.trunk import VARIANTS
+from soro_bench.planning import ReachPlan, ReachPlanner
+
+ROOT = Path(__file__).parents[1]
+RANDOM_MOVES = {"cable": 512, "flex": 0}  # flex starts from the plans for cable
+POPSIZE = {"cable": 12, "flex": 8}
+SIMULATIONS = 54  # at a time
+
+
+def plan_file(work: Path, model: str, goal: int) -> Path:
+    return work / model / f"goal{goal:02d}.json"
+
+
+def save_plan(path: Path, plan: ReachPlan) -> None:
+    data = {
+        "goal_m": plan.goal.tolist(),
+        "final_mm": 1e3 * plan.final,
+        "closest_mm": 1e3 * plan.closest,
+        "rollouts": plan.rollouts,
+        "due_steps": list(plan.due),
+        "knots_m": plan.knots.tolist(),
+    }
+    write_json(path, data)
+
+
+def load_knots(path: Path):
+    """The knots (k, 8) [m] of a plan, their steps and the rollouts spent, or None."""
+    if not path.exists():
+        return None
+    data = read_json(path)
+    return np.array(data["knots_m"]), tuple(data["due_steps"]), data["rollouts"]
+
+
+def start(planner: ReachPlanner, goals: Sequence[int], model: str, work: Path) -> None:
+    """Give the planner what earlier runs found: this model's plans, else cable's, else random moves."""
+    earlier = {}
+    for source in (model, "cable"):
+        for i, g in enumerate(goals):
+            if i not in earlier and (found := load_knots(plan_file(work, source, g))):
+                earlier[i] = found
+                if source == model:
+                    planner.plans[i].rollouts = found[2]
+    for due in sorted({found[1] for found in earlier.values()}):
+        planner.try_knots(np.array([found[0] for found in earlier.values() if found[1] == due]), due)
+    if len(earlier) < len(goals):
+        planner.try_random(max(RANDOM_MOVES[model], 64))
+
+
+def search(options) -> None:
+    goals = options.goals
+    task = TrunkReachTask(num_envs=SIMULATIONS, num_threads=1, model=options.model, action="continuous")
+    planner = ReachPlanner(task, EVALUATION_GOALS[goals], POPSIZE[options.model], options.seed)
+    begin = time.time()
+    start(planner, goals, options.model, options.work)
+    saved = {}
+
+    def save():
+        for g, plan in zip(goals, planner.plans, strict=True):
+            if saved.get(g) != (plan.final, plan.rollouts):
+                saved[g] = plan.final, plan.rollouts
+                save_plan(plan_file(options.work, options.model, g), plan)
+
+    save()
+    cheap = TrunkReachTask(num_envs=SIMULATIONS, num_threads=1, model="cable", action="continuous")
+    for left in itertools.chain(planner.correct(cheap), planner.improve()):
+        save()
+        final = 1e3 * np.array([plan.final for plan in planner.plans])
+        print(f"{options.model} {time.time() - begin:5.0f} s: {left} goals beyond 1 mm, mean {final.mean():.2f} mm, "
+              f"worst {final.max():.2f} mm", flush=True)  # fmt: skip
+        if time.time() > begin + 60 * options.minutes:
+            break
+
+
+def collect(options) -> dict:
+    """The plans of all goals in one dict."""
+    plans = [read_json(path) for path in sorted((options.work / options.model).glob("goal*.json"))]
+    final = np.array([plan["final_mm"] for plan in plans])
+    return {
+        "env_id": "TrunkReach-v0",
+        "model": options.model,
+        "action": "continuous",
+        "mujoco": mujoco.__version__,
+        "mean_final_mm": final.mean(),
+        "min_final_mm": final.min(),
+        "max_final_mm": final.max(),
+        "solved": int((final <= 1).sum()),
+        "plans": plans,
+    }
+
+
+def print_table(result: dict) -> None:
+    print("| goal x, y, z [mm] | best final distance [mm] | plan | rollouts |")
+    print("|---|---|---|---|")
+    for plan in result["plans"]:
+        goal = ", ".join(f"{1e3 * x:g}" for x in plan["goal_m"])
+        kind = "move and hold" if len(plan["due_steps"]) == 2 else "swing"
+        print(f"| {goal} | {plan['final_mm']:.2f} | {kind} | {plan['rollouts']} |")
+    print(f"mean {result['mean_final_mm']:.2f}, min {result['min_final_mm']:.2f}, max {result['max_final_mm']:.2f} mm; "
+          f"{result['solved']} of {len(result['plans'])} within 1 mm")  # fmt: skip
+
+
+def plot(results: Path, path: Path) -> None:
+    """Final distance per goal, one row of bars per model."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(9, 3.6), layout="constrained")
+    files = [results / f"reachability_{model}.json" for model in VARIANTS]
+    found = [read_json(file) for file in files if file.exists()]
+    for i, result in enumerate(found):
+        x = np.arange(len(result["plans"])) + (i - (len(found) - 1) / 2) * 0.4
+        axes.bar(x, [plan["final_mm"] for plan in result["plans"]], 0.38, label=f"{result['model']} model")
+    labels = ["\n".join(f"{1e3 * c:g}" for c in plan["goal_m"]) for plan in found[0]["plans"]]
+    axes.set_xticks(range(len(labels)), labels, fontsize=7)
+    axes.axhline(1.0, color="black", linewidth=0.8, linestyle="--", label="success, 1 mm")
+    axes.set(xlabel="goal x, y, z [mm]", ylabel="best final distance [mm]", title="TrunkReach: what a planner reaches")
+    axes.legend()
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=120, format="png")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--model", choices=tuple(VARIANTS), default="cable")
+    parser.add_argument("--goals", type=int, nargs="+", default=list(range(len(EVALUATION_GOALS))), help="0 to 26")
+    parser.add_argument("--minutes", type=float, default=25)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--work", type=Path, default=Path("runs/reachability"), help="folder of the plans per goal")
+    parser.add_argument("--docs", type=Path, default=ROOT / "docs")
+    options = parser.parse_args()
+    search(options)
+    result = collect(options)
+    write_json(options.docs / "results" / f"reachability_{options.model}.json", result)
+    print_table(result)
+    plot(options.docs / "results", options.docs / "images" / "reachability.png")
+
+
+if __name__ == "__main__":
+    main()
