@@ -33,7 +33,7 @@ HELD_STEPS = 10  # the elevation counts that is held through the last 0.5 s
 BEND_LIMITS = geo.CABLE_LIMITS[[0, 1, 4, 5]]  # m
 HALF_SIZE = np.array([0.028, 0.0105, 0.0175])  # m, of the object
 STATE_FIELDS = ("qpos", "qvel", "act", "qacc_warmstart", "time")
-STILL = 0.006  # m, an object that moved less in the last 0.15 s is not in flight
+STILL = 0.006  # m, an object whose path in the last 0.15 s is shorter is not in flight
 STILL_STEPS = 3
 OUT_OF_REACH = -0.2  # m, wall offset
 
@@ -114,7 +114,7 @@ class Explorer:
         self._ids = np.arange(task.num_envs)
         for field in STATE_FIELDS:
             task.sim.batch.bind(field)
-        self._earlier = np.full((task.num_envs, 3), np.inf)  # m, where the objects were STILL_STEPS ago
+        self._path = np.full(task.num_envs, np.inf)  # m, how far the objects moved in the last STILL_STEPS
 
     def restart(self, plan=None) -> None:
         """Offer the start of an episode to the archive, and what the plan (10, 4) [m] comes by."""
@@ -140,10 +140,12 @@ class Explorer:
         self._offer(knots, used + 1)
 
     def _play(self, actions):
+        self._path[:] = 0
         for t in range(KNOT_STEPS):
+            before = self.task.object_position(self._ids).copy()
             self.task.step(self._ids, actions[:, t])
-            if t == KNOT_STEPS - 1 - STILL_STEPS:
-                self._earlier = self.task.object_position(self._ids).copy()
+            if t >= KNOT_STEPS - STILL_STEPS:
+                self._path += np.linalg.norm(self.task.object_position(self._ids) - before, axis=1)
 
     def _move(self, before):
         """(n, 4) m: a nearby or a far bend, with some components as they were; within reach of the cables' rate."""
@@ -162,14 +164,13 @@ class Explorer:
         batch, ids = self.task.sim.batch, self._ids
         position = self.task.object_position(ids)
         tip = self.task.tip(ids) - position
-        moved = np.linalg.norm(position - self._earlier, axis=1)
         measured, up_axis = heights(self.task, ids), self._nearest_axis()
         state = np.concatenate([np.reshape(getattr(batch, f)[ids], (len(ids), -1)) for f in STATE_FIELDS], axis=1)
         for i in ids:
             elevation, clearance, lean = 1e3 * measured[i, 0], 1e3 * measured[i, 1], measured[i, 2]
             if not (np.isfinite(state[i]).all() and np.abs(position[i]).max() < 0.25):
                 continue
-            still = bool(moved[i] < STILL)
+            still = bool(self._path[i] < STILL)
             key = (int(elevation // 3), int(max(clearance, -2) // 2), int(position[i, 0] // 0.02),
                    int(position[i, 2] // 0.02), int(up_axis[i]), int(lean // 0.2), int(still),
                    *(int(v) for v in np.clip(tip[i], -0.09, 0.09) // 0.03))  # fmt: skip
