@@ -70,7 +70,8 @@ class Train:
     randomization: Path | None = None
     """JSON file of a distribution to train on instead of the method's."""
     seed: int = 0
-    steps: int = 320_000
+    steps: int | None = None
+    """Environment steps; what the environment needs by default."""
     model: str = "cable"
     action: Literal["discrete", "continuous"] = "continuous"
     out: Path = Path("runs/train")
@@ -78,10 +79,12 @@ class Train:
     def run(self) -> None:
         from soro_bench.experiment import METHODS
         from soro_bench.randomization import load
-        from soro_bench.training.ppo import PPOConfig, train
+        from soro_bench.training.ppo import default_config, train
 
         task_type(self.env)
-        config = PPOConfig(self.env, self.method, self.seed, self.steps, model=self.model, action=self.action)
+        config = default_config(
+            self.env, self.steps, method=self.method, seed=self.seed, model=self.model, action=self.action
+        )
         box = METHODS[self.method].distribution(self.env, self.seed)
         distribution = load(self.randomization) if self.randomization else box
         with _Bar() as bar:
@@ -126,7 +129,8 @@ class Baseline:
 
     env: EnvId
     seeds: tuple[int, ...] = (0, 1, 2)
-    steps: int = 320_000
+    steps: int | None = None
+    """Environment steps; what the environment needs by default."""
     model: str = "cable"
     """Model to train on."""
     eval_models: tuple[str, ...] = ("cable", "flex")
@@ -135,9 +139,9 @@ class Baseline:
     def run(self, method: str) -> None:
         from soro_bench.experiment import METHODS
         from soro_bench.presets import Part
-        from soro_bench.training.ppo import PPOConfig
+        from soro_bench.training.ppo import default_config
 
-        config = PPOConfig(self.env, total_steps=self.steps, model=self.model)
+        config = default_config(self.env, self.steps, model=self.model)
         _run_plan([Part(config, (METHODS[method],), {method: self.seeds}, self.eval_models)], self.out)
 
 

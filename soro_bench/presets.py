@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from soro_bench.experiment import ORACLE, UDR, Method
-from soro_bench.training.ppo import PPOConfig
+from soro_bench.training.ppo import PPOConfig, default_config
 
 
 @dataclass(frozen=True)
@@ -20,13 +20,13 @@ class Part:
 def _paper(env_id: str) -> Part:
     # published: ten random boxes for UDR, three repetitions otherwise, two million steps
     seeds = {"oracle": range(3), "udr": range(10)}
-    return Part(PPOConfig(env_id, total_steps=2_000_000), (ORACLE, UDR), seeds)
+    return Part(default_config(env_id, 2_000_000), (ORACLE, UDR), seeds)
 
 
 PRESETS = {
     "quick": [
         Part(
-            PPOConfig("TrunkReach-v0", total_steps=200_000),
+            default_config("TrunkReach-v0", 200_000),
             (ORACLE, UDR),
             {"oracle": [0], "udr": [0]},
             eval_models=("flex",),

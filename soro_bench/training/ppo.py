@@ -62,6 +62,17 @@ class PPOConfig:
         return -(-self.total_steps // self.segment_steps)
 
 
+# What differs from PPOConfig's defaults, which were found on TrunkReach (docs/training.md)
+_TASK_DEFAULTS = {"TrunkPush-v0": {"initial_log_std": -0.5, "total_steps": 1_000_000}}
+
+
+def default_config(env_id: str, steps: int | None = None, **changes) -> PPOConfig:
+    """The configuration found best for an environment, with ``changes``; ``steps`` replaces its number of steps."""
+    if steps is not None:
+        changes["total_steps"] = steps
+    return PPOConfig(env_id, **{**_TASK_DEFAULTS.get(env_id, {}), **changes})
+
+
 def train(
     config: PPOConfig,
     folder: str | Path,
