@@ -119,6 +119,7 @@ class Explorer:
     def restart(self, plan=None) -> None:
         """Offer the start of an episode to the archive, and what the plan (10, 4) [m] comes by."""
         self.task.reset(self._ids, [self._rng] * len(self._ids), [self._options] * len(self._ids))
+        self._path[:] = np.inf  # it starts in the air
         empty = np.zeros((len(self._ids), NUM_KNOTS, 4))
         self._offer(empty, np.zeros(len(self._ids), int))
         if plan is not None:
