@@ -96,9 +96,14 @@ class Task(ABC):
         bad = self._count_bad_states(ids)
         diverged = bad > self._bad_states[ids]
         self._bad_states[ids] = bad
+        observation, space = self._observe(ids), self.single_observation_space
+        # A state on its way to infinity leaves the space before the engine calls it bad; a unit quaternion does by
+        # rounding.
+        inside = np.clip(observation, space.low, space.high)
+        diverged |= (np.abs(observation - inside) > 1e-6).any(axis=1)
         reward_terms, success = self._score(ids)
         info = {**self._info(ids), **reward_terms, "is_success": success, "diverged": diverged}
-        return Step(self._observe(ids), sum(reward_terms.values()), success, diverged, info)
+        return Step(inside, sum(reward_terms.values()), success, diverged, info)
 
     def randomize(self, distribution: Distribution) -> None:
         """Draw the parameters of every episode from ``distribution`` from the next reset on."""

@@ -46,6 +46,9 @@ class TrunkVariant:
     timestep: float  # s
     iterations: int
     tolerance: float
+    # kg m^2, on top of each vertebra's own 1e-6 to 1e-5: opposing taut cables buckle the necks to and fro, at a
+    # frequency that no affordable time step resolves (docs/models.md has the counts)
+    added_inertia: float
 
 
 # Both use the discrete integrator: flex elasticity needs it, and it solves contacts with the same effective inertia
@@ -53,8 +56,8 @@ class TrunkVariant:
 VARIANTS = {
     # The inner solve takes up to 300 iterations, and a tolerance of 1e-5 leaves the tip within 0.01 mm of 1e-10 after
     # 3 s. Steps of 10 ms diverge when opposing cables are taut.
-    "flex": TrunkVariant(timestep=0.005, iterations=500, tolerance=1e-5),
-    "cable": TrunkVariant(timestep=0.010, iterations=100, tolerance=1e-8),
+    "flex": TrunkVariant(timestep=0.005, iterations=500, tolerance=1e-5, added_inertia=5e-6),
+    "cable": TrunkVariant(timestep=0.010, iterations=100, tolerance=1e-8, added_inertia=2e-5),
 }
 
 
@@ -109,7 +112,7 @@ def _add_vertebra(spec, parent, k, model):
             ("bend_y", hinge, (0, 1, 0), limit),
         ):
             body.add_joint(name=f"{name}{k}", type=kind, axis=axis, range=[-reach, reach])
-    _add_inertia(body, k)
+    _add_inertia(body, k, VARIANTS[model].added_inertia)
     near, far = geo.NECK_END[k] - z, geo.VERTEBRA_END[k] - z
     radius = float(geo.outer_radius((geo.NECK_END[k] + geo.VERTEBRA_END[k]) / 2))
     # a capsule whose round ends stay inside the trunk at the tip; elsewhere they overlap the next vertebra's
@@ -121,8 +124,8 @@ def _add_vertebra(spec, parent, k, model):
     return body
 
 
-def _add_inertia(body, k):
-    """Nominal mass and inertia of a uniform cylinder; both scale with trunk_mass at run time."""
+def _add_inertia(body, k, added):
+    """Nominal mass and inertia of a uniform cylinder, and ``added``; all scale with trunk_mass at run time."""
     z = geo.NECK_MIDDLE[k]
     near, far = geo.NECK_END[k], geo.VERTEBRA_END[k]
     mass = prm.TRUNK_MASS.nominal * geo.VERTEBRA_MASS_SHARE[k]
@@ -131,7 +134,7 @@ def _add_inertia(body, k):
     body.mass = mass
     body.ipos = [0, 0, (near + far) / 2 - z]
     across = mass * (3 * radius**2 + length**2) / 12
-    body.inertia = [across, across, mass * radius**2 / 2]
+    body.inertia = np.array([across, across, mass * radius**2 / 2]) + added
 
 
 def _add_neck_flex(spec, k, near_link, far_link):
