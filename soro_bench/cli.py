@@ -72,7 +72,8 @@ class Train:
     seed: int = 0
     steps: int | None = None
     """Environment steps; what the environment needs by default."""
-    model: str = "cable"
+    model: str | None = None
+    """The environment's model or mesh to train on; the cheap one by default."""
     action: Literal["discrete", "continuous"] = "continuous"
     out: Path = Path("runs/train")
 
@@ -82,9 +83,8 @@ class Train:
         from soro_bench.training.ppo import default_config, train
 
         task_type(self.env)
-        config = default_config(
-            self.env, self.steps, method=self.method, seed=self.seed, model=self.model, action=self.action
-        )
+        changes = {"model": self.model} if self.model else {}
+        config = default_config(self.env, self.steps, method=self.method, seed=self.seed, action=self.action, **changes)
         box = METHODS[self.method].distribution(self.env, self.seed)
         distribution = load(self.randomization) if self.randomization else box
         with _Bar() as bar:
@@ -98,7 +98,8 @@ class Evaluate:
 
     policy: Annotated[Path, tyro.conf.Positional]
     """Folder with policy.json and policy.safetensors."""
-    model: str = "flex"
+    model: str | None = None
+    """The environment's model or mesh; the accurate one by default."""
     out: Path | None = None
     """Folder for the results; the policy's own by default."""
 
@@ -107,7 +108,9 @@ class Evaluate:
         from soro_bench.report import markdown_table, table_rows
         from soro_bench.training.policy import Policy
 
-        result = write_evaluation(Policy.load(self.policy), self.model, self.out or self.policy)
+        policy = Policy.load(self.policy)
+        model = self.model or task_type(policy.card.env_id).accurate
+        result = write_evaluation(policy, model, self.out or self.policy)
         _console.print(markdown_table(table_rows([result])), soft_wrap=True, markup=False, highlight=False)
 
 
@@ -131,9 +134,10 @@ class Baseline:
     seeds: tuple[int, ...] = (0, 1, 2)
     steps: int | None = None
     """Environment steps; what the environment needs by default."""
-    model: str = "cable"
-    """Model to train on."""
-    eval_models: tuple[str, ...] = ("cable", "flex")
+    model: str | None = None
+    """Model or mesh to train on; the cheap one by default."""
+    eval_models: tuple[str, ...] | None = None
+    """Models or meshes to evaluate on; the cheap and the accurate one by default."""
     out: Path = Path("runs/baselines")
 
     def run(self, method: str) -> None:
@@ -141,8 +145,10 @@ class Baseline:
         from soro_bench.presets import Part
         from soro_bench.training.ppo import default_config
 
-        config = default_config(self.env, self.steps, model=self.model)
-        _run_plan([Part(config, (METHODS[method],), {method: self.seeds}, self.eval_models)], self.out)
+        task = task_type(self.env)
+        config = default_config(self.env, self.steps, model=self.model or task.cheap)
+        eval_models = self.eval_models or (task.cheap, task.accurate)
+        _run_plan([Part(config, (METHODS[method],), {method: self.seeds}, eval_models)], self.out)
 
 
 def _run_plan(plan, out: Path) -> None:
@@ -178,7 +184,7 @@ class _Bar:
     def __call__(self, label: str, steps: int, total: int, row: dict) -> None:
         if label not in self._tasks:
             self._tasks[label] = self._progress.add_task(label, total=total, note="")
-        note = f"{row['final_distance_mm']:.1f} mm"
+        note = "{:.1f} mm".format(next(value for key, value in row.items() if key.startswith("final_")))
         self._progress.update(self._tasks[label], completed=steps, note=note)
 
     def __exit__(self, *_):

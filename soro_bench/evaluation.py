@@ -8,7 +8,7 @@ import numpy as np
 
 from soro_bench.envs.task import Task
 from soro_bench.recording.episode import Episode
-from soro_bench.registration import task_type
+from soro_bench.registration import make_task, task_type
 
 
 def evaluate(
@@ -18,17 +18,21 @@ def evaluate(
     action: str,
     starts: Sequence[Mapping[str, Any]] | None = None,
     num_threads: int = 0,
+    max_episode_steps: int | None = None,
+    **options,
 ) -> list[Episode]:
     """Run one episode from every start and record it.
 
     Args:
         act: (n, k) observations -> n actions, row by row.
-        env_id, model, action: the environment.
+        env_id, model, action: the environment; the model is its ``model`` or ``mesh`` argument.
         starts: reset options, one mapping per episode; by default the environment's fixed evaluation starts.
         num_threads: threads, 0 for all processors; results do not depend on it.
+        max_episode_steps: the registered number by default.
+        options: further arguments of the environment.
     """
     starts = task_type(env_id).evaluation if starts is None else starts
-    task = task_type(env_id)(len(starts), num_threads, model=model, action=action)
+    task = make_task(env_id, len(starts), num_threads, model, action=action, **options)
     # evaluation starts leave nothing to chance but what the task itself draws
     rngs = [np.random.default_rng(i) for i in range(len(starts))]
     everyone = np.arange(len(starts))
@@ -36,7 +40,7 @@ def evaluate(
     recorders = [_Recorder() for _ in starts]
     _record(recorders, everyone, task, info)
     running = everyone
-    for _ in range(gymnasium.spec(env_id).max_episode_steps):
+    for _ in range(max_episode_steps or gymnasium.spec(env_id).max_episode_steps):
         actions = task.check_actions(act(observation[running]), len(running))
         step = task.step(running, actions)
         observation[running] = step.observation
@@ -52,7 +56,7 @@ class _Recorder:
 
     def __init__(self):
         self.signals: dict[str, list] = {}
-        self.distance: list = []
+        self.metric: list = []
         self.actions: list = []
         self.rewards: dict[str, list] = {}
         self.is_success = self.diverged = False
@@ -62,12 +66,13 @@ class _Recorder:
             env_id=env_id,
             model=model,
             params=task.parameters.to_dict(task.sim.params[i]),
-            goal=task.goal[i].copy(),
-            time=task.control_timestep * np.arange(len(self.distance)),
+            goal=None if task.goal is None else task.goal[i].copy(),
+            time=task.control_timestep * np.arange(len(self.metric)),
             signals={name: np.array(rows) for name, rows in self.signals.items()},
             actions=np.array(self.actions),
             rewards={name: np.array(rows) for name, rows in self.rewards.items()},
-            distance=np.array(self.distance),
+            metric_name=task.metric,
+            metric=np.array(self.metric),
             is_success=bool(self.is_success),
             diverged=bool(self.diverged),
         )
@@ -77,7 +82,7 @@ def _record(recorders, ids, task, info, actions=None) -> None:
     signals = task.signals(ids)
     for row, i in enumerate(ids):
         recorder = recorders[i]
-        recorder.distance.append(info["distance"][row])
+        recorder.metric.append(info[task.metric][row])
         for name, values in signals.items():
             recorder.signals.setdefault(name, []).append(values[row])
         if actions is not None:

@@ -41,6 +41,21 @@ WALL_OFFSET = Parameter(
     "wall_offset", "m", 0.0, (-0.03, 0.03), (-0.2, 0.05),
     "wall position along x, from the nominal -0.1 m; -0.2 puts it out of reach",
 )  # fmt: skip
+# MultiGait: the same paper, Section IV, and its configuration files; the published search of the membrane's Poisson's
+# ratio goes on to 0.515, which no material has.
+ROBOT_MASS = Parameter("robot_mass", "kg", 0.035, (0.02, 0.05), (0.005, 0.2), "mass of the whole walker")
+PDMS_POISSON_RATIO = Parameter(
+    "pdms_poisson_ratio", "1", 0.49, (0.465, 0.5), (0.4, 0.5), "Poisson's ratio of the walker's membrane"
+)
+PDMS_YOUNG_MODULUS = Parameter(
+    "pdms_young_modulus", "Pa", 5e6, (1e6, 7e6), (5e5, 2e7), "Young's modulus of the walker's membrane"
+)
+ECOFLEX_POISSON_RATIO = Parameter(
+    "ecoflex_poisson_ratio", "1", 0.05, (0.02, 0.1), (0.001, 0.4), "Poisson's ratio of the walker's body"
+)
+ECOFLEX_YOUNG_MODULUS = Parameter(
+    "ecoflex_young_modulus", "Pa", 7e4, (3e4, 1.3e5), (1e4, 5e5), "Young's modulus of the walker's body"
+)
 
 
 ALL_PARAMETERS = {
@@ -54,6 +69,11 @@ ALL_PARAMETERS = {
         FRICTION,
         CUBE_MASS,
         WALL_OFFSET,
+        ROBOT_MASS,
+        PDMS_POISSON_RATIO,
+        PDMS_YOUNG_MODULUS,
+        ECOFLEX_POISSON_RATIO,
+        ECOFLEX_YOUNG_MODULUS,
     )
 }
 

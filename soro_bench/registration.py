@@ -3,9 +3,14 @@
 import gymnasium
 from gymnasium.envs.registration import load_env_creator
 
-_MODULES = {"TrunkReach": "trunk_reach", "TrunkPush": "trunk_push", "TrunkLift": "trunk_lift"}
-_MAX_EPISODE_STEPS = 100  # published: 5 s
-ENV_IDS = tuple(f"{name}-v0" for name in _MODULES)
+# module and published length of an episode [steps]
+_ENVS = {
+    "TrunkReach": ("trunk_reach", 100),
+    "TrunkPush": ("trunk_push", 100),
+    "TrunkLift": ("trunk_lift", 100),
+    "MultiGait": ("multigait", 6),
+}
+ENV_IDS = tuple(f"{name}-v0" for name in _ENVS)
 
 
 def task_type(env_id: str):
@@ -13,12 +18,18 @@ def task_type(env_id: str):
     return load_env_creator(gymnasium.spec(env_id).entry_point).task_type
 
 
+def make_task(env_id: str, num_envs: int, num_threads: int, model: str, **options):
+    """A task with ``model`` for the argument that picks its robot's model ("model", or "mesh")."""
+    task = task_type(env_id)
+    return task(num_envs, num_threads, **{task.variant_name: model}, **options)
+
+
 def register_envs() -> None:
     """Register every environment, single and vector."""
-    for name, module in _MODULES.items():
+    for name, (module, steps) in _ENVS.items():
         gymnasium.register(
             id=f"{name}-v0",
             entry_point=f"soro_bench.envs.{module}:{name}Env",
             vector_entry_point=f"soro_bench.envs.{module}:{name}VectorEnv",
-            max_episode_steps=_MAX_EPISODE_STEPS,
+            max_episode_steps=steps,
         )

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.files import read_json, replacing, write_json
-from soro_bench.results import interval
+from soro_bench.registration import task_type
+from soro_bench.results import interval, metric_key
 
 _BINS = 20  # points of a training curve
 
@@ -29,8 +30,9 @@ def write_report(folder: str | Path) -> str:
         curves = defaultdict(list)
         for path in sorted(env_folder.glob("*/seed*/curve.csv")):
             curves[path.parents[1].name].append(path)
-        plot_curves(curves, env_folder / "curves.png")
-        plot_distances(of_env, env_folder / "distances.png")
+        metric = task_type(env_folder.name).metric
+        plot_curves(curves, metric, env_folder / "curves.png")
+        plot_results(of_env, metric, env_folder / f"{metric}s.png")
         results += of_env
     table = markdown_table(table_rows(results))
     write_json(folder / "results.json", results)
@@ -39,22 +41,25 @@ def write_report(folder: str | Path) -> str:
     return table
 
 
-def table_rows(results: Sequence[dict], metric: str = "final_distance_mm") -> list[dict]:
-    """One row per method, training model and evaluation model: mean of ``metric`` with its bootstrap interval."""
+def table_rows(results: Sequence[dict]) -> list[dict]:
+    """One row per method, training model and evaluation model: mean metric with its bootstrap interval."""
     groups = defaultdict(list)
     for result in results:
         policy = result["policy"]
         groups[policy["env_id"], policy["method"], policy["model"], result["evaluated_on"]].append(result)
     rows = []
     for (env_id, method, trained_on, evaluated_on), members in groups.items():
-        mean, low, high = interval([member[metric] for member in members])
+        metric = task_type(env_id).metric
+        values = [member[metric_key(metric)] for member in members]
+        mean, low, high = interval(values)
         rows.append({
             "environment": env_id,
             "method": method,
             "trained on": trained_on,
             "evaluated on": evaluated_on,
             "seeds": len(members),
-            "episodes": sum(len(member[metric]) for member in members),
+            "episodes": sum(map(len, values)),
+            "metric": metric,
             "mean": mean,
             "low": low,
             "high": high,
@@ -66,63 +71,67 @@ def table_rows(results: Sequence[dict], metric: str = "final_distance_mm") -> li
 def markdown_table(rows: Sequence[dict]) -> str:
     """The rows of ``table_rows`` as a Markdown table."""
     lines = [
-        "| environment | method | trained on | evaluated on | seeds | final distance [mm], 95 % interval | solved |",
-        "|---|---|---|---|---|---|---|",
+        "| environment | method | trained on | evaluated on | seeds | metric | mean [mm], 95 % interval | solved |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
         figures = f"{row['mean']:.2f} [{row['low']:.2f}, {row['high']:.2f}]"
-        cells = [row["environment"], row["method"], row["trained on"], row["evaluated on"], row["seeds"], figures]
+        cells = [row["environment"], row["method"], row["trained on"], row["evaluated on"], row["seeds"]]
+        cells += [f"final {row['metric']}", figures]
         lines.append("| " + " | ".join(map(str, cells)) + f" | {row['success']:.0%} |")
     return "\n".join(lines)
 
 
-def plot_curves(files: Mapping[str, Sequence[Path]], path: str | Path) -> None:
-    """Final distance over training steps, from curve.csv files by label: thin lines, and their median."""
+def plot_curves(files: Mapping[str, Sequence[Path]], metric: str, path: str | Path) -> None:
+    """Final metric over training steps, from curve.csv files by label: thin lines, and their median."""
     plt = _pyplot()
     figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
     for i, (label, runs) in enumerate(files.items()):
-        curves = [_read_curve(run) for run in runs]
-        for steps, distance in curves:
-            axes.plot(steps, distance, color=f"C{i}", alpha=0.3, lw=0.8)
+        curves = [_read_curve(run, metric) for run in runs]
+        for steps, value in curves:
+            axes.plot(steps, value, color=f"C{i}", alpha=0.3, lw=0.8)
         grid = max((steps for steps, _ in curves), key=len)
-        median = np.median([np.interp(grid, steps, distance) for steps, distance in curves], axis=0)
+        median = np.median([np.interp(grid, steps, value) for steps, value in curves], axis=0)
         axes.plot(grid, median, color=f"C{i}", lw=2, label=f"{label} ({len(curves)} runs)")
-    axes.set(xlabel="environment steps", ylabel="final distance in training [mm]", yscale="log")
+    axes.set(xlabel="environment steps", ylabel=f"final {metric} in training [mm]")
+    if metric == "distance":
+        axes.set_yscale("log")
     axes.grid(alpha=0.3, which="both")
     axes.legend(frameon=False)
     _save(figure, path)
 
 
-def plot_distances(results: Sequence[dict], path: str | Path) -> None:
-    """Final distances of every evaluation episode, a column per method and evaluation model, with the means."""
+def plot_results(results: Sequence[dict], metric: str, path: str | Path) -> None:
+    """Final metric of every evaluation episode, a column per method and evaluation model, with the means."""
     plt = _pyplot()
     groups = defaultdict(list)
     for result in results:
-        groups[f"{result['policy']['method']}\non {result['evaluated_on']}"] += result["final_distance_mm"]
+        groups[f"{result['policy']['method']}\non {result['evaluated_on']}"] += result[metric_key(metric)]
     figure, axes = plt.subplots(figsize=(1.5 + 1.2 * len(groups), 4.0), layout="constrained")
     rng = np.random.default_rng(0)
     for i, values in enumerate(groups.values()):
         axes.scatter(i + rng.uniform(-0.18, 0.18, len(values)), values, s=8, alpha=0.5, color=f"C{i}", linewidths=0)
         axes.hlines(np.mean(values), i - 0.3, i + 0.3, color="black", lw=2)
     axes.set_xticks(range(len(groups)), groups)
-    axes.set(ylabel="final distance [mm]", xlim=(-0.6, len(groups) - 0.4))
-    axes.set_ylim(bottom=0)
+    axes.set(ylabel=f"final {metric} [mm]", xlim=(-0.6, len(groups) - 0.4))
+    if metric == "distance":
+        axes.set_ylim(bottom=0)
     axes.grid(alpha=0.3, axis="y")
     _save(figure, path)
 
 
-def _read_curve(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Steps and mean final distance [mm] of the episodes in each of ``_BINS`` equal parts of a training.
+def _read_curve(path: Path, metric: str) -> tuple[np.ndarray, np.ndarray]:
+    """Steps and mean final metric [mm] of the episodes in each of ``_BINS`` equal parts of a training.
 
     A part mixes whole updates: the episodes that end early in an update are the successful ones.
     """
     with path.open() as file:
-        rows = [tuple(float(row[name]) for name in ("steps", "episodes", "final_distance_mm"))
+        rows = [tuple(float(row[name]) for name in ("steps", "episodes", metric_key(metric)))
                 for row in csv.DictReader(file)]  # fmt: skip
-    steps, episodes, distance = np.array(rows).T
+    steps, episodes, value = np.array(rows).T
     part = np.minimum((_BINS * steps / steps[-1]).astype(int), _BINS - 1)
     present = np.unique(part)
-    means = [np.average(distance[part == k], weights=episodes[part == k]) for k in present]
+    means = [np.average(value[part == k], weights=episodes[part == k]) for k in present]
     return (present + 0.5) / _BINS * steps[-1], np.array(means)
 
 

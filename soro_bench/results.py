@@ -23,10 +23,15 @@ def versions() -> dict[str, str]:
     return found
 
 
+def metric_key(metric: str) -> str:
+    """How results and training curves call the final value of a task's metric."""
+    return f"final_{metric}_mm"
+
+
 def summarise(episodes: Sequence[Episode]) -> dict:
-    """What a set of evaluation episodes amounts to, ready for JSON; distances in mm as in the paper's figures."""
+    """What a set of evaluation episodes amounts to, ready for JSON; lengths in mm as in the paper's figures."""
     summary = {
-        "final_distance_mm": [round(1e3 * e.final_distance, 4) for e in episodes],
+        metric_key(episodes[0].metric_name): [round(1e3 * e.final_metric, 4) for e in episodes],
         "return": [round(e.total_reward, 4) for e in episodes],
         "success": [e.is_success for e in episodes],
         "diverged": sum(e.diverged for e in episodes),

@@ -7,7 +7,7 @@ from soro_bench.envs.task import ACTION_MODES
 from soro_bench.models.trunk import VARIANTS
 
 
-@pytest.fixture(params=soro_bench.ENV_IDS)
+@pytest.fixture(params=[env_id for env_id in soro_bench.ENV_IDS if env_id.startswith("Trunk")])
 def env_id(request):
     return request.param
 

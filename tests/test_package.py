@@ -12,6 +12,7 @@ import soro_bench
 from soro_bench.assets import mjcf_path
 
 CHECKOUT = Path(soro_bench.__file__).parents[1]
+EPISODE_STEPS = {"TrunkReach-v0": 100, "TrunkPush-v0": 100, "TrunkLift-v0": 100, "MultiGait-v0": 6}
 USE = "import gymnasium; env = gymnasium.make('soro_bench:TrunkPush-v0', model='cable'); env.reset(seed=0); env.step(3)"
 
 
@@ -34,12 +35,12 @@ def test_missing_asset():
         mjcf_path("moon.xml")
 
 
+@pytest.mark.parametrize("env_id", soro_bench.ENV_IDS)
 def test_import_registers_environments(env_id):
     """Importing the package registers its environments, single and vector."""
     spec = gymnasium.spec(env_id)
-    assert spec.max_episode_steps == 100
+    assert spec.max_episode_steps == EPISODE_STEPS[env_id]
     assert spec.vector_entry_point is not None
-    assert soro_bench.ENV_IDS == ("TrunkReach-v0", "TrunkPush-v0", "TrunkLift-v0")
 
 
 def test_module_id_in_a_fresh_interpreter():

@@ -7,8 +7,6 @@ import sys
 
 import pytest
 
-import soro_bench
-
 SCRIPT = """
 import json, sys
 import gymnasium
@@ -16,7 +14,7 @@ import numpy as np
 import soro_bench
 
 try:
-    env = gymnasium.make(sys.argv[1], model=sys.argv[2], action="continuous", render_mode="rgb_array")
+    env = gymnasium.make(sys.argv[1], **json.loads(sys.argv[2]), action="continuous", render_mode="rgb_array")
     env.reset(seed=0)
     pictures = [env.render()]
     again = env.render()
@@ -24,7 +22,7 @@ except RuntimeError as error:
     print(json.dumps({"missing": str(error)}))
     sys.exit()
 for _ in range(4):
-    env.step(np.zeros(8, np.float32))
+    env.step(np.full(env.action_space.shape, float(sys.argv[3]), np.float32))
 pictures.append(env.render())
 env.close()
 env.close()
@@ -39,12 +37,17 @@ print(json.dumps({
 """
 
 
-@pytest.mark.parametrize(("env_id", "model"), [(env_id, "cable") for env_id in soro_bench.ENV_IDS] + [
-    ("TrunkPush-v0", "flex")
+@pytest.mark.parametrize(("env_id", "arguments", "action"), [
+    ("TrunkReach-v0", {"model": "cable"}, 0.0),
+    ("TrunkPush-v0", {"model": "cable"}, 0.0),
+    ("TrunkPush-v0", {"model": "flex"}, 0.0),
+    ("TrunkLift-v0", {"model": "cable"}, 0.0),
+    ("MultiGait-v0", {"mesh": "coarse"}, 0.3),
 ])  # fmt: skip
-def test_rgb_array(env_id, model):
-    """rgb_array gives a 480 x 640 picture with content, the same twice, which changes when the trunk has sagged."""
-    run = subprocess.run([sys.executable, "-c", SCRIPT, env_id, model], capture_output=True, text=True, timeout=120)
+def test_rgb_array(env_id, arguments, action):
+    """rgb_array gives a 480 x 640 picture with content, the same twice, which changes when the robot moves."""
+    command = [sys.executable, "-c", SCRIPT, env_id, json.dumps(arguments), str(action)]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120)
     if run.returncode < 0:
         pytest.skip(f"OpenGL ended the process with signal {-run.returncode}")
     assert run.returncode == 0, run.stderr

@@ -46,7 +46,7 @@ def cut(episode, steps):
         signals={name: values[: steps + 1] for name, values in episode.signals.items()},
         actions=episode.actions[:steps],
         rewards={name: values[:steps] for name, values in episode.rewards.items()},
-        distance=episode.distance[: steps + 1],
+        metric=episode.metric[: steps + 1],
     )
 
 
@@ -161,10 +161,10 @@ def test_writing_touches_no_other_recording(reach, tmp_path):
 
 def test_a_diverged_episode_can_be_written(reach, tmp_path):
     signals = {name: values.copy() for name, values in reach.signals.items()}
-    distance = reach.distance.copy()
+    distance = reach.metric.copy()
     for values in (distance, *signals.values()):
         values[5:] = np.nan
-    write_recording(tmp_path / "a.rrd", [replace(reach, signals=signals, distance=distance, diverged=True)], "a")
+    write_recording(tmp_path / "a.rrd", [replace(reach, signals=signals, metric=distance, diverged=True)], "a")
     assert rows(tmp_path / "a.rrd")["/episode_01/world/backbone"] == STEPS + 1
 
 

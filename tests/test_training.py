@@ -110,7 +110,7 @@ def test_evaluation_does_not_depend_on_how_episodes_are_batched(trained):
     together = evaluate(policy.act, "TrunkReach-v0", "cable", "continuous", goals)
     for episode, goal in zip(together, goals, strict=True):
         alone = evaluate(policy.act, "TrunkReach-v0", "cable", "continuous", [goal])[0]
-        assert alone.distance.tobytes() == episode.distance.tobytes()
+        assert alone.metric.tobytes() == episode.metric.tobytes()
         assert alone.actions.tobytes() == episode.actions.tobytes()
 
 

@@ -24,7 +24,7 @@ class _Snapshot:
     def update(self):
         self._sim.batch.get_model(0, self.model)
         self._sim.batch.get_data(0, self.data)
-        mujoco.mj_forward(self.model, self.data)
+        mujoco.mj_fwdPosition(self.model, self.data)
 
 
 class _Camera:

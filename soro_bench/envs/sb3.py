@@ -10,7 +10,8 @@ from soro_bench.envs.vector import SoftRobotVectorEnv
 class SB3VecEnv(VecEnv):
     """Adapts a :class:`SoftRobotVectorEnv` in "SameStep" mode to Stable-Baselines3's ``VecEnv``.
 
-    Infos hold what Stable-Baselines3 reads (terminal_observation, TimeLimit.truncated, episode) and ``distance``.
+    Infos hold what Stable-Baselines3 reads (terminal_observation, TimeLimit.truncated, episode) and ``metric``, the
+    task's at the end.
     """
 
     def __init__(self, envs: SoftRobotVectorEnv):
@@ -50,7 +51,7 @@ class SB3VecEnv(VecEnv):
                 "terminal_observation": info["final_obs"][i],
                 "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
                 "episode": {"r": self._returns[i], "l": self._lengths[i]},
-                "distance": info["final_info"]["distance"][i],
+                "metric": info["final_info"][self.envs.task.metric][i],
             }
         self._returns[done] = 0
         self._lengths[done] = 0

@@ -42,9 +42,14 @@ class Step:
 class Task(ABC):
     """N simulations of one task.
 
-    Subclasses set ``parameters`` and implement the hooks below; they read the state from ``self.sim.batch``.
+    Subclasses set the attributes and implement the hooks below; they read the state from ``self.sim.batch``.
     """
 
+    variant_name: ClassVar[str]  # the argument that picks how accurate the robot's model is
+    accurate: ClassVar[str]  # its default value, to evaluate on
+    cheap: ClassVar[str]  # another, to train on
+    metric: ClassVar[str]  # the entry of ``info`` [m] that the published study reports at the end of an episode
+    goal: np.ndarray | None = None  # (N, 3) m, where to bring things, if the task has such a place
     parameters: ClassVar[ParameterSet]
     randomized: ClassVar[tuple[Parameter, ...]]  # what the published study of the task randomises
     evaluation: ClassVar[tuple[Mapping[str, Any], ...]] = ({},)  # reset options of the fixed evaluation episodes
@@ -91,8 +96,7 @@ class Task(ABC):
         """Apply one checked action to each simulation of ``ids`` for ``control_timestep``."""
         batch = self.sim.batch
         batch.ctrl[ids] = self._controls(actions)
-        # the forward stages at the new state, which a persistent batch reuses in its next step
-        batch.step(ids, nstep=self._substeps, stage=mujoco.mjtStage.mjSTAGE_VEL)
+        self._advance(ids)
         bad = self._count_bad_states(ids)
         diverged = bad > self._bad_states[ids]
         self._bad_states[ids] = bad
@@ -140,6 +144,11 @@ class Task(ABC):
     def _count_bad_states(self, ids) -> np.ndarray:
         """(n,) how often MuJoCo found a state to be NaN or huge and reset it."""
         return self.sim.batch.warning[ids][:, _BAD_STATE, 1].sum(axis=1)
+
+    def _advance(self, ids) -> None:
+        """Simulate ``control_timestep``."""
+        # with the forward stages at the new state, which a persistent batch reuses in its next step
+        self.sim.batch.step(ids, nstep=self._substeps, stage=mujoco.mjtStage.mjSTAGE_VEL)
 
     @abstractmethod
     def signals(self, ids: np.ndarray) -> dict[str, np.ndarray]:

@@ -40,6 +40,8 @@ class TrunkTask(Task):
             0.1 m/s).
     """
 
+    variant_name, accurate, cheap = "model", "flex", "cable"
+    metric = "distance"
     options = ("params", "goal")
     scene: ClassVar[str]
     control_timestep = 0.05  # s: five command updates of 10 ms

@@ -54,7 +54,7 @@ class Plot:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A robot and its scene; y is up. Shapes go by the path under which a reviewer finds them."""
+    """A robot and its scene. Shapes go by the path under which a reviewer finds them."""
 
     meshes: dict[str, Mesh]
     boxes: dict[str, Box]
@@ -62,11 +62,12 @@ class Drawing:
     plots: dict[str, Plot]
     outline: str  # the line that is enough to show many episodes at once
     note: str  # what a reviewer has to know
-    goal_radius: float  # m
-    goal_color: np.ndarray  # (4,) uint8
     floor: float | None  # m, height of the floor
+    up: tuple[int, int, int]  # the vertical: y or z
     eye: np.ndarray  # (3,) m, where to look from
     target: np.ndarray  # (3,) m, where to look at
+    goal_radius: float = 0.004  # m
+    goal_color: np.ndarray | None = None  # (4,) uint8
 
 
 def flat_shaded(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -16,19 +16,20 @@ class Episode:
     env_id: str
     model: str
     params: dict[str, float]
-    goal: np.ndarray  # (3,) m
+    goal: np.ndarray | None  # (3,) m
     time: np.ndarray  # (T + 1,) s
     signals: dict[str, np.ndarray]
     actions: np.ndarray  # (T,) or (T, nu)
     rewards: dict[str, np.ndarray]  # reward_<term>: (T,)
-    distance: np.ndarray  # (T + 1,) m
+    metric_name: str  # distance or displacement
+    metric: np.ndarray  # (T + 1,) m
     is_success: bool
     diverged: bool
 
     @property
-    def final_distance(self) -> float:
-        """The published metric of TrunkReach and TrunkPush [m]."""
-        return float(self.distance[-1])
+    def final_metric(self) -> float:
+        """The published metric [m]: the final distance (trunk), or displacement (walker)."""
+        return float(self.metric[-1])
 
     @property
     def total_reward(self) -> float:

@@ -25,7 +25,7 @@ def result(episode: Episode) -> str:
 
 def log_episodes(recording, episodes, drawings, title: str) -> None:
     """Send everything but the layout to a rerun stream."""
-    _log_static(recording, "/", rr.ViewCoordinates.RIGHT_HAND_Y_UP)
+    _log_static(recording, "/", _view_coordinates(drawings[0]))
     _log_static(recording, OVERVIEW, _markdown(_overview(episodes, title)))
     for i, (episode, drawing) in enumerate(zip(episodes, drawings, strict=True)):
         root = episode_root(i)
@@ -36,13 +36,14 @@ def log_episodes(recording, episodes, drawings, title: str) -> None:
 
 def _overview(episodes, title) -> str:
     rows = [
-        f"| {i + 1} | {_millimetres(e.goal)} | {result(e)} | {1e3 * e.final_distance:.2f} | {e.total_reward:.2f} |"
+        f"| {i + 1} | {_millimetres(e.goal)} | {result(e)} | {1e3 * e.final_metric:.2f} | {e.total_reward:.2f} |"
         for i, e in enumerate(episodes)
     ]
     solved = sum(e.is_success for e in episodes)
     legend = "Lines: green solved, grey not solved, red diverged. Every episode has a tab above."
     head = [f"# {title}", "", f"{solved} of {len(episodes)} solved", "", legend, ""]
-    table = ["| episode | goal [mm] | result | final distance [mm] | total reward |", "|---|---|---|---|---|"]
+    name = episodes[0].metric_name
+    table = [f"| episode | goal [mm] | result | final {name} [mm] | total reward |", "|---|---|---|---|---|"]
     return "\n".join([*head, *table, *rows])
 
 
@@ -50,7 +51,7 @@ def _summary(episode, note) -> str:
     rows = {
         "model": episode.model,
         "result": result(episode),
-        "final distance [mm]": f"{1e3 * episode.final_distance:.2f}",
+        f"final {episode.metric_name} [mm]": f"{1e3 * episode.final_metric:.2f}",
         "total reward": f"{episode.total_reward:.3f}",
         "steps": f"{len(episode.time) - 1}",
         "goal [mm]": _millimetres(episode.goal),
@@ -61,12 +62,12 @@ def _summary(episode, note) -> str:
 
 
 def _millimetres(position) -> str:
-    return ", ".join(f"{1e3 * x:.4g}" for x in position)
+    return "none" if position is None else ", ".join(f"{1e3 * x:.4g}" for x in position)
 
 
 def _log_drawing(recording, root, episode, drawing: Drawing):
     time = episode.time
-    _log_static(recording, root, rr.ViewCoordinates.RIGHT_HAND_Y_UP)
+    _log_static(recording, root, _view_coordinates(drawing))
     for name, mesh in drawing.meshes.items():
         _log_mesh(recording, f"{root}/{name}", time, mesh)
     for name, box in drawing.boxes.items():
@@ -77,8 +78,13 @@ def _log_drawing(recording, root, episode, drawing: Drawing):
         _log_static(recording, f"{root}/{name}", rr.LineStrips3D.from_fields(radii=line.radius))
         columns = rr.LineStrips3D.columns(strips=line.points.astype(np.float32), colors=line.colors)
         _log_columns(recording, f"{root}/{name}", time, columns)
-    goal = rr.Points3D([episode.goal], radii=drawing.goal_radius, colors=drawing.goal_color)
-    _log_static(recording, f"{root}/goal", goal)
+    if episode.goal is not None:
+        goal = rr.Points3D([episode.goal], radii=drawing.goal_radius, colors=drawing.goal_color)
+        _log_static(recording, f"{root}/goal", goal)
+
+
+def _view_coordinates(drawing: Drawing):
+    return rr.ViewCoordinates.RIGHT_HAND_Y_UP if drawing.up[1] else rr.ViewCoordinates.RIGHT_HAND_Z_UP
 
 
 def _log_mesh(recording, path, time, mesh: Mesh):
@@ -107,7 +113,7 @@ def _log_pose(recording, path, time, pose: Pose):
 
 def _log_plots(recording, root, episode, drawing: Drawing):
     time = episode.time
-    _log_curves(recording, f"{root}/distance", time, 1e3 * episode.distance, ["distance"])
+    _log_curves(recording, f"{root}/{episode.metric_name}", time, 1e3 * episode.metric, [episode.metric_name])
     for name, values in episode.rewards.items():  # a reward belongs to the state that its step leads to
         _log_curves(recording, f"{root}/reward/{name}", time[1:], values, [name.removeprefix("reward_")])
     for name, plot in drawing.plots.items():

@@ -38,7 +38,7 @@ def _overview_tab(episodes, drawings):
 def _episode_tab(i, episode, drawing):
     root, end = f"/{episode_root(i)}", result(episode)
     plots = [
-        _plot(root, "distance", "distance to goal [mm]", legend=False),
+        _plot(root, episode.metric_name, f"{episode.metric_name} [mm]", legend=False),
         _plot(root, "reward", "reward"),
         # the first has the room for a legend, whose colours hold for the others
         *(_plot(root, name, plot.title, legend=k == 0) for k, (name, plot) in enumerate(drawing.plots.items())),
@@ -49,7 +49,7 @@ def _episode_tab(i, episode, drawing):
         rrb.Vertical(*plots, row_shares=[2, 2, 5, *([3] * (len(drawing.plots) - 1)), 2]),
         rrb.TextDocumentView(origin=f"{root}/summary", name="episode"),
         column_shares=[5, 4, 2],
-        name=f"{i + 1}: " + (end if end != "not solved" else f"{1e3 * episode.final_distance:.0f} mm"),
+        name=f"{i + 1}: " + (end if end != "not solved" else f"{1e3 * episode.final_metric:.0f} mm"),
     )
 
 
@@ -60,12 +60,12 @@ def _plot(root, name, title, legend=True):
 def _view3d(origin, contents, drawing, overrides=None):
     grid = rrb.LineGrid3D(visible=False)
     if drawing.floor is not None:
-        grid = rrb.LineGrid3D(plane=rr.components.Plane3D((0, 1, 0), drawing.floor), spacing=0.05)
+        grid = rrb.LineGrid3D(plane=rr.components.Plane3D(drawing.up, drawing.floor), spacing=0.05)
     return rrb.Spatial3DView(
         origin=origin,
         contents=contents,
         name="world",
-        eye_controls=rrb.EyeControls3D(position=drawing.eye, look_target=drawing.target, eye_up=(0, 1, 0)),
+        eye_controls=rrb.EyeControls3D(position=drawing.eye, look_target=drawing.target, eye_up=drawing.up),
         line_grid=grid,
         background=_BACKGROUND,
         overrides=overrides,

@@ -20,9 +20,10 @@ from soro_bench.files import replacing
 from soro_bench.recording.drawing import Drawing
 from soro_bench.recording.episode import Episode
 from soro_bench.recording.trunk_drawing import draw_trunk
+from soro_bench.recording.walker_drawing import draw_walker
 
 APPLICATION_ID = "soro_bench"
-DRAWINGS = {"Trunk": draw_trunk}  # by how the environment's id begins
+DRAWINGS = {"Trunk": draw_trunk, "MultiGait": draw_walker}  # by how the environment's id begins
 
 
 def write_recording(path: str | Path, episodes: Sequence[Episode], title: str) -> None:
@@ -92,5 +93,5 @@ def _recording_id(episodes, title) -> str:
     """From title and content: the viewer takes files of one id for parts of one recording."""
     digest = hashlib.sha256(title.encode())
     for episode in episodes:
-        digest.update(np.ascontiguousarray(episode.distance).tobytes())
+        digest.update(np.ascontiguousarray(episode.metric).tobytes())
     return str(uuid.UUID(bytes=digest.digest()[:16]))

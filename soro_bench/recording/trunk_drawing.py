@@ -48,6 +48,7 @@ def draw_trunk(episode: Episode) -> Drawing:
         note=f"Cables are coloured by their tension, from violet (0) to yellow ({trunk.MAX_TENSION:g} N).",
         goal_radius=float(goal.size[0]),
         goal_color=_color(model, goal.matid[0], 1.0),
+        up=(0, 1, 0),
         floor=float(data.geom_xpos[model.geom("floor").id, 1]) if "floor" in boxes else None,
         eye=model.stat.center + _NEARER * (model.cam("review").pos - model.stat.center),
         target=model.stat.center,

@@ -23,9 +23,9 @@ from stable_baselines3.common.vec_env import VecNormalize
 from soro_bench.envs.sb3 import SB3VecEnv
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.randomization import Distribution
+from soro_bench.registration import task_type
+from soro_bench.results import metric_key
 from soro_bench.training.policy import OBSERVATION_CLIP, Policy, PolicyCard
-
-CURVE_COLUMNS = ("steps", "seconds", "episodes", "final_distance_mm", "return")
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,8 @@ class PPOConfig:
     method: str = "oracle"
     seed: int = 0
     total_steps: int = 320_000
-    model: str = "cable"
+    model: str = "cable"  # what to train on: the environment's "model" or "mesh"
+    episode_steps: int | None = None  # the registered number by default
     action: str = "continuous"
     num_envs: int = 32
     rollout_steps: int = 50  # per environment and update: half an episode
@@ -47,7 +48,8 @@ class PPOConfig:
     discount: float = 0.95
     gae_lambda: float = 0.9
     entropy_coefficient: float = 0.0
-    initial_log_std: float = -1.0  # continuous actions
+    initial_log_std: float = -1.0  # of continuous actions
+    final_log_std: float | None = None  # approached linearly; None lets PPO learn it
     hidden: tuple[int, ...] = (128, 128)
     num_threads: int = 0
 
@@ -63,14 +65,14 @@ class PPOConfig:
 
 
 # What differs from PPOConfig's defaults, which were found on TrunkReach (docs/training.md)
-_TASK_DEFAULTS = {"TrunkPush-v0": {"initial_log_std": -0.5, "total_steps": 1_000_000}}
+_TASK_DEFAULTS = {"TrunkPush-v0": {"initial_log_std": -0.5, "final_log_std": -2.0, "total_steps": 1_000_000}}
 
 
 def default_config(env_id: str, steps: int | None = None, **changes) -> PPOConfig:
     """The configuration found best for an environment, with ``changes``; ``steps`` replaces its number of steps."""
     if steps is not None:
         changes["total_steps"] = steps
-    return PPOConfig(env_id, **{**_TASK_DEFAULTS.get(env_id, {}), **changes})
+    return PPOConfig(env_id, **{"model": task_type(env_id).cheap, **_TASK_DEFAULTS.get(env_id, {}), **changes})
 
 
 def train(
@@ -107,6 +109,9 @@ def _claim(folder: Path, config: PPOConfig, distribution) -> None:
     described = asdict(config) | {"distribution": distribution.to_dict() if distribution else None}
     described["hidden"] = list(config.hidden)
     described.pop("num_threads")  # does not change the result
+    for added in ("episode_steps", "final_log_std"):  # older runs do not name what they leave at its default
+        if described[added] is None:
+            described.pop(added)
     path = folder / "config.json"
     if path.exists() and (found := read_json(path)) != described:
         different = [key for key in described if found.get(key) != described[key]]
@@ -115,13 +120,15 @@ def _claim(folder: Path, config: PPOConfig, distribution) -> None:
 
 
 def _make_env(config: PPOConfig, distribution) -> VecNormalize:
+    steps = {} if config.episode_steps is None else {"max_episode_steps": config.episode_steps}
     envs = gymnasium.make_vec(
         config.env_id,
         num_envs=config.num_envs,
         num_threads=config.num_threads,
-        model=config.model,
         action=config.action,
         autoreset_mode="SameStep",
+        **{task_type(config.env_id).variant_name: config.model},
+        **steps,
     )
     if distribution is not None:
         envs.unwrapped.task.randomize(distribution)
@@ -155,9 +162,13 @@ def _run_segment(config, segment, agent, env, curve, progress) -> None:
     set_random_seed(seed)
     env.seed(seed)
     agent._last_obs = None  # makes learn() reset the environments
+    if config.final_log_std is not None:
+        done = segment / config.num_segments
+        log_std = (1 - done) * config.initial_log_std + done * config.final_log_std
+        agent.policy.log_std.requires_grad_(False).fill_(log_std)
     agent.num_timesteps = segment * config.segment_steps
     total = config.num_segments * config.segment_steps
-    callback = _Watch(curve, progress, total)
+    callback = _Watch(curve, progress, total, task_type(config.env_id).metric)
     agent.learn(config.segment_steps, callback=callback, reset_num_timesteps=False)
 
 
@@ -175,8 +186,9 @@ class _Curve:
 class _Watch(BaseCallback):
     """Gathers finished episodes and adds a row to the curve after every rollout."""
 
-    def __init__(self, curve: _Curve, progress, total: int):
+    def __init__(self, curve: _Curve, progress, total: int, metric: str):
         super().__init__()
+        self._metric_key = metric_key(metric)
         self._curve, self._progress, self._total = curve, progress, total
         self._finished: list[dict] = []
         self._start = time.monotonic() - curve.seconds
@@ -192,7 +204,7 @@ class _Watch(BaseCallback):
             "steps": self.num_timesteps,
             "seconds": round(time.monotonic() - self._start, 1),
             "episodes": len(self._finished),
-            "final_distance_mm": round(1e3 * float(np.mean([info["distance"] for info in self._finished])), 3),
+            self._metric_key: round(1e3 * float(np.mean([info["metric"] for info in self._finished])), 3),
             "return": round(float(np.mean([info["episode"]["r"] for info in self._finished])), 3),
         }
         self._curve.rows.append(row)
@@ -214,7 +226,7 @@ def _save_checkpoint(folder: Path, segment: int, agent: PPO, env: VecNormalize, 
     with replacing(folder / "checkpoint.pt") as temporary:
         torch.save(checkpoint, temporary)
     with replacing(folder / "curve.csv") as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, CURVE_COLUMNS)
+        writer = csv.DictWriter(file, curve.rows[0])
         writer.writeheader()
         writer.writerows(curve.rows)
 
