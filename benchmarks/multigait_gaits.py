@@ -129,7 +129,9 @@ def main() -> None:
     gaits = np.array([digits(best), MIRROR[digits(best)]])
     result["meshes"] = {}
     for mesh in RESOLUTIONS:
-        result["meshes"][mesh] = dict(zip(("forward_mm", "mirrored_mm"), displacement_mm(gaits, mesh, options.threads)))
+        result["meshes"][mesh] = dict(
+            zip(("forward_mm", "mirrored_mm"), displacement_mm(gaits, mesh, options.threads), strict=True)
+        )
         print(mesh, result["meshes"][mesh], flush=True)
         write_json(RESULT, result)
     print(result)

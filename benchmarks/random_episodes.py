@@ -20,6 +20,7 @@ from soro_bench.files import read_json, write_json
 from soro_bench.randomization import search_box
 from soro_bench.registration import task_type
 
+TRUNK_IDS = [env_id for env_id in soro_bench.ENV_IDS if env_id.startswith("Trunk")]
 BATCH = 50
 STEPS = 100
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
@@ -80,13 +81,13 @@ def main():
     path = RESULTS / f"random_episodes_{options.model}.json"
     totals = read_json(path) if path.exists() else {}
     start, done_now = time.monotonic(), 0
-    for env_id in soro_bench.ENV_IDS:
+    for env_id in TRUNK_IDS:
         done = totals.get(env_id, {}).get("episodes", 0)
         for number in range(done // BATCH, -(-options.episodes // BATCH)):
             totals[env_id] = merge(totals.get(env_id, {}), run_batch(env_id, options.model, number, options.threads))
             write_json(path, totals)
             done_now += BATCH
-            left = sum(max(0, options.episodes - totals.get(e, {}).get("episodes", 0)) for e in soro_bench.ENV_IDS)
+            left = sum(max(0, options.episodes - totals.get(e, {}).get("episodes", 0)) for e in TRUNK_IDS)
             minutes = (time.monotonic() - start) / done_now * left / 60
             print(f"{env_id} {totals[env_id]['episodes']} episodes, {minutes:.0f} min left", end="\r", flush=True)
     print()

@@ -1,4 +1,4 @@
-"""Speed of the environments, as ratios measured in one run.
+"""Speed of the trunk environments, as ratios measured in one run.
 
     python benchmarks/speed.py [--repeats 15]
 
@@ -20,6 +20,7 @@ from soro_bench.models import trunk_geometry as geo
 from soro_bench.registration import task_type
 
 NUM_ENVS = 16
+TRUNK_IDS = [env_id for env_id in soro_bench.ENV_IDS if env_id.startswith("Trunk")]
 
 
 def bare_loop(task, controls):
@@ -78,7 +79,7 @@ def main():
     options = parser.parse_args()
     print("| environment | model | env steps per CPU-s | of a bare mj_step loop | two threads | parameter reset |")
     print("|---|---|---|---|---|---|")
-    for env_id in soro_bench.ENV_IDS:
+    for env_id in TRUNK_IDS:
         for model in ("cable", "flex"):
             rng = np.random.default_rng(0)
             actions = rng.uniform(-1, 1, (options.steps, NUM_ENVS, len(geo.CABLE_NAMES))).astype(np.float32)

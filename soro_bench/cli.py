@@ -74,7 +74,8 @@ class Train:
     """Environment steps; what the environment needs by default."""
     model: str | None = None
     """The environment's model or mesh to train on; the cheap one by default."""
-    action: Literal["discrete", "continuous"] = "continuous"
+    action: Literal["discrete", "continuous"] | None = None
+    """What the environment is best learned with by default."""
     out: Path = Path("runs/train")
 
     def run(self) -> None:
@@ -83,8 +84,9 @@ class Train:
         from soro_bench.training.ppo import default_config, train
 
         task_type(self.env)
-        changes = {"model": self.model} if self.model else {}
-        config = default_config(self.env, self.steps, method=self.method, seed=self.seed, action=self.action, **changes)
+        given = {"model": self.model, "action": self.action}
+        changes = {name: value for name, value in given.items() if value is not None}
+        config = default_config(self.env, self.steps, method=self.method, seed=self.seed, **changes)
         box = METHODS[self.method].distribution(self.env, self.seed)
         distribution = load(self.randomization) if self.randomization else box
         with _Bar() as bar:

@@ -71,21 +71,24 @@ def run_method(
     return results
 
 
-def write_evaluation(policy: Policy, model: str, folder: str | Path) -> dict:
-    """Evaluate ``policy`` on ``model``; write evaluation_<model>.json and .rrd into ``folder``; return the result."""
+def write_evaluation(policy: Policy, model: str, folder: str | Path, label: str | None = None, **options) -> dict:
+    """Evaluate ``policy`` on ``model``; write evaluation_<label>.json and .rrd into ``folder``; return the result.
+
+    ``label`` is the model by default; ``options`` are further arguments of :func:`soro_bench.evaluation.evaluate`.
+    """
     require_rerun()  # before the work, not after it
-    folder = Path(folder)
+    folder, label = Path(folder), label or model
     start = time.monotonic()
     card = policy.card
-    episodes = evaluate(policy.act, card.env_id, model, card.action)
+    episodes = evaluate(policy.act, card.env_id, model, card.action, **options)
     result = {
         "policy": asdict(card),
-        "evaluated_on": model,
+        "evaluated_on": label,
         **summarise(episodes),
         "evaluation_seconds": round(time.monotonic() - start, 1),
         "versions": versions(),
     }
-    write_recording(folder / f"evaluation_{model}.rrd", episodes, f"{card.env_id} {card.method} on {model}")
+    write_recording(folder / f"evaluation_{label}.rrd", episodes, f"{card.env_id} {card.method} on {label}")
     # last, as its presence says that the evaluation is complete
-    write_json(folder / f"evaluation_{model}.json", result)
+    write_json(folder / f"evaluation_{label}.json", result)
     return result

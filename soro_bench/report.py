@@ -84,7 +84,7 @@ def markdown_table(rows: Sequence[dict]) -> str:
 
 def plot_curves(files: Mapping[str, Sequence[Path]], metric: str, path: str | Path) -> None:
     """Final metric over training steps, from curve.csv files by label: thin lines, and their median."""
-    plt = _pyplot()
+    plt = pyplot()
     figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
     for i, (label, runs) in enumerate(files.items()):
         curves = [_read_curve(run, metric) for run in runs]
@@ -103,7 +103,7 @@ def plot_curves(files: Mapping[str, Sequence[Path]], metric: str, path: str | Pa
 
 def plot_results(results: Sequence[dict], metric: str, path: str | Path) -> None:
     """Final metric of every evaluation episode, a column per method and evaluation model, with the means."""
-    plt = _pyplot()
+    plt = pyplot()
     groups = defaultdict(list)
     for result in results:
         groups[f"{result['policy']['method']}\non {result['evaluated_on']}"] += result[metric_key(metric)]
@@ -135,7 +135,8 @@ def _read_curve(path: Path, metric: str) -> tuple[np.ndarray, np.ndarray]:
     return (present + 0.5) / _BINS * steps[-1], np.array(means)
 
 
-def _pyplot():
+def pyplot():
+    """Matplotlib without a display, or ImportError with what to install."""
     try:
         import matplotlib
     except ImportError as error:

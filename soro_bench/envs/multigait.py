@@ -13,6 +13,7 @@ from soro_bench.envs.vector import SoftRobotVectorEnv
 from soro_bench.models import walker
 from soro_bench.models.walker_mesh import CHAMBERS, RESOLUTIONS
 from soro_bench.parameters import ParameterSet
+from soro_bench.randomization import TruncatedNormal
 
 SCENE = "multigait.xml"
 GROUPS = np.array([[1, 0, 0, 0, 0], [0, 1, 1, 0, 0], [0, 0, 0, 1, 1]])  # chambers moved together: centre, rear, front
@@ -21,6 +22,12 @@ RAMP_SUBSTEPS = 2  # time steps between updates of the rest lengths
 # Published noise: 0.5 mm, and 100 units of chambers that hold 3500 (centre) and 2000 (legs)
 POSITION_NOISE = 0.0005  # m
 INFLATION_NOISE = np.array([100 / 3500, *[100 / 2000] * 4])
+# What the paper trains on: sigmas in the order of walker.PARAMETERS (kg, 1, Pa, 1, Pa), truncated at two of them
+PUBLISHED_RANDOMIZATION = TruncatedNormal(
+    tuple(p.name for p in walker.PARAMETERS),
+    np.array([p.nominal for p in walker.PARAMETERS]),
+    np.array([0.005, 0.005, 5e5, 0.01, 1e4]),
+)
 
 
 @lru_cache(maxsize=3)

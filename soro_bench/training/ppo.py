@@ -65,7 +65,23 @@ class PPOConfig:
 
 
 # What differs from PPOConfig's defaults, which were found on TrunkReach (docs/training.md)
-_TASK_DEFAULTS = {"TrunkPush-v0": {"initial_log_std": -0.5, "final_log_std": -2.0, "total_steps": 1_000_000}}
+_TASK_DEFAULTS = {
+    "TrunkPush-v0": {"initial_log_std": -0.5, "final_log_std": -2.0, "total_steps": 1_000_000},
+    # episodes of 6 or 12 steps that cost 50 times what the trunk's do: few steps, used thoroughly
+    "MultiGait-v0": {
+        "action": "discrete",
+        "total_steps": 23_040,
+        "num_envs": 24,
+        "rollout_steps": 12,
+        "rollouts_per_segment": 10,
+        "batch_size": 96,
+        "learning_rate": 1e-3,
+        "discount": 0.99,
+        "gae_lambda": 0.95,
+        "entropy_coefficient": 0.01,
+        "hidden": (64, 64),
+    },
+}
 
 
 def default_config(env_id: str, steps: int | None = None, **changes) -> PPOConfig:
