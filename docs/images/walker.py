@@ -11,7 +11,6 @@ from PIL import Image
 
 import soro_bench  # noqa: F401  registers the environments
 
-
 ROWS, COLUMNS = slice(110, 400), slice(60, 600)  # what the robot takes of a picture
 SHOWN = (("coarse", []), ("coarse", [0, 0, 2]), ("fine", [0, 0, 2]))
 
