@@ -27,6 +27,7 @@ def run_batch(number: int, threads: int) -> dict:
     action = ("discrete", "continuous")[number % 2]
     task = MultiGaitTask(BATCH, threads, mesh="coarse", action=action)
     task.randomize(search_box(walker.PARAMETERS))
+    floor = task.model.geom("floor").pos[2]
     ids, rng = np.arange(BATCH), np.random.default_rng(number)
     task.reset(ids, [np.random.default_rng([number, i]) for i in ids], [{}] * BATCH)
     rest = task.signals(ids)["vertices"]
@@ -37,7 +38,7 @@ def run_batch(number: int, threads: int) -> dict:
         step = task.step(ids, actions)
         diverged |= step.diverged
         now = task.signals(ids)["vertices"]
-        height = now[:, :, 2].min(axis=1)
+        height = now[:, :, 2].min(axis=1) - floor
         lowest, airborne = min(lowest, height.min()), max(airborne, height.max())
         tilt = max(tilt, max(tilt_of(now[i], rest[i]) for i in ids))
     counts = task.sim.batch.warning[:, :, 1].sum(axis=0)
@@ -46,8 +47,8 @@ def run_batch(number: int, threads: int) -> dict:
         "episodes": BATCH,
         "diverged": int(diverged.sum()),
         "warnings": int(counts.sum() - counts[silenced]),
-        "lowest_vertex_mm": 1e3 * lowest,
-        "highest_lowest_vertex_mm": 1e3 * airborne,
+        "lowest_vertex_mm": 1e3 * float(lowest),
+        "highest_lowest_vertex_mm": 1e3 * float(airborne),
         "largest_tilt_deg": float(np.degrees(tilt)),
     }
 

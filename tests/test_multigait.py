@@ -132,6 +132,6 @@ def test_evaluation_records_an_episode():
     actions = iter([*WALK, *WALK])
     episode = evaluate(lambda o: np.full(len(o), next(actions)), "MultiGait-v0", "coarse", "discrete",
                        max_episode_steps=12)[0]  # fmt: skip
-    assert episode.signals["vertices"].shape == (13, 170, 3)
+    assert episode.signals["vertices"].shape == (13, 110, 3)
     assert episode.metric_name == "displacement" and episode.metric.shape == (13,)
     assert episode.goal is None and not episode.diverged

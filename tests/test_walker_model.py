@@ -11,7 +11,7 @@ from soro_bench.models.walker_mesh import CHAMBERS, RESOLUTIONS, build_mesh
 from soro_bench.parameters import ParameterSet
 
 SCENE = "multigait.xml"
-NODES = {"coarse": 170, "fine": 708, "finest": 1124}
+NODES = {"coarse": 110, "fine": 340, "finest": 708}
 # m^2, the published outline's area: four quadrants, each a rectangle-like centre and a leg (shoelace formula)
 OUTLINE = np.array([[0, 0], [0.02952, 0], [0.06785, 0.01782], [0.0637, 0.02925], [0.01479, 0.01612], [0, 0.01612]])
 

@@ -149,7 +149,7 @@ class MultiGaitEnv(SoftRobotEnv):
     face lies on a floor. Five chambers in it, one in the centre and one in each leg, inflate; as the membrane does not
     stretch, an inflated leg curls down and an inflated centre arches up. After the walker of Tiboni et al., "Domain
     Randomization for Robust, Affordable and Effective Closed-loop Control of Soft Robots", IROS 2023. Frame: x forward,
-    z up, origin on the floor below the centre.
+    z up, origin at the lower face of the flat body, below its centre.
 
     ## Actions
     `action="discrete"` (published): `Discrete(6)`; 0, 1, 2 inflate the centre, both rear legs, both front legs by 60/74
@@ -171,7 +171,7 @@ class MultiGaitEnv(SoftRobotEnv):
     along x since the reset [m], the published metric.
 
     ## Arguments
-    * `mesh`: "coarse" (170 nodes, to train on), "fine" (708, the default, to evaluate on), "finest" (1124).
+    * `mesh`: "coarse" (110 nodes, to train on), "fine" (340, the default, to evaluate on), "finest" (708).
     * `action`: "discrete" or "continuous".
     * `observation_noise`: False or True.
     * `reset(options={"params": {...}})` takes robot_mass, pdms_poisson_ratio, pdms_young_modulus,

@@ -34,7 +34,7 @@ TOLERANCE = 1e-5
 FRICTION_IMPEDANCE_RATIO = 100
 UPWARD_GROWTH = 0.5  # of the growth along the chamber
 # Growth of each mesh's chambers at full inflation: (centre, leg), calibrated by benchmarks/walker_calibration.py
-GROWTH = {"coarse": (0.55, 0.55), "fine": (0.5932, 0.489), "finest": (0.5178, 0.4252)}
+GROWTH = {"coarse": (0.55, 0.55), "fine": (0.8526, 0.7271), "finest": (0.6235, 0.4456)}
 # m. The reference gives none; its membrane elements have the thickness 1 in a scene in millimetres.
 MEMBRANE_THICKNESS = 0.001
 DAMPING = 0.01  # s, Rayleigh coefficient of the stiffness in the reference

@@ -31,9 +31,9 @@ class Resolution:
 
 
 RESOLUTIONS = {
-    "coarse": Resolution(2, 2, 5, (0.0, HEIGHT)),
-    "fine": Resolution(3, 3, 8, (0.0, CHAMBER_FLOOR, CHAMBER_CEILING, HEIGHT)),
-    "finest": Resolution(4, 4, 10, (0.0, CHAMBER_FLOOR, CHAMBER_CEILING, HEIGHT)),
+    "coarse": Resolution(2, 1, 5, (0.0, HEIGHT)),
+    "fine": Resolution(2, 2, 5, (0.0, CHAMBER_FLOOR, CHAMBER_CEILING, HEIGHT)),
+    "finest": Resolution(3, 3, 8, (0.0, CHAMBER_FLOOR, CHAMBER_CEILING, HEIGHT)),
 }
 
 

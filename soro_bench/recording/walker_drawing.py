@@ -13,6 +13,7 @@ from soro_bench.recording.drawing import Mesh as Surface
 from soro_bench.recording.episode import Episode
 
 _FLOOR_HALF_SIZE = np.array([0.15, 0.08, 0.0005])  # m, drawn only
+_FLOOR_HEIGHT = -0.0015  # m, as in multigait.xml
 _FLOOR_COLOR = np.array([52, 56, 62, 255], np.uint8)
 _SPINE_COLOR = np.array([214, 60, 52], np.uint8)
 _SPINE_RADIUS = 0.0006  # m
@@ -30,7 +31,7 @@ def draw_walker(episode: Episode) -> Drawing:
     spine = np.flatnonzero((np.abs(body.nodes[:, 1]) < 1e-9) & (body.nodes[:, 2] == body.nodes[:, 2].max()))
     spine = spine[np.argsort(body.nodes[spine, 0])]
     colors = np.tile(_SPINE_COLOR, (len(vertices), 1))
-    floor = Pose(np.array([0, 0, -_FLOOR_HALF_SIZE[2]]), np.array([0, 0, 0, 1.0]))
+    floor = Pose(np.array([0, 0, _FLOOR_HEIGHT - _FLOOR_HALF_SIZE[2]]), np.array([0, 0, 0, 1.0]))
     return Drawing(
         meshes={"body": Surface(vertices, vertex_normals(vertices, faces), faces, color)},
         boxes={"floor": Box(_FLOOR_HALF_SIZE, _FLOOR_COLOR, floor)},
@@ -38,7 +39,7 @@ def draw_walker(episode: Episode) -> Drawing:
         plots={"inflation": Plot("inflation", signals["inflation"], CHAMBERS, _CHAMBER_COLORS)},
         outline="spine",
         note="x is forward. One state per action.",
-        floor=0.0,
+        floor=_FLOOR_HEIGHT,
         up=(0, 0, 1),
         eye=np.array([0.10, -0.19, 0.11]),
         target=np.array([0.0, 0.0, 0.01]),
