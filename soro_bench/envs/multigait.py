@@ -54,6 +54,7 @@ class MultiGaitTask(Task):
     parameters = ParameterSet(*walker.PARAMETERS)
     randomized = walker.PARAMETERS
     control_timestep = 0.6  # s
+    inferred_from = ("vertices",)
 
     def __init__(
         self,

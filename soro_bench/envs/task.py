@@ -55,6 +55,7 @@ class Task(ABC):
     evaluation: ClassVar[tuple[Mapping[str, Any], ...]] = ({},)  # reset options of the fixed evaluation episodes
     options: ClassVar[tuple[str, ...]] = ("params",)
     control_timestep: ClassVar[float]  # s
+    inferred_from: ClassVar[tuple[str, ...]]  # the signals that parameters are inferred from: what is observed
     single_observation_space: spaces.Box
     single_action_space: spaces.Space
 

@@ -45,6 +45,7 @@ class TrunkTask(Task):
     options = ("params", "goal")
     scene: ClassVar[str]
     control_timestep = 0.05  # s: five command updates of 10 ms
+    inferred_from = ("keypoints",)
 
     def __init__(
         self, num_envs: int = 1, num_threads: int = 1, model: str = "flex", action: str = "discrete", **unknown
@@ -159,14 +160,17 @@ class TrunkTask(Task):
 class ObjectTask(TrunkTask):
     """A trunk task with a floor and a free object, which is observed behind the goal."""
 
+    inferred_from = ("keypoints", "object_position", "object_quaternion")
+
     def __init__(self, *args, **kwargs):
         super().__init__(*args, **kwargs)
         self._object_qpos = self.model.joint("object").qposadr[0]
         self._object_body = self.model.body("object").id
 
     def signals(self, ids):
-        """As the trunk's, and object_pose (n, 7): position [m] and quaternion x, y, z, w."""
-        return {**super().signals(ids), "object_pose": self._object_pose(ids)}
+        """As the trunk's, and object_position (n, 3) [m] and object_quaternion (n, 4) x, y, z, w."""
+        pose = self._object_pose(ids)
+        return {**super().signals(ids), "object_position": pose[:, :3], "object_quaternion": pose[:, 3:]}
 
     def object_position(self, ids) -> np.ndarray:
         """(n, 3) centre of the object [m]."""

@@ -129,8 +129,7 @@ def _boxes(model, data, episode):
         elif name == "wall":
             position[0] += episode.params["wall_offset"]
         elif name == "object":
-            poses = episode.signals["object_pose"]
-            pose = Pose(poses[:, :3], poses[:, 3:])
+            pose = Pose(episode.signals["object_position"], episode.signals["object_quaternion"])
         yield name, Box(size, color, pose)
 
 
