@@ -117,15 +117,84 @@ class Evaluate:
 
 
 @dataclass
+class Record:
+    """Simulate one episode and save its signals as a recording."""
+
+    env: EnvId
+    out: Path
+    """The file to write, .parquet."""
+    policy: str = "random"
+    """random, excitation (rest, triangles, loops, holds, sums of sines), or the folder of a trained policy."""
+    params: tuple[str, ...] = ()
+    """Physical parameters such as trunk_mass=0.3; the others are nominal."""
+    model: str | None = None
+    """The environment's model or mesh; the accurate one by default."""
+    action: Literal["discrete", "continuous"] | None = None
+    """Continuous by default, or what the trained policy needs."""
+    steps: int | None = None
+    """The environment's length by default; 30 s, or as long as it needs, for an excitation."""
+    seed: int = 0
+    noise: float = 0.0
+    """Standard deviation [m] of normal noise on all positions."""
+
+    def run(self) -> None:
+        from soro_bench.recording.parquet import save
+        from soro_bench.recording.simulated import parse_params, record
+
+        params = parse_params(self.params)
+        given = (self.env, self.policy, self.model, self.action, params, self.steps, self.seed, self.noise)
+        recording = record(*given)
+        save(recording, self.out)
+        _describe(recording, self.out)
+
+
+@dataclass
+class Import:
+    """Turn a CSV or MCAP file or a LeRobot dataset into a recording."""
+
+    file: Annotated[Path, tyro.conf.Positional]
+    """.csv, .mcap, or the folder of a LeRobot dataset."""
+    out: Path
+    """The file to write, .parquet."""
+    mapping: Path | None = None
+    """TOML file that says what is what (docs/recordings.md); a LeRobot dataset needs none."""
+    episode: int | None = None
+    """Which episode of a LeRobot dataset; the first by default."""
+
+    def run(self) -> None:
+        from soro_bench.recording.importers import import_recording
+        from soro_bench.recording.parquet import save
+
+        selection = {} if self.episode is None else {"episode": self.episode}
+        recording = import_recording(self.file, self.mapping, **selection)
+        save(recording, self.out)
+        _describe(recording, self.out)
+
+
+@dataclass
 class View:
-    """Open a recording in the rerun viewer."""
+    """Open a recording in the rerun viewer; a .parquet one beside the simulated robot."""
 
     recording: Annotated[Path, tyro.conf.Positional]
+    """.rrd, or .parquet, whose actions are replayed."""
+    out: Path | None = None
+    """Where to write the .rrd of a .parquet; beside it by default."""
+    open: bool = True
+    """Whether to open the viewer."""
 
     def run(self) -> None:
         from soro_bench.recording.rerun_log import open_viewer
 
-        open_viewer(self.recording)
+        path = self.recording
+        if path.suffix == ".parquet":
+            from soro_bench.recording.comparison import write_comparison
+            from soro_bench.recording.parquet import load
+
+            path = self.out or path.with_suffix(".rrd")
+            write_comparison(load(self.recording), path, self.recording.stem)
+            _console.print(f"{path}", soft_wrap=True, markup=False, highlight=False)
+        if self.open:
+            open_viewer(path)
 
 
 @dataclass
@@ -166,6 +235,14 @@ def _run_plan(plan, out: Path) -> None:
     _console.print(f"results, plots and recordings in {out}; watch one with: soro-bench view FILE.rrd")
 
 
+def _describe(recording, path: Path) -> None:
+    table = Table("signal", "samples", "shape", "unit", "frame", title=f"{path}: {recording.duration:g} s")
+    for name, signal in (*recording.commands.items(), *sorted(recording.signals.items())):
+        shape = " x ".join(map(str, signal.values.shape[1:]))
+        table.add_row(name, str(len(signal.time)), shape, signal.unit, signal.frame)
+    _console.print(table)
+
+
 class _Bar:
     """A progress bar per training run."""
 
@@ -193,7 +270,15 @@ class _Bar:
         self._progress.stop()
 
 
-COMMANDS = {"list": List, "run": Run, "train": Train, "evaluate": Evaluate, "view": View}
+COMMANDS = {
+    "list": List,
+    "run": Run,
+    "train": Train,
+    "evaluate": Evaluate,
+    "record": Record,
+    "import": Import,
+    "view": View,
+}
 
 
 def main() -> None:

@@ -19,6 +19,8 @@ def evaluate(
     starts: Sequence[Mapping[str, Any]] | None = None,
     num_threads: int = 0,
     max_episode_steps: int | None = None,
+    seed: int = 0,
+    stop_when_solved: bool = True,
     **options,
 ) -> list[Episode]:
     """Run one episode from every start and record it.
@@ -29,12 +31,14 @@ def evaluate(
         starts: reset options, one mapping per episode; by default the environment's fixed evaluation starts.
         num_threads: threads, 0 for all processors; results do not depend on it.
         max_episode_steps: the registered number by default.
+        seed: of what the starts leave to chance; episode i takes seed + i.
+        stop_when_solved: whether an episode ends when its task is solved.
         options: further arguments of the environment.
     """
     starts = task_type(env_id).evaluation if starts is None else starts
     task = make_task(env_id, len(starts), num_threads, model, action=action, **options)
     # evaluation starts leave nothing to chance but what the task itself draws
-    rngs = [np.random.default_rng(i) for i in range(len(starts))]
+    rngs = [np.random.default_rng(seed + i) for i in range(len(starts))]
     everyone = np.arange(len(starts))
     observation, info = task.reset(everyone, rngs, starts)
     recorders = [_Recorder() for _ in starts]
@@ -45,7 +49,7 @@ def evaluate(
         step = task.step(running, actions)
         observation[running] = step.observation
         _record(recorders, running, task, step.info, actions)
-        running = running[~(step.terminated | step.diverged)]
+        running = running[~(step.terminated & stop_when_solved | step.diverged)]
         if len(running) == 0:
             break
     return [recorder.episode(env_id, model, task, i) for i, recorder in enumerate(recorders)]

@@ -54,6 +54,7 @@ class Task(ABC):
     randomized: ClassVar[tuple[Parameter, ...]]  # what the published study of the task randomises
     evaluation: ClassVar[tuple[Mapping[str, Any], ...]] = ({},)  # reset options of the fixed evaluation episodes
     options: ClassVar[tuple[str, ...]] = ("params",)
+    signal_units: ClassVar[Mapping[str, tuple[str, str]]]  # SI unit and frame ("" if none) of each of signals()
     control_timestep: ClassVar[float]  # s
     single_observation_space: spaces.Box
     single_action_space: spaces.Space
@@ -152,7 +153,7 @@ class Task(ABC):
 
     @abstractmethod
     def signals(self, ids: np.ndarray) -> dict[str, np.ndarray]:
-        """What a recording holds of the present state, arrays of n rows by name."""
+        """What a recording holds of the present state, arrays of n rows by name; ``signal_units`` has their units."""
 
     @abstractmethod
     def _sample_start(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Any:

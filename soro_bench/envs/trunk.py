@@ -43,6 +43,13 @@ class TrunkTask(Task):
     variant_name, accurate, cheap = "model", "flex", "cable"
     metric = "distance"
     options = ("params", "goal")
+    signal_units: ClassVar = {
+        "keypoints": ("m", "world"),
+        "link_position": ("m", "world"),
+        "link_quaternion": ("1", "world"),
+        "tension": ("N", ""),
+        "commanded": ("m", ""),
+    }
     scene: ClassVar[str]
     control_timestep = 0.05  # s: five command updates of 10 ms
 
@@ -159,14 +166,21 @@ class TrunkTask(Task):
 class ObjectTask(TrunkTask):
     """A trunk task with a floor and a free object, which is observed behind the goal."""
 
+    signal_units: ClassVar = {
+        **TrunkTask.signal_units,
+        "object_position": ("m", "world"),
+        "object_quaternion": ("1", "world"),
+    }
+
     def __init__(self, *args, **kwargs):
         super().__init__(*args, **kwargs)
         self._object_qpos = self.model.joint("object").qposadr[0]
         self._object_body = self.model.body("object").id
 
     def signals(self, ids):
-        """As the trunk's, and object_pose (n, 7): position [m] and quaternion x, y, z, w."""
-        return {**super().signals(ids), "object_pose": self._object_pose(ids)}
+        """As the trunk's, and of the object's centre object_position (n, 3) m, object_quaternion (n, 4) w, x, y, z."""
+        pose = self.sim.batch.qpos[ids, self._object_qpos : self._object_qpos + 7]
+        return {**super().signals(ids), "object_position": pose[:, :3], "object_quaternion": pose[:, 3:]}
 
     def object_position(self, ids) -> np.ndarray:
         """(n, 3) centre of the object [m]."""

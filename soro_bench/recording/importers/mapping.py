@@ -1,5 +1,6 @@
 """Which part of a foreign file is which command or signal: a small TOML file, described in docs/recordings.md."""
 
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -35,8 +36,9 @@ class Source:
         """The signal for (T,) times [s] and (T, ...) numbers of the file."""
         unit, factor = si(self.unit)
         shape = numbers.shape[1:] if self.shape is None else self.shape
-        if np.prod(shape, dtype=int) != np.prod(numbers.shape[1:], dtype=int):
-            raise RecordingError(f"shape {list(shape)} does not fit the {int(np.prod(numbers.shape[1:]))} numbers found")
+        found = math.prod(numbers.shape[1:])
+        if math.prod(shape) != found:
+            raise RecordingError(f"shape {list(shape)} does not fit the {found} numbers found")
         values = self.scale * factor * numbers.reshape(len(numbers), *shape)
         try:
             return Signal(time, values + self.offset, unit, self.frame)
