@@ -39,18 +39,16 @@ def write_recording(
     require_rerun()
     import rerun as rr
 
-    points = points or {}
-
     from soro_bench.recording.rerun_entities import log_episodes, log_points
     from soro_bench.recording.rerun_layout import layout
 
     if not episodes:
         raise ValueError("a recording needs at least one episode")
+    points = points or {}
     drawings = [_draw(episode) for episode in episodes]
+    identity = _recording_id(episodes, title, points)
     # without properties, which hold the time of writing; in memory, so that a full disk raises below
-    recording = rr.RecordingStream(
-        APPLICATION_ID, recording_id=_recording_id(episodes, title, points), send_properties=False
-    )
+    recording = rr.RecordingStream(APPLICATION_ID, recording_id=identity, send_properties=False)
     if not recording.is_enabled():
         raise RuntimeError("rerun is switched off by the environment variable RERUN")
     memory = recording.memory_recording()

@@ -29,14 +29,16 @@ class Source:
     scale: float
     offset: np.ndarray  # SI; one number, or one per number of a sample
     frame: str
-    shape: tuple[int, ...] | None  # of a sample; None: as the file has it
+    shape: tuple[int, ...] | None  # of a sample; None: as the file has it, and () for one number
     place: Mapping[str, Any]  # what else the importer knows: columns, topic, ...
 
     def signal(self, time: np.ndarray, numbers: np.ndarray) -> Signal:
         """The signal for (T,) times [s] and (T, ...) numbers of the file."""
         unit, factor = si(self.unit)
-        shape = numbers.shape[1:] if self.shape is None else self.shape
         found = math.prod(numbers.shape[1:])
+        shape = self.shape
+        if shape is None:  # one number is no list of one
+            shape = numbers.shape[1:] if found > 1 else ()
         if math.prod(shape) != found:
             raise RecordingError(f"shape {list(shape)} does not fit the {found} numbers found")
         values = self.scale * factor * numbers.reshape(len(numbers), *shape)

@@ -77,8 +77,7 @@ class _Collector:
             raise RecordingError(f"no messages of topic {self.topic}")
         # messages may lie in the file in another order than they were sent
         times, rows = np.unique(np.array(self._times[::-1], np.int64), return_index=True)
-        numbers = np.array(self._samples[::-1], float)[rows]
-        return times, numbers[:, 0] if numbers.shape[1] == 1 else numbers
+        return times, np.array(self._samples[::-1], float)[rows]
 
     def _nanoseconds(self, content, message) -> int:
         if isinstance(self._clock, str):
