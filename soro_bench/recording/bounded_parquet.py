@@ -10,14 +10,14 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from soro_bench.recording.parquet_pages import decoded_bytes
+from soro_bench.recording.parquet_pages import Footer, decoded_bytes, read_footer
 from soro_bench.recording.recording import RecordingError
 
 MAX_BYTES = 200_000_000  # of a file
 MAX_ROWS = 10_000_000
 MAX_COLUMNS = 5000
 _MAX_ROW_GROUPS = 10_000
-_MAX_FOOTER = 2_000_000  # bytes; grows some hundredfold in memory
+_MAX_FOOTER = 1_000_000  # bytes; grows some hundredfold in memory
 _EXPANSION = 4  # decoded bytes per byte that a file may have
 _MAX_DEPTH = 20  # of the schema
 _NUMBERS = {"BOOLEAN", "INT32", "INT64", "FLOAT", "DOUBLE"}
@@ -63,8 +63,15 @@ class BoundedParquet:
     """
 
     def __init__(self, data: bytes, max_bytes: int = MAX_BYTES):
-        _check_footer(data)
-        self._data, self._budget = data, _EXPANSION * max_bytes
+        self._data, self._budget, self._footer = data, _EXPANSION * max_bytes, _footer(data)
+        self.num_row_groups = len(self._footer.groups)
+        for label, count, most in (
+            ("rows", self._footer.num_rows, MAX_ROWS),
+            ("columns", max(map(len, self._footer.groups), default=0), MAX_COLUMNS),
+            ("row groups", self.num_row_groups, _MAX_ROW_GROUPS),
+        ):
+            if count > most:
+                raise RecordingError(f"{count} {label}; at most {most} are read")
         self._file = pq.ParquetFile(
             pa.BufferReader(data),
             pre_buffer=False,
@@ -74,17 +81,10 @@ class BoundedParquet:
             page_checksum_verification=True,
             arrow_extensions_enabled=False,
         )
-        footer = self._file.metadata
-        for label, count, most in (
-            ("rows", footer.num_rows, MAX_ROWS),
-            ("columns", footer.num_columns, MAX_COLUMNS),
-            ("row groups", footer.num_row_groups, _MAX_ROW_GROUPS),
-        ):
-            if not 0 <= count <= most:
-                raise RecordingError(f"{count} {label}; at most {most} are read")
         self.schema = self._file.schema_arrow
-        self.num_row_groups = footer.num_row_groups
         names = self.schema.names
+        if any(len(group) != len(self._file.schema) for group in self._footer.groups):
+            raise RecordingError("a row group has not all columns")
         if len(set(names)) < len(names):
             raise RecordingError("two columns have the same name")
 
@@ -93,14 +93,13 @@ class BoundedParquet:
         row_groups = range(self.num_row_groups) if row_groups is None else row_groups
         leaves = [self._leaf(name) for name in names]
         for group in row_groups:
-            chunk = self._file.metadata.row_group(group)
-            if not 0 <= chunk.num_rows <= self._file.metadata.num_rows:
-                raise RecordingError("the row groups do not add up")
             for leaf in leaves:
-                self._spend(chunk.column(leaf))
+                self._spend(self._footer.groups[group][leaf])
         table = self._file.reader.read_row_groups(list(row_groups), column_indices=leaves, use_threads=False)
         table.validate(full=True)
-        if table.num_rows > self._file.metadata.num_rows or sorted(table.schema.names) != sorted(names):
+        if table.num_rows != sum(self._footer.group_rows[group] for group in row_groups) or sorted(
+            table.schema.names
+        ) != sorted(names):
             raise RecordingError("the content is not as the footer says")
         return table
 
@@ -123,13 +122,14 @@ class BoundedParquet:
             raise RecordingError("decoding it would take more memory than its largest size allows")
 
 
-def _check_footer(data) -> None:
+def _footer(data) -> Footer:
     """Its length is known before it is parsed."""
     if len(data) < 12 or data[:4] != _MAGIC or data[-4:] != _MAGIC:
         raise RecordingError("no complete Parquet file")
     (size,) = struct.unpack("<I", data[-8:-4])
     if not 0 < size <= min(len(data) - 12, _MAX_FOOTER):
         raise RecordingError(f"a footer of {size} bytes; expected at most {min(len(data) - 12, _MAX_FOOTER)}")
+    return read_footer(data, len(data) - 8 - size, len(data) - 8)
 
 
 def _num_leaves(kind: pa.DataType) -> int:

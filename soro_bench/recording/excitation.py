@@ -13,12 +13,13 @@ FREQUENCIES = (0.2, 2.0)  # Hz, of the harmonics
 _SHARE_OF_TRIANGLES = 0.5
 _LOOPS = (3, -1, 1, -2, 2, -3)  # strokes of full rate
 _REST, _STEP, _HOLD = 16, 3, 8  # time steps
+_MULTISINE = 16  # time steps at least
 _HIGHEST = 0.4  # of a sampled frequency, in cycles per time step
 
 
 def shortest(channels: int) -> int:
     """Number of time steps below which a sequence does not fit."""
-    return _fixed(channels) + _triangles_length(1, channels) + _multisine_least(channels)
+    return _fixed(channels) + _triangles_length(1, channels) + _MULTISINE
 
 
 def excitation(space: spaces.Box, timestep: float, duration: float = 30.0, seed: int = 0) -> np.ndarray:
@@ -38,7 +39,8 @@ def excitation(space: spaces.Box, timestep: float, duration: float = 30.0, seed:
     channels, steps = space.shape[0], int(duration / timestep + 1e-9)
     if steps < (least := shortest(channels)):
         raise ValueError(f"{steps} steps are too few for an excitation; it needs {least}, {least * timestep:g} s")
-    stroke = max(1, int(_SHARE_OF_TRIANGLES * steps / _triangles_length(1, channels)))
+    room = min(_SHARE_OF_TRIANGLES * steps, steps - _fixed(channels) - _MULTISINE)
+    stroke = max(1, int(room / _triangles_length(1, channels)))
     parts = [
         np.zeros((_REST, channels)),
         _alone(_triangles(stroke), channels),
@@ -90,7 +92,3 @@ def _triangles_length(stroke, channels) -> int:
 
 def _fixed(channels) -> int:
     return 2 * _REST + channels * len(_loops()) + len(_holds(channels))
-
-
-def _multisine_least(channels) -> int:
-    return _REST
