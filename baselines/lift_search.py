@@ -43,7 +43,7 @@ def heights(task, ids):
 
     The lean is the angle between the vertical and the face normal nearest to it.
     """
-    x, y, z, w = task.signals(ids)["object_quaternion"].T
+    w, x, y, z = task.signals(ids)["object_quaternion"].T
     # the vertical in the object's frame
     up = np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=1)
     elevation = task.elevation(ids)
@@ -179,7 +179,7 @@ class Explorer:
             self.archive.offer(key, knots=knots[i].copy(), used=int(used[i]), score=score, state=state[i])
 
     def _nearest_axis(self):
-        x, y, z, w = self.task.signals(self._ids)["object_quaternion"].T
+        w, x, y, z = self.task.signals(self._ids)["object_quaternion"].T
         return np.abs([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)]).argmax(axis=0)
 
     def _load(self, states):

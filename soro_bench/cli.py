@@ -117,15 +117,133 @@ class Evaluate:
 
 
 @dataclass
+class Record:
+    """Simulate one episode and save its signals as a recording."""
+
+    env: EnvId
+    out: Path
+    """The file to write, .parquet."""
+    policy: str = "random"
+    """random, excitation (rest, triangles, loops, holds, sums of sines), or the folder of a trained policy."""
+    params: tuple[str, ...] = ()
+    """Physical parameters such as trunk_mass=0.3; the others are nominal."""
+    model: str | None = None
+    """The environment's model or mesh; the accurate one by default."""
+    action: Literal["discrete", "continuous"] | None = None
+    """Continuous by default, or what the trained policy needs."""
+    steps: int | None = None
+    """The environment's length by default; 30 s, or as long as it needs, for an excitation."""
+    seed: int = 0
+    noise: float = 0.0
+    """Standard deviation [m] of normal noise on all positions."""
+    full_state: bool = False
+    """Record the simulation's whole state too, which DROPO restarts from."""
+
+    def run(self) -> None:
+        from soro_bench.recording.parquet import save
+        from soro_bench.recording.simulated import parse_params, record
+
+        recording = record(
+            self.env, self.policy, self.model, self.action, parse_params(self.params), self.steps, self.seed,
+            self.noise, self.full_state,
+        )  # fmt: skip
+        save(recording, self.out)
+        _describe(recording, self.out)
+
+
+@dataclass
+class Infer:
+    """Infer a distribution over physical parameters from one recording."""
+
+    method: Annotated[Literal["rf-dropo", "bayes-sim", "dropo", "droid", "sysid"], tyro.conf.Positional]
+    recording: Annotated[Path, tyro.conf.Positional]
+    """.parquet, of one of the environments from its reset on."""
+    out: Path
+    """The posterior, .json; train takes it for a distribution. A picture of it is written beside it."""
+    infer: tuple[str, ...] = ()
+    """Names of the parameters to infer; by default those that the published study randomises in the environment."""
+    known: tuple[str, ...] = ()
+    """Parameters that are known, such as trunk_mass=0.42; others that are not inferred are nominal."""
+    model: str | None = None
+    """Model or mesh to replay the recording on; the recorded one by default."""
+    noise: float = 0.0
+    """Standard deviation [m] of the recorded positions."""
+    seed: int = 0
+    published: bool = False
+    """rf-dropo: the published search, CMA-ES with 100 replays per candidate; a thousand times slower."""
+    features: Literal["mdn", "mdrff"] = "mdn"
+    """bayes-sim: what its network sees."""
+    simulations: int = 1000
+    """bayes-sim: how many."""
+
+    def run(self) -> None:
+        from soro_bench.inference.methods import infer
+        from soro_bench.inference.replay import Replay
+        from soro_bench.inference.report import write_report
+        from soro_bench.recording.parquet import load
+        from soro_bench.recording.simulated import parse_params
+
+        known, restart = parse_params(self.known), self.method == "dropo"
+        replay = Replay(load(self.recording), self.infer or None, known, self.model, self.noise, restart)
+        settings = {}
+        if self.published:
+            settings = {"optimizer": "sampled"}
+        if self.method == "bayes-sim":
+            settings = {"features": self.features, "simulations": self.simulations}
+        work = self.out.with_suffix(".log.jsonl")
+        with _Steps(self.method) as steps:
+            posterior = infer(self.method, replay, work, self.seed, steps, **settings)
+        posterior.save(self.out)
+        _console.print(write_report(posterior, replay, self.out), soft_wrap=True, markup=False, highlight=False)
+
+
+@dataclass
+class Import:
+    """Turn a CSV or MCAP file or a LeRobot dataset into a recording."""
+
+    file: Annotated[Path, tyro.conf.Positional]
+    """.csv, .mcap, or the folder of a LeRobot dataset."""
+    out: Path
+    """The file to write, .parquet."""
+    mapping: Path | None = None
+    """TOML file that says what is what (docs/recordings.md); a LeRobot dataset needs none."""
+    episode: int | None = None
+    """Which episode of a LeRobot dataset; the first by default."""
+
+    def run(self) -> None:
+        from soro_bench.recording.importers import import_recording
+        from soro_bench.recording.parquet import save
+
+        selection = {} if self.episode is None else {"episode": self.episode}
+        recording = import_recording(self.file, self.mapping, **selection)
+        save(recording, self.out)
+        _describe(recording, self.out)
+
+
+@dataclass
 class View:
-    """Open a recording in the rerun viewer."""
+    """Open a recording in the rerun viewer; a .parquet one beside the simulated robot."""
 
     recording: Annotated[Path, tyro.conf.Positional]
+    """.rrd, or .parquet, whose actions are replayed."""
+    out: Path | None = None
+    """Where to write the .rrd of a .parquet; beside it by default."""
+    open: bool = True
+    """Whether to open the viewer."""
 
     def run(self) -> None:
         from soro_bench.recording.rerun_log import open_viewer
 
-        open_viewer(self.recording)
+        path = self.recording
+        if path.suffix == ".parquet":
+            from soro_bench.recording.comparison import write_comparison
+            from soro_bench.recording.parquet import load
+
+            path = self.out or path.with_suffix(".rrd")
+            write_comparison(load(self.recording), path, self.recording.stem)
+            _console.print(f"{path}", soft_wrap=True, markup=False, highlight=False)
+        if self.open:
+            open_viewer(path)
 
 
 @dataclass
@@ -166,6 +284,34 @@ def _run_plan(plan, out: Path) -> None:
     _console.print(f"results, plots and recordings in {out}; watch one with: soro-bench view FILE.rrd")
 
 
+def _describe(recording, path: Path) -> None:
+    table = Table("signal", "samples", "shape", "unit", "frame", title=f"{path}: {recording.duration:g} s")
+    for name, signal in (*recording.commands.items(), *sorted(recording.signals.items())):
+        shape = " x ".join(map(str, signal.values.shape[1:]))
+        table.add_row(name, str(len(signal.time)), shape, signal.unit, signal.frame)
+    _console.print(table)
+
+
+class _Steps:
+    """A progress bar for an inference."""
+
+    def __init__(self, label: str):
+        self._progress = Progress(TextColumn(label), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"),
+                                  TimeElapsedColumn(), TimeRemainingColumn(), console=_console)  # fmt: skip
+
+    def __enter__(self):
+        self._progress.start()
+        self._task = self._progress.add_task("", total=None, note="")
+        return self
+
+    def __call__(self, done: int, total: int, cost: float) -> None:
+        note = "" if cost != cost else f"cost {cost:.4g}"
+        self._progress.update(self._task, completed=done, total=total, note=note)
+
+    def __exit__(self, *_):
+        self._progress.stop()
+
+
 class _Bar:
     """A progress bar per training run."""
 
@@ -193,7 +339,16 @@ class _Bar:
         self._progress.stop()
 
 
-COMMANDS = {"list": List, "run": Run, "train": Train, "evaluate": Evaluate, "view": View}
+COMMANDS = {
+    "list": List,
+    "run": Run,
+    "train": Train,
+    "evaluate": Evaluate,
+    "record": Record,
+    "infer": Infer,
+    "import": Import,
+    "view": View,
+}
 
 
 def main() -> None:

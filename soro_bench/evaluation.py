@@ -19,6 +19,9 @@ def evaluate(
     starts: Sequence[Mapping[str, Any]] | None = None,
     num_threads: int = 0,
     max_episode_steps: int | None = None,
+    seed: int = 0,
+    stop_when_solved: bool = True,
+    full_state: bool = False,
     **options,
 ) -> list[Episode]:
     """Run one episode from every start and record it.
@@ -29,15 +32,18 @@ def evaluate(
         starts: reset options, one mapping per episode; by default the environment's fixed evaluation starts.
         num_threads: threads, 0 for all processors; results do not depend on it.
         max_episode_steps: the registered number by default.
+        seed: of what the starts leave to chance; episode i takes seed + i.
+        stop_when_solved: whether an episode ends when its task is solved.
+        full_state: whether the episodes' signals hold the simulations' whole state, as state.qpos and so on.
         options: further arguments of the environment.
     """
     starts = task_type(env_id).evaluation if starts is None else starts
     task = make_task(env_id, len(starts), num_threads, model, action=action, **options)
     # evaluation starts leave nothing to chance but what the task itself draws
-    rngs = [np.random.default_rng(i) for i in range(len(starts))]
+    rngs = [np.random.default_rng(seed + i) for i in range(len(starts))]
     everyone = np.arange(len(starts))
     observation, info = task.reset(everyone, rngs, starts)
-    recorders = [_Recorder() for _ in starts]
+    recorders = [_Recorder(full_state) for _ in starts]
     _record(recorders, everyone, task, info)
     running = everyone
     for _ in range(max_episode_steps or gymnasium.spec(env_id).max_episode_steps):
@@ -45,7 +51,7 @@ def evaluate(
         step = task.step(running, actions)
         observation[running] = step.observation
         _record(recorders, running, task, step.info, actions)
-        running = running[~(step.terminated | step.diverged)]
+        running = running[~(step.terminated & stop_when_solved | step.diverged)]
         if len(running) == 0:
             break
     return [recorder.episode(env_id, model, task, i) for i, recorder in enumerate(recorders)]
@@ -54,7 +60,8 @@ def evaluate(
 class _Recorder:
     """Rows of one episode."""
 
-    def __init__(self):
+    def __init__(self, full_state: bool):
+        self.full_state = full_state
         self.signals: dict[str, list] = {}
         self.metric: list = []
         self.actions: list = []
@@ -80,6 +87,8 @@ class _Recorder:
 
 def _record(recorders, ids, task, info, actions=None) -> None:
     signals = task.signals(ids)
+    if recorders[0].full_state:
+        signals |= {f"state.{name}": values for name, values in task.state(ids).items()}
     for row, i in enumerate(ids):
         recorder = recorders[i]
         recorder.metric.append(info[task.metric][row])

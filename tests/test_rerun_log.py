@@ -236,8 +236,8 @@ def test_skin_pieces_stay_within_their_radius_of_the_backbone(reach):
 
 def test_objects_and_walls_stand_where_the_simulation_has_them(episodes):
     lift = draw_trunk(episodes["TrunkLift-v0"])
-    position = episodes["TrunkLift-v0"].signals["object_position"]
-    np.testing.assert_array_equal(lift.boxes["object"].pose.position, position)
+    positions = episodes["TrunkLift-v0"].signals["object_position"]
+    np.testing.assert_array_equal(lift.boxes["object"].pose.position, positions)
     np.testing.assert_allclose(2 * lift.boxes["object"].half_size, [0.056, 0.021, 0.035])
     wall = lift.boxes["wall"]
     assert wall.pose.position[0] + wall.half_size[0] == pytest.approx(-0.1 + 0.02)

@@ -53,6 +53,7 @@ class MultiGaitTask(Task):
     metric = "displacement"
     parameters = ParameterSet(*walker.PARAMETERS)
     randomized = walker.PARAMETERS
+    signal_units: ClassVar = {"vertices": ("m", "world"), "inflation": ("1", "")}
     control_timestep = 0.6  # s
     inferred_from = ("vertices",)
 

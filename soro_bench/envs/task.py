@@ -18,6 +18,7 @@ from soro_bench.parameters import Parameter, ParameterSet
 from soro_bench.randomization import Distribution
 
 ACTION_MODES = ("discrete", "continuous")
+STATE = ("qpos", "qvel", "act", "qacc_warmstart")  # what a simulation goes on from; MuJoCo's names
 _BAD_STATE = [
     int(warning)
     for warning in (
@@ -54,6 +55,7 @@ class Task(ABC):
     randomized: ClassVar[tuple[Parameter, ...]]  # what the published study of the task randomises
     evaluation: ClassVar[tuple[Mapping[str, Any], ...]] = ({},)  # reset options of the fixed evaluation episodes
     options: ClassVar[tuple[str, ...]] = ("params",)
+    signal_units: ClassVar[Mapping[str, tuple[str, str]]]  # SI unit and frame ("" if none) of each of signals()
     control_timestep: ClassVar[float]  # s
     inferred_from: ClassVar[tuple[str, ...]]  # the signals that parameters are inferred from: what is observed
     single_observation_space: spaces.Box
@@ -115,6 +117,19 @@ class Task(ABC):
         self.parameters.check_names(distribution.names)
         self._distribution = distribution
 
+    def state(self, ids: np.ndarray) -> dict[str, np.ndarray]:
+        """What simulations go on from, bit for bit: arrays of n rows by MuJoCo's names."""
+        for name in STATE:
+            self.sim.batch.bind(name)
+        return {name: getattr(self.sim.batch, name)[ids] for name in STATE}
+
+    def set_state(self, ids: np.ndarray, state: Mapping[str, np.ndarray]) -> None:
+        """Continue simulations ``ids`` from a state; its parameters stay what they are."""
+        for name in STATE:
+            self.sim.batch.bind(name)
+            getattr(self.sim.batch, name)[ids] = state[name]
+        self.sim.batch.forward(ids, stage=mujoco.mjtStage.mjSTAGE_VEL)
+
     def check_actions(self, actions: np.ndarray, count: int) -> np.ndarray:
         """Return ``actions`` as an array of ``count`` valid actions; raise ValueError otherwise."""
         space = self.single_action_space
@@ -153,7 +168,7 @@ class Task(ABC):
 
     @abstractmethod
     def signals(self, ids: np.ndarray) -> dict[str, np.ndarray]:
-        """What a recording holds of the present state, arrays of n rows by name."""
+        """What a recording holds of the present state, arrays of n rows by name; ``signal_units`` has their units."""
 
     @abstractmethod
     def _sample_start(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Any:

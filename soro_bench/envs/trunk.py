@@ -43,6 +43,13 @@ class TrunkTask(Task):
     variant_name, accurate, cheap = "model", "flex", "cable"
     metric = "distance"
     options = ("params", "goal")
+    signal_units: ClassVar = {
+        "keypoints": ("m", "world"),
+        "link_position": ("m", "world"),
+        "link_quaternion": ("1", "world"),
+        "tension": ("N", ""),
+        "commanded": ("m", ""),
+    }
     scene: ClassVar[str]
     control_timestep = 0.05  # s: five command updates of 10 ms
     inferred_from = ("keypoints",)
@@ -161,6 +168,11 @@ class ObjectTask(TrunkTask):
     """A trunk task with a floor and a free object, which is observed behind the goal."""
 
     inferred_from = ("keypoints", "object_position", "object_quaternion")
+    signal_units: ClassVar = {
+        **TrunkTask.signal_units,
+        "object_position": ("m", "world"),
+        "object_quaternion": ("1", "world"),
+    }
 
     def __init__(self, *args, **kwargs):
         super().__init__(*args, **kwargs)
@@ -168,8 +180,8 @@ class ObjectTask(TrunkTask):
         self._object_body = self.model.body("object").id
 
     def signals(self, ids):
-        """As the trunk's, and object_position (n, 3) [m] and object_quaternion (n, 4) x, y, z, w."""
-        pose = self._object_pose(ids)
+        """As the trunk's, and of the object's centre object_position (n, 3) m, object_quaternion (n, 4) w, x, y, z."""
+        pose = self.sim.batch.qpos[ids, self._object_qpos : self._object_qpos + 7]
         return {**super().signals(ids), "object_position": pose[:, :3], "object_quaternion": pose[:, 3:]}
 
     def object_position(self, ids) -> np.ndarray:

@@ -1,5 +1,7 @@
 """TrunkLift: lift an object, if need be against a wall."""
 
+from typing import ClassVar
+
 import numpy as np
 
 from soro_bench.envs.single import SoftRobotEnv
@@ -22,6 +24,8 @@ class TrunkLiftTask(ObjectTask):
     parameters = ParameterSet(CUBE_MASS, FRICTION, WALL_OFFSET, *trunk.PARAMETERS).with_nominal(friction=0.9)
     randomized = (WALL_OFFSET,)
     evaluation = tuple({"params": {"cube_mass": mass}} for mass in (0.05, 0.1))  # kg, published
+
+    signal_units: ClassVar = {**ObjectTask.signal_units, "elevation": ("m", "world")}
 
     def distance(self, ids):
         position = self.object_position(ids)

@@ -43,6 +43,16 @@ class Line:
 
 
 @dataclass(frozen=True)
+class Points:
+    """Measured places, at n times of their own."""
+
+    time: np.ndarray  # (n,) s
+    positions: np.ndarray  # (n, P, 3) m, NaN where one is missing
+    radius: float  # m
+    color: np.ndarray  # (3,) uint8
+
+
+@dataclass(frozen=True)
 class Plot:
     """k curves."""
 

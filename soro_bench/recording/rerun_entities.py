@@ -4,7 +4,7 @@ import numpy as np
 import rerun as rr
 
 from soro_bench.parameters import ALL_PARAMETERS
-from soro_bench.recording.drawing import Drawing, Mesh, Pose
+from soro_bench.recording.drawing import Drawing, Mesh, Points, Pose
 from soro_bench.recording.episode import Episode
 
 TIMELINE = "time"
@@ -32,6 +32,16 @@ def log_episodes(recording, episodes, drawings, title: str) -> None:
         _log_static(recording, f"{root}/summary", _markdown(_summary(episode, drawing.note)))
         _log_drawing(recording, f"{root}/world", episode, drawing)
         _log_plots(recording, f"{root}/plots", episode, drawing)
+
+
+def log_points(recording, points: dict[str, Points]) -> None:
+    """Send measured points beside the robot of the first episode."""
+    for name, measured in points.items():
+        path = f"{episode_root(0)}/world/measured/{name}"
+        present = np.isfinite(measured.positions).all(axis=-1)
+        _log_static(recording, path, rr.Points3D.from_fields(radii=measured.radius, colors=measured.color))
+        columns = rr.Points3D.columns(positions=measured.positions[present].astype(np.float32))
+        _log_columns(recording, path, measured.time, columns.partition(present.sum(axis=1)))
 
 
 def _overview(episodes, title) -> str:

@@ -11,13 +11,13 @@ import os
 import subprocess
 import sys
 import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from soro_bench.files import replacing
-from soro_bench.recording.drawing import Drawing
+from soro_bench.recording.drawing import Drawing, Points
 from soro_bench.recording.episode import Episode
 from soro_bench.recording.trunk_drawing import draw_trunk
 from soro_bench.recording.walker_drawing import draw_walker
@@ -26,8 +26,12 @@ APPLICATION_ID = "soro_bench"
 DRAWINGS = {"Trunk": draw_trunk, "MultiGait": draw_walker}  # by how the environment's id begins
 
 
-def write_recording(path: str | Path, episodes: Sequence[Episode], title: str) -> None:
+def write_recording(
+    path: str | Path, episodes: Sequence[Episode], title: str, points: Mapping[str, Points] | None = None
+) -> None:
     """Write ``episodes`` into the file ``path``, which appears complete or not at all.
+
+    ``points``, by name, appear beside the robot of the first episode.
 
     The same episodes and title give the same content and recording id. The bytes differ: rerun draws ids for rows,
     chunks and the blueprint, and orders the columns of the file's index at random.
@@ -35,14 +39,16 @@ def write_recording(path: str | Path, episodes: Sequence[Episode], title: str) -
     require_rerun()
     import rerun as rr
 
-    from soro_bench.recording.rerun_entities import log_episodes
+    from soro_bench.recording.rerun_entities import log_episodes, log_points
     from soro_bench.recording.rerun_layout import layout
 
     if not episodes:
         raise ValueError("a recording needs at least one episode")
+    points = points or {}
     drawings = [_draw(episode) for episode in episodes]
+    identity = _recording_id(episodes, title, points)
     # without properties, which hold the time of writing; in memory, so that a full disk raises below
-    recording = rr.RecordingStream(APPLICATION_ID, recording_id=_recording_id(episodes, title), send_properties=False)
+    recording = rr.RecordingStream(APPLICATION_ID, recording_id=identity, send_properties=False)
     if not recording.is_enabled():
         raise RuntimeError("rerun is switched off by the environment variable RERUN")
     memory = recording.memory_recording()
@@ -50,6 +56,7 @@ def write_recording(path: str | Path, episodes: Sequence[Episode], title: str) -
     recording.send_recording_name(title)
     recording.flush()  # what comes now must not overtake it
     log_episodes(recording, episodes, drawings, title)
+    log_points(recording, points)
     with replacing(path) as temporary:
         temporary.write_bytes(memory.drain_as_bytes())
 
@@ -89,9 +96,11 @@ def _draw(episode: Episode) -> Drawing:
     raise ValueError(f"{episode.env_id} has no drawing; there are drawings of {', '.join(DRAWINGS)}")
 
 
-def _recording_id(episodes, title) -> str:
+def _recording_id(episodes, title, points) -> str:
     """From title and content: the viewer takes files of one id for parts of one recording."""
     digest = hashlib.sha256(title.encode())
     for episode in episodes:
         digest.update(np.ascontiguousarray(episode.metric).tobytes())
+    for measured in points.values():
+        digest.update(np.ascontiguousarray(measured.positions).tobytes())
     return str(uuid.UUID(bytes=digest.digest()[:16]))

@@ -129,7 +129,8 @@ def _boxes(model, data, episode):
         elif name == "wall":
             position[0] += episode.params["wall_offset"]
         elif name == "object":
-            pose = Pose(episode.signals["object_position"], episode.signals["object_quaternion"])
+            signals = episode.signals
+            pose = Pose(signals["object_position"], np.roll(signals["object_quaternion"], -1, axis=-1))
         yield name, Box(size, color, pose)
 
 

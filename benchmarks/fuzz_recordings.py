@@ -1,0 +1,200 @@
+"""Damaged and hostile recordings: every reader has to refuse them with a RecordingError, or read something valid.
+
+Takes a valid file of each kind, changes it at random (flips, overwrites, removes, repeats and moves bytes, cuts its end
+off) and counts what the reader makes of it.
+
+    python benchmarks/fuzz_recordings.py --examples 2000
+"""
+
+import argparse
+import json
+import resource
+import shutil
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from mcap.writer import CompressionType, Writer
+
+from soro_bench.recording.importers import import_recording
+from soro_bench.recording.parquet import load, save
+from soro_bench.recording.recording import Recording, RecordingError, Signal
+
+CSV = """[time]
+column = "t"
+unit = "ms"
+[signals.markers]
+columns = ["x", "y", "z"]
+unit = "mm"
+frame = "world"
+[commands.action]
+columns = ["u"]
+unit = "1"
+"""
+MCAP = """[signals.force]
+topic = "/force"
+fields = ["value[0]", "value[1]"]
+unit = "N"
+[commands.action]
+topic = "/command"
+fields = ["u"]
+unit = "1"
+time = "stamp"
+"""
+
+
+def example() -> Recording:
+    """A small recording with several rates, missing samples and arrays."""
+    rng = np.random.default_rng(0)
+    times = np.cumsum(rng.uniform(0.01, 0.1, 20))
+    points = rng.normal(size=(20, 3, 3))
+    points[4, 1] = np.nan
+    signals = {
+        "points": Signal(times, points, "m", "world"),
+        "force": Signal(times[::3], rng.normal(size=7), "N"),
+    }
+    metadata = {"env_id": "TrunkReach-v0", "model": "cable", "action": "continuous"}
+    return Recording({"action": Signal(times[:-1], rng.normal(size=(19, 2)))}, signals, {"trunk_mass": 0.4}, metadata)
+
+
+def write_csv(folder: Path) -> Path:
+    """A table of four columns and its mapping."""
+    (folder / "map.toml").write_text(CSV)
+    rows = [f"{10 * i},{0.5 * i},{-i},{i * i},{i % 2}" for i in range(20)]
+    (folder / "table.csv").write_text("\n".join(["t,x,y,z,u", *rows]) + "\n")
+    return folder / "table.csv"
+
+
+def write_mcap(folder: Path, compression=CompressionType.ZSTD) -> Path:
+    """Two topics in several chunks, and their mapping."""
+    (folder / "map.toml").write_text(MCAP)
+    path = folder / "log.mcap"
+    with open(path, "wb") as file:
+        writer = Writer(file, chunk_size=500, compression=compression)
+        writer.start()
+        schema = writer.register_schema("numbers", "jsonschema", b"{}")
+        topics = [writer.register_channel(topic, "json", schema) for topic in ("/force", "/command")]
+        for i in range(20):
+            stamp = 1_700_000_000_000_000_000 + 10_000_000 * i
+            for channel, content in zip(topics, ({"value": [i, -i]}, {"u": i % 2, "stamp": stamp / 1e9}), strict=True):
+                data = json.dumps(content).encode()
+                writer.add_message(channel, stamp, data, stamp)
+        writer.finish()
+    return path
+
+
+def write_lerobot(folder: Path) -> Path:
+    """A dataset of two episodes in one data file."""
+    features = {
+        "action": {"dtype": "float32", "shape": [2]},
+        "observation.state": {"dtype": "float32", "shape": [3]},
+        "observation.images.top": {"dtype": "video", "shape": [48, 64, 3]},
+    }
+    info = {"codebase_version": "v3.0", "robot_type": "trunk", "fps": 20, "features": features}
+    data = folder / "data" / "chunk-000" / "file-000.parquet"
+    data.parent.mkdir(parents=True)
+    (folder / "meta").mkdir()
+    (folder / "meta" / "info.json").write_text(json.dumps(info))
+    rng = np.random.default_rng(0)
+    columns = {
+        "action": pa.array(rng.normal(size=(20, 2)).astype("float32").tolist(), pa.list_(pa.float32(), 2)),
+        "observation.state": pa.array(rng.normal(size=(20, 3)).astype("float32").tolist(), pa.list_(pa.float32())),
+        "timestamp": pa.array(np.tile(np.arange(10) / 20, 2).astype("float32")),
+        "episode_index": pa.array(np.repeat([0, 1], 10)),
+        "task": pa.array(["reach"] * 20),
+    }
+    pq.write_table(pa.table(columns), data)
+    return data
+
+
+def readers(folder: Path) -> dict[str, tuple[Path, Callable[[], Recording]]]:
+    """The file to damage and what reads it, by kind; everything lies in ``folder``."""
+    folders = {name: folder / name for name in ("csv", "mcap", "mcap_lz4", "lerobot")}
+    for sub in folders.values():
+        sub.mkdir(parents=True)
+    native = folder / "native.parquet"
+    save(example(), native)
+    table, data = write_csv(folders["csv"]), write_lerobot(folders["lerobot"])
+    log, log_lz4 = write_mcap(folders["mcap"]), write_mcap(folders["mcap_lz4"], CompressionType.LZ4)
+    mapping = folders["csv"] / "map.toml"
+    info = folders["lerobot"] / "meta" / "info.json"
+    return {
+        "native": (native, lambda: load(native)),
+        "csv": (table, lambda: import_recording(table, mapping)),
+        "mapping": (mapping, lambda: import_recording(table, mapping)),
+        "mcap": (log, lambda: import_recording(log, folders["mcap"] / "map.toml")),
+        "mcap lz4": (log_lz4, lambda: import_recording(log_lz4, folders["mcap_lz4"] / "map.toml")),
+        "lerobot": (data, lambda: import_recording(folders["lerobot"], episode=1)),
+        "lerobot info": (info, lambda: import_recording(folders["lerobot"], episode=1)),
+    }
+
+
+def mutated(data: bytes, rng: np.random.Generator) -> bytes:
+    """The bytes after one to four random changes, half of which fall into the last fifth, where footers are."""
+    changed = bytearray(data)
+    for _ in range(rng.integers(1, 5)):
+        if not changed:
+            break
+        first = 0 if rng.random() < 0.5 else len(changed) * 4 // 5
+        i = int(rng.integers(first, len(changed)))
+        n = int(rng.integers(1, 17))
+        kind = rng.integers(7)
+        if kind == 0:
+            changed[i] ^= 1 << int(rng.integers(8))
+        elif kind == 1:
+            changed[i : i + n] = rng.bytes(n)
+        elif kind == 2:
+            changed[i : i + n] = bytes([int(rng.choice([0, 1, 127, 128, 255]))] * n)
+        elif kind == 3:
+            del changed[i : i + n]
+        elif kind == 4:
+            j = int(rng.integers(len(changed)))
+            changed[i:i] = changed[j : j + 4 * n]
+        elif kind == 5:
+            changed[i] = (changed[i] + int(rng.choice([1, 255]))) % 256
+        elif rng.random() < 0.3:
+            del changed[i:]
+    return bytes(changed)
+
+
+def outcome(path: Path, read: Callable[[], Recording], data: bytes) -> str:
+    """ "read" or "refused"; any other error escapes."""
+    path.write_bytes(data)
+    try:
+        read()
+    except RecordingError:
+        return "refused"
+    return "read"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--examples", type=int, default=2000, help="of each kind of file")
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    rng = np.random.default_rng(arguments.seed)
+    folder = Path(tempfile.mkdtemp())
+    print("| file | examples | refused | read | other errors | seconds | largest memory so far [MB] |")
+    print("|---|---|---|---|---|---|---|")
+    for name, (path, read) in readers(folder).items():
+        valid, counts, start = path.read_bytes(), {"read": 0, "refused": 0, "other": 0}, time.monotonic()
+        for _ in range(arguments.examples):
+            data = mutated(valid, rng)
+            try:
+                counts[outcome(path, read, data)] += 1
+            except Exception as error:
+                counts["other"] += 1
+                print(f"{name}: {type(error).__name__}: {error}")
+        path.write_bytes(valid)
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        numbers = f"{counts['refused']} | {counts['read']} | {counts['other']}"
+        print(f"| {name} | {arguments.examples} | {numbers} | {time.monotonic() - start:.0f} | {memory:.0f} |")
+    shutil.rmtree(folder)
+
+
+if __name__ == "__main__":
+    main()

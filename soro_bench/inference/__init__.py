@@ -1,0 +1,1 @@
+"""From a recording to a distribution over physical parameters."""

@@ -1,0 +1,108 @@
+"""BayesSim: a mixture density network from summaries of simulated recordings to the posterior over parameters.
+
+Ramos, Possas, Fox, "BayesSim: adaptive domain randomization via probabilistic inference for robotics simulators", RSS
+2019, by sbi's neural posterior estimation. What differs from the published study's implementation is in
+docs/inference.md.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from sbi.inference import NPE
+from sbi.neural_nets import posterior_nn
+from sbi.utils import BoxUniform
+from torch import nn
+
+FEATURES = ("mdn", "mdrff")
+COMPONENTS, HIDDEN = 5, 24  # published
+RANDOM_FEATURES, KERNEL_WIDTH, MATERN = 1000, 3.0, 3  # published: Matern 3/2, so Student's t with 3 degrees of freedom
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """A trained posterior on the unit cube of the search box."""
+
+    posterior: object
+    center: np.ndarray
+    scale: np.ndarray
+
+    def sample(self, summary: np.ndarray, count: int, seed: int) -> np.ndarray:
+        """(count, d) points for one (m,) summary."""
+        torch.manual_seed(seed)
+        x = torch.as_tensor((summary - self.center) / self.scale, dtype=torch.float32)
+        return self.posterior.sample((count,), x=x, show_progress_bars=False).numpy().astype(float)
+
+
+def summarise(signals: np.ndarray, actions: np.ndarray) -> np.ndarray:
+    """(N, m) cross-correlations of signals and actions, means and standard deviations over time (published).
+
+    Args:
+        signals: (N, T, k).
+        actions: (T,) or (T, nu).
+    """
+    steps = signals.shape[1]
+    actions = np.asarray(actions, float).reshape(steps, -1)
+    cross = np.einsum("ntk,ta->nka", signals, actions) / (steps - 1)
+    return np.concatenate([cross.reshape(len(signals), -1), signals.mean(axis=1), signals.std(axis=1)], axis=1)
+
+
+def train(points: np.ndarray, summaries: np.ndarray, features: str = "mdn", seed: int = 0) -> Estimator:
+    """Fit the estimator to points (n, d) of the unit cube and the summaries (n, m) of what was simulated there.
+
+    Args:
+        features: "mdn" (a network sees the summaries) or "mdrff" (it sees random Fourier features of them).
+        seed: of the network, the order of the batches and the random features.
+    """
+    if features not in FEATURES:
+        raise ValueError(f"unknown features {features!r}; there are {', '.join(FEATURES)}")
+    torch.manual_seed(seed)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # results do not depend on the machine's processors
+    try:
+        center, scale = summaries.mean(axis=0), np.maximum(summaries.std(axis=0), 1e-12)
+        x = torch.as_tensor((summaries - center) / scale, dtype=torch.float32)
+        theta = torch.as_tensor(points, dtype=torch.float32)
+        embedding = RandomFourierFeatures(x.shape[1]) if features == "mdrff" else nn.Identity()
+        build = posterior_nn("mdn", z_score_x="none", z_score_theta="independent", hidden_features=HIDDEN,
+                             num_components=COMPONENTS, embedding_net=embedding)  # fmt: skip
+        prior = BoxUniform(torch.zeros(theta.shape[1]), torch.ones(theta.shape[1]))
+        inference = NPE(prior, density_estimator=build, show_progress_bars=False)
+        inference.append_simulations(theta, x).train(show_train_summary=False)
+        return Estimator(inference.build_posterior(), center, scale)
+    finally:
+        torch.set_num_threads(threads)
+
+
+class RandomFourierFeatures(nn.Module):
+    """Fixed features cos(W x + b) of a Matern 3/2 kernel (Rahimi and Recht, NIPS 2007).
+
+    The width is that of the study times the square root of the number of inputs, which the distance of two normalised
+    summaries grows with.
+    """
+
+    def __init__(self, inputs: int):
+        super().__init__()
+        normal = torch.randn(RANDOM_FEATURES, inputs)
+        heavy = torch.distributions.Chi2(MATERN).sample((RANDOM_FEATURES, 1)) / MATERN
+        self.register_buffer("weight", normal / heavy.sqrt() / (KERNEL_WIDTH * inputs**0.5))
+        self.register_buffer("phase", 2 * torch.pi * torch.rand(RANDOM_FEATURES))
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return (2 / RANDOM_FEATURES) ** 0.5 * torch.cos(x @ self.weight.T + self.phase)
+
+
+def coverage(estimator: Estimator, points: np.ndarray, summaries: np.ndarray, count: int = 200, seed: int = 0):
+    """(n, d) rank of the true value among ``count`` posterior samples, from 0 to 1: uniform if calibrated (Talts et al.,
+    "Validating Bayesian inference algorithms with simulation-based calibration", 2018)."""
+    ranks = [
+        (estimator.sample(summary, count, seed + i) < point).mean(axis=0)
+        for i, (point, summary) in enumerate(zip(points, summaries, strict=True))
+    ]
+    return np.array(ranks)
+
+
+def simulated(residuals: Callable, measured: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """(N, T, k) signals at the points, from residuals."""
+    return np.nan_to_num(measured) - residuals(points, len(measured))

@@ -1,0 +1,71 @@
+"""The point of the search box whose replay explains a recording, followed from the first steps to the last."""
+
+import numpy as np
+from scipy.stats import qmc
+
+DIFFERENCE = 1e-3  # of the search box, step of the finite differences
+HORIZONS, STEPS_PER_HORIZON = 20, 2
+DAMPINGS = (0.0, 0.01, 0.1, 1.0, 10.0)
+
+
+def track(residuals, deviation, groups, dimension, log, seed, starts, progress=lambda *_: None) -> np.ndarray:
+    """(d,) the point of the unit cube whose replay explains the recording, by continuation in the horizon.
+
+    The first steps are explained first, which is easy as nothing has touched anything and errors have not added up; then
+    a few more, from there. Each horizon takes Gauss-Newton steps on sum log(1 + s_tg), where s_tg is the mean square of
+    the weighted residuals of signal g at step t: the likelihood when every step and signal has a variance of its own,
+    so that one that cannot be explained does not outvote the others.
+    """
+    steps = len(deviation)
+    horizons = np.unique(np.round(np.geomspace(min(3, steps), steps, HORIZONS)).astype(int))
+    points = qmc.Sobol(dimension, rng=seed).random(starts)
+    costs = np.zeros(len(points))
+    for i, until in enumerate(horizons):
+        for _ in range(STEPS_PER_HORIZON):
+            points, costs = _gauss_newton(residuals, deviation[:until], groups, points, log, int(until))
+        if i + 1 in {len(horizons) * k // 4 for k in (1, 2, 3)}:
+            points = points[np.argsort(costs)[: max(1, len(points) // 2)]]
+        progress(i + 1, len(horizons), float(costs.min()))
+    return points[int(np.argmin(costs))]
+
+
+def _gauss_newton(residuals, deviation, groups, points, log, until):
+    """One step from each of the points (S, d), the best of several lengths: new points and their costs."""
+    starts, dimension = points.shape
+    # backwards where forwards leaves the cube
+    offset = np.where(points > 0.5, -DIFFERENCE, DIFFERENCE)
+    shifted = points[:, None] + offset[:, :, None] * np.eye(dimension)
+    asked = np.concatenate([points[:, None], shifted], axis=1).reshape(-1, dimension)
+    found = log(lambda x: residuals(x, until), asked, "difference").reshape(starts, dimension + 1, until, -1)
+    trials = np.stack([
+        _trials(point, _whiten(one[0], deviation), _whiten((one[1:] - one[0]) / o[:, None, None], deviation), groups)
+        for point, one, o in zip(points, found, offset, strict=True)
+    ])  # (S, n, d)
+    found = log(lambda x: residuals(x, until), trials.reshape(-1, dimension), "trial")
+    costs = _robust_cost(found / deviation, groups).reshape(starts, -1)
+    best = costs.argmin(axis=1)
+    return trials[np.arange(starts), best], costs[np.arange(starts), best]
+
+
+def _whiten(residual, deviation):
+    return np.nan_to_num(residual / deviation, nan=1e6, posinf=1e6, neginf=-1e6)
+
+
+def _trials(point, white, slope, groups):
+    """(n, d) where Gauss-Newton with several dampings leads from a point; the point itself comes first."""
+    weight = np.empty_like(white)
+    for group in groups:
+        weight[:, group] = 1 / np.sqrt(1 + (white[:, group] ** 2).mean(axis=1, keepdims=True))
+    a = (weight * slope).reshape(len(point), -1)
+    hessian, gradient = a @ a.T, a @ (weight * white).ravel()
+    trials = [point]
+    for damping in DAMPINGS:
+        damped = hessian + np.diag(damping * np.diag(hessian) + 1e-9 * np.trace(hessian) + 1e-12)
+        trials.append(np.clip(point - np.linalg.solve(damped, gradient), 0, 1))
+    return np.array(trials)
+
+
+def _robust_cost(white, groups):
+    """(N,) sum of log(1 + mean square) over steps and signals of (N, T, k) weighted residuals."""
+    cost = sum(np.log1p((white[:, :, group] ** 2).mean(axis=2)).sum(axis=1) for group in groups)
+    return np.nan_to_num(cost, nan=1e300, posinf=1e300)

@@ -1,0 +1,79 @@
+"""Which combinations of parameters a recording determines."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from soro_bench.parameters import Parameter
+
+DETERMINED, VAGUE = 0.05, 0.3  # relative standard deviations below and above which the words change
+MINOR = 0.15  # a parameter with a smaller part than this of the largest is left out of the words
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A product of powers of the parameters: exponents by name, and the relative standard deviation of the product."""
+
+    exponents: dict[str, float]
+    relative_std: float
+
+    @property
+    def words(self) -> str:
+        """For people: "trunk_mass / young_modulus is determined to 0.1 %"."""
+        if self.relative_std < DETERMINED:
+            verdict = f"is determined to {_percent(self.relative_std)}"
+        elif self.relative_std < VAGUE:
+            verdict = f"is known only to {_percent(self.relative_std)}"
+        else:
+            verdict = "is not determined by this recording"
+        return f"{_product(self.exponents)} {verdict}"
+
+    def to_dict(self) -> dict:
+        return {**asdict(self), "words": self.words}
+
+
+def fisher(jacobian: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """(d, d) information of a recording about the parameters: the sum over time of Jᵀ diag(deviation)⁻² J.
+
+    Args:
+        jacobian: (T, k, d) of what is measured.
+        deviation: (T, k) of the measurement; samples are taken for independent.
+    """
+    white = (jacobian / deviation[..., None]).reshape(-1, jacobian.shape[-1])
+    return white.T @ white
+
+
+def combinations(jacobian, deviation, parameters: Sequence[Parameter], values: np.ndarray) -> list[Combination]:
+    """The eigenvectors of the Fisher information in the logarithms of the parameters, best determined first.
+
+    Args:
+        jacobian: (T, k, d) of what is measured with respect to the parameters in their units.
+        deviation: (T, k), in the same units as what is measured.
+        parameters, values: of the estimate, (d,).
+    """
+    information = fisher(jacobian * values, deviation)
+    eigenvalues, vectors = np.linalg.eigh(information)
+    found = []
+    for value, vector in zip(eigenvalues[::-1], vectors.T[::-1], strict=True):
+        vector = vector / vector[np.argmax(np.abs(vector))]
+        exponents = {p.name: round(float(e), 3) for p, e in zip(parameters, vector, strict=True)}
+        scale = float(np.linalg.norm(vector))
+        std = scale / np.sqrt(value) if value > 0 else np.inf
+        found.append(Combination(exponents, float(min(std, 1e6))))
+    return found
+
+
+def _product(exponents) -> str:
+    kept = {name: power for name, power in exponents.items() if abs(power) >= MINOR}
+    over = [_power(name, power) for name, power in kept.items() if power > 0]
+    under = [_power(name, -power) for name, power in kept.items() if power < 0]
+    return " * ".join(over or ["1"]) + "".join(f" / {factor}" for factor in under)
+
+
+def _power(name, power) -> str:
+    return name if abs(power - 1) < 0.1 else f"{name}^{power:.2g}"
+
+
+def _percent(share) -> str:
+    return f"{100 * share:.2g} %"

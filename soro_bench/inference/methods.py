@@ -1,0 +1,180 @@
+"""The inference methods under one roof: a recording in, a posterior out."""
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import qmc
+
+from soro_bench.inference import rf_dropo
+from soro_bench.inference.identifiability import combinations
+from soro_bench.inference.posterior import Posterior
+from soro_bench.inference.replay import Replay
+from soro_bench.inference.search import EvaluationLog, cma_search
+from soro_bench.randomization import Distribution, Gaussian, TruncatedNormal
+
+METHODS = ("rf-dropo", "bayes-sim", "dropo", "droid", "sysid")
+Progress = Callable[[int, int, float], None]
+
+
+@dataclass
+class Search:
+    """A replay on the unit cube of its search box, with a log; counts what it simulates."""
+
+    replay: Replay
+    log: EvaluationLog
+    seed: int
+    progress: Progress
+    simulated_steps: int = field(default=0, init=False)
+
+    def __post_init__(self):
+        self.low, high = np.array([p.search for p in self.replay.parameters]).T
+        self.width = high - self.low
+
+    @property
+    def dimension(self) -> int:
+        return len(self.low)
+
+    def residuals(self, points: np.ndarray, steps: int) -> np.ndarray:
+        """(N, steps, k) measured less simulated at points (N, d) of the unit cube."""
+        self.simulated_steps += len(points) * steps
+        return self.replay.residuals(self.low + self.width * points, steps)
+
+    def point(self, values: np.ndarray) -> np.ndarray:
+        """Parameter values (d,) on the unit cube."""
+        return (values - self.low) / self.width
+
+
+def infer(
+    method: str,
+    replay: Replay,
+    work: str | Path | None = None,
+    seed: int = 0,
+    progress: Progress = lambda *_: None,
+    **settings,
+) -> Posterior:
+    """A distribution over the parameters of ``replay``.
+
+    Args:
+        method: "rf-dropo" (settings: optimizer, "linearised" or "sampled", and those of that function), "bayes-sim"
+            (features, simulations), "droid", "sysid", "dropo" (needs a replay with ``restart=True``).
+        work: file of the log of evaluations, from which an interrupted inference goes on; None for none.
+        seed: of everything random.
+        progress: called with what is done, what there is to do, and the cost so far.
+    """
+    if method not in METHODS:
+        raise ValueError(f"unknown method {method!r}; there are {', '.join(METHODS)}")
+    title = json.dumps([method, seed, settings, replay.fingerprint()])
+    search = Search(replay, EvaluationLog(work, hashlib.sha256(title.encode()).hexdigest()), seed, progress)
+    distribution, estimate, jacobian = _FUNCTIONS[method](search, **settings)
+    return _posterior(method, search, distribution, estimate, jacobian, {"seed": seed, **settings})
+
+
+def _rf_dropo(search: Search, optimizer: str = "linearised", **settings):
+    replay = search.replay
+    if optimizer == "sampled":
+        fit = rf_dropo.sampled(search.residuals, replay.deviation, search.dimension, search.log, search.seed,
+                               progress=search.progress, **settings)  # fmt: skip
+    else:
+        fit = rf_dropo.linearised(search.residuals, replay.deviation, replay.groups, search.dimension, search.log,
+                                  search.seed, progress=search.progress, **settings)  # fmt: skip
+    mean = search.low + search.width * fit.mean
+    distribution = TruncatedNormal(replay.names, mean, search.width * fit.std)
+    return distribution, mean, -fit.jacobian / search.width
+
+
+def _droid(search: Search, iterations: int = 60, popsize: int = 16):
+    """Tsai et al., "DROID: minimizing the reality gap using single-shot human demonstration", RA-L 2021: a point
+    estimate, by CMA-ES on the squared error of the whole replay."""
+    steps, deviation = search.replay.steps, search.replay.deviation
+
+    def cost(points, share):
+        def squares(points):
+            return ((search.residuals(points, steps) / deviation) ** 2).sum(axis=(1, 2))
+
+        return search.log(squares, points, "squares")
+
+    best = cma_search(cost, search.dimension, iterations, popsize, search.seed, search.progress)
+    values = search.low + search.width * best
+    return TruncatedNormal(search.replay.names, values, np.zeros(search.dimension)), values, _slope(search, best)
+
+
+def _sysid(search: Search, max_iterations: int = 30):
+    """Nonlinear least squares from the nominal values, by mujoco.sysid; the normal approximation at the optimum."""
+    from mujoco import sysid
+
+    replay, steps = search.replay, search.replay.steps
+    start = np.clip(search.point(np.array([p.nominal for p in replay.parameters])), 0.01, 0.99)
+    params = sysid.ParameterDict({
+        name: sysid.Parameter(name, float(value), 0.0, 1.0) for name, value in zip(replay.names, start, strict=True)
+    })
+
+    def residual(x, _params):
+        points = np.asarray(x, float).reshape(search.dimension, -1).T
+        found = search.log(lambda p: search.residuals(p, steps) / replay.deviation, points, "residual")
+        return [np.nan_to_num(found, nan=1e6).reshape(len(points), -1).T.squeeze()], None, None
+
+    # forward differences far above the solver's noise
+    _, result = sysid.optimize(params, residual, verbose=False, max_iters=max_iterations, eps=1e-4)
+    best = np.clip(np.asarray(result.x, float).ravel(), 0, 1)
+    slope = _slope(search, best)
+    white = search.log(lambda p: search.residuals(p[None], steps) / replay.deviation, best, "residual").ravel()
+    jacobian = (slope * search.width / replay.deviation[..., None]).reshape(-1, search.dimension)
+    covariance, _ = sysid.calculate_intervals([white], jacobian)
+    scale = np.outer(search.width, search.width)
+    values = search.low + search.width * best
+    return Gaussian(replay.names, values, 0.5 * scale * (covariance + covariance.T)), values, slope
+
+
+def _bayes_sim(search: Search, features: str = "mdn", simulations: int = 1000, samples: int = 2000):
+    from soro_bench.inference import bayes_sim
+
+    replay = search.replay
+    points = qmc.Sobol(search.dimension, rng=search.seed).random(simulations)
+    measured = np.nan_to_num(replay.measured)
+    summaries = []
+    for first in range(0, simulations, CHUNK):
+
+        def chunk(points):
+            return bayes_sim.summarise(measured - search.residuals(points, replay.steps), replay.actions)
+
+        summaries.append(search.log(chunk, points[first : first + CHUNK], "summary"))
+        search.progress(min(first + CHUNK, simulations), simulations, np.nan)
+    summaries = np.concatenate(summaries)
+    sane = np.isfinite(summaries).all(axis=1)
+    estimator = bayes_sim.train(points[sane], summaries[sane], features, search.seed)
+    drawn = estimator.sample(bayes_sim.summarise(measured[None], replay.actions)[0], samples, search.seed)
+    values = search.low + search.width * drawn.mean(axis=0)
+    distribution = TruncatedNormal(replay.names, values, search.width * drawn.std(axis=0))
+    return distribution, values, _slope(search, drawn.mean(axis=0))
+
+
+CHUNK = 64  # simulations between checkpoints
+_FUNCTIONS = {"rf-dropo": _rf_dropo, "dropo": _rf_dropo, "droid": _droid, "sysid": _sysid, "bayes-sim": _bayes_sim}
+
+
+def _slope(search: Search, point) -> np.ndarray:
+    """(T, k, d) derivative of what is simulated with respect to the parameters in their units."""
+    jacobian = search.log(lambda p: rf_dropo.jacobian_at(search.residuals, p, search.replay.steps), point, "jacobian")
+    return -jacobian / search.width
+
+
+def _posterior(method, search, distribution: Distribution, estimate, slope, settings) -> Posterior:
+    replay, steps = search.replay, search.replay.steps
+    residual = search.log(lambda p: search.residuals(p[None], steps)[0], search.point(estimate), "fit")
+    fit = {name: float(np.sqrt((residual[:, group] ** 2).mean()))
+           for name, group in zip(replay.signal_names, replay.groups, strict=True)}  # fmt: skip
+    return Posterior(
+        method=method,
+        distribution=distribution,
+        estimate=dict(zip(replay.names, map(float, estimate), strict=True)),
+        fit=fit,
+        combinations=combinations(slope, replay.deviation, replay.parameters, estimate),
+        known=replay.known,
+        model=replay.model,
+        replays=search.simulated_steps / steps,
+        settings=settings,
+    )

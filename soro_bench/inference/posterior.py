@@ -1,0 +1,55 @@
+"""What an inference found, as a file that training takes for a distribution and people can read."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from soro_bench.files import write_json
+from soro_bench.inference.identifiability import Combination
+from soro_bench.randomization import Distribution
+
+SCHEMA = "soro-bench/posterior/1"
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """A distribution over parameters and how it came about.
+
+    Args:
+        method: "rf-dropo", ...
+        distribution: what domain randomisation samples from.
+        estimate: the best single value of each parameter, SI units.
+        fit: root mean square of measured less simulated at the estimate, by signal, in its unit.
+        combinations: what the recording determines.
+        known: values that were given.
+        model: what the recording was replayed on.
+        replays: of the whole recording, the equivalent in time steps.
+        settings: of the method.
+    """
+
+    method: str
+    distribution: Distribution
+    estimate: dict[str, float]
+    fit: dict[str, float]
+    combinations: list[Combination]
+    known: dict[str, float]
+    model: str
+    replays: float
+    settings: dict = field(default_factory=dict)
+
+    def save(self, path: str | Path) -> None:
+        """Write JSON that :func:`soro_bench.randomization.load` reads as the distribution."""
+        write_json(
+            path,
+            {
+                "schema": SCHEMA,
+                **self.distribution.to_dict(),
+                "method": self.method,
+                "estimate": self.estimate,
+                "known": self.known,
+                "fit": self.fit,
+                "identifiability": [c.to_dict() for c in self.combinations],
+                "model": self.model,
+                "replays": round(self.replays, 2),
+                "settings": self.settings,
+            },
+        )

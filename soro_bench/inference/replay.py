@@ -1,0 +1,143 @@
+"""A recording replayed in simulation under other parameters: the one call that every inference method makes."""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from soro_bench.parameters import Parameter
+from soro_bench.recording.recording import Recording, RecordingError, resampled
+from soro_bench.recording.simulated import recorded_actions
+from soro_bench.registration import make_task, task_type
+
+# What a simulation is trusted to beside the sensor's noise, standard deviations by unit: in metres that of the published
+# eps, 1e-4 mm^2 (docs/reference_tasks.md); without a unit (quaternions) the same at the corner of a 5 cm cube
+RESOLUTION = {"m": 1e-5, "1": 4e-4}
+MISSING = 1e6  # standard deviation of a sample that is missing: it says nothing
+SIMULATIONS = 32  # at a time
+
+
+class Replay:
+    """Open-loop replays of one recording, from its reset.
+
+    Args:
+        recording: of one of the suite's environments, from its reset on. Its own parameters are not looked at.
+        names: parameters to infer; by default what the published study randomises in the environment, but for the
+            known ones.
+        known: values of parameters that are not inferred; the others have their nominal values.
+        model: the environment's model or mesh; by default what was recorded.
+        noise: standard deviation [m] of the recorded positions.
+        restart: every time step starts from the recorded state, for a recording with its full state, instead of from
+            what was simulated before.
+        threads: 0 for all processors; results do not depend on it.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        names: Sequence[str] | None = None,
+        known: Mapping[str, float] | None = None,
+        model: str | None = None,
+        noise: float = 0.0,
+        restart: bool = False,
+        threads: int = 0,
+    ):
+        env_id, self.actions = recorded_actions(recording)
+        kind, metadata = task_type(env_id), recording.metadata
+        self.model = model or metadata.get("model") or kind.accurate
+        self._task = make_task(env_id, SIMULATIONS, threads, self.model, action=metadata["action"])
+        self.known = self._task.parameters.check(known or {})
+        if names is None:
+            names = [p.name for p in kind.randomized if p.name not in self.known]
+        self._task.parameters.check_names(names)
+        if both := set(names) & set(self.known):
+            raise ValueError(f"{', '.join(sorted(both))} cannot be both known and inferred")
+        if not names:
+            raise ValueError("there is nothing to infer: every parameter is known")
+        self.names, self.signal_names = tuple(names), self._task.inferred_from
+        self._states = _states(recording, len(self.actions), self._task.control_timestep) if restart else None
+        self._read(recording, noise)
+
+    def _read(self, recording, noise) -> None:
+        times = recording.start + self._task.control_timestep * np.arange(1, len(self.actions) + 1)
+        measured, deviation, self.groups, first = [], [], [], 0
+        for name in self.signal_names:
+            if name not in recording.signals:
+                raise RecordingError(f"the recording has no {name}; it has {', '.join(recording.names)}")
+            signal = resampled(recording.signals[name], times)
+            rows = signal.values.reshape(len(times), -1)
+            measured.append(rows)
+            deviation.append(np.full_like(rows, np.hypot(RESOLUTION[signal.unit], noise if signal.unit == "m" else 0)))
+            self.groups.append(slice(first, first := first + rows.shape[1]))
+        self.measured = np.concatenate(measured, axis=1)  # (T, k), NaN where missing
+        self.deviation = np.concatenate(deviation, axis=1)  # (T, k), of what is measured from what is simulated
+        self.deviation[np.isnan(self.measured)] = MISSING
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The inferred parameters."""
+        return tuple(self._task.parameters.parameters[name] for name in self.names)
+
+    @property
+    def steps(self) -> int:
+        """T, the number of recorded actions."""
+        return len(self.actions)
+
+    def fingerprint(self) -> str:
+        """Names what is replayed: another recording, model or known value has another one."""
+        digest = hashlib.sha256(repr((self.names, sorted(self.known.items()), self.model)).encode())
+        for array in (self.actions, self.measured, self.deviation):
+            digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()[:16]
+
+    def simulate(self, params: np.ndarray, steps: int | None = None) -> np.ndarray:
+        """What is measured, simulated under each of the parameter vectors.
+
+        Args:
+            params: (N, d) in the order of ``names``.
+            steps: how many actions to replay; all by default.
+
+        Returns:
+            (N, steps, k), NaN from where a simulation diverged.
+        """
+        params = np.atleast_2d(params)
+        steps = self.steps if steps is None else steps
+        signals = np.empty((len(params), steps, self.measured.shape[1]))
+        for first in range(0, len(params), SIMULATIONS):
+            part = params[first : first + SIMULATIONS]
+            signals[first : first + len(part)] = self._roll_out(part, steps)
+        return signals
+
+    def residuals(self, params: np.ndarray, steps: int | None = None) -> np.ndarray:
+        """(N, steps, k) measured less simulated, 0 where nothing was measured."""
+        simulated = self.simulate(params, steps)
+        measured = self.measured[: simulated.shape[1]]
+        return np.where(np.isnan(measured), 0.0, measured - simulated)
+
+    def _roll_out(self, params, steps):
+        task, ids = self._task, np.arange(len(params))
+        options = [{"params": {**self.known, **dict(zip(self.names, row, strict=True))}} for row in params.tolist()]
+        task.reset(ids, [np.random.default_rng(0)] * len(ids), options)
+        lost, rows = np.zeros(len(ids), bool), []
+        for t, action in enumerate(self.actions[:steps]):
+            if self._states is not None:
+                task.set_state(ids, {name: values[t] for name, values in self._states.items()})
+                lost[:] = False
+            lost |= task.step(ids, np.repeat(action[None], len(ids), axis=0)).diverged
+            row = self._measure(ids)
+            row[lost] = np.nan
+            rows.append(row)
+        return np.stack(rows, axis=1)
+
+    def _measure(self, ids):
+        signals = self._task.signals(ids)
+        return np.concatenate([signals[name].reshape(len(ids), -1) for name in self.signal_names], axis=1)
+
+
+def _states(recording, steps, timestep) -> dict[str, np.ndarray]:
+    """The recorded state before every action, by the name of its part."""
+    prefix, times = "state.", recording.start + timestep * np.arange(steps)
+    parts = {name.removeprefix(prefix): recording.signals[name] for name in recording.names if name.startswith(prefix)}
+    if not parts:
+        raise RecordingError("restarting needs the full state; make the recording with soro-bench record --full-state")
+    return {name: resampled(signal, times).values for name, signal in parts.items()}

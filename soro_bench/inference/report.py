@@ -1,0 +1,65 @@
+"""A posterior for people: a table in words, and a picture with the ridges."""
+
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.files import replacing
+from soro_bench.inference.posterior import Posterior
+from soro_bench.inference.replay import Replay
+from soro_bench.report import pyplot
+
+DRAWN = 2000  # samples of the distribution
+
+
+def write_report(posterior: Posterior, replay: Replay, path: str | Path) -> str:
+    """Write a corner plot beside ``path`` (.png) and return the result in Markdown."""
+    path = Path(path)
+    rng = np.random.default_rng(0)
+    drawn = [posterior.distribution.sample(rng) for _ in range(DRAWN)]
+    draws = np.array([[d[name] for name in replay.names] for d in drawn])
+    picture = path.with_suffix(".png")
+    corner_plot(posterior, replay, draws, picture)
+    lines = ["| parameter | estimate | standard deviation | unit |", "|---|---|---|---|"]
+    for p, values in zip(replay.parameters, draws.T, strict=True):
+        lines.append(f"| {p.name} | {posterior.estimate[p.name]:.6g} | {values.std():.2g} | {p.unit} |")
+    fit = ", ".join(f"{name} {value:.3g}" for name, value in posterior.fit.items())
+    lines += ["", f"left unexplained (root mean square, SI): {fit}", f"{posterior.replays:.0f} replays"]
+    lines += [f"- {combination.words}" for combination in posterior.combinations]
+    lines += ["", f"{path}, {picture}; train on it with: soro-bench train ENV --randomization {path}"]
+    return "\n".join(lines)
+
+
+def corner_plot(posterior: Posterior, replay: Replay, draws: np.ndarray, path: Path) -> None:
+    """The distribution (dots) and, through its estimate, the combination that the recording determines least (line)."""
+    plt = pyplot()
+    names, count = replay.names, len(replay.names)
+    estimate = np.array([posterior.estimate[name] for name in names])
+    weakest = posterior.combinations[-1]
+    along = np.array([weakest.exponents[name] for name in names])
+    reach = min(weakest.relative_std, 0.5)
+    ridge = estimate * np.exp(np.linspace(-reach, reach, 50)[:, None] * along)
+    figure, axes = plt.subplots(count, count, figsize=(2.2 * count, 2.2 * count), layout="constrained", squeeze=False)
+    for i in range(count):
+        for j in range(count):
+            ax = axes[i, j]
+            if j > i:
+                ax.axis("off")
+                continue
+            if i == j:
+                ax.hist(draws[:, i], bins=40, color="C0", alpha=0.7)
+                ax.axvline(estimate[i], color="k", lw=1)
+                ax.set_yticks([])
+            else:
+                ax.plot(draws[:, j], draws[:, i], ",", color="C0", alpha=0.5)
+                ax.plot(ridge[:, j], ridge[:, i], color="C3", lw=1)
+                ax.plot(estimate[j], estimate[i], "k+")
+            if i == count - 1:
+                ax.set_xlabel(f"{names[j]} [{replay.parameters[j].unit}]", fontsize=8)
+            if j == 0 and i > 0:
+                ax.set_ylabel(f"{names[i]} [{replay.parameters[i].unit}]", fontsize=8)
+            ax.tick_params(labelsize=7)
+    figure.suptitle(f"least determined (red): {weakest.words}", fontsize=9)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=130, metadata={"Software": None})
+    plt.close(figure)

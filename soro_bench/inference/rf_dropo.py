@@ -1,0 +1,172 @@
+"""Reset-Free DROPO: a distribution over dynamics parameters from one recording, replayed open loop.
+
+Tiboni, Protopapa, Tommasi, Averta, "Domain Randomization for Robust, Affordable and Effective Closed-loop Control of
+Soft Robots", IROS 2023. The parameters are independent normals, truncated at two standard deviations; their means and
+the logarithms of their standard deviations maximise the likelihood of the recording (likelihood.py).
+
+Two ways to find them, with the same objective (docs/inference.md compares):
+
+* :func:`sampled`, the published one: CMA-ES over all 2 d numbers, each candidate judged by K replays.
+* :func:`linearised`: as long as the standard deviations are small, each step's covariance is that of the linearised
+  simulation, J diag(std²) Jᵀ, which takes 2 d replays instead of K for each of many candidates. A point nearby is found
+  first (continuation.py); from there means and standard deviations are improved together on linearisations that are
+  renewed until nothing improves.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import ndtr, ndtri
+from scipy.stats import qmc
+
+from soro_bench.inference.continuation import DIFFERENCE, track
+from soro_bench.inference.likelihood import horizon, log_likelihood, sample_factor
+from soro_bench.inference.search import EvaluationLog, cma_search
+
+SMALLEST_STD, LARGEST_STD = 1e-5, 0.25  # of the search box; the upper one as published
+ROUNDS = 12
+Predict = Callable[[np.ndarray, int], np.ndarray]  # residuals (N, T, k) of points (N, d) of the unit cube
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A distribution on the unit cube of the search box.
+
+    mean, std: (d,); log_likelihood of the whole recording; jacobian (T, k, d) of what is measured there.
+    """
+
+    mean: np.ndarray
+    std: np.ndarray
+    log_likelihood: float
+    jacobian: np.ndarray
+
+
+def sampled(residuals, deviation, dimension, log: EvaluationLog, seed=0, iterations=500, samples=100, transitions=None,
+            popsize=None, progress=lambda *_: None) -> Fit:  # fmt: skip
+    """The published search.
+
+    Args:
+        residuals: takes points (N, d) of the unit cube and a number of steps, gives measured less simulated (N, T, k).
+        deviation: (T, k), of the measurement.
+        dimension: d.
+        log: of the costs.
+        seed: of the samples, the transitions and CMA-ES.
+        iterations: of CMA-ES.
+        samples: K replays per candidate, a quasi-random sample that is the same for all candidates.
+        transitions: L, how many of the steps an iteration looks at, drawn at random; all by default.
+        popsize: candidates per iteration; CMA-ES's own choice by default.
+        progress: see :func:`cma_search`.
+    """
+    steps, rng = len(deviation), np.random.default_rng(seed)
+    quantiles = qmc.Sobol(dimension, rng=seed).random(samples)
+    normal = _truncated_normal(quantiles)
+    popsize = popsize or 4 + int(3 * np.log(2 * dimension))
+
+    def cost(points, share):
+        until = horizon(share, steps) if share < 1 else steps
+        chosen = np.arange(until)
+        if transitions and transitions < until and share < 1:
+            chosen = np.sort(rng.choice(until, transitions, replace=False))
+
+        def costs(points):
+            mean, std = _unpack(points)
+            cloud = np.clip(mean[:, None] + std[:, None] * normal, 0, 1)
+            found = residuals(cloud.reshape(-1, dimension), until).reshape(len(points), samples, until, -1)
+            return np.array([-_sampled_log_likelihood(one[:, chosen], deviation[chosen]) for one in found])
+
+        return log(costs, points, f"{until} {chosen.tolist()}")
+
+    best = cma_search(cost, 2 * dimension, iterations, popsize, seed, progress)
+    mean, std = (row[0] for row in _unpack(best[None]))
+    jacobian = log(lambda m: jacobian_at(residuals, m, steps), mean, "jacobian")
+    return Fit(mean, std, -float(cost(best[None], 1.0)[0]), jacobian)
+
+
+def linearised(residuals, deviation, groups, dimension, log: EvaluationLog, seed=0, starts=8,
+               progress=lambda *_: None) -> Fit:  # fmt: skip
+    """The fast search; arguments as in :func:`sampled`.
+
+    Args:
+        groups: slices of the k measured numbers that are comparable, one per signal.
+        starts: points of the search box to start from; the worse half is given up thrice on the way.
+    """
+    return refined(
+        residuals, deviation, track(residuals, deviation, groups, dimension, log, seed, starts, progress), log
+    )
+
+
+def refined(residuals, deviation, mean, log: EvaluationLog) -> Fit:
+    """Means and standard deviations that maximise the likelihood, from a mean nearby: one linearisation after another.
+
+    A round's new mean is accepted if the likelihood around it, linearised with the old Jacobian, is higher; otherwise
+    the next one may go a quarter as far.
+    """
+    steps, reach, std = len(deviation), 0.1, np.full(len(mean), 1e-3)
+    residual = log(lambda m: residuals(m[None], steps)[0], mean, "residual")
+    jacobian = log(lambda m: jacobian_at(residuals, m, steps), mean, "jacobian")
+    for _ in range(ROUNDS):
+        shift, std = _best_gaussian(residual, jacobian, deviation, mean, std, reach)
+        now = _linear_log_likelihood(residual, jacobian, std, deviation)
+        candidate = np.clip(mean + shift, 0, 1)
+        moved = log(lambda m: residuals(m[None], steps)[0], candidate, "residual")
+        if _linear_log_likelihood(moved, jacobian, std, deviation) <= now:
+            reach /= 4
+            if reach < 1e-6:
+                break
+            continue
+        mean, residual = candidate, moved
+        jacobian = log(lambda m: jacobian_at(residuals, m, steps), mean, "jacobian")
+        if np.abs(shift).max() < 1e-7:
+            break
+    _, std = _best_gaussian(residual, jacobian, deviation, mean, std, 0.0)
+    return Fit(mean, std, _linear_log_likelihood(residual, jacobian, std, deviation), jacobian)
+
+
+def _best_gaussian(residual, jacobian, deviation, mean, std, reach):
+    """Shift of the mean, at most ``reach`` in each direction and inside the cube, and standard deviations."""
+    free = reach > 0
+    scale = max(reach, 1e-12)
+
+    def cost(x):
+        shift, log_std = scale * x[: len(mean)] * free, x[len(mean) :]
+        left = residual + jacobian @ shift  # the Jacobian is that of measured less simulated
+        return -_linear_log_likelihood(left, jacobian, np.exp(log_std), deviation)
+
+    within = [(max(-1.0, -m / scale), min(1.0, (1 - m) / scale)) for m in mean]
+    spread = [(np.log(SMALLEST_STD), np.log(LARGEST_STD))] * len(mean)
+    # from narrow and from wide: a wide one may explain what no mean does
+    starts = [np.concatenate([np.zeros(len(mean)), np.log(s)]) for s in (std, np.full(len(mean), 0.03))]
+    fits = [minimize(cost, start, method="L-BFGS-B", bounds=within + spread) for start in starts]
+    best = min(fits, key=lambda fit: fit.fun).x
+    return scale * best[: len(mean)] * free, np.exp(best[len(mean) :])
+
+
+def _linear_log_likelihood(residual, jacobian, std, deviation) -> float:
+    return float(log_likelihood(residual, jacobian * std, deviation).sum())
+
+
+def _sampled_log_likelihood(residuals, deviation) -> float:
+    mean, factor = sample_factor(residuals)
+    return float(log_likelihood(mean, factor, deviation).sum())
+
+
+def jacobian_at(residuals, mean, steps):
+    """(T, k, d) derivative of the residuals, by central differences inside the unit cube."""
+    offsets = DIFFERENCE * np.eye(len(mean))
+    ends = np.clip(np.concatenate([mean + offsets, mean - offsets]), 0, 1)
+    found = residuals(ends, steps)
+    width = (ends[: len(mean)] - ends[len(mean) :]).sum(axis=1)
+    return np.moveaxis((found[: len(mean)] - found[len(mean) :]) / width[:, None, None], 0, -1)
+
+
+def _unpack(points):
+    """Means (N, d) and standard deviations (N, d) of candidates (N, 2 d) in the unit cube."""
+    mean, log_std = np.split(points, 2, axis=1)
+    return mean, SMALLEST_STD * (LARGEST_STD / SMALLEST_STD) ** log_std
+
+
+def _truncated_normal(quantiles):
+    """Standard normals truncated at two standard deviations, at the given quantiles."""
+    return ndtri(ndtr(-2) + quantiles * (ndtr(2) - ndtr(-2)))

@@ -1,0 +1,138 @@
+"""Parquet files from strangers: bounded memory, and one kind of error whatever is wrong with them."""
+
+import os
+import stat
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from soro_bench.recording.parquet_pages import Footer, decoded_bytes, read_footer
+from soro_bench.recording.recording import RecordingError
+
+MAX_BYTES = 200_000_000  # of a file
+MAX_ROWS = 10_000_000
+MAX_COLUMNS = 5000
+_MAX_ROW_GROUPS = 10_000
+_MAX_FOOTER = 1_000_000  # bytes; grows some hundredfold in memory
+_EXPANSION = 4  # decoded bytes per byte that a file may have
+_MAX_DEPTH = 20  # of the schema
+_NUMBERS = {"BOOLEAN", "INT32", "INT64", "FLOAT", "DOUBLE"}
+_MAGIC = b"PAR1"
+_BROKEN = (
+    pa.ArrowException, OSError, ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError, RecursionError,
+    struct.error,
+)  # fmt: skip
+
+
+@contextmanager
+def named_errors(path: str | Path) -> Iterator[None]:
+    """Turn every error that bad content can cause into a RecordingError that names the file."""
+    try:
+        yield
+    except RecordingError as error:
+        raise RecordingError(f"{path}: {error}") from error
+    except _BROKEN as error:
+        raise RecordingError(f"{path} cannot be read: {type(error).__name__}: {str(error)[:200]}") from error
+
+
+def read_bytes(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
+    """The content of a regular file; FileNotFoundError, or RecordingError if it is no file or too large."""
+    # without waiting for a writer, if it is a pipe
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
+    with open(handle, "rb") as file:
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            raise RecordingError(f"{path} is no regular file")
+        data = file.read(max_bytes + 1)
+    if len(data) > max_bytes:
+        raise RecordingError(f"{path} has more than {max_bytes} bytes, which is what is read at most")
+    return data
+
+
+class BoundedParquet:
+    """A Parquet file in memory, of which some columns of numbers can be read.
+
+    Args:
+        data: the file; it may decode to four times ``max_bytes``.
+
+    Raises:
+        RecordingError, or what ``named_errors`` turns into one.
+    """
+
+    def __init__(self, data: bytes, max_bytes: int = MAX_BYTES):
+        self._data, self._budget, self._footer = data, _EXPANSION * max_bytes, _footer(data)
+        self.num_row_groups = len(self._footer.groups)
+        for label, count, most in (
+            ("rows", self._footer.num_rows, MAX_ROWS),
+            ("columns", max(map(len, self._footer.groups), default=0), MAX_COLUMNS),
+            ("row groups", self.num_row_groups, _MAX_ROW_GROUPS),
+        ):
+            if count > most:
+                raise RecordingError(f"{count} {label}; at most {most} are read")
+        self._file = pq.ParquetFile(
+            pa.BufferReader(data),
+            pre_buffer=False,
+            thrift_string_size_limit=_MAX_FOOTER,
+            thrift_container_size_limit=2 * _MAX_ROW_GROUPS,
+            schema_depth_limit=_MAX_DEPTH,
+            page_checksum_verification=True,
+            arrow_extensions_enabled=False,
+        )
+        self.schema = self._file.schema_arrow
+        names = self.schema.names
+        if any(len(group) != len(self._file.schema) for group in self._footer.groups):
+            raise RecordingError("a row group has not all columns")
+        if len(set(names)) < len(names):
+            raise RecordingError("two columns have the same name")
+
+    def read(self, names: Sequence[str], row_groups: Sequence[int] | None = None) -> pa.Table:
+        """Columns of numbers, or of lists of numbers, of some row groups (all by default)."""
+        row_groups = range(self.num_row_groups) if row_groups is None else row_groups
+        leaves = [self._leaf(name) for name in names]
+        for group in row_groups:
+            for leaf in leaves:
+                self._spend(self._footer.groups[group][leaf])
+        table = self._file.reader.read_row_groups(list(row_groups), column_indices=leaves, use_threads=False)
+        table.validate(full=True)
+        if table.num_rows != sum(self._footer.group_rows[group] for group in row_groups) or sorted(
+            table.schema.names
+        ) != sorted(names):
+            raise RecordingError("the content is not as the footer says")
+        return table
+
+    def _leaf(self, name: str) -> int:
+        """Index of the one column of numbers below a field."""
+        if name not in self.schema.names:
+            raise RecordingError(f"no column {name!r}; there are {', '.join(self.schema.names[:20])}")
+        first = 0
+        for field in self.schema:
+            if field.name == name:
+                break
+            first += _num_leaves(field.type)
+        if _num_leaves(field.type) != 1 or self._file.schema.column(first).physical_type not in _NUMBERS:
+            raise RecordingError(f"column {name!r} has type {str(field.type)[:80]}; expected numbers or lists of them")
+        return first
+
+    def _spend(self, column) -> None:
+        self._budget -= decoded_bytes(self._data, column)
+        if self._budget < 0:
+            raise RecordingError("decoding it would take more memory than its largest size allows")
+
+
+def _footer(data) -> Footer:
+    """Its length is known before it is parsed."""
+    if len(data) < 12 or data[:4] != _MAGIC or data[-4:] != _MAGIC:
+        raise RecordingError("no complete Parquet file")
+    (size,) = struct.unpack("<I", data[-8:-4])
+    if not 0 < size <= min(len(data) - 12, _MAX_FOOTER):
+        raise RecordingError(f"a footer of {size} bytes; expected at most {min(len(data) - 12, _MAX_FOOTER)}")
+    return read_footer(data, len(data) - 8 - size, len(data) - 8)
+
+
+def _num_leaves(kind: pa.DataType) -> int:
+    if pa.types.is_nested(kind):
+        return sum(_num_leaves(kind.field(i).type) for i in range(kind.num_fields))
+    return 1

@@ -1,0 +1,94 @@
+"""A sequence of actions that shows what a robot does: the input of an identification experiment.
+
+The parts, one after the other: rest; each channel alone in triangles at three speeds; each channel alone in nested
+loops; pairs of channels pulled, held and released; all channels at once in sums of odd harmonics; rest. An action is a
+rate, and each part ends where it began.
+"""
+
+import numpy as np
+from gymnasium import spaces
+
+SLOWNESS = (1, 2, 3)  # of the triangles: full rate, half of it, a third of it
+FREQUENCIES = (0.2, 2.0)  # Hz, of the harmonics
+_SHARE_OF_TRIANGLES = 0.5
+_LOOPS = (3, -1, 1, -2, 2, -3)  # strokes of full rate
+_REST, _STEP, _HOLD = 16, 3, 8  # time steps
+_MULTISINE = 16  # time steps at least
+_HIGHEST = 0.4  # of a sampled frequency, in cycles per time step
+
+
+def shortest(channels: int) -> int:
+    """Number of time steps below which a sequence does not fit."""
+    return _fixed(channels) + _triangles_length(1, channels) + _MULTISINE
+
+
+def excitation(space: spaces.Box, timestep: float, duration: float = 30.0, seed: int = 0) -> np.ndarray:
+    """(T, nu) actions in [-1, 1], as many as fit into the duration.
+
+    Args:
+        space: the action space, ``Box(-1, 1, (nu,))``.
+        timestep: s between actions.
+        duration: s.
+        seed: of the phases of the harmonics.
+
+    Raises:
+        ValueError: the actions are discrete, or the sequence does not fit into the duration.
+    """
+    if not isinstance(space, spaces.Box):
+        raise ValueError("an excitation needs continuous actions")
+    channels, steps = space.shape[0], int(duration / timestep + 1e-9)
+    if steps < (least := shortest(channels)):
+        raise ValueError(f"{steps} steps are too few for an excitation; it needs {least}, {least * timestep:g} s")
+    room = min(_SHARE_OF_TRIANGLES * steps, steps - _fixed(channels) - _MULTISINE)
+    stroke = max(1, int(room / _triangles_length(1, channels)))
+    parts = [
+        np.zeros((_REST, channels)),
+        _alone(_triangles(stroke), channels),
+        _alone(_loops(), channels),
+        _holds(channels),
+    ]
+    remaining = steps - sum(map(len, parts)) - _REST
+    parts += [_multisine(remaining, channels, timestep, seed), np.zeros((_REST, channels))]
+    return np.concatenate(parts)
+
+
+def _triangles(stroke: int) -> np.ndarray:
+    """Rates of one channel: out and back by the same way at every speed."""
+    return np.concatenate([np.repeat([1 / slow, -1 / slow], stroke * slow) for slow in SLOWNESS])
+
+
+def _loops() -> np.ndarray:
+    """Rates of one channel: loops within loops."""
+    return np.concatenate([np.full(abs(stroke), np.sign(stroke)) for stroke in _LOOPS])
+
+
+def _alone(rates, channels) -> np.ndarray:
+    """(channels * n, channels) the same rates for one channel after the other."""
+    return np.kron(np.eye(channels), rates[:, None])
+
+
+def _holds(channels) -> np.ndarray:
+    """Neighbouring channels together: a step, a hold, a release and a rest."""
+    rates = np.concatenate([np.ones(_STEP), np.zeros(_HOLD), -np.ones(_STEP), np.zeros(_HOLD)])
+    pairs = np.eye(channels) + np.roll(np.eye(channels), 1, axis=1)
+    return np.kron(np.minimum(pairs[::2], 1), rates[:, None])
+
+
+def _multisine(steps, channels, timestep, seed) -> np.ndarray:
+    """Odd harmonics of equal displacement and random phases; whole periods, so that it ends where it began."""
+    periods = max(1, round(FREQUENCIES[0] * steps * timestep))
+    base = periods / steps  # cycles per time step
+    highest = min(FREQUENCIES[1] * timestep, _HIGHEST)
+    harmonics = np.arange(1, max(2, int(highest / base) + 1), 2)
+    phases = np.random.default_rng(seed).uniform(0, 2 * np.pi, (len(harmonics), channels))
+    angle = 2 * np.pi * base * np.arange(steps)[:, None, None] * harmonics[:, None]
+    rates = (harmonics[:, None] * np.cos(angle + phases)).sum(axis=1)
+    return rates / np.maximum(np.abs(rates).max(axis=0), 1e-9)
+
+
+def _triangles_length(stroke, channels) -> int:
+    return channels * len(_triangles(stroke))
+
+
+def _fixed(channels) -> int:
+    return 2 * _REST + channels * len(_loops()) + len(_holds(channels))

@@ -1,0 +1,158 @@
+"""Tables of text: CSV files from motion capture, load cells and loggers."""
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.recording.bounded_parquet import MAX_BYTES, MAX_COLUMNS, MAX_ROWS, named_errors, read_bytes
+from soro_bench.recording.importers.mapping import Source, load_mapping, texts, typed
+from soro_bench.recording.importers.units import si
+from soro_bench.recording.recording import Recording, RecordingError
+
+_PLACE = ("columns", "first", "last", "time")
+_FORMAT = ("delimiter", "decimal", "skip_rows", "header", "missing")
+_MAX_CELLS = 50_000_000  # that a mapping asks for
+
+
+def import_csv(path: str | Path, mapping: str | Path | None, max_bytes: int = MAX_BYTES) -> Recording:
+    """Read a CSV file with a mapping file; RecordingError says what is wrong with either."""
+    if mapping is None:
+        raise RecordingError(f"{path}: a CSV file needs a mapping file; docs/recordings.md has an example")
+    spec = load_mapping(mapping, _PLACE, ("column", "unit"), _FORMAT)
+    data = read_bytes(path, max_bytes)
+    with named_errors(path):
+        table = _Table(data.decode("utf-8-sig"), spec.format)
+        time_column = typed("[time]", spec.time, "column", "")
+        unit, to_seconds = si(spec.time.get("unit", "s"))
+        if unit != "s":
+            raise RecordingError(f"[time] unit = {spec.time['unit']!r} is no unit of time")
+
+        def read(source: Source):
+            column = typed("it has", source.place, "time", time_column)
+            if not column:
+                raise RecordingError("no column of times: [time] column is missing")
+            return _samples(*table.numbers([column, *table.names_of(source)]), to_seconds)
+
+        table.read(_columns(table, spec, time_column))
+        return spec.recording(read, Path(path).name)
+
+
+def _columns(table, spec, time_column) -> list[str]:
+    """Every column that the mapping asks for."""
+    names = [time_column] if time_column else []
+    for source in (*spec.commands.values(), *spec.signals.values()):
+        names += [*table.names_of(source), *([source.place["time"]] if "time" in source.place else [])]
+    return names
+
+
+def _samples(cells, lines, to_seconds) -> tuple[np.ndarray, np.ndarray]:
+    """(T,) times [s] and (T, k) numbers of the rows that have a time and at least one number.
+
+    Args:
+        cells: (rows, 1 + k), time first.
+        lines: (rows,) their numbers in the file.
+    """
+    present = ~np.isnan(cells[:, 0]) & ~np.isnan(cells[:, 1:]).all(axis=1)
+    if not present.any():
+        raise RecordingError("no row has a time and a number")
+    cells, lines = cells[present], lines[present]
+    time = to_seconds * cells[:, 0]
+    if (late := np.diff(time) <= 0).any():
+        line = lines[1:][late][0]
+        raise RecordingError(f"time does not increase in line {line}")
+    return time, cells[:, 1:]
+
+
+class _Table:
+    """The columns of a CSV file that are asked for, as numbers."""
+
+    def __init__(self, text: str, options):
+        label = "[format]"
+        self._decimal = typed(label, options, "decimal", ".")
+        self._missing = {"", "nan", *(word.strip().lower() for word in _missing_words(options))}
+        delimiter, skip = typed(label, options, "delimiter", ","), typed(label, options, "skip_rows", 0)
+        if len(delimiter) != 1 or len(self._decimal) != 1 or delimiter in (self._decimal, "\n", "\r", '"'):
+            raise RecordingError(f"{label} delimiter {delimiter!r} and decimal {self._decimal!r}: one letter each")
+        lines = io.StringIO(text, newline="")
+        for _ in range(min(max(skip, 0), MAX_ROWS)):
+            lines.readline()
+        self._skipped = skip
+        self._rows = csv.reader(lines, delimiter=delimiter, strict=True)
+        self._first = [cell.strip() for cell in next(self._rows, [])]
+        if not 1 <= len(self._first) <= MAX_COLUMNS:
+            raise RecordingError(f"{len(self._first)} columns; expected 1 to {MAX_COLUMNS}")
+        self._has_header = typed(label, options, "header", True)
+        self.header = self._first if self._has_header else [str(i + 1) for i in range(len(self._first))]
+        self._index: dict[str, int] = {}
+        self._cells = np.empty((0, 0))
+        self._lines = np.empty(0, int)
+
+    def names_of(self, source: Source) -> list[str]:
+        """The columns of a signal: a list, or all from the first to the last."""
+        place = source.place
+        if "columns" in place and not {"first", "last"} & place.keys():
+            return texts("columns", place["columns"])
+        if {"first", "last"} <= place.keys() and "columns" not in place:
+            first, last = self._position(place["first"]), self._position(place["last"])
+            if first <= last:
+                return self.header[first : last + 1]
+        raise RecordingError("expected columns = [...], or first and last in the order of the file")
+
+    def read(self, names: Iterable[str]) -> None:
+        """Read these columns into memory."""
+        names = list(dict.fromkeys(names))
+        positions = [self._position(name) for name in names]
+        self._index = {name: i for i, name in enumerate(names)}
+        cells, lines = [], []
+        start = [self._first] if not self._has_header else []
+        for row in self._all_rows(start):
+            if len(row) != len(self.header):
+                raise RecordingError(f"line {self._line} has {len(row)} cells; expected {len(self.header)}")
+            cells.append([self._number(row[i]) for i in positions])
+            lines.append(self._line)
+            if len(cells) > MAX_ROWS or len(cells) * len(names) > _MAX_CELLS:
+                raise RecordingError(f"more than {MAX_ROWS} rows or {_MAX_CELLS} cells")
+        self._cells, self._lines = np.array(cells, float).reshape(-1, len(names)), np.array(lines, int)
+
+    def numbers(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """(rows, k) numbers of k columns, NaN where one is missing, and (rows,) the lines they are from."""
+        return self._cells[:, [self._index[name] for name in names]], self._lines
+
+    @property
+    def _line(self) -> int:
+        return self._skipped + self._rows.line_num
+
+    def _all_rows(self, start):
+        yield from start
+        for row in self._rows:
+            if any(cell.strip() for cell in row):
+                yield row
+
+    def _position(self, name) -> int:
+        if not isinstance(name, str) or self.header.count(name) != 1:
+            count = self.header.count(name)
+            found = ", ".join(ascii(column)[1:-1] for column in self.header)[:200]
+            raise RecordingError(f"{count} columns are called {ascii(name)[:80]}; there are {found}")
+        return self.header.index(name)
+
+    def _number(self, cell: str) -> float:
+        cell = cell.strip()
+        if cell.lower() in self._missing:
+            return math.nan
+        text = cell if self._decimal == "." else cell.replace(self._decimal, ".")
+        try:
+            value = math.inf if "_" in text else float(text)  # Python takes 1_000 for a number
+        except ValueError:
+            value = math.inf
+        if not math.isfinite(value):
+            raise RecordingError(f"line {self._line}: {ascii(cell)[:40]} is no finite number")
+        return value
+
+
+def _missing_words(options) -> list[str]:
+    """What stands for a missing number besides nothing and NaN."""
+    return texts("[format] missing", options["missing"]) if "missing" in options else []

@@ -1,0 +1,164 @@
+"""Which part of a foreign file is which command or signal: a small TOML file, described in docs/recordings.md."""
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from soro_bench.recording.bounded_parquet import named_errors, read_bytes
+from soro_bench.recording.importers.units import si
+from soro_bench.recording.recording import Recording, RecordingError, Signal, check_name, check_shape
+
+MAX_BYTES = 1_000_000
+_SECTIONS = ("format", "time", "commands", "signals", "parameters", "metadata")
+_VALUE_KEYS = ("unit", "scale", "offset", "frame", "shape")
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where one command or signal comes from and what its numbers mean.
+
+    The value in SI units is offset + scale * (factor of the unit) * (number in the file).
+    """
+
+    unit: str  # as in the file
+    scale: float
+    offset: np.ndarray  # SI; one number, or one per number of a sample
+    frame: str
+    shape: tuple[int, ...] | None  # of a sample; None: as the file has it, and () for one number
+    place: Mapping[str, Any]  # what else the importer knows: columns, topic, ...
+
+    def signal(self, time: np.ndarray, numbers: np.ndarray) -> Signal:
+        """The signal for (T,) times [s] and (T, ...) numbers of the file."""
+        unit, factor = si(self.unit)
+        found = math.prod(numbers.shape[1:])
+        shape = self.shape
+        if shape is None:  # one number is no list of one
+            shape = numbers.shape[1:] if found > 1 else ()
+        if math.prod(shape) != found:
+            raise RecordingError(f"shape {list(shape)} does not fit the {found} numbers found")
+        values = self.scale * factor * numbers.reshape(len(numbers), *shape)
+        try:
+            return Signal(time, values + self.offset, unit, self.frame)
+        except RecordingError:
+            raise
+        except ValueError as error:
+            raise RecordingError(f"offset of shape {self.offset.shape} does not fit the shape {shape}") from error
+
+
+@dataclass(frozen=True)
+class FileMapping:
+    """A whole mapping file."""
+
+    commands: dict[str, Source] = field(default_factory=dict)
+    signals: dict[str, Source] = field(default_factory=dict)
+    time: dict[str, Any] = field(default_factory=dict)
+    format: dict[str, Any] = field(default_factory=dict)
+    parameters: dict[str, float] = field(default_factory=dict)
+    metadata: dict[str, str] = field(default_factory=dict)
+
+    def recording(self, read, source: str) -> Recording:
+        """The recording whose signals ``read(source)`` gives as (T,) times [s] and (T, ...) numbers.
+
+        Time is counted from the first sample of all; the metadata keep where that was, as "start_time" [s].
+        """
+        found = {}
+        for group, sources in (("commands", self.commands), ("signals", self.signals)):
+            for name, place in sources.items():
+                found[group, name] = _named(f"{group}.{name}", read, place)
+        start = min((time[0] for time, _ in found.values() if len(time)), default=0)
+        groups = {"commands": {}, "signals": {}}
+        for (group, name), (time, numbers) in found.items():
+            build = getattr(self, group)[name].signal
+            groups[group][name] = _named(f"{group}.{name}", build, seconds(time - start), numbers)
+        metadata = {"source": source[:200], "start_time": repr(float(seconds(start))), **self.metadata}
+        return Recording(**groups, parameters=self.parameters, metadata=metadata)
+
+
+def seconds(time):
+    """Times [s] as they are, or from whole nanoseconds, whose differences have to be taken before."""
+    return time * 1e-9 if np.asarray(time).dtype.kind == "i" else time
+
+
+def load_mapping(path: str | Path, place_keys: tuple[str, ...], time_keys=(), format_keys=()) -> FileMapping:
+    """Read a mapping file.
+
+    Args:
+        place_keys, time_keys, format_keys: what the importer knows in a command or signal, in [time] and in [format].
+
+    Raises:
+        RecordingError: names what is wrong and what is allowed.
+    """
+    data = read_bytes(path, MAX_BYTES)
+    with named_errors(path):
+        table = tomllib.loads(data.decode())
+        check_keys("the mapping", table, _SECTIONS)
+        for section in table:
+            if not isinstance(table[section], dict):
+                raise RecordingError(f"{section} has to be a section, [{section}]")
+        check_keys("[time]", table.get("time", {}), time_keys)
+        check_keys("[format]", table.get("format", {}), format_keys)
+        for group in ("commands", "signals"):
+            table[group] = {
+                check_name(name): _named(f"{group}.{name}", _source, entry, place_keys)
+                for name, entry in table.get(group, {}).items()
+            }
+        if not table["commands"] and not table["signals"]:
+            raise RecordingError("the mapping has neither [commands.<name>] nor [signals.<name>]")
+        return FileMapping(**table)
+
+
+def check_keys(label: str, table: Mapping, allowed: tuple[str, ...]) -> None:
+    """Raise RecordingError for a key that is not allowed."""
+    for key in table:
+        if key not in allowed:
+            raise RecordingError(f"unknown entry {ascii(key)[:80]} in {label}; there are {', '.join(allowed)}")
+
+
+def texts(label: str, values) -> list[str]:
+    """Return a non-empty list of texts; raise RecordingError for anything else."""
+    if not isinstance(values, list) or not values or not all(isinstance(value, str) for value in values):
+        raise RecordingError(f"{label} is {ascii(values)[:80]}; expected a list of texts")
+    return values
+
+
+def typed(label: str, table: Mapping, key: str, default):
+    """``table[key]`` of the type of the default; RecordingError for another type."""
+    value = table.get(key, default)
+    if type(value) is not type(default):
+        raise RecordingError(f"{label} {key} = {ascii(value)[:80]}; expected something like {default!r}")
+    return value
+
+
+def _source(entry, place_keys) -> Source:
+    if not isinstance(entry, dict):
+        raise RecordingError(f"is {ascii(entry)[:80]}; expected a section")
+    check_keys("it", entry, (*place_keys, *_VALUE_KEYS))
+    unit = entry.get("unit")
+    if unit is None:
+        raise RecordingError('has no unit; a quantity without one has unit = "1"')
+    si(unit)
+    shape = check_shape(entry["shape"]) if "shape" in entry else None
+    place = {key: entry[key] for key in place_keys if key in entry}
+    scale, offset = _numbers("scale", entry.get("scale", 1.0)), _numbers("offset", entry.get("offset", 0.0))
+    if scale.ndim:
+        raise RecordingError(f"scale = {scale.tolist()}; expected one number")
+    return Source(unit, float(scale), offset, entry.get("frame", ""), shape, place)
+
+
+def _numbers(label, value) -> np.ndarray:
+    array = np.asarray(value)
+    if array.dtype.kind not in "fi" or not np.isfinite(array).all():
+        raise RecordingError(f"{label} = {ascii(value)[:80]}; expected finite numbers")
+    return array.astype(float)
+
+
+def _named(label, function, *arguments):
+    try:
+        return function(*arguments)
+    except RecordingError as error:
+        raise RecordingError(f"{label}: {error}") from error

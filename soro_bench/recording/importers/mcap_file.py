@@ -1,0 +1,177 @@
+"""MCAP files whose messages are JSON: what robots log through Foxglove and ROS bridges."""
+
+import io
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.recording.bounded_parquet import MAX_BYTES, named_errors, read_bytes
+from soro_bench.recording.importers.mapping import Source, load_mapping, texts
+from soro_bench.recording.importers.units import si
+from soro_bench.recording.recording import MAX_SIZE, Recording, RecordingError
+
+_PLACE = ("topic", "fields", "time")
+_CLOCKS = ("log_time", "publish_time")
+_EXPANSION = 4  # bytes of messages per byte that a file may have
+_MAX_NUMBERS = 50_000_000
+_STEP = re.compile(r"([^.\[\]]+)|\[(\d{1,6})\]")
+
+
+def import_mcap(path: str | Path, mapping: str | Path | None, max_bytes: int = MAX_BYTES) -> Recording:
+    """Read an MCAP file with a mapping file; RecordingError says what is wrong with either."""
+    if mapping is None:
+        raise RecordingError(f"{path}: an MCAP file needs a mapping file; docs/recordings.md has an example")
+    spec = load_mapping(mapping, _PLACE, ("source", "unit"))
+    data = read_bytes(path, max_bytes)
+    with named_errors(path):
+        sources = [*spec.commands.values(), *spec.signals.values()]
+        collectors = {id(source): _Collector(source, spec.time) for source in sources}
+        for channel, message in _messages(data, _EXPANSION * max_bytes):
+            for collector in collectors.values():
+                if collector.topic == channel.topic:
+                    collector.add(channel, message)
+            if sum(collector.count for collector in collectors.values()) > _MAX_NUMBERS:
+                raise RecordingError(f"more than {_MAX_NUMBERS} numbers")
+        return spec.recording(lambda source: collectors[id(source)].arrays(), Path(path).name)
+
+
+class _Collector:
+    """The samples of one command or signal."""
+
+    def __init__(self, source: Source, time):
+        self.topic = source.place.get("topic")
+        if not isinstance(self.topic, str):
+            raise RecordingError(f"topic is {ascii(self.topic)[:80]}; expected a text")
+        self._fields = [_steps(text) for text in texts("fields", source.place.get("fields"))]
+        clock = source.place.get("time", time.get("source", "log_time"))
+        if not isinstance(clock, str):
+            raise RecordingError(f"time is {ascii(clock)[:80]}; expected log_time, publish_time or a field")
+        self._clock = clock if clock in _CLOCKS else _steps(clock)
+        unit, self._to_seconds = si(time.get("unit", "s"))
+        if unit != "s":
+            raise RecordingError(f"[time] unit = {time['unit']!r} is no unit of time")
+        self._times: list[int] = []
+        self._samples: list[list[float]] = []
+        self.count = 0
+
+    def add(self, channel, message) -> None:
+        """Note a message of the topic."""
+        if (encoding := channel.message_encoding) != "json":
+            raise RecordingError(f"topic {self.topic} is encoded as {encoding[:40]!r}; only json is read")
+        content = json.loads(message.data)
+        sample: list[float] = []
+        for steps in self._fields:
+            _flatten(_follow(content, steps), sample)
+        if self._samples and len(sample) != len(self._samples[0]):
+            raise RecordingError(f"topic {self.topic}: {len(sample)} numbers follow {len(self._samples[0])}")
+        self._samples.append(sample)
+        self._times.append(self._nanoseconds(content, message))
+        self.count += len(sample) + 1
+
+    def arrays(self) -> tuple[np.ndarray, np.ndarray]:
+        """(T,) times [ns] in order and (T, k) numbers; of two samples of one time, the later in the file counts."""
+        if not self._times:
+            raise RecordingError(f"no messages of topic {self.topic}")
+        # messages may lie in the file in another order than they were sent
+        times, rows = np.unique(np.array(self._times[::-1], np.int64), return_index=True)
+        return times, np.array(self._samples[::-1], float)[rows]
+
+    def _nanoseconds(self, content, message) -> int:
+        if isinstance(self._clock, str):
+            return getattr(message, self._clock)
+        stamp = _follow(content, self._clock)
+        if isinstance(stamp, dict) and "sec" in stamp:  # as in ROS
+            return 1_000_000_000 * int(stamp["sec"]) + int(stamp.get("nanosec", stamp.get("nsec", 0)))
+        if isinstance(stamp, bool) or not isinstance(stamp, (int, float)):
+            raise RecordingError(f"topic {self.topic}: time {ascii(stamp)[:80]} is no number")
+        return round(1e9 * self._to_seconds * stamp)
+
+
+def _messages(data: bytes, budget: int) -> Iterator:
+    """Channel and message of every message, in the order of the file."""
+    try:
+        from mcap.exceptions import McapError
+        from mcap.records import Channel, Chunk, Message
+        from mcap.stream_reader import StreamReader, breakup_chunk
+    except ImportError as error:
+        raise ImportError("MCAP files need mcap: pip install soro_bench[mcap]") from error
+
+    channels = {}
+    reader = StreamReader(io.BytesIO(data), emit_chunks=True, validate_crcs=True, record_size_limit=len(data))
+    try:
+        for outer in reader.records:
+            records = [outer]
+            if isinstance(outer, Chunk):
+                budget -= outer.uncompressed_size
+                if budget < 0:
+                    raise RecordingError("its chunks take more memory than its largest size allows")
+                _decompress(outer)
+                records = breakup_chunk(outer, validate_crc=True)
+            for record in records:
+                if isinstance(record, Channel):
+                    channels[record.id] = record
+                elif isinstance(record, Message):
+                    if record.channel_id not in channels:
+                        raise RecordingError(f"a message of the unknown channel {record.channel_id}")
+                    yield channels[record.channel_id], record
+    except McapError as error:
+        raise RecordingError(f"no complete MCAP file: {type(error).__name__} {error}") from error
+
+
+def _decompress(chunk) -> None:
+    """Decompress in place, to the size that the chunk declares and no further."""
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":
+        import zstandard
+
+        try:
+            with zstandard.ZstdDecompressor(max_window_size=2**27).stream_reader(chunk.data) as stream:
+                chunk.data = stream.read(size + 1)
+        except zstandard.ZstdError as error:
+            raise RecordingError(f"a broken chunk: {error}") from error
+    elif chunk.compression == "lz4":
+        import lz4.frame
+
+        try:
+            chunk.data = lz4.frame.LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+        except RuntimeError as error:  # what lz4 raises
+            raise RecordingError(f"a broken chunk: {error}") from error
+    elif chunk.compression:
+        raise RecordingError(f"compression {ascii(chunk.compression)[:40]} is unknown; there are zstd and lz4")
+    if len(chunk.data) != size:
+        raise RecordingError(f"a chunk has not the {size} bytes that it declares")
+    chunk.compression = ""
+
+
+def _steps(path: str) -> list[str | int]:
+    """Keys and indices of a path such as "pose.position[2]"."""
+    if not path or _STEP.sub("", path).strip("."):
+        raise RecordingError(f"field {ascii(path)[:80]} is no path such as pose.position[2]")
+    return [key or int(index) for key, index in _STEP.findall(path)]
+
+
+def _follow(content, steps):
+    for step in steps:
+        try:
+            content = content[step]
+        except (KeyError, IndexError, TypeError) as error:
+            raise RecordingError(f"a message has no field {'.'.join(map(str, steps))[:80]}") from error
+    return content
+
+
+def _flatten(value, numbers: list[float]) -> None:
+    """Append the numbers of a number or nested lists; null is a missing number."""
+    if isinstance(value, list):
+        for entry in value:
+            _flatten(entry, numbers)
+    elif value is None:
+        numbers.append(np.nan)
+    elif isinstance(value, (int, float)):
+        numbers.append(float(value))
+    else:
+        raise RecordingError(f"{ascii(value)[:80]} is no number")
+    if len(numbers) > MAX_SIZE:
+        raise RecordingError(f"a sample has more than {MAX_SIZE} numbers")

@@ -1,0 +1,31 @@
+"""Units that measurements come in, and their factors to SI."""
+
+import math
+
+from soro_bench.recording.recording import RecordingError
+
+# unit: SI unit and how many of it
+UNITS = {
+    "1": ("1", 1.0), "%": ("1", 0.01),
+    "um": ("m", 1e-6), "mm": ("m", 1e-3), "cm": ("m", 1e-2), "m": ("m", 1.0), "in": ("m", 0.0254),
+    "mm/s": ("m/s", 1e-3), "cm/s": ("m/s", 1e-2), "m/s": ("m/s", 1.0),
+    "m/s^2": ("m/s^2", 1.0), "g0": ("m/s^2", 9.80665),
+    "deg": ("rad", math.pi / 180), "rad": ("rad", 1.0), "rev": ("rad", 2 * math.pi),
+    "deg/s": ("rad/s", math.pi / 180), "rad/s": ("rad/s", 1.0), "rpm": ("rad/s", math.pi / 30),
+    "g": ("kg", 1e-3), "kg": ("kg", 1.0),
+    "mN": ("N", 1e-3), "N": ("N", 1.0), "kN": ("N", 1e3), "gf": ("N", 9.80665e-3), "kgf": ("N", 9.80665),
+    "mNm": ("N m", 1e-3), "Nm": ("N m", 1.0),
+    "Pa": ("Pa", 1.0), "hPa": ("Pa", 1e2), "kPa": ("Pa", 1e3), "MPa": ("Pa", 1e6), "mbar": ("Pa", 1e2),
+    "bar": ("Pa", 1e5), "psi": ("Pa", 6894.757293168361),
+    "ns": ("s", 1e-9), "us": ("s", 1e-6), "ms": ("s", 1e-3), "s": ("s", 1.0), "min": ("s", 60.0),
+    "Hz": ("1/s", 1.0), "ml": ("m^3", 1e-6), "l": ("m^3", 1e-3),
+    "ml/min": ("m^3/s", 1e-6 / 60), "l/min": ("m^3/s", 1e-3 / 60),
+    "mV": ("V", 1e-3), "V": ("V", 1.0), "mA": ("A", 1e-3), "A": ("A", 1.0), "ohm": ("ohm", 1.0), "K": ("K", 1.0),
+}  # fmt: skip
+
+
+def si(unit: str) -> tuple[str, float]:
+    """SI unit and factor of a unit; RecordingError lists the known ones."""
+    if not isinstance(unit, str) or unit not in UNITS:
+        raise RecordingError(f"unknown unit {ascii(unit)[:40]}; there are {', '.join(UNITS)}")
+    return UNITS[unit]

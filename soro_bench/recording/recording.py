@@ -1,0 +1,210 @@
+"""What was measured or simulated over time: commands, signals and what is known about the robot.
+
+Nothing here knows a file format: :mod:`soro_bench.recording.parquet` reads and writes the native one, and
+:mod:`soro_bench.recording.importers` those of others.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+SCHEMA = "soro-bench/recording/1"
+MAX_DIMENSIONS = 4  # of one sample
+MAX_SIZE = 100_000  # numbers in one sample
+MAX_SIGNALS = 1000  # of commands and signals together
+MAX_ENTRIES = 1000  # of parameters, and of metadata
+MAX_TEXT = 10_000  # characters of a metadata value
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
+_SHORT = re.compile(r"[ -~°µ²³]{0,32}")  # units and frames: printable
+
+
+class RecordingError(ValueError):
+    """A file, or what is to become one, is no valid recording."""
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One quantity at its own times, which need not be regular.
+
+    Args:
+        time: (T,) s, from 0 on and strictly increasing; at least one.
+        values: (T, ...) real numbers; NaN is a missing sample, infinity is refused.
+        unit: SI unit such as "m", "N", "rad"; "1" if it has none.
+        frame: the frame of coordinates, such as "world"; "" where there is none.
+
+    Raises:
+        RecordingError: says what is wrong.
+    """
+
+    time: np.ndarray
+    values: np.ndarray
+    unit: str = "1"
+    frame: str = ""
+
+    def __post_init__(self):
+        # adding 0 turns -0 into 0, so that equal times have equal bits
+        time, values = _floats("time", self.time) + 0.0, _floats("values", self.values)
+        if time.ndim != 1 or len(time) == 0:
+            raise RecordingError(f"time has shape {time.shape}; expected (T,) with T at least 1")
+        if values.shape[:1] != time.shape:
+            raise RecordingError(f"values have shape {values.shape}; expected {len(time)} rows, one per time")
+        check_shape(values.shape[1:])
+        _check_times(time)
+        if np.isinf(values).any():
+            raise RecordingError("values are infinite; allowed are finite numbers, and NaN for a missing sample")
+        for label, text in (("unit", self.unit), ("frame", self.frame)):
+            if not isinstance(text, str) or not _SHORT.fullmatch(text):
+                raise RecordingError(f"{label} {_brief(text)} has to be at most 32 printable characters")
+        if not self.unit:
+            raise RecordingError('unit is ""; a quantity without a unit has "1"')
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "values", values)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Commands and signals of one robot, each with times of its own, on one clock.
+
+    Args:
+        commands: what the robot was told, by name.
+        signals: what was measured, by name.
+        parameters: physical parameters that are known, in SI units; may be empty.
+        metadata: texts such as env_id, model, action ("discrete" or "continuous"), noise, goal, robot, source.
+
+    Raises:
+        RecordingError: says what is wrong.
+    """
+
+    commands: dict[str, Signal] = field(default_factory=dict)
+    signals: dict[str, Signal] = field(default_factory=dict)
+    parameters: dict[str, float] = field(default_factory=dict)
+    metadata: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self):
+        count = len(self.commands) + len(self.signals)
+        if not 1 <= count <= MAX_SIGNALS:
+            raise RecordingError(f"{count} commands and signals; expected 1 to {MAX_SIGNALS}")
+        for name in (*self.commands, *self.signals):
+            check_name(name)
+        check_parameters(self.parameters)
+        check_metadata(self.metadata)
+
+    @property
+    def names(self) -> list[str]:
+        """Sorted names of the signals."""
+        return sorted(self.signals)
+
+    @property
+    def start(self) -> float:
+        """The first time stamp [s]."""
+        return float(min(signal.time[0] for signal in self._all()))
+
+    @property
+    def duration(self) -> float:
+        """From the first time stamp to the last [s]."""
+        return float(max(signal.time[-1] for signal in self._all())) - self.start
+
+    def _all(self) -> list[Signal]:
+        return [*self.commands.values(), *self.signals.values()]
+
+
+def resampled(signal: Signal, times: np.ndarray, max_gap: float | None = None) -> Signal:
+    """The signal at other times, by linear interpolation between the two samples around each.
+
+    A value is NaN where there is nothing to interpolate: before the first sample and after the last, where one of the
+    two samples is missing, and where they lie more than ``max_gap`` apart. A time at which there is a sample gets that
+    sample as it is. Discrete actions and quaternions are not for interpolation.
+
+    Args:
+        times: (n,) s, strictly increasing.
+        max_gap: s; by default three times the median interval of the signal.
+    """
+    times = np.asarray(times, float)
+    time, values = signal.time, signal.values
+    if max_gap is None:
+        max_gap = 3.0 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    left = np.clip(np.searchsorted(time, times, side="right") - 1, 0, len(time) - 1)
+    right = np.minimum(left + 1, len(time) - 1)
+    gap = time[right] - time[left]
+    weight = (times - time[left]) / np.where(gap > 0, gap, 1.0)
+    usable = (times >= time[0]) & (times <= time[-1]) & (gap <= max_gap)
+    across = (slice(None), *[None] * (values.ndim - 1))  # from (n,) to the shape of the values
+    between = (1.0 - weight[across]) * values[left] + weight[across] * values[right]
+    between = np.where(usable[across], between, np.nan)
+    return Signal(times, np.where((times == time[left])[across], values[left], between), signal.unit, signal.frame)
+
+
+def check_name(name: str) -> str:
+    """Return a valid name of a signal or parameter; raise RecordingError otherwise."""
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise RecordingError(f"name {_brief(name)} has to be a letter and then at most 63 of A-Z a-z 0-9 _ . -")
+    return name
+
+
+def check_shape(shape) -> tuple[int, ...]:
+    """Return the shape of a sample as a tuple; raise RecordingError if it is none or too large."""
+    valid = isinstance(shape, (tuple, list)) and len(shape) <= MAX_DIMENSIONS
+    valid = valid and all(type(n) is int and n >= 1 for n in shape)
+    if not valid or math.prod(shape) > MAX_SIZE:
+        allowed = f"at most {MAX_DIMENSIONS} positive integers with a product of at most {MAX_SIZE}"
+        raise RecordingError(f"shape {_brief(shape)} of a sample has to be {allowed}")
+    return tuple(shape)
+
+
+def check_parameters(parameters: Mapping[str, float]) -> None:
+    """Raise RecordingError if these are not finite numbers by name."""
+    _check_mapping("parameters", parameters)
+    for name, value in parameters.items():
+        check_name(name)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            raise RecordingError(f"parameter {name} is {_brief(value)}; it has to be a finite number")
+
+
+def check_metadata(metadata: Mapping[str, str]) -> None:
+    """Raise RecordingError if these are not texts of a sensible length by name."""
+    _check_mapping("metadata", metadata)
+    for name, value in metadata.items():
+        check_name(name)
+        if not isinstance(value, str) or len(value) > MAX_TEXT or not _is_unicode(value):
+            raise RecordingError(f"metadata {name} is {_brief(value)}; it has to be a text of up to {MAX_TEXT} letters")
+
+
+def _check_mapping(label, mapping) -> None:
+    if not isinstance(mapping, Mapping) or len(mapping) > MAX_ENTRIES:
+        raise RecordingError(f"{label} {_brief(mapping)} have to be a dict of at most {MAX_ENTRIES} entries")
+
+
+def _check_times(time) -> None:
+    if not np.isfinite(time).all():
+        raise RecordingError("time is not finite")
+    if time[0] < 0:
+        raise RecordingError(f"time begins at {time[0]} s; it has to begin at 0 or later")
+    steps = np.diff(time)
+    if (steps <= 0).any():
+        i = int(np.argmax(steps <= 0))
+        raise RecordingError(f"time has to increase strictly; {time[i + 1]} s follows {time[i]} s in row {i + 1}")
+
+
+def _floats(label, values) -> np.ndarray:
+    values = np.asarray(values)
+    if values.dtype.kind not in "fiub":
+        raise RecordingError(f"{label} has type {values.dtype}; expected real numbers")
+    return np.ascontiguousarray(values, float).reshape(values.shape)
+
+
+def _is_unicode(text) -> bool:
+    """Whether a text can be written, which one with half of a surrogate pair cannot."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _brief(value) -> str:
+    """A value for a message, cut to a sensible length."""
+    text = ascii(value)
+    return text if len(text) <= 80 else text[:77] + "..."

@@ -1,0 +1,198 @@
+"""Recordings of simulated episodes, and simulated episodes after recordings."""
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+import soro_bench
+from soro_bench.envs.task import ACTION_MODES
+from soro_bench.evaluation import evaluate
+from soro_bench.recording.episode import Episode
+from soro_bench.recording.excitation import excitation, shortest
+from soro_bench.recording.recording import Recording, RecordingError, Signal
+from soro_bench.registration import ENV_IDS, make_task, task_type
+from soro_bench.training.policy import Policy
+
+POLICIES = ("random", "excitation")  # and the folder of a trained one
+COMMAND = "action"  # the command that an episode is driven by
+MAX_STEPS = 100_000  # of a replay
+_DURATION = 30.0  # s, of an excitation
+
+
+def record(
+    env_id: str,
+    policy: str = "random",
+    model: str | None = None,
+    action: str | None = None,
+    params: Mapping[str, float] | None = None,
+    steps: int | None = None,
+    seed: int = 0,
+    noise: float = 0.0,
+    full_state: bool = False,
+) -> Recording:
+    """Simulate an episode and record what there is to measure.
+
+    Args:
+        policy: "random" (uniform actions), "excitation", or the folder of a trained policy.
+        model: the environment's model or mesh; the accurate one by default.
+        action: "discrete" or "continuous"; by default continuous, or what the trained policy needs.
+        params: physical parameters; nominal where none is given.
+        steps: the episode does not end before; by default what the environment is registered with, and 30 s (or what
+            it takes) for an excitation.
+        seed: of the goal, the actions and the noise.
+        noise: m, standard deviation of normal noise on every number of all positions.
+        full_state: whether to record the simulation's whole state too, as signals named state.qpos and so on.
+
+    Raises:
+        ValueError: names what is wrong and what is allowed.
+    """
+    if env_id not in ENV_IDS:
+        raise ValueError(f"unknown environment {env_id!r}; there are {', '.join(ENV_IDS)}")
+    if not 0 <= noise < math.inf or (steps is not None and steps < 1) or seed < 0:
+        raise ValueError(f"noise {noise}, steps {steps} and seed {seed}: at least 0, 1 and 0 are needed")
+    trained = None if policy in POLICIES else _trained(policy, env_id, action)
+    action = trained.card.action if trained else action or "continuous"
+    model = model or task_type(env_id).accurate
+    if action not in ACTION_MODES:
+        raise ValueError(f"unknown action mode {action!r}; there are {', '.join(ACTION_MODES)}")
+    task = make_task(env_id, 1, 1, model, action=action)
+    if policy == "excitation":
+        actions = _excitation(task, steps, seed)
+        act, steps = _in_turn(actions), len(actions)
+    else:
+        act = trained.act if trained else _random(task.single_action_space, seed)
+    steps = steps or gymnasium.spec(env_id).max_episode_steps
+    episode = _run(act, env_id, model, action, {"params": params or {}}, steps, seed, full_state)
+    metadata = {"policy": policy[:1000], "seed": str(seed), "soro_bench": soro_bench.__version__}
+    return _recording(episode, action, noise, seed, metadata)
+
+
+def replay(recording: Recording, model: str | None = None) -> Episode:
+    """Simulate what a recording's actions do to a robot with its parameters.
+
+    A recording of the same simulation without noise gives its signals again, bit for bit.
+
+    Args:
+        recording: with the command "action" and env_id, action and perhaps model and goal in its metadata.
+        model: instead of the recording's; the accurate one if neither is given.
+
+    Raises:
+        ValueError: names what the recording lacks.
+    """
+    metadata = recording.metadata
+    env_id, actions = recorded_actions(recording)
+    start: dict[str, Any] = {"params": recording.parameters}
+    if "goal" in metadata and "goal" in task_type(env_id).options:
+        start["goal"] = _goal(metadata["goal"])
+    model = model or metadata.get("model") or task_type(env_id).accurate
+    return _run(_in_turn(actions), env_id, model, metadata["action"], start, len(actions))
+
+
+def recorded_actions(recording: Recording) -> tuple[str, np.ndarray]:
+    """The environment of a recording, and its action (T, ...) in each control step: the last one sent until its
+    beginning; before the first, continuous actions are zero. ValueError names what the recording lacks."""
+    metadata = recording.metadata
+    env_id, action = metadata.get("env_id"), metadata.get("action")
+    if env_id not in ENV_IDS or action not in ACTION_MODES:
+        raise RecordingError(
+            f"env_id {env_id!r} and action {action!r} in its metadata say not what to replay it with; there are "
+            f"{', '.join(ENV_IDS)} and {', '.join(ACTION_MODES)}"
+        )
+    if COMMAND not in recording.commands:
+        raise RecordingError(f"there is no command {COMMAND!r} to replay; there are {sorted(recording.commands)}")
+    timestep = task_type(env_id).control_timestep
+    steps = math.ceil(recording.duration / timestep - 1e-6)
+    if not 1 <= steps <= MAX_STEPS:
+        raise RecordingError(f"{recording.duration} s are {steps} control steps; expected 1 to {MAX_STEPS}")
+    return env_id, _held(
+        recording.commands[COMMAND], recording.start + timestep * np.arange(steps), action == "discrete"
+    )
+
+
+def parse_params(pairs: Sequence[str]) -> dict[str, float]:
+    """Numbers by name from texts such as "trunk_mass=0.3"; ValueError for anything else."""
+    params = {}
+    for pair in pairs:
+        name, _, value = pair.partition("=")
+        try:
+            params[name] = float(value)
+        except ValueError:
+            raise ValueError(f"{pair!r} is no parameter; expected something like trunk_mass=0.3") from None
+    return params
+
+
+def _run(act, env_id, model, action, start, steps, seed=0, full_state=False) -> Episode:
+    (episode,) = evaluate(
+        act, env_id, model, action, [start], 1, steps, seed=seed, stop_when_solved=False, full_state=full_state
+    )
+    return episode
+
+
+def _recording(episode, action, noise, seed, metadata) -> Recording:
+    rng, units, signals = np.random.default_rng((seed, 2)), task_type(episode.env_id).signal_units, {}
+    for name, values in sorted(episode.signals.items()):
+        unit, frame = units.get(name, ("1", ""))  # the parts of the state have several
+        if noise and (unit, frame) == ("m", "world"):
+            values = values + noise * rng.standard_normal(values.shape)
+        signals[name] = Signal(episode.time, values, unit, frame)
+    commands = {COMMAND: Signal(episode.time[: len(episode.actions)], episode.actions, "1")}
+    metadata |= {"env_id": episode.env_id, "model": episode.model, "action": action, "noise": repr(float(noise))}
+    if episode.goal is not None:
+        metadata["goal"] = json.dumps(episode.goal.tolist())
+    return Recording(commands, signals, episode.params, metadata)
+
+
+def _trained(folder, env_id, action) -> Policy:
+    if not Path(folder).is_dir():
+        raise ValueError(f"policy {folder!r} is neither {', '.join(POLICIES)} nor a folder")
+    policy = Policy.load(folder)
+    if policy.card.env_id != env_id or action not in (None, policy.card.action):
+        raise ValueError(f"the policy in {folder} is for {policy.card.env_id} with {policy.card.action} actions")
+    return policy
+
+
+def _excitation(task, steps, seed) -> np.ndarray:
+    space, timestep = task.single_action_space, task.control_timestep
+    if steps is None and isinstance(space, spaces.Box):
+        steps = max(round(_DURATION / timestep), shortest(space.shape[0]))
+    return excitation(space, timestep, (steps or 1) * timestep, seed)
+
+
+def _random(space, seed) -> Callable[[np.ndarray], np.ndarray]:
+    rng = np.random.default_rng((seed, 1))
+    if isinstance(space, spaces.Discrete):
+        return lambda observation: rng.integers(space.n, size=len(observation))
+    return lambda observation: rng.uniform(space.low, space.high, (len(observation), *space.shape))
+
+
+def _in_turn(actions) -> Callable[[np.ndarray], np.ndarray]:
+    rows: Iterator[np.ndarray] = iter(actions)
+    return lambda observation: next(rows)[None]
+
+
+def _held(command: Signal, times: np.ndarray, discrete: bool) -> np.ndarray:
+    """The last action at or before each of the times."""
+    last = np.searchsorted(command.time, times, side="right") - 1
+    actions = command.values[np.maximum(last, 0)]
+    if np.isnan(actions).any():
+        raise RecordingError(f"the command {COMMAND!r} has missing numbers")
+    if not discrete:
+        actions[last < 0] = 0.0
+        return actions
+    if last[0] < 0 or (actions != np.round(actions)).any() or (np.abs(actions) > 1000).any():
+        raise RecordingError(f"the command {COMMAND!r} has to be integers from the first time stamp on")
+    return actions.astype(int)
+
+
+def _goal(text) -> list[float]:
+    try:
+        goal = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"goal {text[:80]!r} is no list of coordinates") from error
+    return goal
