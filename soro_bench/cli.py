@@ -296,8 +296,9 @@ class _Steps:
     """A progress bar for an inference."""
 
     def __init__(self, label: str):
-        self._progress = Progress(TextColumn(label), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"),
-                                  TimeElapsedColumn(), TimeRemainingColumn(), console=_console)  # fmt: skip
+        self._progress = Progress(TextColumn(label), BarColumn(), MofNCompleteColumn(),
+                                  TextColumn("{task.fields[note]}"), TimeElapsedColumn(), TimeRemainingColumn(),
+                                  console=_console)  # fmt: skip
 
     def __enter__(self):
         self._progress.start()

@@ -94,8 +94,10 @@ class RandomFourierFeatures(nn.Module):
 
 
 def coverage(estimator: Estimator, points: np.ndarray, summaries: np.ndarray, count: int = 200, seed: int = 0):
-    """(n, d) rank of the true value among ``count`` posterior samples, from 0 to 1: uniform if calibrated (Talts et al.,
-    "Validating Bayesian inference algorithms with simulation-based calibration", 2018)."""
+    """(n, d) rank of the true value among ``count`` posterior samples, from 0 to 1: uniform if calibrated.
+
+    Talts et al., "Validating Bayesian inference algorithms with simulation-based calibration", 2018.
+    """
     ranks = [
         (estimator.sample(summary, count, seed + i) < point).mean(axis=0)
         for i, (point, summary) in enumerate(zip(points, summaries, strict=True))

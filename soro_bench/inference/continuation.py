@@ -11,10 +11,10 @@ DAMPINGS = (0.0, 0.01, 0.1, 1.0, 10.0)
 def track(residuals, deviation, groups, dimension, log, seed, starts, progress=lambda *_: None) -> np.ndarray:
     """(d,) the point of the unit cube whose replay explains the recording, by continuation in the horizon.
 
-    The first steps are explained first, which is easy as nothing has touched anything and errors have not added up; then
-    a few more, from there. Each horizon takes Gauss-Newton steps on sum log(1 + s_tg), where s_tg is the mean square of
-    the weighted residuals of signal g at step t: the likelihood when every step and signal has a variance of its own,
-    so that one that cannot be explained does not outvote the others.
+    The first steps are explained first, which is easy as nothing has touched anything and errors have not added up;
+    then a few more, from there. Each horizon takes Gauss-Newton steps on sum log(1 + s_tg), where s_tg is the mean
+    square of the weighted residuals of signal g at step t: the likelihood when every step and signal has a variance of
+    its own, so that one that cannot be explained does not outvote the others.
     """
     steps = len(deviation)
     horizons = np.unique(np.round(np.geomspace(min(3, steps), steps, HORIZONS)).astype(int))

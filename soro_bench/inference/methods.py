@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import qmc
 
 from soro_bench.inference import rf_dropo
 from soro_bench.inference.identifiability import combinations
@@ -113,9 +112,10 @@ def _sysid(search: Search, max_iterations: int = 30):
     })
 
     def residual(x, _params):
-        points = np.asarray(x, float).reshape(search.dimension, -1).T
+        # (d,) or, for several points at once, (d, n)
+        points = np.reshape(x, (search.dimension, -1)).T
         found = search.log(lambda p: search.residuals(p, steps) / replay.deviation, points, "residual")
-        return [np.nan_to_num(found, nan=1e6).reshape(len(points), -1).T.squeeze()], None, None
+        return [np.nan_to_num(found, nan=1e6).reshape(len(points), -1).T.reshape(-1, *np.shape(x)[1:])], None, None
 
     # forward differences far above the solver's noise
     _, result = sysid.optimize(params, residual, verbose=False, max_iters=max_iterations, eps=1e-4)
@@ -133,7 +133,7 @@ def _bayes_sim(search: Search, features: str = "mdn", simulations: int = 1000, s
     from soro_bench.inference import bayes_sim
 
     replay = search.replay
-    points = qmc.Sobol(search.dimension, rng=search.seed).random(simulations)
+    points = np.random.default_rng(search.seed).random((simulations, search.dimension))
     measured = np.nan_to_num(replay.measured)
     summaries = []
     for first in range(0, simulations, CHUNK):

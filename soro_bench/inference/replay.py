@@ -10,8 +10,8 @@ from soro_bench.recording.recording import Recording, RecordingError, resampled
 from soro_bench.recording.simulated import recorded_actions
 from soro_bench.registration import make_task, task_type
 
-# What a simulation is trusted to beside the sensor's noise, standard deviations by unit: in metres that of the published
-# eps, 1e-4 mm^2 (docs/reference_tasks.md); without a unit (quaternions) the same at the corner of a 5 cm cube
+# What a simulation is trusted to beside the sensor's noise, standard deviations by unit: in metres that of the
+# published eps, 1e-4 mm^2 (docs/reference_tasks.md); without a unit (quaternions) the same at the corner of a 5 cm cube
 RESOLUTION = {"m": 1e-5, "1": 4e-4}
 MISSING = 1e6  # standard deviation of a sample that is missing: it says nothing
 SIMULATIONS = 32  # at a time

@@ -34,9 +34,7 @@ class EvaluationLog:
         except ValueError as error:
             raise ValueError(f"{path} is no log of evaluations: {error}") from error
         if header != {"title": title}:
-            raise ValueError(
-                f"{path} belongs to another inference ({header.get('title')}); remove it or choose another"
-            )
+            raise ValueError(f"{path} is the log of another inference; remove it, or choose another file")
         self._path.write_bytes(b"".join(line + b"\n" for line in lines))
 
     def __call__(self, function: Callable[[np.ndarray], np.ndarray], points: np.ndarray, label: str) -> np.ndarray:

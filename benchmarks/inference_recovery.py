@@ -1,0 +1,139 @@
+"""How well the methods recover the parameters behind a recording.
+
+    python benchmarks/inference_recovery.py [--only reach push ...] [--model flex]
+
+Three 5 s recordings per task, simulated with nominal parameters: TrunkReach under random discrete actions, TrunkPush
+under the three oracle policies of the leaderboard. Every inference is a file in --work, and the same command goes on
+with what is missing. Writes docs/results/inference.json and prints a table: means over recordings of the error relative
+to the truth, with the paper's beside it.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.files import read_json, write_json
+from soro_bench.inference.methods import infer
+from soro_bench.inference.replay import Replay
+from soro_bench.parameters import ALL_PARAMETERS
+from soro_bench.recording.simulated import record
+from soro_bench.registration import task_type
+
+ROOT = Path(__file__).parents[1]
+POLICIES = ROOT / "leaderboard" / "entries" / "ppo" / "TrunkPush-v0" / "oracle"
+REACH, PUSH = "TrunkReach-v0", "TrunkPush-v0"
+E_WRONG = {"young_modulus": 0.8 * ALL_PARAMETERS["young_modulus"].nominal}
+# name: environment, method, what differs
+CASES = {
+    "reach": (REACH, "rf-dropo", {}),
+    "push": (PUSH, "rf-dropo", {}),
+    "push_unmodelled": (PUSH, "rf-dropo", {"known": E_WRONG}),
+    "push_unmodelled_cables_too": (PUSH, "rf-dropo", {"known": E_WRONG, "also": ("cable_stiffness",)}),
+    "reach_noise": (REACH, "rf-dropo", {"noise": 5e-4}),
+    "push_noise": (PUSH, "rf-dropo", {"noise": 5e-4}),
+    "reach_cable": (REACH, "rf-dropo", {"model": "cable"}),
+    "push_cable": (PUSH, "rf-dropo", {"model": "cable"}),
+    "reach_droid": (REACH, "droid", {}),
+    "reach_sysid": (REACH, "sysid", {}),
+    "push_sysid": (PUSH, "sysid", {}),
+    "reach_dropo": (REACH, "dropo", {}),
+    "push_dropo": (PUSH, "dropo", {}),
+    "reach_bayes_sim_mdn": (REACH, "bayes-sim", {"settings": {"features": "mdn"}}),
+    "push_bayes_sim_mdn": (PUSH, "bayes-sim", {"settings": {"features": "mdn"}}),
+    "reach_bayes_sim_mdrff": (REACH, "bayes-sim", {"settings": {"features": "mdrff"}}),
+    "push_bayes_sim_mdrff": (PUSH, "bayes-sim", {"settings": {"features": "mdrff"}}),
+}
+RUNS = ((0, 0), (0, 1), (0, 2), (1, 0), (2, 0))  # recording, seed of the inference
+
+
+def recording_of(env_id: str, number: int, noise: float, model: str):
+    """The recording of that number, with its full state."""
+    if env_id == REACH:
+        return record(env_id, "random", model, "discrete", seed=number, noise=noise, full_state=True)
+    return record(env_id, str(POLICIES / f"seed{number}"), model, seed=number, noise=noise, full_state=True)
+
+
+def run(case: str, number: int, seed: int, work: Path, model: str, threads: int) -> dict:
+    """One inference; its result is kept in a file."""
+    path = work / model / case / f"recording{number}_seed{seed}.json"
+    if path.exists():
+        return read_json(path)
+    env_id, method, change = CASES[case]
+    noise = change.get("noise", 0.0)
+    names = [p.name for p in task_type(env_id).randomized] + list(change.get("also", ()))
+    names = [name for name in names if name not in change.get("known", {})]
+    replay = Replay(
+        recording_of(env_id, number, noise, model), names, change.get("known"), change.get("model"), noise,
+        restart=method == "dropo", threads=threads,
+    )  # fmt: skip
+    start = time.process_time()
+    posterior = infer(method, replay, path.with_suffix(".log.jsonl"), seed, **change.get("settings", {}))
+    posterior.save(path)
+    write_json(path, {**read_json(path), "cpu_s": round(time.process_time() - start, 1)})
+    return read_json(path)
+
+
+def row(case: str, results: list[dict]) -> dict:
+    """Errors of the runs of one case."""
+    estimates = [{**r["known"], **r["estimate"]} for r in results]
+
+    def ratio(a, b):
+        nominal = ALL_PARAMETERS[a].nominal / ALL_PARAMETERS[b].nominal
+        return [e[a] / e[b] / nominal - 1 for e in estimates]
+
+    def difference(a):
+        return [e[a] - ALL_PARAMETERS[a].nominal for e in estimates]
+
+    errors = {"mass_over_E": ratio("trunk_mass", "young_modulus"), "poisson_ratio": difference("poisson_ratio")}
+    errors["trunk_mass"] = [e["trunk_mass"] / ALL_PARAMETERS["trunk_mass"].nominal - 1 for e in estimates]
+    if "cube_mass" in estimates[0]:
+        errors["friction"] = difference("friction")
+        errors["cube_over_trunk"] = ratio("cube_mass", "trunk_mass")
+    return {
+        "case": case,
+        "runs": len(results),
+        "worst": {name: max(values, key=abs) for name, values in errors.items()},
+        "median_absolute": {name: float(np.median(np.abs(values))) for name, values in errors.items()},
+        "keypoints_rms_mm": [round(1e3 * r["fit"]["keypoints"], 4) for r in results],
+        "cpu_s": [r["cpu_s"] for r in results],
+        "replays": [r["replays"] for r in results],
+    }
+
+
+def table(rows: list[dict]) -> str:
+    """Markdown: the worst run of each case."""
+    names = ("mass_over_E", "poisson_ratio", "friction", "cube_over_trunk", "trunk_mass")
+    lines = [
+        "| case | runs | mass/E | nu | friction | cube/trunk mass | trunk mass | left [mm] | CPU-s |",
+        "|---" * 9 + "|",
+    ]
+    for r in rows:
+        cells = [f"{r['worst'][n]:+.3g}" if n in r["worst"] else "" for n in names]
+        left = f"{max(r['keypoints_rms_mm']):.3g}"
+        lines.append(f"| {r['case']} | {r['runs']} | {' | '.join(cells)} | {left} | {np.median(r['cpu_s']):.0f} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="+", default=list(CASES), choices=list(CASES))
+    parser.add_argument("--model", default="flex", help="of the recordings, and of the inference where it is the same")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--work", type=Path, default=ROOT / "runs" / "inference")
+    options = parser.parse_args()
+    rows = []
+    for i, case in enumerate(options.only):
+        results = []
+        for number, seed in RUNS:
+            print(f"case {i + 1} of {len(options.only)}: {case}, recording {number}, seed {seed}", flush=True)
+            results.append(run(case, number, seed, options.work, options.model, options.threads))
+        rows.append(row(case, results))
+        write_json(ROOT / "docs" / "results" / f"inference_{options.model}.json", rows)
+        print(table(rows[-1:]), flush=True)
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()
