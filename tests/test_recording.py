@@ -254,6 +254,17 @@ def test_a_decompression_bomb_is_refused_before_it_is_decompressed(tmp_path, com
         load(path, max_bytes=700_000)
 
 
+def test_a_list_of_millions_in_a_few_bytes_is_refused(tmp_path):
+    """A run of equal numbers takes no space in the file, whatever the footer says of sizes."""
+    zeros = pa.array([np.zeros(5_000_000)], pa.list_(pa.float64()))
+    columns = {"timestamp": (pa.array([0.0]), None), "observation.f": (zeros, {**FORCE[1], "shape": "[5000000]"})}
+    path = tmp_path / "bomb.parquet"
+    pq.write_table(table_of(columns), path, compression="zstd", use_dictionary=True)
+    assert path.stat().st_size < 10_000
+    with pytest.raises(RecordingError, match="memory"):
+        load(path, max_bytes=10_000_000)
+
+
 def test_file_size_is_bounded(tmp_path):
     save(example(), tmp_path / "a.parquet")
     with pytest.raises(RecordingError, match="more than 100 bytes"):

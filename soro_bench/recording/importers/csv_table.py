@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from soro_bench.recording.bounded_parquet import MAX_BYTES, MAX_COLUMNS, MAX_ROWS, named_errors, read_bytes
 from soro_bench.recording.importers.mapping import Source, load_mapping, texts, typed
 from soro_bench.recording.importers.units import si
 from soro_bench.recording.recording import Recording, RecordingError
+from soro_bench.recording.untrusted import MAX_BYTES, MAX_COLUMNS, MAX_ROWS, named_errors, read_bytes
 
 _PLACE = ("columns", "first", "last", "time")
 _FORMAT = ("delimiter", "decimal", "skip_rows", "header", "missing")

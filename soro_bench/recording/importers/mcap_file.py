@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from soro_bench.recording.bounded_parquet import MAX_BYTES, named_errors, read_bytes
 from soro_bench.recording.importers.mapping import Source, load_mapping, texts
 from soro_bench.recording.importers.units import si
 from soro_bench.recording.recording import MAX_SIZE, Recording, RecordingError
+from soro_bench.recording.untrusted import MAX_BYTES, named_errors, read_bytes
 
 _PLACE = ("topic", "fields", "time")
 _CLOCKS = ("log_time", "publish_time")
