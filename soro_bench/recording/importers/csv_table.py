@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+from array import array
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -107,16 +108,16 @@ class _Table:
         names = list(dict.fromkeys(names))
         positions = [self._position(name) for name in names]
         self._index = {name: i for i, name in enumerate(names)}
-        cells, lines = [], []
+        cells, lines = array("d"), array("q")  # a list would take four times the memory
         start = [self._first] if not self._has_header else []
         for row in self._all_rows(start):
             if len(row) != len(self.header):
                 raise RecordingError(f"line {self._line} has {len(row)} cells; expected {len(self.header)}")
-            cells.append([self._number(row[i]) for i in positions])
+            cells.extend([self._number(row[i]) for i in positions])
             lines.append(self._line)
-            if len(cells) > MAX_ROWS or len(cells) * len(names) > _MAX_CELLS:
+            if len(lines) > MAX_ROWS or len(cells) > _MAX_CELLS:
                 raise RecordingError(f"more than {MAX_ROWS} rows or {_MAX_CELLS} cells")
-        self._cells, self._lines = np.array(cells, float).reshape(-1, len(names)), np.array(lines, int)
+        self._cells, self._lines = np.array(cells).reshape(-1, len(names)), np.array(lines)
 
     def numbers(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         """(rows, k) numbers of k columns, NaN where one is missing, and (rows,) the lines they are from."""
