@@ -17,6 +17,7 @@ from soro_bench.recording.excitation import excitation, shortest
 from soro_bench.recording.recording import SCHEMA, Recording, RecordingError, Signal, resampled
 from soro_bench.recording.simulated import parse_params, record, replay
 from soro_bench.registration import ENV_IDS, make_task, task_type
+from soro_bench.training.policy import Policy, PolicyCard
 
 pa = pytest.importorskip("pyarrow")
 pq = pytest.importorskip("pyarrow.parquet")
@@ -254,6 +255,17 @@ def test_a_decompression_bomb_is_refused_before_it_is_decompressed(tmp_path, com
         load(path, max_bytes=700_000)
 
 
+def test_a_list_of_millions_in_a_few_bytes_is_refused(tmp_path):
+    """A run of equal numbers takes no space in the file, whatever the footer says of sizes."""
+    zeros = pa.array([np.zeros(5_000_000)], pa.list_(pa.float64()))
+    columns = {"timestamp": (pa.array([0.0]), None), "observation.f": (zeros, {**FORCE[1], "shape": "[5000000]"})}
+    path = tmp_path / "bomb.parquet"
+    pq.write_table(table_of(columns), path, compression="zstd", use_dictionary=True)
+    assert path.stat().st_size < 10_000
+    with pytest.raises(RecordingError, match="memory"):
+        load(path, max_bytes=10_000_000)
+
+
 def test_file_size_is_bounded(tmp_path):
     save(example(), tmp_path / "a.parquet")
     with pytest.raises(RecordingError, match="more than 100 bytes"):
@@ -263,6 +275,8 @@ def test_file_size_is_bounded(tmp_path):
 def test_what_is_no_file(tmp_path):
     with pytest.raises(FileNotFoundError):
         load(tmp_path / "missing.parquet")
+    if not hasattr(os, "mkfifo"):
+        pytest.skip("no pipes among the files of this system")
     os.mkfifo(tmp_path / "pipe.parquet")
     with pytest.raises(RecordingError, match="no regular file"):
         load(tmp_path / "pipe.parquet")
@@ -327,6 +341,19 @@ def test_a_recording_replays_bit_for_bit(tmp_path, env_id, model, action, params
     for name, signal_ in loaded.signals.items():
         np.testing.assert_array_equal(episode.signals[name], signal_.values, err_msg=name)
         np.testing.assert_array_equal(episode.time, signal_.time)
+
+
+def test_a_trained_policy_is_recorded(tmp_path):
+    """As it acts in an evaluation; a policy of another environment is refused."""
+    rng = np.random.default_rng(0)
+    tensors = {"mean": np.zeros(66), "std": np.ones(66), "w0": rng.normal(size=(8, 66)), "b0": np.zeros(8)}
+    tensors = {name: values.astype(np.float32) for name, values in tensors.items()}
+    Policy(PolicyCard("TrunkReach-v0", "cable", "continuous", "oracle", 0, 0), tensors).save(tmp_path / "policy")
+    recording = record("TrunkReach-v0", str(tmp_path / "policy"), "cable", steps=4)
+    assert recording.commands["action"].values.any()
+    np.testing.assert_array_equal(replay(recording).signals["keypoints"], recording.signals["keypoints"].values)
+    with pytest.raises(ValueError, match=says("TrunkReach-v0 with continuous actions")):
+        record("TrunkPush-v0", str(tmp_path / "policy"), "cable")
 
 
 @pytest.mark.parametrize("env_id", ENV_IDS)

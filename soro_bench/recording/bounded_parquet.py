@@ -1,55 +1,21 @@
-"""Parquet files from strangers: bounded memory, and one kind of error whatever is wrong with them."""
+"""Parquet files from strangers, in bounded memory."""
 
-import os
-import stat
 import struct
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Sequence
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from soro_bench.recording.parquet_pages import Footer, decoded_bytes, read_footer
 from soro_bench.recording.recording import RecordingError
+from soro_bench.recording.untrusted import MAX_BYTES, MAX_COLUMNS, MAX_ROWS
 
-MAX_BYTES = 200_000_000  # of a file
-MAX_ROWS = 10_000_000
-MAX_COLUMNS = 5000
 _MAX_ROW_GROUPS = 10_000
 _MAX_FOOTER = 1_000_000  # bytes; grows some hundredfold in memory
 _EXPANSION = 4  # decoded bytes per byte that a file may have
 _MAX_DEPTH = 20  # of the schema
 _NUMBERS = {"BOOLEAN", "INT32", "INT64", "FLOAT", "DOUBLE"}
 _MAGIC = b"PAR1"
-_BROKEN = (
-    pa.ArrowException, OSError, ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError, RecursionError,
-    struct.error,
-)  # fmt: skip
-
-
-@contextmanager
-def named_errors(path: str | Path) -> Iterator[None]:
-    """Turn every error that bad content can cause into a RecordingError that names the file."""
-    try:
-        yield
-    except RecordingError as error:
-        raise RecordingError(f"{path}: {error}") from error
-    except _BROKEN as error:
-        raise RecordingError(f"{path} cannot be read: {type(error).__name__}: {str(error)[:200]}") from error
-
-
-def read_bytes(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
-    """The content of a regular file; FileNotFoundError, or RecordingError if it is no file or too large."""
-    # without waiting for a writer, if it is a pipe
-    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    with open(handle, "rb") as file:
-        if not stat.S_ISREG(os.fstat(handle).st_mode):
-            raise RecordingError(f"{path} is no regular file")
-        data = file.read(max_bytes + 1)
-    if len(data) > max_bytes:
-        raise RecordingError(f"{path} has more than {max_bytes} bytes, which is what is read at most")
-    return data
 
 
 class BoundedParquet:

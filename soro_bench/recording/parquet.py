@@ -19,8 +19,9 @@ except ImportError as error:
     raise ImportError("recordings need pyarrow: pip install soro_bench[record]") from error
 
 from soro_bench.files import replacing
-from soro_bench.recording.bounded_parquet import MAX_BYTES, MAX_ROWS, BoundedParquet, named_errors, read_bytes
+from soro_bench.recording.bounded_parquet import BoundedParquet
 from soro_bench.recording.recording import SCHEMA, Recording, RecordingError, Signal, check_shape
+from soro_bench.recording.untrusted import MAX_BYTES, MAX_ROWS, named_errors, read_bytes
 
 _KEY = b"soro_bench"
 _TIME = "timestamp"

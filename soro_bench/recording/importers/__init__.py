@@ -1,5 +1,6 @@
 """Recordings from files of others; docs/recordings.md describes the mapping file."""
 
+import importlib.util
 from pathlib import Path
 
 from soro_bench.recording.recording import Recording, RecordingError
@@ -15,6 +16,8 @@ def import_recording(path: str | Path, mapping: str | Path | None = None, **sele
     Raises:
         RecordingError: the file or the mapping is not as expected; says why.
     """
+    if importlib.util.find_spec("pyarrow") is None:
+        raise ImportError("recordings need pyarrow: pip install soro_bench[record]")
     path = Path(path)
     if path.is_dir():
         from soro_bench.recording.importers.lerobot import import_lerobot

@@ -3,15 +3,16 @@
 import csv
 import io
 import math
+from array import array
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from soro_bench.recording.bounded_parquet import MAX_BYTES, MAX_COLUMNS, MAX_ROWS, named_errors, read_bytes
 from soro_bench.recording.importers.mapping import Source, load_mapping, texts, typed
 from soro_bench.recording.importers.units import si
 from soro_bench.recording.recording import Recording, RecordingError
+from soro_bench.recording.untrusted import MAX_BYTES, MAX_COLUMNS, MAX_ROWS, named_errors, read_bytes
 
 _PLACE = ("columns", "first", "last", "time")
 _FORMAT = ("delimiter", "decimal", "skip_rows", "header", "missing")
@@ -107,16 +108,16 @@ class _Table:
         names = list(dict.fromkeys(names))
         positions = [self._position(name) for name in names]
         self._index = {name: i for i, name in enumerate(names)}
-        cells, lines = [], []
+        cells, lines = array("d"), array("q")  # a list would take four times the memory
         start = [self._first] if not self._has_header else []
         for row in self._all_rows(start):
             if len(row) != len(self.header):
                 raise RecordingError(f"line {self._line} has {len(row)} cells; expected {len(self.header)}")
-            cells.append([self._number(row[i]) for i in positions])
+            cells.extend([self._number(row[i]) for i in positions])
             lines.append(self._line)
-            if len(cells) > MAX_ROWS or len(cells) * len(names) > _MAX_CELLS:
+            if len(lines) > MAX_ROWS or len(cells) > _MAX_CELLS:
                 raise RecordingError(f"more than {MAX_ROWS} rows or {_MAX_CELLS} cells")
-        self._cells, self._lines = np.array(cells, float).reshape(-1, len(names)), np.array(lines, int)
+        self._cells, self._lines = np.array(cells).reshape(-1, len(names)), np.array(lines)
 
     def numbers(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         """(rows, k) numbers of k columns, NaN where one is missing, and (rows,) the lines they are from."""

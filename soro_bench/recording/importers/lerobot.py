@@ -10,9 +10,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from soro_bench.files import read_json
-from soro_bench.recording.bounded_parquet import MAX_BYTES, BoundedParquet, named_errors, read_bytes
+from soro_bench.recording.bounded_parquet import BoundedParquet
 from soro_bench.recording.importers.mapping import FileMapping, Source, load_mapping
 from soro_bench.recording.recording import Recording, RecordingError
+from soro_bench.recording.untrusted import MAX_BYTES, named_errors, read_bytes
 
 _PLACE = ("column", "indices")
 _VERSION = re.compile(r"v3\.\d{1,3}")

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from soro_bench.recording.bounded_parquet import named_errors, read_bytes
 from soro_bench.recording.importers.units import si
 from soro_bench.recording.recording import Recording, RecordingError, Signal, check_name, check_shape
+from soro_bench.recording.untrusted import named_errors, read_bytes
 
 MAX_BYTES = 1_000_000
 _SECTIONS = ("format", "time", "commands", "signals", "parameters", "metadata")
@@ -41,13 +41,11 @@ class Source:
             shape = numbers.shape[1:] if found > 1 else ()
         if math.prod(shape) != found:
             raise RecordingError(f"shape {list(shape)} does not fit the {found} numbers found")
-        values = self.scale * factor * numbers.reshape(len(numbers), *shape)
         try:
-            return Signal(time, values + self.offset, unit, self.frame)
-        except RecordingError:
-            raise
+            offset = np.broadcast_to(self.offset, shape)
         except ValueError as error:
             raise RecordingError(f"offset of shape {self.offset.shape} does not fit the shape {shape}") from error
+        return Signal(time, self.scale * factor * numbers.reshape(len(numbers), *shape) + offset, unit, self.frame)
 
 
 @dataclass(frozen=True)

@@ -3,20 +3,23 @@
 import io
 import json
 import re
+from array import array
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
-from soro_bench.recording.bounded_parquet import MAX_BYTES, named_errors, read_bytes
 from soro_bench.recording.importers.mapping import Source, load_mapping, texts
 from soro_bench.recording.importers.units import si
 from soro_bench.recording.recording import MAX_SIZE, Recording, RecordingError
+from soro_bench.recording.untrusted import MAX_BYTES, named_errors, read_bytes
 
 _PLACE = ("topic", "fields", "time")
 _CLOCKS = ("log_time", "publish_time")
 _EXPANSION = 4  # bytes of messages per byte that a file may have
 _MAX_NUMBERS = 50_000_000
+_MAX_CHUNK = 64_000_000  # bytes of a chunk or another record
+_MAX_MESSAGE = 5_000_000  # bytes
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d{1,6})\]")
 
 
@@ -53,21 +56,24 @@ class _Collector:
         unit, self._to_seconds = si(time.get("unit", "s"))
         if unit != "s":
             raise RecordingError(f"[time] unit = {time['unit']!r} is no unit of time")
-        self._times: list[int] = []
-        self._samples: list[list[float]] = []
+        self._times, self._numbers = array("q"), array("d")  # lists would take four times the memory
+        self._size = 0  # numbers in a sample
         self.count = 0
 
     def add(self, channel, message) -> None:
         """Note a message of the topic."""
         if (encoding := channel.message_encoding) != "json":
             raise RecordingError(f"topic {self.topic} is encoded as {encoding[:40]!r}; only json is read")
+        if len(message.data) > _MAX_MESSAGE:
+            raise RecordingError(f"a message of {len(message.data)} bytes; at most {_MAX_MESSAGE} are read")
         content = json.loads(message.data)
         sample: list[float] = []
         for steps in self._fields:
             _flatten(_follow(content, steps), sample)
-        if self._samples and len(sample) != len(self._samples[0]):
-            raise RecordingError(f"topic {self.topic}: {len(sample)} numbers follow {len(self._samples[0])}")
-        self._samples.append(sample)
+        if self._times and len(sample) != self._size:
+            raise RecordingError(f"topic {self.topic}: {len(sample)} numbers follow {self._size}")
+        self._size = len(sample)
+        self._numbers.extend(sample)
         self._times.append(self._nanoseconds(content, message))
         self.count += len(sample) + 1
 
@@ -76,8 +82,8 @@ class _Collector:
         if not self._times:
             raise RecordingError(f"no messages of topic {self.topic}")
         # messages may lie in the file in another order than they were sent
-        times, rows = np.unique(np.array(self._times[::-1], np.int64), return_index=True)
-        return times, np.array(self._samples[::-1], float)[rows]
+        times, rows = np.unique(np.array(self._times)[::-1], return_index=True)
+        return times, np.array(self._numbers).reshape(len(self._times), -1)[::-1][rows]
 
     def _nanoseconds(self, content, message) -> int:
         if isinstance(self._clock, str):
@@ -100,13 +106,13 @@ def _messages(data: bytes, budget: int) -> Iterator:
         raise ImportError("MCAP files need mcap: pip install soro_bench[mcap]") from error
 
     channels = {}
-    reader = StreamReader(io.BytesIO(data), emit_chunks=True, validate_crcs=True, record_size_limit=len(data))
+    reader = StreamReader(io.BytesIO(data), emit_chunks=True, validate_crcs=True, record_size_limit=_MAX_CHUNK)
     try:
         for outer in reader.records:
             records = [outer]
             if isinstance(outer, Chunk):
                 budget -= outer.uncompressed_size
-                if budget < 0:
+                if budget < 0 or outer.uncompressed_size > _MAX_CHUNK:
                     raise RecordingError("its chunks take more memory than its largest size allows")
                 _decompress(outer)
                 records = breakup_chunk(outer, validate_crc=True)

@@ -1,0 +1,355 @@
+"""Recordings from CSV, MCAP and LeRobot files, and damaged files of every kind."""
+
+import json
+import os
+import re
+import sys
+
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+
+pytest.importorskip("pyarrow")
+pytest.importorskip("mcap")
+hypothesis = pytest.importorskip("hypothesis")
+from hypothesis import strategies as st  # noqa: E402
+from mcap.records import Chunk  # noqa: E402
+from mcap.writer import CompressionType, Writer  # noqa: E402
+
+from benchmarks.fuzz_recordings import mutated, outcome, readers, write_lerobot, write_mcap  # noqa: E402
+from soro_bench.cli import main  # noqa: E402
+from soro_bench.recording.importers import import_recording, mcap_file  # noqa: E402
+from soro_bench.recording.importers.units import UNITS, si  # noqa: E402
+from soro_bench.recording.parquet import load  # noqa: E402
+from soro_bench.recording.recording import RecordingError  # noqa: E402
+
+TABLE = """Motion capture, take 7
+exported 2026-03-01
+t;M1 x;M1 y;M1 z;M2 x;M2 y;M2 z;F;t pump;p
+5000;1,5;2;3;4;5;6;;0;1,2
+5010;1,6;;3;4;5;lost;250;;
+5025;;;;;;;300;20;1,4
+"""
+MAPPING = """
+[format]
+delimiter = ";"
+decimal = ","
+skip_rows = 2
+missing = ["lost"]
+[time]
+column = "t"
+unit = "ms"
+[commands.pump]
+columns = ["p"]
+time = "t pump"
+unit = "bar"
+[signals.markers]
+first = "M1 x"
+last = "M2 z"
+shape = [2, 3]
+unit = "mm"
+frame = "world"
+offset = [0, 0, 0.1]
+[signals.force]
+columns = ["F"]
+unit = "mN"
+scale = -1
+[parameters]
+trunk_mass = 0.4
+[metadata]
+robot = "trunk no. 3"
+"""
+
+
+def says(*parts):
+    """A pattern for a message in which ``parts`` follow one another."""
+    return "(?s)" + ".*".join(re.escape(part) for part in parts)
+
+
+@pytest.fixture
+def csv(tmp_path):
+    """Reads a table with a mapping, both given as text."""
+
+    def read(table, mapping):
+        (tmp_path / "a.csv").write_text(table)
+        (tmp_path / "a.toml").write_text(mapping)
+        return import_recording(tmp_path / "a.csv", tmp_path / "a.toml")
+
+    return read
+
+
+def test_csv(csv):
+    """Units, a scale, an offset, a decimal comma, two clocks, missing numbers; time counts from the first sample."""
+    recording = csv(TABLE.replace(";0;1,2", ";5000;1,2").replace(";20;1,4", ";5020;1,4"), MAPPING)
+    markers, force, pump = recording.signals["markers"], recording.signals["force"], recording.commands["pump"]
+    np.testing.assert_allclose(markers.time, [0, 0.01])
+    np.testing.assert_allclose(markers.values[0], [[0.0015, 0.002, 0.103], [0.004, 0.005, 0.106]])
+    assert np.isnan(markers.values[1]).sum() == 2
+    assert (markers.unit, markers.frame) == ("m", "world")
+    np.testing.assert_allclose(force.values, [-0.25, -0.3])
+    np.testing.assert_allclose(force.time, [0.01, 0.025])
+    np.testing.assert_allclose(pump.values, [1.2e5, 1.4e5])
+    np.testing.assert_allclose(pump.time, [0, 0.02])
+    assert recording.parameters == {"trunk_mass": 0.4}
+    assert recording.metadata == {"robot": "trunk no. 3", "source": "a.csv", "start_time": "5.0"}
+
+
+def test_csv_without_header(csv):
+    """Columns by their number, from 1."""
+    mapping = '[format]\nheader = false\n[time]\ncolumn = "1"\n[signals.f]\ncolumns = ["3"]\nunit = "N"\n'
+    recording = csv("0,9,1\n0.5,9,2\n", mapping)
+    np.testing.assert_array_equal(recording.signals["f"].values, [1, 2])
+
+
+SIMPLE = '[time]\ncolumn = "t"\n[signals.f]\ncolumns = ["f"]\nunit = "N"\n'
+
+
+@pytest.mark.parametrize(
+    ("table", "mapping", "parts"),
+    [
+        ("t,f\n0,1\n", SIMPLE.replace('"N"', '"lbs"'), ("a.toml", "signals.f", "'lbs'", "mm", "kPa")),
+        ("t,f\n0,1\n", SIMPLE.replace('unit = "N"', ""), ("signals.f", "no unit")),
+        ("t,f\n0,1\n", SIMPLE.replace("unit", "units"), ("'units'", "columns", "unit")),
+        ("t,f\n0,1\n", SIMPLE.replace("[signals.f]", '[signals."../f"]'), ("'../f'", "A-Z")),
+        ("t,f\n0,1\n", SIMPLE + "[sensors.x]\n", ("'sensors'", "signals")),
+        ("t,f\n0,1\n", SIMPLE + "shape = [3]\n", ("signals.f", "[3]", "1 numbers")),
+        ("t,f\n0,1\n", SIMPLE + "shape = [0]\n", ("signals.f", "positive")),
+        ("t,f\n0,1\n", SIMPLE + "scale = inf\n", ("scale", "finite")),
+        ("t,f\n0,1\n", SIMPLE + "offset = [1, 2]\n", ("offset", "shape")),
+        ("t,f\n0,1\n", SIMPLE + 'scale = "x"\n', ("scale", "finite numbers")),
+        ("t,f\n0,1\n", SIMPLE.replace('"t"\n', '"t"\nunit = "mm"\n'), ("'mm'", "unit of time")),
+        ("t,f\n0,1\n", '[time]\ncolumn = "t"\n', ("neither", "[signals.<name>]")),
+        ("t,f\n0,1\n", "signals = 3\n", ("signals", "section")),
+        ("t,f\n0,1\n", "[[[", ("a.toml", "cannot be read")),
+        ("t,f\n0,1\n", "a = " + "[" * 50_000, ("a.toml", "cannot be read")),
+        ("t,f\n0,1\n", SIMPLE.replace('["f"]', '["g"]'), ("a.csv", "0 columns are called 'g'", "t, f")),
+        ("t,f,f\n0,1,2\n", SIMPLE, ("2 columns are called 'f'",)),
+        ("t,f\n0,one\n", SIMPLE, ("line 2", "'one'", "finite number")),
+        ("t,f\n0,1\n1,inf\n", SIMPLE, ("line 3", "'inf'")),
+        ("t,f\n0,1_000\n", SIMPLE, ("'1_000'",)),
+        ("t,f\n0,1\n1\n", SIMPLE, ("line 3 has 1 cells", "2")),
+        ("t,f\n0,1\n0,2\n", SIMPLE, ("signals.f", "time does not increase in line 3")),
+        ("t,f\n0,\n", SIMPLE, ("no row",)),
+        ("t,f\n", SIMPLE, ("no row",)),
+        ("", SIMPLE, ("0 columns",)),
+        ("t,f\n0,\x00\n", SIMPLE, ("a.csv",)),
+        ('t,f\n0,"1\n', SIMPLE, ("a.csv",)),
+        ("t,f\n0," + "1" * 200_000 + "\n", SIMPLE, ("a.csv",)),
+        ("t,f\n0,1\n", "[format]\ndelimiter = ','\ndecimal = ','\n" + SIMPLE, ("delimiter ','",)),
+        ("t,f\n0,1\n", "[format]\nskip_rows = '2'\n" + SIMPLE, ("skip_rows", "'2'")),
+    ],
+)
+def test_bad_table_or_mapping(csv, table, mapping, parts):
+    """The message names the file, the place in it, and what is allowed."""
+    with pytest.raises(RecordingError, match=says(*parts)):
+        csv(table, mapping)
+
+
+def test_text_that_is_no_unicode_and_a_file_that_is_too_large(csv, tmp_path):
+    csv("t,f\n0,1\n", SIMPLE)
+    with pytest.raises(RecordingError, match="more than 5 bytes"):
+        import_recording(tmp_path / "a.csv", tmp_path / "a.toml", max_bytes=5)
+    (tmp_path / "a.csv").write_bytes(b"t,f\n0,\xff\n")
+    with pytest.raises(RecordingError, match="cannot be read"):
+        import_recording(tmp_path / "a.csv", tmp_path / "a.toml")
+
+
+def test_units():
+    assert si("deg") == ("rad", pytest.approx(0.0174532925))
+    assert si("bar") == ("Pa", 1e5)
+    assert all(si(unit) == (unit, 1.0) for unit in {unit for unit, _ in UNITS.values()} & UNITS.keys())
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_mcap(tmp_path, compression):
+    """Two topics, one with the time of the log and one with a time stamp in its messages."""
+    recording = import_recording(write_mcap(tmp_path, compression), tmp_path / "map.toml")
+    force, action = recording.signals["force"], recording.commands["action"]
+    np.testing.assert_array_equal(force.values, np.outer(np.arange(20), [1, -1]))
+    np.testing.assert_allclose(force.time, 0.01 * np.arange(20), atol=1e-15)
+    np.testing.assert_allclose(action.time, 0.01 * np.arange(20), atol=1e-6)  # the stamp is a float of 1.7e9 s
+    assert recording.metadata["start_time"].startswith("1700000000")
+
+
+def write_messages(path, *messages, encoding="json"):
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/a", encoding, writer.register_schema("s", "jsonschema", b"{}"))
+        for i, data in enumerate(messages):
+            writer.add_message(channel, i, data if isinstance(data, bytes) else json.dumps(data).encode(), i)
+        writer.finish()
+
+
+TOPIC = '[signals.f]\ntopic = "/a"\nfields = ["pose.x", "v[1]"]\nunit = "N"\n'
+
+
+@pytest.mark.parametrize(
+    ("messages", "mapping", "parts"),
+    [
+        ([{"pose": {"x": 1}, "v": [1]}], TOPIC, ("no field v.1",)),
+        ([{"pose": 3, "v": [1, 2]}], TOPIC, ("no field pose.x",)),
+        ([{"pose": {"x": "left"}, "v": [1, 2]}], TOPIC, ("'left' is no number",)),
+        ([{"pose": {"x": 1}, "v": [1, [2, 3]]}, {"pose": {"x": 1}, "v": [1, 2]}], TOPIC, ("2 numbers follow 3",)),
+        ([b'{"pose": {"x": 1e999}, "v": [1, 2]}'], TOPIC, ("infinite",)),
+        ([b'{"pose": {"x": ' + b"9" * 5000 + b'}, "v": [1, 2]}'], TOPIC, ("cannot be read",)),
+        ([b"[" * 100_000], TOPIC, ("cannot be read",)),
+        ([b"\x80\x04"], TOPIC, ("cannot be read",)),
+        ([], TOPIC, ("no messages of topic /a",)),
+        ([{}], TOPIC.replace("/a", "/b"), ("no messages of topic /b",)),
+        ([{}], TOPIC.replace('"/a"', "3"), ("topic is 3",)),
+        ([{}], TOPIC.replace('["pose.x", "v[1]"]', '"x"'), ("fields is 'x'",)),
+        ([{}], TOPIC.replace("pose.x", "pose[x"), ("'pose[x'", "no path")),
+        ([{"pose": {"x": 1}, "v": [1, 2]}], TOPIC + 'time = "v"\n', ("time [1, 2] is no number",)),
+    ],
+)
+def test_bad_messages(tmp_path, messages, mapping, parts):
+    write_messages(tmp_path / "a.mcap", *messages)
+    (tmp_path / "a.toml").write_text(mapping)
+    with pytest.raises(RecordingError, match=says(*parts)):
+        import_recording(tmp_path / "a.mcap", tmp_path / "a.toml")
+
+
+def test_other_encodings_are_refused(tmp_path):
+    write_messages(tmp_path / "a.mcap", b"\x00\x01", encoding="cdr")
+    (tmp_path / "a.toml").write_text(TOPIC)
+    with pytest.raises(RecordingError, match="'cdr'; only json"):
+        import_recording(tmp_path / "a.mcap", tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_a_chunk_is_not_decompressed_beyond_what_it_declares(compression):
+    zeros = bytes(50_000_000)
+    data = zstandard.compress(zeros) if compression == "zstd" else lz4.frame.compress(zeros)
+    chunk = Chunk(
+        compression=compression, data=data, message_end_time=0, message_start_time=0, uncompressed_crc=0,
+        uncompressed_size=1000,
+    )  # fmt: skip
+    with pytest.raises(RecordingError, match="1000 bytes that it declares"):
+        mcap_file._decompress(chunk)
+
+
+def test_chunks_that_declare_too_much_are_refused(tmp_path):
+    write_messages(tmp_path / "a.mcap", *[{"pose": {"x": 0}, "v": [0] * 1000}] * 300)
+    (tmp_path / "a.toml").write_text(TOPIC)
+    with pytest.raises(RecordingError, match=r"memory|more than"):
+        import_recording(tmp_path / "a.mcap", tmp_path / "a.toml", max_bytes=(tmp_path / "a.mcap").stat().st_size)
+
+
+def test_lerobot(tmp_path):
+    """The second episode; images and other columns are left out."""
+    write_lerobot(tmp_path / "set")
+    recording = import_recording(tmp_path / "set", episode=1)
+    assert recording.commands.keys() == {"action"}
+    assert recording.signals.keys() == {"state"}
+    assert recording.signals["state"].values.shape == (10, 3)
+    np.testing.assert_allclose(recording.signals["state"].time, np.arange(10) / 20, atol=1e-7)
+    assert recording.metadata == {"episode": "1", "robot": "trunk", "source": "set", "start_time": "0.0"}
+
+
+def test_lerobot_with_mapping(tmp_path):
+    write_lerobot(tmp_path / "set")
+    mapping = '[signals.joints]\ncolumn = "observation.state"\nindices = [2, 0]\nunit = "deg"\n'
+    (tmp_path / "a.toml").write_text(mapping)
+    plain, mapped = import_recording(tmp_path / "set"), import_recording(tmp_path / "set", tmp_path / "a.toml")
+    expected = np.radians(plain.signals["state"].values[:, [2, 0]])
+    np.testing.assert_allclose(mapped.signals["joints"].values, expected)
+    for bad in ("[3]", "[-1]", "[]", "[true]", '"all"'):
+        (tmp_path / "a.toml").write_text(mapping.replace("[2, 0]", bad))
+        with pytest.raises(RecordingError, match="0 to 2"):
+            import_recording(tmp_path / "set", tmp_path / "a.toml")
+    (tmp_path / "a.toml").write_text(mapping.replace("observation.state", "task"))
+    with pytest.raises(RecordingError, match="'task' has type string"):
+        import_recording(tmp_path / "set", tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize(
+    ("info", "parts"),
+    [
+        ({"codebase_version": "v2.1", "features": {}}, ("version 3",)),
+        ({"codebase_version": "v3.0"}, ("version 3",)),
+        ([], ("version 3",)),
+        ({"codebase_version": "v3.0", "features": {"video": {"dtype": "video"}}}, ("0 commands and signals",)),
+        ({"codebase_version": "v3.0", "features": {"action": {"dtype": "float32"}, "observation.x": 3}}, ()),
+    ],
+)
+def test_other_datasets_are_refused(tmp_path, info, parts):
+    write_lerobot(tmp_path / "set")
+    (tmp_path / "set" / "meta" / "info.json").write_text(json.dumps(info))
+    if parts:
+        with pytest.raises(RecordingError, match=says(*parts)):
+            import_recording(tmp_path / "set")
+    else:
+        assert import_recording(tmp_path / "set").commands.keys() == {"action"}
+
+
+def test_a_dataset_stays_in_its_folder(tmp_path):
+    """Neither a pattern in its description nor a link makes it read another file."""
+    data = write_lerobot(tmp_path / "set")
+    info = json.loads((tmp_path / "set" / "meta" / "info.json").read_text())
+    info["data_path"] = "../../{chunk_index.__class__}/etc/passwd"
+    (tmp_path / "set" / "meta" / "info.json").write_text(json.dumps(info))
+    import_recording(tmp_path / "set")
+    data.rename(tmp_path / "outside.parquet")
+    os.symlink(tmp_path / "outside.parquet", data)
+    with pytest.raises(RecordingError, match="leads out of the dataset"):
+        import_recording(tmp_path / "set")
+
+
+def test_what_cannot_be_imported(tmp_path):
+    write_lerobot(tmp_path / "set")
+    with pytest.raises(RecordingError, match="no episode 7"):
+        import_recording(tmp_path / "set", episode=7)
+    with pytest.raises(RecordingError, match=r"expected \.csv"):
+        import_recording(tmp_path / "a.pickle")
+    with pytest.raises(RecordingError, match="needs a mapping"):
+        import_recording(tmp_path / "a.csv")
+    with pytest.raises(RecordingError, match="has no episodes"):
+        import_recording(tmp_path / "a.csv", episode=1)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(RecordingError, match=r"info\.json"):
+        import_recording(tmp_path / "empty")
+
+
+def test_command_line(tmp_path, monkeypatch, capsys):
+    """Import and record write files that can be read; what is wrong takes one line."""
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["soro-bench", *map(str, words)])
+        main()
+
+    (tmp_path / "a.csv").write_text("t,f\n0,1\n1,2\n")
+    (tmp_path / "a.toml").write_text(SIMPLE)
+    run("import", tmp_path / "a.csv", "--mapping", tmp_path / "a.toml", "--out", tmp_path / "a.parquet")
+    assert load(tmp_path / "a.parquet").names == ["f"]
+    run(
+        "record", "TrunkReach-v0", "--policy", "random", "--model", "cable", "--steps", 3, "--params", "trunk_mass=0.3",
+        "damping=0.05", "--noise", 0.0005, "--out", tmp_path / "b.parquet",
+    )  # fmt: skip
+    recording = load(tmp_path / "b.parquet")
+    assert recording.parameters["trunk_mass"] == 0.3
+    assert recording.metadata["noise"] == "0.0005"
+    run("view", tmp_path / "b.parquet", "--no-open")
+    assert (tmp_path / "b.rrd").stat().st_size > 10_000
+    with pytest.raises(SystemExit, match="soro-bench: env_id None"):
+        run("view", tmp_path / "a.parquet", "--no-open")
+
+
+@pytest.fixture(scope="module")
+def kinds(tmp_path_factory):
+    """The valid content of each kind of file, its path and its reader."""
+    files = readers(tmp_path_factory.mktemp("fuzz"))
+    return {name: (path.read_bytes(), path, read) for name, (path, read) in files.items()}
+
+
+@pytest.mark.parametrize("kind", ["native", "csv", "mapping", "mcap", "mcap lz4", "lerobot", "lerobot info"])
+@hypothesis.settings(max_examples=200, deadline=None, derandomize=True, database=None)
+@hypothesis.given(seed=st.integers(0, 2**32 - 1))
+def test_damaged_files(kinds, kind, seed):
+    """Only a RecordingError comes of a damaged file, if it is damaged at all."""
+    valid, path, read = kinds[kind]
+    try:
+        outcome(path, read, mutated(valid, np.random.default_rng(seed)))
+    finally:
+        path.write_bytes(valid)
