@@ -6,6 +6,7 @@ from scipy.stats import qmc
 DIFFERENCE = 1e-3  # of the search box, step of the finite differences
 HORIZONS, STEPS_PER_HORIZON = 20, 2
 DAMPINGS = (0.0, 0.01, 0.1, 1.0, 10.0)
+SHARES, DRAWS = (0.03, 0.3), 4  # of the misfit, and how many points each
 
 
 def track(residuals, deviation, groups, dimension, log, seed, starts, progress=lambda *_: None) -> np.ndarray:
@@ -18,18 +19,18 @@ def track(residuals, deviation, groups, dimension, log, seed, starts, progress=l
     """
     steps = len(deviation)
     horizons = np.unique(np.round(np.geomspace(min(3, steps), steps, HORIZONS)).astype(int))
-    points = qmc.Sobol(dimension, rng=seed).random(starts)
+    points, rng = qmc.Sobol(dimension, rng=seed).random(starts), np.random.default_rng(seed)
     costs = np.zeros(len(points))
     for i, until in enumerate(horizons):
         for _ in range(STEPS_PER_HORIZON):
-            points, costs = _gauss_newton(residuals, deviation[:until], groups, points, log, int(until))
+            points, costs = _gauss_newton(residuals, deviation[:until], groups, points, log, int(until), rng)
         if i + 1 in {len(horizons) * k // 4 for k in (1, 2, 3)}:
             points = points[np.argsort(costs)[: max(1, len(points) // 2)]]
         progress(i + 1, len(horizons), float(costs.min()))
     return points[int(np.argmin(costs))]
 
 
-def _gauss_newton(residuals, deviation, groups, points, log, until):
+def _gauss_newton(residuals, deviation, groups, points, log, until, rng):
     """One step from each of the points (S, d), the best of several lengths: new points and their costs."""
     starts, dimension = points.shape
     # backwards where forwards leaves the cube
@@ -38,7 +39,9 @@ def _gauss_newton(residuals, deviation, groups, points, log, until):
     asked = np.concatenate([points[:, None], shifted], axis=1).reshape(-1, dimension)
     found = log(lambda x: residuals(x, until), asked, "difference").reshape(starts, dimension + 1, until, -1)
     trials = np.stack([
-        _trials(point, _whiten(one[0], deviation), _whiten((one[1:] - one[0]) / o[:, None, None], deviation), groups)
+        _trials(
+            point, _whiten(one[0], deviation), _whiten((one[1:] - one[0]) / o[:, None, None], deviation), groups, rng
+        )
         for point, one, o in zip(points, found, offset, strict=True)
     ])  # (S, n, d)
     found = log(lambda x: residuals(x, until), trials.reshape(-1, dimension), "trial")
@@ -51,18 +54,22 @@ def _whiten(residual, deviation):
     return np.nan_to_num(residual / deviation, nan=1e6, posinf=1e6, neginf=-1e6)
 
 
-def _trials(point, white, slope, groups):
-    """(n, d) where Gauss-Newton with several dampings leads from a point; the point itself comes first."""
+def _trials(point, white, slope, groups, rng):
+    """(n, d) points to try: the present one, where Gauss-Newton with several dampings leads, and some at random around,
+    as far as the linearised misfit grows by a fraction of itself: contacts make the true one rugged."""
     weight = np.empty_like(white)
     for group in groups:
         weight[:, group] = 1 / np.sqrt(1 + (white[:, group] ** 2).mean(axis=1, keepdims=True))
     a = (weight * slope).reshape(len(point), -1)
     hessian, gradient = a @ a.T, a @ (weight * white).ravel()
-    trials = [point]
-    for damping in DAMPINGS:
-        damped = hessian + np.diag(damping * np.diag(hessian) + 1e-9 * np.trace(hessian) + 1e-12)
-        trials.append(np.clip(point - np.linalg.solve(damped, gradient), 0, 1))
-    return np.array(trials)
+    ridge = 1e-9 * np.trace(hessian) + 1e-12
+    steps = [np.linalg.solve(hessian + np.diag(damping * np.diag(hessian) + ridge), gradient) for damping in DAMPINGS]
+    values, vectors = np.linalg.eigh(hessian + ridge * np.eye(len(point)))
+    misfit = np.linalg.norm(weight * white)
+    spread = vectors * np.minimum(misfit / np.sqrt(values * len(point)), 0.1)
+    draws = np.concatenate([share * rng.standard_normal((DRAWS, len(point))) @ spread.T for share in SHARES])
+    trials = np.concatenate([point[None], point - np.array(steps), point - steps[0] + draws])
+    return np.clip(trials, 0, 1)
 
 
 def _robust_cost(white, groups):
