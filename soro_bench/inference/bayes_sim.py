@@ -86,8 +86,10 @@ class RandomFourierFeatures(nn.Module):
         super().__init__()
         normal = torch.randn(RANDOM_FEATURES, inputs)
         heavy = torch.distributions.Chi2(MATERN).sample((RANDOM_FEATURES, 1)) / MATERN
-        self.register_buffer("weight", normal / heavy.sqrt() / (KERNEL_WIDTH * inputs**0.5))
-        self.register_buffer("phase", 2 * torch.pi * torch.rand(RANDOM_FEATURES))
+        weight = normal / heavy.sqrt() / (KERNEL_WIDTH * inputs**0.5)
+        # parameters that are never trained, since sbi asks a network for its parameters' device
+        self.weight = nn.Parameter(weight, requires_grad=False)
+        self.phase = nn.Parameter(2 * torch.pi * torch.rand(RANDOM_FEATURES), requires_grad=False)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return (2 / RANDOM_FEATURES) ** 0.5 * torch.cos(x @ self.weight.T + self.phase)

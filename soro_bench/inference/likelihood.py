@@ -22,14 +22,23 @@ def log_likelihood(residual: np.ndarray, factor: np.ndarray, deviation: np.ndarr
     result = np.full(len(residual), -np.inf)
     white = residual[finite] / deviation[finite]
     spread = factor[finite] / deviation[finite][..., None]
-    # Woodbury: everything in the space of the r columns
-    inner = np.eye(spread.shape[2]) + np.einsum("tkr,tks->trs", spread, spread)
-    lower = np.linalg.cholesky(inner)
-    projected = np.linalg.solve(lower, np.einsum("tkr,tk->tr", spread, white)[..., None])[..., 0]
-    square = (white**2).sum(axis=1) - (projected**2).sum(axis=1)
-    log_det = 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1) + 2 * np.log(deviation[finite]).sum(axis=1)
+    square, log_det = _square_and_log_det(white, spread)
+    log_det += 2 * np.log(deviation[finite]).sum(axis=1)
     result[finite] = -0.5 * (square + log_det + residual.shape[1] * np.log(2 * np.pi))
     return result
+
+
+def _square_and_log_det(white, spread):
+    """white·C⁻¹·white and log det C for C = I + S Sᵀ, per time step."""
+    size, rank = spread.shape[1:]
+    if rank >= size:
+        lower = np.linalg.cholesky(np.eye(size) + spread @ spread.transpose(0, 2, 1))
+        square = (np.linalg.solve(lower, white[..., None])[..., 0] ** 2).sum(axis=1)
+    else:  # Woodbury: in the space of the columns
+        lower = np.linalg.cholesky(np.eye(rank) + spread.transpose(0, 2, 1) @ spread)
+        projected = np.linalg.solve(lower, np.einsum("tkr,tk->tr", spread, white)[..., None])[..., 0]
+        square = (white**2).sum(axis=1) - (projected**2).sum(axis=1)
+    return square, 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
 
 
 def sample_factor(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

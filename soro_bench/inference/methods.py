@@ -1,9 +1,10 @@
 """The inference methods under one roof: a recording in, a posterior out."""
 
 import hashlib
+import io
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,13 +22,12 @@ Progress = Callable[[int, int, float], None]
 
 @dataclass
 class Search:
-    """A replay on the unit cube of its search box, with a log; counts what it simulates."""
+    """A replay on the unit cube of its search box, with a log, whose ``work`` counts time steps."""
 
     replay: Replay
     log: EvaluationLog
     seed: int
     progress: Progress
-    simulated_steps: int = field(default=0, init=False)
 
     def __post_init__(self):
         self.low, high = np.array([p.search for p in self.replay.parameters]).T
@@ -39,7 +39,7 @@ class Search:
 
     def residuals(self, points: np.ndarray, steps: int) -> np.ndarray:
         """(N, steps, k) measured less simulated at points (N, d) of the unit cube."""
-        self.simulated_steps += len(points) * steps
+        self.log.work += len(points) * steps
         return self.replay.residuals(self.low + self.width * points, steps)
 
     def point(self, values: np.ndarray) -> np.ndarray:
@@ -118,7 +118,8 @@ def _sysid(search: Search, max_iterations: int = 30):
         return [np.nan_to_num(found, nan=1e6).reshape(len(points), -1).T.reshape(-1, *np.shape(x)[1:])], None, None
 
     # forward differences far above the solver's noise
-    _, result = sysid.optimize(params, residual, verbose=False, max_iters=max_iterations, eps=1e-4)
+    quiet = {"output": io.StringIO()}  # its own switch does not reach the optimiser
+    _, result = sysid.optimize(params, residual, verbose=False, max_iters=max_iterations, eps=1e-4, **quiet)
     best = np.clip(np.asarray(result.x, float).ravel(), 0, 1)
     slope = _slope(search, best)
     white = search.log(lambda p: search.residuals(p[None], steps) / replay.deviation, best, "residual").ravel()
@@ -175,6 +176,6 @@ def _posterior(method, search, distribution: Distribution, estimate, slope, sett
         combinations=combinations(slope, replay.deviation, replay.parameters, estimate),
         known=replay.known,
         model=replay.model,
-        replays=search.simulated_steps / steps,
+        replays=search.log.work / steps,
         settings=settings,
     )

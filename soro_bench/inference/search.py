@@ -23,6 +23,7 @@ class EvaluationLog:
     def __init__(self, path: str | Path | None, title: str):
         self._path = None if path is None else Path(path)
         self._known: list[dict] = []
+        self.work = 0  # counted up by the functions, and from the log for what they need not do again
         if self._path is None:
             return
         self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -44,10 +45,13 @@ class EvaluationLog:
             entry = self._known.pop(0)
             if entry["call"] != digest:
                 raise ValueError(f"{self._path} does not continue this inference; remove it to start anew")
+            self.work += entry["work"]
             return np.array(entry["values"], float).reshape(entry["shape"])
+        before = self.work
         values = np.asarray(function(points), float)
         if self._path is not None:
-            self._append({"call": digest, "shape": values.shape, "values": values.ravel().tolist()})
+            entry = {"call": digest, "work": self.work - before, "shape": values.shape}
+            self._append({**entry, "values": values.ravel().tolist()})
         return values
 
     def _append(self, entry: dict) -> None:

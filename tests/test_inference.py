@@ -1,0 +1,194 @@
+"""Inference of physical parameters from recordings."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from soro_bench.inference import rf_dropo
+from soro_bench.inference.identifiability import combinations
+from soro_bench.inference.likelihood import horizon, log_likelihood, sample_factor
+from soro_bench.inference.methods import infer
+from soro_bench.inference.replay import Replay
+from soro_bench.inference.search import EvaluationLog
+from soro_bench.parameters import FRICTION, TRUNK_MASS, YOUNG_MODULUS
+from soro_bench.randomization import load
+from soro_bench.recording.recording import RecordingError, Signal
+from soro_bench.recording.simulated import record
+
+STEPS = 15
+
+
+@pytest.fixture(scope="module")
+def reach():
+    """A short recording of the cheap trunk with parameters that nothing here knows of."""
+    truth = {"trunk_mass": 0.31, "poisson_ratio": 0.43, "young_modulus": 3.9e6}
+    return record("TrunkReach-v0", model="cable", params=truth, steps=STEPS, full_state=True), truth
+
+
+def test_the_likelihood_is_that_of_a_normal_distribution():
+    rng = np.random.default_rng(0)
+    residual, factor, deviation = rng.normal(size=(4, 6)), rng.normal(size=(4, 6, 2)), rng.uniform(0.1, 1, (4, 6))
+    expected = [
+        multivariate_normal(np.zeros(6), f @ f.T + np.diag(d**2)).logpdf(r)
+        for r, f, d in zip(residual, factor, deviation, strict=True)
+    ]
+    np.testing.assert_allclose(log_likelihood(residual, factor, deviation), expected)
+
+
+def test_a_replay_that_diverged_has_no_likelihood():
+    residual = np.array([[0.0, 0.0], [np.nan, 0.0]])
+    values = log_likelihood(residual, np.zeros((2, 2, 1)), np.ones((2, 2)))
+    assert np.isfinite(values[0]) and values[1] == -np.inf
+
+
+def test_the_factor_of_samples_gives_their_covariance():
+    samples = np.random.default_rng(0).normal(size=(50, 3, 4))
+    mean, factor = sample_factor(samples)
+    np.testing.assert_allclose(mean, samples.mean(axis=0))
+    np.testing.assert_allclose(factor[1] @ factor[1].T, np.cov(samples[:, 1].T), rtol=1e-10)
+
+
+def test_the_horizon_grows_to_the_whole_recording():
+    assert [horizon(share, 100) for share in (0.0, 0.5, 1.0)] == [1, 90, 99]
+
+
+@pytest.mark.parametrize("search", ["linearised", "sampled"])
+def test_both_searches_find_the_optimum_of_a_linear_gaussian_model(search):
+    # y_t = x with x normal: the best mean is that of the data, the best variance theirs less the sensor's
+    rng = np.random.default_rng(1)
+    data = 0.6 + 0.05 * rng.standard_normal((100, 1))
+    deviation = np.full_like(data, 0.02)
+
+    def residuals(points, steps):
+        return data[None, :steps] - points[:, None, :]
+
+    if search == "linearised":
+        fit = rf_dropo.linearised(residuals, deviation, [slice(0, 1)], 1, EvaluationLog(None, ""))
+    else:
+        fit = rf_dropo.sampled(residuals, deviation, 1, EvaluationLog(None, ""), iterations=40, samples=128)
+    assert fit.mean[0] == pytest.approx(data.mean(), abs=2e-3)
+    expected = np.sqrt(data.var() - 0.02**2)
+    # truncation at two standard deviations takes 12 % off the standard deviation of the samples
+    assert fit.std[0] == pytest.approx(expected / (1 if search == "linearised" else 0.88), rel=0.05)
+
+
+def test_rf_dropo_recovers_the_parameters_of_a_simulation(reach):
+    recording, truth = reach
+    posterior = infer("rf-dropo", Replay(recording, threads=1))
+    for name, value in truth.items():
+        assert posterior.estimate[name] == pytest.approx(value, rel=1e-3)
+
+
+def test_the_recordings_own_parameters_are_not_looked_at(reach):
+    recording, _ = reach
+    lying = replace(recording, parameters={"trunk_mass": 1.0})
+    points = np.array([[0.3, 0.45, 4e6]])
+    np.testing.assert_array_equal(
+        Replay(recording, threads=1).simulate(points), Replay(lying, threads=1).simulate(points)
+    )
+
+
+def test_an_inference_that_was_killed_ends_with_the_same_bytes(reach, tmp_path):
+    replay = Replay(reach[0], names=("trunk_mass",), threads=1)
+    infer("rf-dropo", replay, tmp_path / "whole.log").save(tmp_path / "whole.json")
+    log = (tmp_path / "whole.log").read_bytes()
+    (tmp_path / "cut.log").write_bytes(log[: len(log) // 2])
+    infer("rf-dropo", replay, tmp_path / "cut.log").save(tmp_path / "cut.json")
+    assert (tmp_path / "cut.json").read_bytes() == (tmp_path / "whole.json").read_bytes()
+    assert (tmp_path / "cut.log").read_bytes() == log
+
+
+def test_the_log_of_another_inference_is_refused(reach, tmp_path):
+    infer("sysid", Replay(reach[0], threads=1), tmp_path / "log", max_iterations=1)
+    with pytest.raises(ValueError, match="log of another inference"):
+        infer("sysid", Replay(reach[0], threads=1), tmp_path / "log", seed=1)
+
+
+def test_training_reads_a_posterior_as_a_distribution(reach, tmp_path):
+    names = ("trunk_mass", "poisson_ratio")
+    infer("sysid", Replay(reach[0], names, threads=1)).save(tmp_path / "posterior.json")
+    assert load(tmp_path / "posterior.json").names == names
+
+
+def test_least_squares_recovers_parameters_near_the_nominal_ones():
+    # from farther away it can end where a cable falls slack at the wrong moment (docs/inference.md)
+    truth = {"trunk_mass": 0.41, "poisson_ratio": 0.448, "young_modulus": 4.45e6}
+    recording = record("TrunkReach-v0", model="cable", params=truth, steps=STEPS)
+    posterior = infer("sysid", Replay(recording, threads=1))
+    assert posterior.estimate == pytest.approx(truth, rel=1e-3)
+
+
+def test_dropo_restarts_every_step_from_the_recorded_state(reach):
+    recording, truth = reach
+    replay = Replay(recording, restart=True, threads=1)
+    at_truth = replay.residuals(np.array([list(truth.values())]))
+    assert np.abs(at_truth).max() < 1e-9
+    # a step from the recorded state goes less astray than all steps from the first
+    wrong = np.array([[0.2, 0.43, 3.9e6]])
+    assert np.abs(replay.residuals(wrong)[0, -1]).max() < np.abs(Replay(recording).residuals(wrong)[0, -1]).max()
+
+
+def test_a_known_parameter_is_not_inferred(reach):
+    recording, truth = reach
+    posterior = infer("rf-dropo", Replay(recording, known={"young_modulus": truth["young_modulus"]}, threads=1))
+    assert set(posterior.estimate) == {"trunk_mass", "poisson_ratio"}
+    assert posterior.estimate["trunk_mass"] == pytest.approx(truth["trunk_mass"], rel=1e-3)
+
+
+def test_a_missing_sample_says_nothing(reach):
+    recording, _ = reach
+    signal = recording.signals["keypoints"]
+    values = signal.values.copy()
+    values[5, 3] = np.nan
+    patchy = replace(recording, signals={**recording.signals, "keypoints": Signal(signal.time, values, "m", "world")})
+    residual = Replay(patchy, threads=1).residuals(np.array([[0.3, 0.45, 4e6]]))[0]
+    assert (residual[4, 9:12] == 0).all() and (residual[4, 12:] != 0).any()
+
+
+def test_a_ratio_is_named_when_only_the_ratio_matters():
+    # what is measured depends on the logarithm of mass / E, and a hundred times less on friction
+    d_log = np.array([[1.0, -1.0, 0.0], [0.5, -0.5, 0.01]])
+    values = np.array([0.4, 4e6, 0.3])
+    found = combinations((d_log / values)[None], np.full((1, 2), 1e-3), (TRUNK_MASS, YOUNG_MODULUS, FRICTION), values)
+    assert "determined to" in found[0].words and found[0].exponents["friction"] == pytest.approx(0, abs=0.01)
+    assert found[0].exponents["trunk_mass"] == pytest.approx(-found[0].exponents["young_modulus"], abs=1e-3)
+    assert "trunk_mass * young_modulus is not determined" in found[2].words
+
+
+def test_the_posterior_of_bayes_sim_narrows_around_the_truth():
+    from soro_bench.inference import bayes_sim
+
+    rng = np.random.default_rng(0)
+    points = rng.random((300, 1))
+    summaries = np.concatenate([points + 0.02 * rng.standard_normal((300, 1)), rng.random((300, 2))], axis=1)
+    for features in bayes_sim.FEATURES:
+        drawn = bayes_sim.train(points, summaries, features).sample(np.array([0.7, 0.5, 0.5]), 500, 0)
+        assert drawn.mean() == pytest.approx(0.7, abs=0.1) and drawn.std() < 0.15
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        ({"names": ("mass",)}, "unknown parameter 'mass'"),
+        ({"names": ("trunk_mass",), "known": {"trunk_mass": 0.4}}, "trunk_mass cannot be both known and inferred"),
+        ({"known": {"trunk_mass": 9.0}}, "trunk_mass = 9.0 is outside"),
+        ({"known": {"trunk_mass": 0.4, "young_modulus": 4e6, "poisson_ratio": 0.45}}, "nothing to infer"),
+        ({"model": "steel"}, "unknown model 'steel'"),
+    ],
+)
+def test_bad_requests_are_named(reach, change, message):
+    with pytest.raises(ValueError, match=message):
+        Replay(reach[0], **change)
+
+
+def test_a_recording_without_what_is_needed_is_refused(reach):
+    recording, _ = reach
+    with pytest.raises(RecordingError, match=r"no keypoints; it has tension"):
+        Replay(replace(recording, signals={"tension": recording.signals["tension"]}))
+    without = {name: signal for name, signal in recording.signals.items() if not name.startswith("state.")}
+    with pytest.raises(RecordingError, match="--full-state"):
+        Replay(replace(recording, signals=without), restart=True)
+    with pytest.raises(ValueError, match=r"unknown method .magic.*rf-dropo"):
+        infer("magic", Replay(recording))
