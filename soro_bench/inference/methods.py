@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.inference import rf_dropo
-from soro_bench.inference.identifiability import combinations
+from soro_bench.inference.identifiability import combinations, fisher
 from soro_bench.inference.posterior import Posterior
 from soro_bench.inference.replay import Replay
 from soro_bench.inference.search import EvaluationLog, cma_search
@@ -81,8 +81,10 @@ def _rf_dropo(search: Search, optimizer: str = "linearised", **settings):
         fit = rf_dropo.linearised(search.residuals, replay.deviation, replay.groups, search.dimension, search.log,
                                   search.seed, progress=search.progress, **settings)  # fmt: skip
     mean = search.low + search.width * fit.mean
-    distribution = TruncatedNormal(replay.names, mean, search.width * fit.std)
-    return distribution, mean, -fit.jacobian / search.width
+    # how much the parameters vary, which the likelihood is about, and how well their means are known
+    error = np.sqrt(np.diag(np.linalg.pinv(fisher(fit.jacobian, replay.deviation), hermitian=True)))
+    std = np.minimum(np.hypot(fit.std, error), rf_dropo.LARGEST_STD)
+    return TruncatedNormal(replay.names, mean, search.width * std), mean, -fit.jacobian / search.width
 
 
 def _droid(search: Search, iterations: int = 60, popsize: int = 16):

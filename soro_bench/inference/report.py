@@ -38,28 +38,31 @@ def corner_plot(posterior: Posterior, replay: Replay, draws: np.ndarray, path: P
     weakest = posterior.combinations[-1]
     along = np.array([weakest.exponents[name] for name in names])
     reach = min(weakest.relative_std, 0.5)
-    ridge = estimate * np.exp(np.linspace(-reach, reach, 50)[:, None] * along)
-    figure, axes = plt.subplots(count, count, figsize=(2.2 * count, 2.2 * count), layout="constrained", squeeze=False)
+    cloud = 100 * (draws / estimate - 1)  # percent
+    ridge = 100 * np.expm1(np.linspace(-reach, reach, 50)[:, None] * along)
+    labels = [f"{p.name}\n% from {e:.5g} {p.unit}" for p, e in zip(replay.parameters, estimate, strict=True)]
+    figure, axes = plt.subplots(count, count, figsize=(2.4 * count, 2.4 * count), layout="constrained", squeeze=False)
     for i in range(count):
         for j in range(count):
-            ax = axes[i, j]
-            if j > i:
-                ax.axis("off")
-                continue
-            if i == j:
-                ax.hist(draws[:, i], bins=40, color="C0", alpha=0.7)
-                ax.axvline(estimate[i], color="k", lw=1)
-                ax.set_yticks([])
-            else:
-                ax.plot(draws[:, j], draws[:, i], ",", color="C0", alpha=0.5)
-                ax.plot(ridge[:, j], ridge[:, i], color="C3", lw=1)
-                ax.plot(estimate[j], estimate[i], "k+")
-            if i == count - 1:
-                ax.set_xlabel(f"{names[j]} [{replay.parameters[j].unit}]", fontsize=8)
-            if j == 0 and i > 0:
-                ax.set_ylabel(f"{names[i]} [{replay.parameters[i].unit}]", fontsize=8)
-            ax.tick_params(labelsize=7)
-    figure.suptitle(f"least determined (red): {weakest.words}", fontsize=9)
+            _panel(axes[i, j], cloud, ridge, i, j)
+        axes[count - 1, i].set_xlabel(labels[i], fontsize=8)
+        if i > 0:
+            axes[i, 0].set_ylabel(labels[i], fontsize=8)
+    figure.suptitle("least determined (red):\n" + weakest.words, fontsize=9)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png", dpi=130, metadata={"Software": None})
     plt.close(figure)
+
+
+def _panel(ax, cloud, ridge, i, j) -> None:
+    ax.tick_params(labelsize=7)
+    if j > i:
+        ax.axis("off")
+    elif i == j:
+        ax.hist(cloud[:, i], bins=40, color="C0", alpha=0.7)
+        ax.axvline(0, color="k", lw=1)
+        ax.set_yticks([])
+    else:
+        ax.plot(cloud[:, j], cloud[:, i], ",", color="C0", alpha=0.5)
+        ax.plot(ridge[:, j], ridge[:, i], color="C3", lw=1)
+        ax.plot(0, 0, "k+")

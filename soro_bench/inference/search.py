@@ -32,8 +32,10 @@ class EvaluationLog:
         lines = [line for line in self._path.read_bytes().split(b"\n")[:-1]]  # what has no end of line was cut off
         try:
             header, *self._known = [json.loads(line) for line in lines]
-        except ValueError as error:
-            raise ValueError(f"{path} is no log of evaluations: {error}") from error
+            if any(set(entry) != {"call", "work", "shape", "values"} for entry in self._known):
+                raise ValueError("a line has other entries")
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{path} is no log of evaluations ({error}); remove it, or choose another file") from error
         if header != {"title": title}:
             raise ValueError(f"{path} is the log of another inference; remove it, or choose another file")
         self._path.write_bytes(b"".join(line + b"\n" for line in lines))
