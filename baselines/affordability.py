@@ -23,7 +23,10 @@ from soro_bench.training.policy import Policy
 from soro_bench.training.ppo import default_config
 
 ENV_ID = "MultiGait-v0"
-METHODS = (Method("no_dr", lambda env_id, seed: None), Method("dr", lambda env_id, seed: PUBLISHED_RANDOMIZATION))
+METHODS = (
+    Method("no_dr", lambda env_id, seed, folder: None),
+    Method("dr", lambda env_id, seed, folder: PUBLISHED_RANDOMIZATION),
+)
 EPISODE_STEPS = (6, 12)
 MESHES = ("coarse", "fine")
 NOISY_ROLLOUTS = 5

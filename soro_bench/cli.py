@@ -87,7 +87,7 @@ class Train:
         given = {"model": self.model, "action": self.action}
         changes = {name: value for name, value in given.items() if value is not None}
         config = default_config(self.env, self.steps, method=self.method, seed=self.seed, **changes)
-        box = METHODS[self.method].distribution(self.env, self.seed)
+        box = METHODS[self.method].distribution(self.env, self.seed, self.out)
         distribution = load(self.randomization) if self.randomization else box
         with _Bar() as bar:
             train(config, self.out, distribution, lambda *progress: bar(f"{self.method} seed {self.seed}", *progress))
@@ -262,13 +262,38 @@ class Baseline:
 
     def run(self, method: str) -> None:
         from soro_bench.experiment import METHODS
+
+        self._run(METHODS[method])
+
+    def _run(self, method) -> None:
         from soro_bench.presets import Part
         from soro_bench.training.ppo import default_config
 
         task = task_type(self.env)
         config = default_config(self.env, self.steps, model=self.model or task.cheap)
         eval_models = self.eval_models or (task.cheap, task.accurate)
-        _run_plan([Part(config, (METHODS[method],), {method: self.seeds}, eval_models)], self.out)
+        _run_plan([Part(config, (method,), {method.name: self.seeds}, eval_models)], self.out)
+
+
+@dataclass
+class InferenceBaseline(Baseline):
+    """What the scripts in baselines/ take that infer the distribution from a recording."""
+
+    recording: Path | None = None
+    """.parquet; by default the environment's in baselines/recordings."""
+    known: tuple[str, ...] = ()
+    """Parameters that are held fixed, in the inference and in training, such as young_modulus=3.6e6."""
+    replay_model: str | None = None
+    """Model to replay the recording on; the recorded one by default."""
+    noise: float = 0.0
+    """Standard deviation [m] of the recorded positions."""
+
+    def run(self, method: str) -> None:
+        from soro_bench.inference.baseline import inferred
+        from soro_bench.recording.simulated import parse_params
+
+        recording = self.recording or Path("baselines", "recordings", f"{self.env}.parquet")
+        self._run(inferred(method, recording, parse_params(self.known), self.replay_model, self.noise))
 
 
 def _run_plan(plan, out: Path) -> None:

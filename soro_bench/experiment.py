@@ -23,18 +23,19 @@ class Method:
 
     Args:
         name: short name for folders and tables.
-        distribution: gives it for an environment id and a seed; None means the nominal parameters.
+        distribution: gives it for an environment id, a seed and a folder to keep files in; None means the nominal
+            parameters.
     """
 
     name: str
-    distribution: Callable[[str, int], Distribution | None]
+    distribution: Callable[[str, int, Path], Distribution | None]
 
 
-def _udr_box(env_id: str, seed: int) -> Distribution:
+def _udr_box(env_id: str, seed: int, folder: Path) -> Distribution:
     return random_box(task_type(env_id).randomized, np.random.default_rng(seed))
 
 
-ORACLE = Method("oracle", lambda env_id, seed: None)  # trained on the evaluation dynamics
+ORACLE = Method("oracle", lambda env_id, seed, folder: None)  # trained on the evaluation dynamics
 UDR = Method("udr", _udr_box)  # a random box of the search space per seed, as published
 METHODS = {method.name: method for method in (ORACLE, UDR)}
 
@@ -58,7 +59,7 @@ def run_method(
     results = []
     for seed in seeds:
         run_folder = Path(folder) / method.name / f"seed{seed}"
-        distribution = method.distribution(config.env_id, seed)
+        distribution = method.distribution(config.env_id, seed, run_folder)
         run_config = replace(config, method=method.name, seed=seed)
 
         def report(steps, total, row, label=f"{method.name} seed {seed}"):

@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from soro_bench.inference import rf_dropo
+from soro_bench.inference.baseline import inferred
 from soro_bench.inference.identifiability import combinations
 from soro_bench.inference.likelihood import horizon, log_likelihood, sample_factor
 from soro_bench.inference.methods import infer
@@ -14,6 +15,7 @@ from soro_bench.inference.replay import Replay
 from soro_bench.inference.search import EvaluationLog
 from soro_bench.parameters import FRICTION, TRUNK_MASS, YOUNG_MODULUS
 from soro_bench.randomization import load
+from soro_bench.recording.parquet import save
 from soro_bench.recording.recording import RecordingError, Signal
 from soro_bench.recording.simulated import record
 
@@ -192,3 +194,23 @@ def test_a_recording_without_what_is_needed_is_refused(reach):
         Replay(replace(recording, signals=without), restart=True)
     with pytest.raises(ValueError, match=r"unknown method .magic.*rf-dropo"):
         infer("magic", Replay(recording))
+
+
+def test_a_posterior_holds_what_was_known(reach, tmp_path):
+    known = {"poisson_ratio": 0.44, "young_modulus": 4e6}
+    for method in ("rf-dropo", "sysid"):
+        infer(method, Replay(reach[0], known=known, threads=1)).save(tmp_path / "posterior.json")
+        sample = load(tmp_path / "posterior.json").sample(np.random.default_rng(0))
+        assert sample.keys() == {"trunk_mass", *known} and sample["young_modulus"] == pytest.approx(4e6)
+
+
+def test_a_baseline_infers_once_and_refuses_the_recording_of_another_environment(reach, tmp_path):
+    save(reach[0], tmp_path / "reach.parquet")
+    known = {"poisson_ratio": 0.43, "young_modulus": 3.9e6}
+    method = inferred("rf-dropo", tmp_path / "reach.parquet", known)
+    first = method.distribution("TrunkReach-v0", 0, tmp_path)
+    (tmp_path / "reach.parquet").unlink()
+    assert method.distribution("TrunkReach-v0", 0, tmp_path).to_dict() == first.to_dict()
+    save(reach[0], tmp_path / "reach.parquet")
+    with pytest.raises(ValueError, match="a recording of TrunkReach-v0, not of TrunkPush-v0"):
+        method.distribution("TrunkPush-v0", 0, tmp_path / "push")

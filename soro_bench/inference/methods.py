@@ -172,7 +172,7 @@ def _posterior(method, search, distribution: Distribution, estimate, slope, sett
            for name, group in zip(replay.signal_names, replay.groups, strict=True)}  # fmt: skip
     return Posterior(
         method=method,
-        distribution=distribution,
+        distribution=_with_known(distribution, replay.known),
         estimate=dict(zip(replay.names, map(float, estimate), strict=True)),
         fit=fit,
         combinations=combinations(slope, replay.deviation, replay.parameters, estimate),
@@ -181,3 +181,12 @@ def _posterior(method, search, distribution: Distribution, estimate, slope, sett
         replays=search.log.work / steps,
         settings=settings,
     )
+
+
+def _with_known(distribution: Distribution, known: dict[str, float]) -> Distribution:
+    """The distribution together with the known values, which training has to hold as well."""
+    names, values, count = (*distribution.names, *known), list(known.values()), len(known)
+    mean = np.append(distribution.mean, values)
+    if isinstance(distribution, Gaussian):
+        return Gaussian(names, mean, np.pad(distribution.cov, (0, count)))
+    return TruncatedNormal(names, mean, np.append(distribution.std, np.zeros(count)))

@@ -1,0 +1,16 @@
+"""Reset-Free DROPO: infer a distribution from a recording, train PPO on it, evaluate.
+
+    python baselines/rf_dropo.py TrunkReach-v0 --seeds 0 1 2
+    python baselines/rf_dropo.py TrunkPush-v0 --known young_modulus=3.6e6
+
+The recording is a simulated one of the accurate model with nominal parameters (baselines/recordings), or --recording.
+Trains on the cheap model, evaluates on both; writes posteriors, policies, results and rerun recordings; goes on where
+it stopped.
+"""
+
+import tyro
+
+from soro_bench.cli import InferenceBaseline
+
+if __name__ == "__main__":
+    tyro.cli(InferenceBaseline, description=__doc__).run("rf-dropo")

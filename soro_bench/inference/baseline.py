@@ -1,0 +1,38 @@
+"""Inference as the way to a training distribution: what baselines/rf_dropo.py and bayes_sim.py run."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from soro_bench.experiment import Method
+from soro_bench.inference.methods import infer
+from soro_bench.inference.replay import Replay
+from soro_bench.randomization import Distribution, load
+from soro_bench.recording import parquet
+
+
+def inferred(
+    method: str,
+    recording: str | Path,
+    known: Mapping[str, float] | None = None,
+    model: str | None = None,
+    noise: float = 0.0,
+) -> Method:
+    """A training method whose distribution is inferred from a recording, anew for every seed.
+
+    Args:
+        method: see :func:`soro_bench.inference.methods.infer`.
+        recording: file of a recording of the environment.
+        known, model, noise: see :class:`soro_bench.inference.replay.Replay`.
+    """
+
+    def distribution(env_id: str, seed: int, folder: Path) -> Distribution:
+        path = Path(folder) / "posterior.json"
+        if not path.exists():
+            measured = parquet.load(recording)
+            if (recorded := measured.metadata.get("env_id")) != env_id:
+                raise ValueError(f"{recording} is a recording of {recorded}, not of {env_id}")
+            replay = Replay(measured, known=known, model=model, noise=noise)
+            infer(method, replay, path.with_suffix(".log.jsonl"), seed).save(path)
+        return load(path)
+
+    return Method(method.replace("-", "_"), distribution)
