@@ -130,7 +130,9 @@ def main() -> None:
             print(f"case {i + 1} of {len(options.only)}: {case}, recording {number}, seed {seed}", flush=True)
             results.append(run(case, number, seed, options.work, options.model, options.threads))
         rows.append(row(case, results))
-        write_json(ROOT / "docs" / "results" / f"inference_{options.model}.json", rows)
+        path = ROOT / "docs" / "results" / f"inference_{options.model}.json"
+        others = [r for r in read_json(path) if r["case"] != case] if path.exists() else []
+        write_json(path, sorted([*others, rows[-1]], key=lambda r: list(CASES).index(r["case"])))
         print(table(rows[-1:]), flush=True)
     print(table(rows))
 
