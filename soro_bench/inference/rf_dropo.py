@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
-from soro_bench.inference.continuation import DIFFERENCE, track
+from soro_bench.inference.continuation import DIFFERENCE, best_track
 from soro_bench.inference.likelihood import horizon, log_likelihood, sample_factor
 from soro_bench.inference.search import EvaluationLog, cma_search
 
@@ -92,9 +92,8 @@ def linearised(residuals, deviation, groups, dimension, log: EvaluationLog, seed
         groups: slices of the k measured numbers that are comparable, one per signal.
         starts: points of the search box to start from; the worse half is given up thrice on the way.
     """
-    return refined(
-        residuals, deviation, track(residuals, deviation, groups, dimension, log, seed, starts, progress), log
-    )
+    mean = best_track(residuals, deviation, groups, dimension, log, seed, starts, progress)
+    return refined(residuals, deviation, mean, log)
 
 
 def refined(residuals, deviation, mean, log: EvaluationLog) -> Fit:
