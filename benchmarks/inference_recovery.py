@@ -4,8 +4,7 @@
 
 Three 5 s recordings per task, simulated with nominal parameters: TrunkReach under random discrete actions, TrunkPush
 under the three oracle policies of the leaderboard. Every inference is a file in --work, and the same command goes on
-with what is missing. Writes docs/results/inference_MODEL.json and prints a table: means over recordings of the error relative
-to the truth, with the paper's beside it.
+with what is missing. Writes docs/results/inference_MODEL.json and prints a table of the worst errors.
 """
 
 import argparse

@@ -25,7 +25,7 @@ def best_track(residuals, deviation, groups, dimension, log, seed, starts, progr
 
 
 def track(residuals, deviation, groups, dimension, log, seed, starts, progress=lambda *_: None):
-    """(d,) the point of the unit cube whose replay explains the recording, by continuation in the horizon, and its cost.
+    """(d,) the point of the unit cube whose replay explains the recording, by continuation in the horizon; its cost.
 
     The first steps are explained first, which is easy as nothing has touched anything and errors have not added up;
     then a few more, from there. Each horizon takes Gauss-Newton steps on sum log(1 + s_tg), where s_tg is the mean
