@@ -1,14 +1,17 @@
 """MultiGait: walk forward by inflating chambers."""
 
+from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 from gymnasium import spaces
 
+from soro_bench.effects.effect import Effect
 from soro_bench.envs.single import SoftRobotEnv
-from soro_bench.envs.task import ACTION_MODES, Task
+from soro_bench.envs.task import ACTION_MODES, Task, effects_of
 from soro_bench.envs.vector import SoftRobotVectorEnv
 from soro_bench.models import walker
 from soro_bench.models.walker_mesh import CHAMBERS, RESOLUTIONS
@@ -47,6 +50,7 @@ class MultiGaitTask(Task):
         mesh: "fine" (accurate), "coarse" (cheap) or "finest".
         action: "discrete" (6 actions) or "continuous" (changes of 3 inflations).
         observation_noise: whether observations are noisy.
+        effects: physics that the model leaves out, or an effects file (docs/effects.md).
     """
 
     variant_name, accurate, cheap = "mesh", "fine", "coarse"
@@ -64,18 +68,20 @@ class MultiGaitTask(Task):
         mesh: str = "fine",
         action: str = "discrete",
         observation_noise: bool = False,
+        effects: Sequence[Effect] | str | Path | None = None,
         **unknown,
     ):
         for name, value in unknown.items():
             raise TypeError(
-                f"unknown argument {name}={value!r}; this environment takes mesh, action and observation_noise"
+                f"unknown argument {name}={value!r}; this environment takes mesh, action, observation_noise and effects"
             )
         if mesh not in RESOLUTIONS:
             raise ValueError(f"unknown mesh {mesh!r}; there are {', '.join(RESOLUTIONS)}")
         if action not in ACTION_MODES:
             raise ValueError(f"unknown action mode {action!r}; there are {', '.join(ACTION_MODES)}")
+        # its joints are sliders of mesh nodes, which have no springs: nothing to instrument
         model = _compiled(mesh)
-        super().__init__(model, [_parameter_map(mesh)], num_envs, num_threads)
+        super().__init__(model, [_parameter_map(mesh)], num_envs, num_threads, effects_of(effects))
         self._discrete = action == "discrete"
         self.single_action_space = spaces.Discrete(6) if self._discrete else spaces.Box(-1.0, 1.0, (3,), np.float32)
         self.single_observation_space = spaces.Box(-1.0, 2.0, (3 + len(CHAMBERS),), np.float64)
@@ -124,7 +130,7 @@ class MultiGaitTask(Task):
         for step in range(0, self._substeps, RAMP_SUBSTEPS):
             batch.plastic[np.ix_(ids, self._inflation.columns)] = self._inflation.plastic(batch.act[ids])
             stage = mujoco.mjtStage.mjSTAGE_VEL if step == last else mujoco.mjtStage.mjSTAGE_NONE
-            batch.step(ids, nstep=RAMP_SUBSTEPS, stage=stage)
+            self.sim.step(ids, RAMP_SUBSTEPS, stage)
 
     def _observe(self, ids):
         observation = np.concatenate([self.center_of_mass(ids), self.inflation(ids)], axis=1)

@@ -7,12 +7,15 @@ simulations, so there is one code path for both.
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 from gymnasium import spaces
 
+from soro_bench.effects.catalogue import QUANTITIES
+from soro_bench.effects.effect import Effect, load_effects
 from soro_bench.models.simulation import ParameterMap, Simulation
 from soro_bench.parameters import Parameter, ParameterSet
 from soro_bench.randomization import Distribution
@@ -27,6 +30,13 @@ _BAD_STATE = [
         mujoco.mjtWarning.mjWARN_BADQACC,
     )
 ]
+
+
+def effects_of(effects: Sequence[Effect] | str | Path | None) -> tuple[Effect, ...] | None:
+    """Effects as they are, or those of an effects file."""
+    if effects is None:
+        return None
+    return load_effects(effects, QUANTITIES) if isinstance(effects, str | Path) else tuple(effects)
 
 
 @dataclass
@@ -61,12 +71,19 @@ class Task(ABC):
     single_observation_space: spaces.Box
     single_action_space: spaces.Space
 
-    def __init__(self, model: mujoco.MjModel, maps: Sequence[ParameterMap], num_envs: int, num_threads: int):
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        maps: Sequence[ParameterMap],
+        num_envs: int,
+        num_threads: int,
+        effects: Sequence[Effect] | None = None,
+    ):
         if num_envs < 1:
             raise ValueError(f"num_envs = {num_envs}; at least 1 is needed")
         self.num_envs = num_envs
         self.model = model
-        self.sim = Simulation(model, self.parameters, maps, num_envs, num_threads)
+        self.sim = Simulation(model, self.parameters, maps, num_envs, num_threads, effects)
         self._distribution: Distribution | None = None
         self._substeps = round(self.control_timestep / model.opt.timestep)
         self._bad_states = np.zeros(num_envs, int)
@@ -90,7 +107,7 @@ class Task(ABC):
         self.sim.set_params(ids, np.array(params))
         batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._place(ids, starts)
-        batch.forward(ids, stage=mujoco.mjtStage.mjSTAGE_VEL)
+        self.sim.begin(ids)
         self._bad_states[ids] = self._count_bad_states(ids)
         self._begin(ids)
         return self._observe(ids), self._info(ids)
@@ -128,7 +145,7 @@ class Task(ABC):
         for name in STATE:
             self.sim.batch.bind(name)
             getattr(self.sim.batch, name)[ids] = state[name]
-        self.sim.batch.forward(ids, stage=mujoco.mjtStage.mjSTAGE_VEL)
+        self.sim.begin(ids)
 
     def check_actions(self, actions: np.ndarray, count: int) -> np.ndarray:
         """Return ``actions`` as an array of ``count`` valid actions; raise ValueError otherwise."""
@@ -163,8 +180,7 @@ class Task(ABC):
 
     def _advance(self, ids) -> None:
         """Simulate ``control_timestep``."""
-        # with the forward stages at the new state, which a persistent batch reuses in its next step
-        self.sim.batch.step(ids, nstep=self._substeps, stage=mujoco.mjtStage.mjSTAGE_VEL)
+        self.sim.step(ids, self._substeps)
 
     @abstractmethod
     def signals(self, ids: np.ndarray) -> dict[str, np.ndarray]:

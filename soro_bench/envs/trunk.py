@@ -2,13 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 from gymnasium import spaces
 
-from soro_bench.envs.task import ACTION_MODES, Task
+from soro_bench.effects.effect import Effect
+from soro_bench.effects.elements import instrument
+from soro_bench.envs.task import ACTION_MODES, Task, effects_of
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.scene import ContactFriction, ObjectMass
@@ -27,8 +30,9 @@ def potential(distance):
 
 
 @lru_cache(maxsize=8)
-def _compiled(scene: str, model: str) -> mujoco.MjModel:
-    return trunk.build_spec(scene, model).compile()
+def _compiled(scene: str, model: str, instrumented: bool) -> mujoco.MjModel:
+    spec = trunk.build_spec(scene, model)
+    return (instrument(spec) if instrumented else spec).compile()
 
 
 class TrunkTask(Task):
@@ -38,6 +42,7 @@ class TrunkTask(Task):
         model: "flex" (accurate) or "cable" (cheap).
         action: "discrete" (16 actions: pull or release one cable by 5 mm) or "continuous" (8 cable rates in units of
             0.1 m/s).
+        effects: physics that the model leaves out, or an effects file (docs/effects.md).
     """
 
     variant_name, accurate, cheap = "model", "flex", "cable"
@@ -55,17 +60,24 @@ class TrunkTask(Task):
     inferred_from = ("keypoints",)
 
     def __init__(
-        self, num_envs: int = 1, num_threads: int = 1, model: str = "flex", action: str = "discrete", **unknown
+        self,
+        num_envs: int = 1,
+        num_threads: int = 1,
+        model: str = "flex",
+        action: str = "discrete",
+        effects: Sequence[Effect] | str | Path | None = None,
+        **unknown,
     ):
         for name, value in unknown.items():
-            raise TypeError(f"unknown argument {name}={value!r}; this environment takes model and action")
+            raise TypeError(f"unknown argument {name}={value!r}; this environment takes model, action and effects")
         if model not in trunk.VARIANTS:
             raise ValueError(f"unknown model {model!r}; there are {', '.join(trunk.VARIANTS)}")
         if action not in ACTION_MODES:
             raise ValueError(f"unknown action mode {action!r}; there are {', '.join(ACTION_MODES)}")
-        compiled = _compiled(self.scene, model)
+        effects = effects_of(effects)
+        compiled = _compiled(self.scene, model, effects is not None)
         maps = [trunk.TrunkParameters(compiled), *self._scene_parameters(compiled)]
-        super().__init__(compiled, maps, num_envs, num_threads)
+        super().__init__(compiled, maps, num_envs, num_threads, effects)
         cables = len(geo.CABLE_NAMES)
         self._discrete = action == "discrete"
         self.single_action_space = (

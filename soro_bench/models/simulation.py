@@ -8,6 +8,8 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from soro_bench.effects.effect import Effect
+from soro_bench.effects.runtime import ActiveEffects
 from soro_bench.parameters import ParameterSet
 
 
@@ -35,6 +37,8 @@ class Simulation:
         maps: what turns them into model fields.
         nsim: number of simulations N.
         nthread: threads, 0 for all processors. Results do not depend on it.
+        effects: physics that the model leaves out, for all simulations (``assign_effects`` gives each its own); the
+            model has to be prepared by :func:`soro_bench.effects.elements.instrument`. None for one that is not.
     """
 
     def __init__(
@@ -44,6 +48,7 @@ class Simulation:
         maps: Sequence[ParameterMap],
         nsim: int,
         nthread: int = 1,
+        effects: Sequence[Effect] | None = None,
     ):
         self.model = model
         self.parameters = parameters
@@ -51,14 +56,41 @@ class Simulation:
         # persistent: observations need the forward stages at the new state, which the next step then reuses
         self.batch = Batch(model, nsim, nthread, persistent=True)
         self.params = np.tile(parameters.nominal, (nsim, 1))
-        self.set_params(np.arange(nsim), self.params)
+        self._effects = None if effects is None else ActiveEffects(self.batch)
+        if effects is None:
+            self.set_params(np.arange(nsim), self.params)
+        else:
+            self.assign_effects([effects] * nsim)
+
+    def assign_effects(self, effects: Sequence[Sequence[Effect]]) -> None:
+        """Give each of the N simulations its own effects, from its next reset on."""
+        self._effects.assign(effects)
+        self.set_params(np.arange(len(effects)), self.params)
 
     def set_params(self, ids: np.ndarray, params: np.ndarray) -> None:
         """Give simulations ``ids`` the parameters ``params`` (len(ids), d); MuJoCo's derived constants follow."""
         self.params[ids] = params
         named = dict(zip(self.parameters.names, np.asarray(params, float).T, strict=True))
         column = np.asarray(ids)[:, None]
+        if self._effects:
+            self._effects.restore(ids)
         for parameter_map in self._maps:
             for write in parameter_map.writes(named):
                 self.batch.expand(write.field)[column, write.rows] = write.values
+        if self._effects:
+            self._effects.write(ids)
         self.batch.set_const(ids)
+
+    def begin(self, ids: np.ndarray) -> None:
+        """Compute what positions and velocities determine, at the start of an episode or after a change of state."""
+        self.batch.forward(ids, stage=mujoco.mjtStage.mjSTAGE_VEL)
+        if self._effects:
+            self._effects.reset(ids)
+
+    def step(self, ids: np.ndarray, nstep: int, stage: int = mujoco.mjtStage.mjSTAGE_VEL) -> None:
+        """Advance by ``nstep`` time steps and compute the stages up to ``stage`` at the new state, which a persistent
+        batch reuses in its next step."""
+        if self._effects:
+            self._effects.step(ids, nstep, stage)
+        else:
+            self.batch.step(ids, nstep=nstep, stage=stage)

@@ -1,0 +1,1 @@
+"""Physics that a model leaves out: laws by name, at ports of any MuJoCo model. docs/effects.md lists them."""

@@ -1,0 +1,70 @@
+"""Laws of mass, weight and the surroundings."""
+
+import numpy as np
+
+from soro_bench.effects.effect import Quantity
+from soro_bench.effects.law import Law
+
+
+class Payload(Law):
+    """A point mass at a body's centre of mass."""
+
+    name, category, kinds = "payload", "inertia", ("body",)
+    quantities = (Quantity("mass", "kg", 0.01, (0.0, 1e4)),)
+    fields = ("body_mass",)
+
+    def write(self, which):
+        # of several at one body too
+        np.add.at(self.field("body_mass"), (self.rows[which], self.ids[which]), self.values["mass"][which])
+
+
+class BaseTilt(Law):
+    """The base stands askew: gravity is turned by a rotation vector in world axes."""
+
+    name, category, kinds = "base_tilt", "static_one_sided", ("model",)
+    quantities = tuple(Quantity(f"about_{axis}", "rad", 0.05, (-np.pi, np.pi)) for axis in "xyz")
+    fields = ("opt.gravity",)
+
+    def prepare(self, elements):
+        pass
+
+    def write(self, which):
+        gravity, rows = self.field("opt.gravity"), self.rows[which]
+        vector = np.stack([self.values[q.name][which] for q in self.quantities], axis=1)
+        gravity[rows] = rotated(gravity[rows], vector)
+
+
+class FluidDrag(Law):
+    """Drag in proportion to the squared speed of a body's centre of mass."""
+
+    name, category, kinds, stepped, shared = "fluid_drag", "inertia", ("body",), True, True
+    quantities = (Quantity("drag", "N s^2/m^2", 0.1, (0.0, 1e6)),)
+    outputs = ("xipos",)
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        self.before = np.zeros((len(self.rows), 3))
+
+    def reset(self, which):
+        self.before[which] = self.batch.xipos[self.rows[which], self.ids[which]]
+        self.batch.xfrc_applied[self.rows[which], self.ids[which], :3] = 0.0
+
+    def step(self, which):
+        rows, ids = self.rows[which], self.ids[which]
+        here = self.batch.xipos[rows, ids]
+        velocity = (here - self.before[which]) / self.dt
+        self.before[which] = here
+        speed = np.sqrt((velocity * velocity).sum(axis=1))
+        # no more than would stop the body within a time step, so that it never pushes
+        most = np.maximum(self.field("body_mass")[rows, ids], 1e-9) / self.dt
+        factor = np.minimum(self.values["drag"][which] * speed, most)
+        self.batch.xfrc_applied[rows, ids, :3] = -factor[:, None] * velocity
+
+
+def rotated(points: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """(n, 3) points turned by rotation vectors (n, 3) [rad]; by nothing, they keep their bits (Rodrigues)."""
+    angle = np.sqrt((vector * vector).sum(axis=1))[:, None]
+    axis = vector / np.maximum(angle, 1e-300)
+    along = (axis * points).sum(axis=1)[:, None] * axis
+    turned = np.cos(angle) * points + np.sin(angle) * np.cross(axis, points) + (1.0 - np.cos(angle)) * along
+    return np.where(angle > 0, turned, points)

@@ -1,0 +1,53 @@
+"""The catalogue: every effect by its name."""
+
+from soro_bench.effects import bodies, commands, contacts, measurement, springs, stiffness
+from soro_bench.effects.effect import Quantity
+
+# in this order laws that change the same thing are applied
+PHYSICS = {
+    law.name: law
+    for law in (
+        stiffness.LocalStiffness,
+        stiffness.StiffnessDrift,
+        stiffness.MullinsSoftening,
+        stiffness.Stiffening,
+        stiffness.ViscousFriction,
+        springs.PlasticSet,
+        springs.Hysteresis,
+        springs.ViscoelasticCreep,
+        springs.CoulombFriction,
+        springs.StribeckFriction,
+        springs.LoadFriction,
+        commands.ActuatorDelay,
+        commands.ActuatorLag,
+        commands.Backlash,
+        commands.ActuatorDeadband,
+        commands.ActuatorGain,
+        commands.Pretension,
+        commands.PressureLeak,
+        commands.PressureAsymmetry,
+        commands.SupplyCoupling,
+        commands.Compliance,
+        commands.ActuatorSaturation,
+        bodies.Payload,
+        bodies.BaseTilt,
+        bodies.FluidDrag,
+        contacts.AnisotropicFriction,
+        contacts.Stiction,
+        contacts.Adhesion,
+    )
+}
+MEASUREMENT = {
+    fault.name: fault
+    for fault in (
+        measurement.SensorDelay,
+        measurement.ClockSkew,
+        measurement.SensorBias,
+        measurement.MarkerSlip,
+        measurement.FrameMisalignment,
+        measurement.Outliers,
+    )
+}
+ALL = {**PHYSICS, **MEASUREMENT}
+QUANTITIES: dict[str, tuple[Quantity, ...]] = {name: law.quantities for name, law in ALL.items()}
+CATEGORIES: dict[str, str] = {name: law.category for name, law in ALL.items()}

@@ -1,0 +1,229 @@
+"""Laws between a command and what the actuator makes of it.
+
+They act on the setpoint: what an actuator is asked to be at, which is its activation where the control is a rate, and
+the control otherwise. Those that change the actuator's force act on MuJoCo's own gains.
+"""
+
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from soro_bench.effects.effect import EffectError, Quantity
+from soro_bench.effects.law import Law
+
+
+class SetpointLaw(Law):
+    """A causal law from setpoints to setpoints; ``filter`` is called before every time step."""
+
+    kinds = ("actuator",)
+
+    def start(self, which: np.ndarray, setpoint: np.ndarray) -> None:
+        """Begin an episode at setpoints (n,)."""
+
+    def filter(self, which: np.ndarray, setpoint: np.ndarray) -> np.ndarray:
+        """(n,) setpoints of the coming time step for those that were asked for."""
+        raise NotImplementedError
+
+
+class ActuatorGain(SetpointLaw):
+    """The actuator goes gain times as far as it is told: a drum of another radius, a broken cable."""
+
+    name, category = "actuator_gain", "static_one_sided"
+    quantities = (Quantity("gain", "1", 0.85, (0.0, 10.0), null=1.0),)
+    shared = True
+
+    def filter(self, which, setpoint):
+        return self.values["gain"][which] * setpoint
+
+
+class Pretension(SetpointLaw):
+    """A constant offset of the setpoint: a cable mounted too short or too long."""
+
+    name, category = "pretension", "static_one_sided"
+    quantities = (Quantity("offset", "setpoint", 1.0, (-np.inf, np.inf), of="length"),)
+
+    def filter(self, which, setpoint):
+        return setpoint + self.values["offset"][which]
+
+
+class ActuatorDeadband(SetpointLaw):
+    """Nothing happens until the setpoint leaves a zone around zero."""
+
+    name, category = "actuator_deadband", "rate_independent_memory"
+    quantities = (Quantity("width", "setpoint", 1.0, (0.0, np.inf), of="length"),)
+    shared = True
+
+    def filter(self, which, setpoint):
+        return setpoint - np.clip(setpoint, -self.values["width"][which], self.values["width"][which])
+
+
+class Backlash(SetpointLaw):
+    """Play: after a reversal the output waits until the setpoint has come back by the width."""
+
+    name, category = "backlash", "rate_independent_memory"
+    quantities = (Quantity("width", "setpoint", 1.0, (0.0, np.inf), of="length"),)
+    shared = True
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        self.output = np.zeros(len(self.rows))
+
+    def start(self, which, setpoint):
+        self.output[which] = setpoint
+
+    def filter(self, which, setpoint):
+        half = self.values["width"][which] / 2
+        self.output[which] = np.clip(self.output[which], setpoint - half, setpoint + half)
+        return self.output[which]
+
+
+class ActuatorLag(SetpointLaw):
+    """The setpoint is followed with a first-order lag."""
+
+    name, category, shared = "actuator_lag", "timing", True
+    quantities = (Quantity("time_constant", "s", 0.06, (0.0, 1e3)),)
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        self.output = np.zeros(len(self.rows))
+
+    def start(self, which, setpoint):
+        self.output[which] = setpoint
+
+    def filter(self, which, setpoint):
+        tau = self.values["time_constant"][which]
+        share = np.where(tau > 0, -np.expm1(-self.dt / np.maximum(tau, 1e-9)), 1.0)
+        moved = self.output[which] + share * (setpoint - self.output[which])
+        self.output[which] = np.where(tau > 0, moved, setpoint)
+        return self.output[which]
+
+
+class ActuatorDelay(SetpointLaw):
+    """The setpoint arrives later; between two time steps it is interpolated."""
+
+    name, category, shared = "actuator_delay", "timing", True
+    quantities = (Quantity("delay", "s", 0.06, (0.0, 2.0)),)
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        steps = self.values["delay"] / self.dt
+        self.whole = np.floor(steps + 1e-9).astype(int)
+        self.part = np.maximum(steps - self.whole, 0.0)
+        self.buffer = np.zeros((len(self.rows), int(self.whole.max(initial=0)) + 2))
+        self.next = np.zeros(len(self.rows), int)
+
+    def start(self, which, setpoint):
+        self.buffer[which] = setpoint[:, None]
+
+    def filter(self, which, setpoint):
+        entries, size = np.flatnonzero(which), self.buffer.shape[1]
+        now, part = self.next[entries], self.part[entries]
+        self.buffer[entries, now] = setpoint
+        newer = self.buffer[entries, (now - self.whole[entries]) % size]
+        older = self.buffer[entries, (now - self.whole[entries] - 1) % size]
+        self.next[entries] = (now + 1) % size
+        return np.where(part > 0, (1.0 - part) * newer + part * older, newer)
+
+
+class _Pneumatic(SetpointLaw):
+    """A law of a chamber that is filled through a supply: an actuator whose control is the rate of its activation."""
+
+    shared = True
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        if (self.model.actuator_dyntype[self.ids] != mujoco.mjtDyn.mjDYN_INTEGRATOR).any():
+            raise EffectError(f"{self.name} acts on actuators that integrate their control, such as chambers")
+        self.output = np.zeros(len(self.rows))
+        self.asked = np.zeros(len(self.rows))
+
+    def start(self, which, setpoint):
+        self.output[which] = self.asked[which] = setpoint
+
+    def filter(self, which, setpoint):
+        change, self.asked[which] = setpoint - self.asked[which], setpoint
+        changed = self.pressure(which, self.output[which], change)
+        magnitude = self.values[self.quantities[0].name][which]
+        self.output[which] = np.where(magnitude > 0, changed, setpoint)
+        return self.output[which]
+
+    def pressure(self, which, before, change):
+        """(n,) pressures after a time step in which ``change`` was asked for."""
+        raise NotImplementedError
+
+
+class PressureLeak(_Pneumatic):
+    """Chambers lose pressure: p' = -rate p beside what is supplied."""
+
+    name, category = "pressure_leak", "slow_drift"
+    quantities = (Quantity("rate", "1/s", 0.2, (0.0, 100.0)),)
+
+    def pressure(self, which, before, change):
+        return np.exp(-self.values["rate"][which] * self.dt) * before + change
+
+
+class PressureAsymmetry(_Pneumatic):
+    """Filling follows the setpoint more slowly than venting does: time constants apart by a difference."""
+
+    name, category = "pressure_asymmetry", "timing"
+    quantities = (
+        Quantity("difference", "s", 0.1, (0.0, 100.0)),
+        Quantity("venting", "s", 1e-3, (1e-6, 100.0)),
+    )
+
+    def pressure(self, which, before, change):
+        error = self.asked[which] - before
+        slower = np.where(error > 0, self.values["difference"][which], 0.0)
+        return before - np.expm1(-self.dt / (slower + self.values["venting"][which])) * error
+
+
+class SupplyCoupling(_Pneumatic):
+    """Chambers on one supply fill more slowly together: each loses a share of its rate per other that fills."""
+
+    name, category = "supply_coupling", "amplitude"
+    quantities = (Quantity("coupling", "1", 0.2, (0.0, 1.0)),)
+
+    def pressure(self, which, before, change):
+        rows, filling = self.rows[which], (change > 0).astype(float)
+        others = np.bincount(rows, filling, minlength=self.batch.nsim)[rows] - filling
+        slower = np.maximum(1.0 - self.values["coupling"][which] * others, 0.0)
+        return before + np.where(change > 0, slower, 1.0) * change
+
+
+class Compliance(Law):
+    """A spring in series with a servo: a cable, a belt; the servo's stiffness and damping fall by 1 + k c."""
+
+    name, category, kinds = "compliance", "static_one_sided", ("actuator",)
+    quantities = (Quantity("compliance", "m/N or rad/(N m)", 1e-4, (0.0, np.inf)),)
+    fields: ClassVar = ("actuator_gainprm", "actuator_biasprm")
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        fixed = self.model.actuator_gaintype[self.ids] == mujoco.mjtGain.mjGAIN_FIXED
+        affine = self.model.actuator_biastype[self.ids] == mujoco.mjtBias.mjBIAS_AFFINE
+        if not (fixed & affine).all():
+            raise EffectError(f"{self.name} acts on servos: actuators of fixed gain and affine bias")
+
+    def write(self, which):
+        at = self.rows[which], self.ids[which]
+        gain, bias = self.field("actuator_gainprm"), self.field("actuator_biasprm")
+        softer = (1.0 + gain[at][:, 0] * self.values["compliance"][which])[:, None]
+        gain[at] /= softer
+        bias[at] /= softer
+
+
+class ActuatorSaturation(Law):
+    """An actuator that is weaker than its model: it gives only a share of the force that it should at most."""
+
+    name, category, kinds = "actuator_saturation", "amplitude", ("actuator",)
+    quantities = (Quantity("loss", "1", 0.5, (0.0, 1.0)),)
+    fields: ClassVar = ("actuator_forcerange",)
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        if not self.model.actuator_forcelimited[self.ids].all():
+            raise EffectError(f"{self.name} acts on actuators with a limit of force")
+
+    def write(self, which):
+        self.field("actuator_forcerange")[self.rows[which], self.ids[which]] *= 1.0 - self.values["loss"][which, None]

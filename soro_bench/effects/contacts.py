@@ -1,0 +1,72 @@
+"""Laws of contact, at geoms. MuJoCo gives a pair of geoms the larger of their two coefficients of friction."""
+
+from typing import ClassVar
+
+import numpy as np
+
+from soro_bench.effects.effect import Quantity
+from soro_bench.effects.law import Law
+
+
+class _Sliding(Law):
+    """Sliding friction of a geom that depends on its velocity."""
+
+    category, kinds, stepped = "contact", ("geom",), True
+    fields: ClassVar = ("geom_friction",)
+    outputs = ("geom_xpos",)
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        self.own, self.before = np.zeros(len(self.rows)), np.zeros((len(self.rows), 3))
+
+    def write(self, which):
+        self.own[which] = self.field("geom_friction")[self.rows[which], self.ids[which], 0]
+
+    def reset(self, which):
+        self.before[which] = self.batch.geom_xpos[self.rows[which], self.ids[which]]
+
+    def step(self, which):
+        rows, ids = self.rows[which], self.ids[which]
+        here = self.batch.geom_xpos[rows, ids]
+        factor = self.factor(which, (here - self.before[which]) / self.dt)
+        self.before[which] = here
+        self.field("geom_friction")[rows, ids, 0] = self.own[which] * factor
+
+    def factor(self, which, velocity):
+        """(n,) of the friction coefficient at velocities (n, 3) [m/s]."""
+        raise NotImplementedError
+
+
+class AnisotropicFriction(_Sliding):
+    """More friction one way than the other, as of bristles: along the world's -x, 1 + excess times."""
+
+    name = "anisotropic_friction"
+    quantities = (Quantity("excess", "1", 0.5, (0.0, 100.0)),)
+
+    def factor(self, which, velocity):
+        return 1.0 + self.values["excess"][which] * (velocity[:, 0] < 0)
+
+
+class Stiction(_Sliding):
+    """More friction at rest than sliding: 1 + excess exp(-(v / vs)^2) times."""
+
+    name = "stiction"
+    quantities = (
+        Quantity("excess", "1", 0.5, (0.0, 100.0)),
+        Quantity("velocity", "m/s", 0.005, (1e-6, 100.0)),
+    )
+
+    def factor(self, which, velocity):
+        squared = (velocity * velocity).sum(axis=1) / self.values["velocity"][which] ** 2
+        return 1.0 + self.values["excess"][which] * np.exp(-squared)
+
+
+class Adhesion(Law):
+    """A contact that holds on until it is pulled off with this force."""
+
+    name, category, kinds = "adhesion", "contact", ("geom",)
+    quantities = (Quantity("force", "N", 0.1, (0.0, np.inf)),)
+    fields: ClassVar = ("geom_adhesion",)
+
+    def write(self, which):
+        self.field("geom_adhesion")[self.rows[which], self.ids[which]] += self.values["force"][which]

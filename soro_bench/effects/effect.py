@@ -1,0 +1,130 @@
+"""What an effect is: a law by name, where it acts, and its parameters; and files of effects."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from soro_bench.files import read_json, write_json
+
+SCHEMA = "soro-bench/effects/1"
+KINDS = ("tendon", "joint", "actuator", "body", "flex", "geom", "model", "sensor")
+EVERY = "*"  # the name that means all ports of a kind
+MAX_EFFECTS = 100
+
+
+@dataclass(frozen=True)
+class Port:
+    """Where an effect acts: a named element of a MuJoCo model, all of a kind ("*"), or an entry of a signal.
+
+    ``kind`` is one of KINDS. For "model" the name says what of it, for "sensor" it is a signal's name, and ``index``
+    the point of it that is concerned.
+    """
+
+    kind: str
+    name: str
+    index: int | None = None
+
+    def __str__(self):
+        place = "" if self.index is None else f"[{self.index}]"
+        return f"every {self.kind}" if self.name == EVERY else f"{self.kind} {self.name}{place}"
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A parameter of a law.
+
+    typical: where a search begins; a multiple of the port's scale of force or length if ``of`` says so.
+    null: where the law does nothing, if this is its first parameter.
+    """
+
+    name: str
+    unit: str
+    typical: float
+    bounds: tuple[float, float]
+    null: float = 0.0
+    of: Literal["force", "length"] | None = None
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A law at a port with its parameters (SI units)."""
+
+    name: str
+    where: Port
+    parameters: Mapping[str, float]
+
+    def to_json(self) -> dict:
+        place = {} if self.where.index is None else {"index": self.where.index}
+        where = {"kind": self.where.kind, "name": self.where.name, **place}
+        return {"name": self.name, "where": where, "parameters": dict(self.parameters)}
+
+
+class EffectError(ValueError):
+    """An effect is unknown, out of its bounds, or has no place in the model."""
+
+
+def effect_from(data, quantities: Mapping[str, Sequence[Quantity]]) -> Effect:
+    """The effect that a JSON object describes.
+
+    Args:
+        data: {"name", "where": {"kind", "name", "index"?}, "parameters": {name: number}}.
+        quantities: of every law by name.
+
+    Raises:
+        EffectError: says what is wrong.
+    """
+    if not isinstance(data, dict) or data.keys() != {"name", "where", "parameters"}:
+        raise EffectError(f"an effect has name, where and parameters; this one is {_brief(data)}")
+    name, where = data["name"], data["where"]
+    if name not in quantities:
+        raise EffectError(f"unknown effect {_brief(name)}; there are {', '.join(sorted(quantities))}")
+    valid = isinstance(where, dict) and where.keys() - {"index"} == {"kind", "name"} and where["kind"] in KINDS
+    valid = valid and isinstance(where["name"], str) and type(where.get("index", 0)) is int
+    if not valid:
+        raise EffectError(f"where of {name} is {_brief(where)}; it has a kind ({', '.join(KINDS)}), a name, an index")
+    return checked(Effect(name, Port(**where), data["parameters"]), quantities[name])
+
+
+def checked(effect: Effect, quantities: Sequence[Quantity]) -> Effect:
+    """The effect with every parameter of its law; one that is missing has its typical value, if that is absolute."""
+    given, known = effect.parameters, {q.name: q for q in quantities}
+    if not isinstance(given, Mapping):
+        raise EffectError(f"parameters of {effect.name} are {_brief(given)}; expected numbers by name")
+    if unknown := sorted(set(given) - set(known), key=str):
+        raise EffectError(f"{effect.name} has no {_brief(unknown[0])}; it has {', '.join(known)}")
+    values = {}
+    for q in quantities:
+        if q.name not in given and q.of:
+            raise EffectError(f"{effect.name} needs its {q.name} [{q.unit}]")
+        value = given.get(q.name, q.typical)
+        number = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+        if not number or not q.bounds[0] <= value <= q.bounds[1]:
+            low, high = q.bounds
+            raise EffectError(f"{q.name} of {effect.name} is {_brief(value)}; allowed is {low:g} to {high:g} {q.unit}")
+        values[q.name] = float(value)
+    return Effect(effect.name, effect.where, values)
+
+
+def save_effects(effects: Sequence[Effect], path: str | Path) -> None:
+    """Write an effects file (JSON)."""
+    write_json(path, {"schema": SCHEMA, "effects": [effect.to_json() for effect in effects]})
+
+
+def load_effects(path: str | Path, quantities: Mapping[str, Sequence[Quantity]]) -> tuple[Effect, ...]:
+    """Read an effects file; EffectError says what is wrong with one."""
+    try:
+        data = read_json(path)
+    except (ValueError, RecursionError) as error:
+        raise EffectError(f"{path} is no effects file: {error}") from error
+    if not isinstance(data, dict) or data.get("schema") != SCHEMA or not isinstance(data.get("effects"), list):
+        raise EffectError(f"{path} is no effects file: its schema has to be {SCHEMA}, with a list of effects")
+    if len(data["effects"]) > MAX_EFFECTS:
+        raise EffectError(f"{path} has {len(data['effects'])} effects; at most {MAX_EFFECTS} are allowed")
+    return tuple(effect_from(item, quantities) for item in data["effects"])
+
+
+def _brief(value) -> str:
+    text = ascii(value)
+    return text if len(text) <= 80 else text[:77] + "..."

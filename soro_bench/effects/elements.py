@@ -1,0 +1,142 @@
+"""The elements of a MuJoCo model that effects act on, and what a model needs so that they can."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from soro_bench.effects.effect import EVERY, EffectError, Port
+
+AUXILIARY = "auxiliary:"  # and a joint's name: a spring of the effects, beside the joint's own
+NEVER = 1e9  # m or rad, a yield threshold that is not reached
+_SCALARS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_SHARE = 0.03  # of a range, what counts as a typical force or length
+
+
+def instrument(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Give a model the plastic springs that effects use, without stiffness; it simulates the same numbers.
+
+    MuJoCo allocates the state of a spring that can yield when it compiles: tendons without a spring of their own and
+    scalar joints get one, and every scalar joint also a second spring, a fixed tendon.
+    """
+    for tendon in spec.tendons:
+        if not np.any(tendon.stiffness):
+            tendon.springyield = NEVER
+    for joint in spec.joints:
+        if joint.type in _SCALARS and joint.name:
+            joint.springyield = NEVER
+            spring = spec.add_tendon(name=AUXILIARY + joint.name, springyield=NEVER)
+            spring.wrap_joint(joint.name, 1.0)
+    return spec
+
+
+@dataclass
+class Elements:
+    """Names and sizes in a compiled model."""
+
+    model: mujoco.MjModel
+
+    def ports(self, kind: str) -> list[Port]:
+        """All ports of a kind; for "model" there is one, "gravity"; sensors are the recording's."""
+        names = {
+            "tendon": self._tendons,
+            "joint": self._joints,
+            "actuator": lambda: _names(self.model, mujoco.mjtObj.mjOBJ_ACTUATOR, self.model.nu),
+            "body": self._bodies,
+            "flex": lambda: _names(self.model, mujoco.mjtObj.mjOBJ_FLEX, self.model.nflex),
+            "geom": self._geoms,
+            "model": lambda: ["gravity"],
+        }[kind]()
+        return [Port(kind, name) for name in names]
+
+    def expand(self, port: Port) -> list[Port]:
+        """The ports that one stands for; EffectError if there is no such element."""
+        ports = self.ports(port.kind)
+        chosen = ports if port.name == EVERY else [p for p in ports if p.name == port.name]
+        if not chosen:
+            there_are = ", ".join(p.name for p in ports) or "none"
+            raise EffectError(f"the model has no {port.kind} {port.name!r} that an effect could act on ({there_are})")
+        return chosen
+
+    def id(self, port: Port) -> int:
+        """MuJoCo's number of an element."""
+        return mujoco.mj_name2id(self.model, _OBJECTS[port.kind], port.name)
+
+    def joints_of(self, body: int, bending_only: bool = False) -> np.ndarray:
+        """Scalar joints of a body: its hinges only, where there are some and only bending counts."""
+        model, start = self.model, self.model.body_jntadr[body]
+        joints = np.arange(start, start + model.body_jntnum[body])
+        hinges = joints[model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE]
+        return hinges if bending_only and len(hinges) else joints[np.isin(model.jnt_type[joints], _SCALARS)]
+
+    def spring_of(self, joint: int) -> int:
+        """The tendon that is the second spring of a joint."""
+        name = AUXILIARY + self.model.joint(joint).name
+        if (spring := mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_TENDON, name)) < 0:
+            raise EffectError(f"joint {self.model.joint(joint).name} has no spring for effects; see instrument()")
+        return spring
+
+    def actuators_on(self, port: Port) -> np.ndarray:
+        """Actuators that pull at a tendon or turn a joint."""
+        kind = {"tendon": mujoco.mjtTrn.mjTRN_TENDON, "joint": mujoco.mjtTrn.mjTRN_JOINT}[port.kind]
+        model = self.model
+        return np.flatnonzero((model.actuator_trntype == kind) & (model.actuator_trnid[:, 0] == self.id(port)))
+
+    def scale(self, port: Port, of: str | None) -> float:
+        """What a typical force or length is a multiple of: a share of the port's range, or 1."""
+        if of is None:
+            return 1.0
+        model = self.model
+        if port.kind == "actuator":
+            i = self.id(port)
+            if of == "force":
+                return _SHARE * _width(model.actuator_forcerange[i], model.actuator_forcelimited[i], 1.0)
+            integrates = model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR
+            span = (model.actuator_actrange if integrates else model.actuator_ctrlrange)[i]
+            return _SHARE * _width(span, True, 1.0)
+        actuators = self.actuators_on(port)
+        spans = [_width(model.actuator_forcerange[i], model.actuator_forcelimited[i], 0.0) for i in actuators]
+        if spans and max(spans) > 0:
+            return _SHARE * max(spans)
+        if port.kind == "joint" and (stiffness := float(np.ravel(model.jnt_stiffness[self.id(port)])[0])) > 0:
+            return _SHARE * stiffness
+        return 1.0
+
+    def _tendons(self):
+        names = _names(self.model, mujoco.mjtObj.mjOBJ_TENDON, self.model.ntendon)
+        return [name for name in names if not name.startswith(AUXILIARY)]
+
+    def _joints(self):
+        model = self.model
+        names = _names(model, mujoco.mjtObj.mjOBJ_JOINT, model.njnt)
+        return [name for name in names if int(model.joint(name).type[0]) in _SCALARS]
+
+    def _bodies(self):
+        model = self.model
+        moving = [i for i in range(1, model.nbody) if model.body_jntnum[i] > 0]
+        return [model.body(i).name for i in moving if model.body(i).name]
+
+    def _geoms(self):
+        model = self.model
+        touching = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
+        return [model.geom(i).name for i in touching if model.geom(i).name]
+
+
+_OBJECTS = {
+    "tendon": mujoco.mjtObj.mjOBJ_TENDON,
+    "joint": mujoco.mjtObj.mjOBJ_JOINT,
+    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
+    "body": mujoco.mjtObj.mjOBJ_BODY,
+    "flex": mujoco.mjtObj.mjOBJ_FLEX,
+    "geom": mujoco.mjtObj.mjOBJ_GEOM,
+}
+
+
+def _names(model, kind, count) -> list[str]:
+    names = [mujoco.mj_id2name(model, kind, i) for i in range(count)]
+    return [name for name in names if name]
+
+
+def _width(span, limited, otherwise) -> float:
+    width = float(np.abs(span).max())
+    return width if limited and width > 0 else otherwise

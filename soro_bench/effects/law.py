@@ -1,0 +1,92 @@
+"""A law in N simulations: what all the laws of the catalogue have in common."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from mujoco.batch import Batch
+
+from soro_bench.effects.effect import Effect, Port, Quantity
+from soro_bench.effects.elements import Elements
+
+if TYPE_CHECKING:
+    from soro_bench.effects.runtime import ActiveEffects
+
+
+class Law:
+    """One law at n places: entry i acts in simulation ``rows[i]`` at ``ports[i]`` with ``values[quantity][i]``.
+
+    A law writes model fields after the parameters are set (``write``), starts an episode (``reset``), and may do
+    something before every time step (``step``). Everything is elementwise in the entries, so a result does not depend
+    on what else is simulated. ``which`` picks entries: a boolean array.
+    """
+
+    name: ClassVar[str]
+    category: ClassVar[str]
+    kinds: ClassVar[tuple[str, ...]]
+    quantities: ClassVar[tuple[Quantity, ...]]
+    fields: ClassVar[tuple[str, ...]] = ()  # model fields that it writes; restored when effects change
+    outputs: ClassVar[tuple[str, ...]] = ()  # data fields that step() reads
+    stepped: ClassVar[bool] = False
+    shared: ClassVar[bool] = False  # makes sense at all ports of a kind at once: one cause, such as a slow controller
+
+    def __init__(self, run: "ActiveEffects", entries: Sequence[tuple[int, Port, Effect]]):
+        self.run, self.batch, self.model = run, run.batch, run.batch.model
+        self.rows = np.array([row for row, _, _ in entries])
+        self.ports = [port for _, port, _ in entries]
+        self.values = {q.name: np.array([e.parameters[q.name] for _, _, e in entries]) for q in self.quantities}
+        for name in self.outputs:
+            self.batch.bind(name)
+        self.prepare(run.elements)
+
+    @property
+    def dt(self) -> float:
+        return self.model.opt.timestep
+
+    def prepare(self, elements: Elements) -> None:
+        """Look up what the ports are in the model."""
+        self.ids = np.array([elements.id(port) for port in self.ports])
+
+    def write(self, which: np.ndarray) -> None:
+        """Change model fields."""
+
+    def reset(self, which: np.ndarray) -> None:
+        """Begin an episode."""
+
+    def step(self, which: np.ndarray) -> None:
+        """Before a time step."""
+
+    def field(self, name: str) -> np.ndarray:
+        """The per-simulation values of a model field."""
+        return self.batch.expand(name)
+
+    def time(self, which) -> np.ndarray:
+        """(n,) s since the reset."""
+        return self.batch.time[self.rows[which]]
+
+
+class OnJoints(Law):
+    """A law on the scalar joints of a body, or on one joint: entries are repeated for each of the joints."""
+
+    kinds = ("body", "joint")
+    bending_only: ClassVar[bool] = False
+
+    def prepare(self, elements):
+        joints = [self._joints(elements, port) for port in self.ports]
+        counts = [len(each) for each in joints]
+        self.rows = np.repeat(self.rows, counts)
+        self.values = {name: np.repeat(values, counts) for name, values in self.values.items()}
+        self.joints = np.concatenate(joints) if joints else np.zeros(0, int)
+        self.dofs = self.model.jnt_dofadr[self.joints]
+        self.qpos = self.model.jnt_qposadr[self.joints]
+
+    def _joints(self, elements, port):
+        if port.kind == "joint":
+            return np.array([elements.id(port)])
+        return elements.joints_of(elements.id(port), self.bending_only)
+
+
+def tension(batch: Batch, rows, actuators) -> np.ndarray:
+    """(n,) force [N, N m] of the actuators (n, a; -1 is none) on a tendon or joint, in the last time step."""
+    force = batch.actuator_force[rows[:, None], np.maximum(actuators, 0)]
+    return np.abs(np.where(actuators >= 0, force, 0.0).sum(axis=1))

@@ -1,0 +1,130 @@
+"""Faults of measurement: laws from what happened to what was recorded.
+
+A fault changes the samples of one signal, ``values`` (T, P, D): T times, P points (markers, joints, channels) of D
+coordinates.
+"""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from soro_bench.effects.bodies import rotated
+from soro_bench.effects.effect import Effect, Quantity
+
+_ANY = (-np.inf, np.inf)
+
+
+class Fault:
+    """One kind of fault."""
+
+    name: ClassVar[str]
+    category = "measurement"
+    kinds = ("sensor",)
+    quantities: ClassVar[tuple[Quantity, ...]]
+    local: ClassVar[bool] = False  # concerns one point
+
+    @staticmethod
+    def apply(time: np.ndarray, values: np.ndarray, p: Mapping[str, float], index: int) -> np.ndarray:
+        """(T, P, D) what is recorded at ``time`` (T,) s of what happened."""
+        raise NotImplementedError
+
+
+class SensorDelay(Fault):
+    """Every sample shows what was some time before."""
+
+    name = "sensor_delay"
+    quantities = (Quantity("delay", "s", 0.03, (-2.0, 2.0)),)
+
+    @staticmethod
+    def apply(time, values, p, index):
+        return _at(time - p["delay"], time, values)
+
+
+class ClockSkew(Fault):
+    """The clock of the sensor runs faster than that of the commands."""
+
+    name = "clock_skew"
+    quantities = (Quantity("rate", "1", 0.005, (-0.5, 0.5)),)
+
+    @staticmethod
+    def apply(time, values, p, index):
+        return _at(time[0] + (time - time[0]) * (1.0 - p["rate"]), time, values)
+
+
+class SensorBias(Fault):
+    """One point is recorded with a constant offset."""
+
+    name, local = "sensor_bias", True
+    quantities = tuple(Quantity(axis, "signal", 0.002, _ANY) for axis in "xyz")
+
+    @staticmethod
+    def apply(time, values, p, index):
+        return _shifted(values, p, index, np.ones(len(time), bool))
+
+
+class MarkerSlip(Fault):
+    """One point is recorded with an offset from some time on."""
+
+    name, local = "marker_slip", True
+    quantities = (*SensorBias.quantities, Quantity("time", "s", 10.0, (0.0, 1e6)))
+
+    @staticmethod
+    def apply(time, values, p, index):
+        return _shifted(values, p, index, time - time[0] >= p["time"])
+
+
+class FrameMisalignment(Fault):
+    """The frame of the sensor is turned and shifted against the robot's."""
+
+    name = "frame_misalignment"
+    quantities = (
+        *(Quantity(f"about_{axis}", "rad", 0.02, (-np.pi, np.pi)) for axis in "xyz"),
+        *(Quantity(axis, "signal", 0.002, _ANY) for axis in "xyz"),
+    )
+
+    @staticmethod
+    def apply(time, values, p, index):
+        vector = np.array([p[f"about_{axis}"] for axis in "xyz"])
+        flat = values.reshape(-1, 3)
+        turned = rotated(flat, np.broadcast_to(vector, flat.shape)).reshape(values.shape)
+        return turned + np.array([p[axis] for axis in "xyz"])
+
+
+class Outliers(Fault):
+    """Isolated samples that are far off. They have no signature to fit: the audit finds them and leaves them out."""
+
+    name = "outliers"
+    quantities = (Quantity("share", "1", 0.01, (0.0, 0.5)), Quantity("size", "signal", 0.02, (0.0, np.inf)))
+
+    @staticmethod
+    def apply(time, values, p, index):
+        rng = np.random.default_rng(0)
+        hit = rng.random(values.shape[:2]) < p["share"]
+        return values + p["size"] * hit[:, :, None] * rng.standard_normal(values.shape)
+
+
+def distorted(faults: Mapping[str, type[Fault]], effects, time, values, signal: str) -> np.ndarray:
+    """(T, P, D) samples of a signal with the measurement faults among ``effects`` that concern it."""
+    for effect in effects:
+        if effect.where.kind == "sensor" and effect.where.name in ("*", signal):
+            values = faults[effect.name].apply(time, values, effect.parameters, _point(effect))
+    return values
+
+
+def _point(effect: Effect) -> int:
+    return 0 if effect.where.index is None else effect.where.index
+
+
+def _at(when, time, values) -> np.ndarray:
+    """Values (T, ...) at other times, by linear interpolation; beyond the ends those of the ends."""
+    when = np.clip(when, time[0], time[-1])
+    left = np.clip(np.searchsorted(time, when, side="right") - 1, 0, len(time) - 2)
+    weight = ((when - time[left]) / (time[left + 1] - time[left]))[:, None, None]
+    return np.where(weight == 0, values[left], (1.0 - weight) * values[left] + weight * values[left + 1])
+
+
+def _shifted(values, p, index, when):
+    shifted = values.copy()
+    shifted[when, index] += np.array([p[axis] for axis in "xyz"])[: values.shape[2]]
+    return shifted

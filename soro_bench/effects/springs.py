@@ -1,0 +1,186 @@
+"""Laws of springs that yield or creep: friction that sticks, hysteresis, memory of the material.
+
+MuJoCo's springs with a yield threshold are ideal elasto-plastic elements, integrated implicitly: they stick, slip at
+stiffness times threshold, and never add energy. Friction is such a spring, soft enough to be resolved: it slips after a
+short way (``PRESLIDING``). Prandtl 1928; for friction: Dahl, "A solid friction model", 1968.
+"""
+
+from typing import ClassVar
+
+import numpy as np
+
+from soro_bench.effects.effect import EffectError, Quantity
+from soro_bench.effects.elements import NEVER
+from soro_bench.effects.law import Law, OnJoints, tension
+
+PRESLIDING = {"tendon": 2e-4, "joint": 2e-3}  # m or rad; LuGre bristles deflect by 1e-5 to 1e-3 m
+INFINITE = (0.0, np.inf)
+_FORCE = "N or N m"
+
+
+class _Friction(Law):
+    """Friction of a tendon or joint: a spring without rest length that yields."""
+
+    category = "dry_loss"
+    kinds = ("tendon", "joint")
+    fields = ("tendon_stiffness", "tendon_springyield")
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        # a tendon's own spring, a joint's second one
+        on_joint = [port.kind == "joint" for port in self.ports]
+        self.springs = np.array([elements.spring_of(i) if j else i for i, j in zip(self.ids, on_joint, strict=True)])
+        if (self.model.tendon_plasticadr[self.springs] < 0).any():
+            raise EffectError(f"{self.name} needs tendons without a spring of their own; see instrument()")
+        self.reach = np.array([PRESLIDING[port.kind] for port in self.ports])
+        self.run.claim(self, self.rows, self.springs)
+        actuators = [elements.actuators_on(port) for port in self.ports]
+        self.actuators = np.full((len(actuators), max(map(len, actuators), default=0)), -1)
+        for i, each in enumerate(actuators):
+            self.actuators[i, : len(each)] = each
+
+    def write(self, which):
+        self._set(which, self.level(which))
+        at = self.rows[which], self.springs[which]
+        self.field("tendon_springyield")[at] = self.reach[which]
+
+    def step(self, which):
+        self._set(which, self.level(which))
+
+    def level(self, which):
+        """(n,) the force at which it slips."""
+        raise NotImplementedError
+
+    def _set(self, which, level):
+        self.field("tendon_stiffness")[self.rows[which], self.springs[which]] = level / self.reach[which]
+
+
+class CoulombFriction(_Friction):
+    """Dry friction of a constant force."""
+
+    name = "coulomb_friction"
+    quantities = (Quantity("friction", _FORCE, 1.0, INFINITE, of="force"),)
+
+    def level(self, which):
+        return self.values["friction"][which]
+
+
+class StribeckFriction(_Friction):
+    """Dry friction that is larger near standstill: Fc + (Fs - Fc) exp(-(v/vs)^2)."""
+
+    name = "stribeck_friction"
+    quantities = (
+        Quantity("friction", _FORCE, 1.0, INFINITE, of="force"),
+        Quantity("static_ratio", "1", 2.0, (1.0, 10.0)),
+        Quantity("stribeck_velocity", "m/s or rad/s", 0.02, (1e-4, 100.0)),
+    )
+    outputs = ("ten_velocity",)
+    stepped = True
+
+    def level(self, which):
+        velocity = self.batch.ten_velocity[self.rows[which], self.springs[which]]
+        excess = (self.values["static_ratio"] - 1.0)[which]
+        ratio = 1.0 + excess * np.exp(-((velocity / self.values["stribeck_velocity"][which]) ** 2))
+        return self.values["friction"][which] * ratio
+
+
+class LoadFriction(_Friction):
+    """Dry friction in proportion to the load: on a tendon that bends round its eyelets 1 - exp(-mu angle) of its
+    tension (Euler, Eytelwein), on a joint mu times the torque of its actuators."""
+
+    name = "load_friction"
+    quantities = (Quantity("mu", "1", 0.1, (0.0, 10.0)),)
+    outputs = ("actuator_force", "site_xpos")
+    stepped = True
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        self.paths = [_sites(self.model, i) if p.kind == "tendon" else None
+                      for i, p in zip(self.ids, self.ports, strict=True)]  # fmt: skip
+
+    def level(self, which):
+        load = tension(self.batch, self.rows[which], self.actuators[which])
+        mu = self.values["mu"][which]
+        angle = np.array([self._angle(i) for i in np.flatnonzero(which)])
+        return load * np.where(np.isnan(angle), mu, -np.expm1(-mu * np.nan_to_num(angle)))
+
+    def _angle(self, entry) -> float:
+        """Sum of the angles [rad] by which a tendon bends; NaN for a joint."""
+        if self.paths[entry] is None:
+            return np.nan
+        way = np.diff(self.batch.site_xpos[self.rows[entry], self.paths[entry]], axis=0)
+        way /= np.maximum(np.sqrt((way * way).sum(axis=1)), 1e-12)[:, None]
+        return float(np.arccos(np.clip((way[1:] * way[:-1]).sum(axis=1), -1, 1)).sum())
+
+
+class Hysteresis(OnJoints):
+    """A Jenkins element beside the springs: stiffness ratio times theirs, slipping beyond the yield strain."""
+
+    name, category, bending_only, shared = "hysteresis", "rate_independent_memory", True, True
+    quantities = (
+        Quantity("ratio", "1", 0.5, (0.0, 20.0)),
+        Quantity("yield_strain", "rad or m", 0.03, (1e-4, 10.0)),
+    )
+    fields = ("tendon_stiffness", "tendon_springyield")
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        self.springs = np.array([elements.spring_of(joint) for joint in self.joints], int)
+        self.run.claim(self, self.rows, self.springs)
+
+    def write(self, which):
+        rows, springs = self.rows[which], self.springs[which]
+        own = self.field("jnt_stiffness")[rows, self.joints[which]]
+        self.field("tendon_stiffness")[rows, springs] = self.values["ratio"][which] * own
+        self.field("tendon_springyield")[rows, springs] = self.values["yield_strain"][which]
+
+
+class ViscoelasticCreep(OnJoints):
+    """Standard linear solid: beside each spring another one whose rest length follows it with a time constant."""
+
+    name, category, bending_only, shared, stepped = "viscoelastic_creep", "slow_drift", True, True, True
+    quantities = (
+        Quantity("ratio", "1", 0.3, (0.0, 20.0)),
+        Quantity("time_constant", "s", 2.0, (1e-3, 1e4)),
+    )
+    fields = ("tendon_stiffness",)
+    outputs = ("ten_length",)
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        self.springs = np.array([elements.spring_of(joint) for joint in self.joints], int)
+        self.run.claim(self, self.rows, self.springs)
+        self.slots = self.model.tendon_plasticadr[self.springs]
+
+    def write(self, which):
+        rows = self.rows[which]
+        own = self.field("jnt_stiffness")[rows, self.joints[which]]
+        self.field("tendon_stiffness")[rows, self.springs[which]] = self.values["ratio"][which] * own
+
+    def step(self, which):
+        rows, slots = self.rows[which], self.slots[which]
+        length = self.batch.ten_length[rows, self.springs[which]]
+        share = -np.expm1(-self.dt / self.values["time_constant"][which])
+        plastic = self.batch.plastic  # lower and upper end of the rest length
+        rest = plastic[rows, slots] + share * (length - plastic[rows, slots])
+        plastic[rows, slots] = plastic[rows, slots + 1] = rest
+
+
+class PlasticSet(OnJoints):
+    """Springs that yield: beyond a strain their rest position moves along, and stays."""
+
+    name, category, bending_only = "plastic_set", "slow_drift", True
+    # infinity is no effect, and a strength is easier to search than a threshold
+    quantities = (Quantity("softness", "1/rad or 1/m", 5.0, (0.0, 1e4)),)
+    fields: ClassVar = ("jnt_springyield",)
+
+    def write(self, which):
+        softness = self.values["softness"][which]
+        limit = np.where(softness > 0, 1.0 / np.maximum(softness, 1e-9), NEVER)
+        self.field("jnt_springyield")[self.rows[which], self.joints[which]] = limit
+
+
+def _sites(model, tendon) -> np.ndarray:
+    """Sites along a spatial tendon."""
+    wraps = np.arange(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
+    return model.wrap_objid[wraps][model.wrap_type[wraps] == 3]  # mjWRAP_SITE

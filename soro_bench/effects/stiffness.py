@@ -1,0 +1,140 @@
+"""Laws of what resists motion in proportion: stiffness and viscous friction."""
+
+import numpy as np
+
+from soro_bench.effects.effect import Quantity
+from soro_bench.effects.law import Law, OnJoints
+
+
+class ViscousFriction(Law):
+    """A force in proportion to the velocity."""
+
+    name, category, kinds = "viscous_friction", "timing", ("tendon", "joint")
+    quantities = (Quantity("damping", "N s/m or N m s/rad", 20.0, (0.0, np.inf), of="force"),)
+    fields = ("tendon_damping", "dof_damping")
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        self.on_joint = np.array([port.kind == "joint" for port in self.ports])
+
+    def write(self, which):
+        for field, chosen in (("tendon_damping", ~self.on_joint), ("dof_damping", self.on_joint)):
+            i = np.flatnonzero(which & chosen)
+            ids = self.ids[i] if field == "tendon_damping" else self.model.jnt_dofadr[self.ids[i]]
+            self.field(field)[self.rows[i], ids] += self.values["damping"][i]
+
+
+class LocalStiffness(OnJoints):
+    """A part that is softer or stiffer than its model, and damped in proportion."""
+
+    name, category, kinds = "local_stiffness", "local", ("body", "joint", "flex")
+    quantities = (Quantity("factor", "1", 0.7, (0.02, 50.0), null=1.0),)
+    fields = ("jnt_stiffness", "dof_damping", "flex_stiffness")
+
+    def prepare(self, elements):
+        self.springs = _Springs(self, elements)
+
+    def write(self, which):
+        self.springs.scale(self.values["factor"], which)
+
+
+class StiffnessDrift(OnJoints):
+    """Stiffness that changes steadily with clock time: temperature, ageing."""
+
+    name, category, kinds, stepped = "stiffness_drift", "local", ("body", "joint", "flex"), True
+    quantities = (Quantity("rate", "1/min", -0.4, (-10.0, 10.0)),)
+    fields = ("jnt_stiffness", "dof_damping", "flex_stiffness")
+    shared = True
+
+    def prepare(self, elements):
+        self.springs = _Springs(self, elements)
+
+    def write(self, which):
+        self.springs.remember(which)
+
+    def step(self, which):
+        factor = np.maximum(1.0 + self.values["rate"][which] * self.time(which) / 60.0, 0.05)
+        self.springs.set(factor, which)
+
+
+class Stiffening(OnJoints):
+    """Springs with a cubic term: k q (1 + beta q^2)."""
+
+    name, category, bending_only, shared = "stiffening", "amplitude", True, True
+    quantities = (Quantity("beta", "1/rad^2 or 1/m^2", 5.0, (0.0, 1e6)),)
+    fields = ("jnt_stiffnesspoly",)
+
+    def write(self, which):
+        at = self.rows[which], self.joints[which]
+        own = self.field("jnt_stiffness")[at]
+        self.field("jnt_stiffnesspoly")[(*at, 1)] += self.values["beta"][which] * own
+
+
+class MullinsSoftening(OnJoints):
+    """Softer once stretched: the stiffness falls by a share that grows with the largest strain so far."""
+
+    name, category, bending_only, shared, stepped = "mullins_softening", "amplitude", True, True, True
+    quantities = (
+        Quantity("softening", "1", 0.3, (0.0, 0.9)),
+        Quantity("strain", "rad or m", 0.05, (1e-4, 10.0)),
+    )
+    fields = ("jnt_stiffness",)
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        self.largest = np.zeros(len(self.rows))
+        self.own = np.zeros(len(self.rows))
+
+    def write(self, which):
+        self.own[which] = self.field("jnt_stiffness")[self.rows[which], self.joints[which]]
+
+    def reset(self, which):
+        self.largest[which] = 0.0
+
+    def step(self, which):
+        rows = self.rows[which]
+        self.largest[which] = np.maximum(self.largest[which], np.abs(self.batch.qpos[rows, self.qpos[which]]))
+        loss = self.values["softening"][which] * -np.expm1(-self.largest[which] / self.values["strain"][which])
+        self.field("jnt_stiffness")[rows, self.joints[which]] = self.own[which] * (1.0 - loss)
+
+
+class _Springs:
+    """Springs and dampers of joints, or the stiffness of flexes, that are scaled together."""
+
+    def __init__(self, law, elements):
+        places = [self._places(law, elements, port) for port in law.ports]
+        counts = [len(each) for each in places]
+        law.rows = np.repeat(law.rows, counts)
+        law.values = {name: np.repeat(values, counts) for name, values in law.values.items()}
+        flat = [place for each in places for place in each]
+        self.law = law
+        self.fields = np.array([field for field, _ in flat])
+        self.columns = np.array([column for _, column in flat], int)
+        self.own = np.zeros(len(flat))
+
+    def _places(self, law, elements, port):
+        model, i = law.model, elements.id(port)
+        if port.kind == "flex":
+            start = model.flex_stiffnessadr[i]
+            end = min([a for a in model.flex_stiffnessadr if a > start], default=len(model.flex_stiffness))
+            return [("flex_stiffness", column) for column in range(start, end)]
+        joints = np.array([i]) if port.kind == "joint" else elements.joints_of(i)
+        return [("jnt_stiffness", j) for j in joints] + [("dof_damping", model.jnt_dofadr[j]) for j in joints]
+
+    def remember(self, which):
+        for field, i in self._by_field(which):
+            self.own[i] = self.law.field(field)[self.law.rows[i], self.columns[i]]
+
+    def set(self, factor, which):
+        all_factors = np.ones(len(self.own))
+        all_factors[which] = factor
+        for field, i in self._by_field(which):
+            self.law.field(field)[self.law.rows[i], self.columns[i]] = self.own[i] * all_factors[i]
+
+    def scale(self, factor, which):
+        self.remember(which)
+        self.set(factor[which], which)
+
+    def _by_field(self, which):
+        for field in np.unique(self.fields):
+            yield str(field), np.flatnonzero(which & (self.fields == field))

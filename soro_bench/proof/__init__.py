@@ -1,0 +1,1 @@
+"""Concealed cases: recordings of simulated "real" robots with hidden physics, and their sealed labels."""

@@ -1,0 +1,207 @@
+"""The real robot of a concealed case: a trunk in a plain MuJoCo loop, into which laws of hidden physics reach.
+
+Nothing is shared with what diagnoses: the robot is stepped by ``mj_step1`` and ``mj_step2``, between which each law sees
+the present positions and adds forces, changes the commanded displacements or writes model fields.
+"""
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import mujoco
+import numpy as np
+
+from soro_bench.models import trunk
+from soro_bench.models import trunk_geometry as geo
+
+CONTROL_TIMESTEP = 0.05  # s
+# engine model and time step [s]: the accurate one as it is, and the cheap one at a quarter of its step
+KINDS = {"flex": ("flex", 0.005), "fine": ("cable", 0.0025)}
+_REACH = 0.5  # m, no keypoint of a sound simulation gets so far from the clamp
+
+
+class Diverged(ValueError):
+    """A simulation left what a trunk can do."""
+
+
+class Law:
+    """Hidden physics. A law changes nothing where its magnitude is zero."""
+
+    def install(self, robot: "Robot") -> None:
+        """Write model fields, once, before the derived constants are computed."""
+
+    def begin(self, robot: "Robot", rng: np.random.Generator) -> None:
+        """Reset the law's own state at the start of a recording."""
+
+    def command(self, robot: "Robot", pull: np.ndarray) -> np.ndarray:
+        """(8,) displacements [m] that reach the cables' servos instead of ``pull``, at the end of this step."""
+        return pull
+
+    def push(self, robot: "Robot") -> None:
+        """Add forces at the present positions."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """What a run of T control steps of n engine steps each gave, without noise."""
+
+    timestep: float  # s, of the engine
+    points: np.ndarray  # (T n + 1, 21, 3) m, keypoints
+    vertebrae: np.ndarray  # (T + 1, 10, 3) m, centres of mass
+    bend: np.ndarray  # (T + 1, 10) rad, how much each neck is bent
+    tension: np.ndarray  # (T + 1, 8) N, of the step before
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """(len(times), 21, 3) keypoints [m] at times [s], those of the start before and of the end after the run."""
+        place = np.clip(times / self.timestep, 0, len(self.points) - 1)
+        left = np.floor(place + 1e-6).astype(int)
+        weight = np.maximum(place - left, 0.0)[:, None, None]
+        right = np.minimum(left + 1, len(self.points) - 1)
+        return (1 - weight) * self.points[left] + weight * self.points[right]
+
+
+def simulate(
+    kind: str, parameters: Mapping[str, float], laws: Sequence[Law], actions: np.ndarray, seed: Sequence[int] = (0,)
+) -> Trace:
+    """What a new robot does with (T, 8) actions from its reset state; ``seed`` is of what its laws draw.
+
+    Raises:
+        Diverged: the simulation is not sound.
+    """
+    return Robot(kind, parameters, laws).run(actions, seed)
+
+
+class Robot:
+    """A trunk with parameters and laws, for one run.
+
+    Args:
+        kind: "flex" or "fine".
+        parameters: of the trunk, by name.
+        laws: in the order in which they act on the commands.
+    """
+
+    def __init__(self, kind: str, parameters: Mapping[str, float], laws: Sequence[Law] = ()):
+        self.model = model = copy.copy(_compiled(kind))
+        self.data = mujoco.MjData(model)
+        self.laws = tuple(laws)
+        self.duration = 0.0  # s, of the present run
+        self.cables = np.array([model.actuator(name).id for name in geo.CABLE_NAMES])
+        self.links = np.array([model.body("base").id, *(model.body(f"vertebra{k}").id for k in range(geo.NUM_NECKS))])
+        self._keypoints = np.array([model.site(f"keypoint{i}").id for i in range(len(geo.KEYPOINT_Z))])
+        values = {name: np.array([value]) for name, value in parameters.items()}
+        for write in trunk.TrunkParameters(model).writes(values):
+            getattr(model, write.field)[write.rows] = write.values[0]
+        self.neck_stiffness = geo.neck_stiffness(values["young_modulus"], values["poisson_ratio"])["bend"][0]  # N m/rad
+        self._neck_fields = [(getattr(model, name), rows, necks) for name, rows, necks in _neck_fields(model)]
+        self._neck_values = [field[rows].copy() for field, rows, _ in self._neck_fields]
+        self.neck_factors = np.ones(geo.NUM_NECKS)  # how much stiffer each neck is for good
+        model.actuator_actlimited[:] = 0  # the motor's limits hold before the laws, in ``run``
+        for law in self.laws:
+            law.install(self)
+        mujoco.mj_setConst(model, self.data)
+
+    @property
+    def timestep(self) -> float:
+        """Of the engine [s]."""
+        return self.model.opt.timestep
+
+    def run(self, actions: np.ndarray, seed: Sequence[int] = (0,)) -> Trace:
+        """Simulate (T, 8) actions from the reset state; see ``simulate``."""
+        model, data = self.model, self.data
+        substeps = round(CONTROL_TIMESTEP / self.timestep)
+        self.duration = len(actions) * CONTROL_TIMESTEP
+        mujoco.mj_resetData(model, data)
+        mujoco.mj_step1(model, data)
+        for i, law in enumerate(self.laws):
+            law.begin(self, np.random.default_rng([*seed, i]))
+        points = np.empty((len(actions) * substeps + 1, len(self._keypoints), 3))
+        rows, pull = [], np.zeros(len(self.cables))
+        for t, action in enumerate(actions):
+            rows.append(self._row())
+            for i in range(substeps):
+                points[t * substeps + i] = data.site_xpos[self._keypoints]
+                pull = np.clip(pull + geo.CABLE_RATE * action * self.timestep, -geo.CABLE_LIMITS, geo.CABLE_LIMITS)
+                self._step(pull)
+        points[-1] = data.site_xpos[self._keypoints]
+        rows.append(self._row())
+        if any(warning.number for warning in data.warning) or not np.abs(points).max() < _REACH:
+            raise Diverged("the simulation diverged")
+        return Trace(self.timestep, points, *map(np.array, zip(*rows, strict=True)))
+
+    def bend(self) -> np.ndarray:
+        """(10, 3) rotation vector [rad] across each neck without its twist, in the frame of the link before it."""
+        near, far = self.data.xquat[self.links[:-1]], self.data.xquat[self.links[1:]]
+        w = (near * far).sum(axis=1)
+        n, f = near[:, 1:], far[:, 1:]
+        vector = near[:, :1] * f - far[:, :1] * n - _cross(n, f)
+        sine = np.sqrt((vector * vector).sum(axis=1))
+        bend = vector * (2 * np.sign(w) * np.arctan2(sine, np.abs(w)) / np.maximum(sine, 1e-12))[:, None]
+        bend[:, 2] = 0.0
+        return bend
+
+    def push_necks(self, moments: np.ndarray) -> None:
+        """Act on each vertebra with a moment [N m] (10, 3) in the frame of ``bend``, and against it on the link before."""
+        world = (self.data.xmat[self.links[:-1]].reshape(-1, 3, 3) @ moments[:, :, None])[:, :, 0]
+        self.data.xfrc_applied[self.links[1:], 3:] += world
+        self.data.xfrc_applied[self.links[:-1], 3:] -= world
+
+    def push_cable(self, cable: int, force: float) -> None:
+        """Pull a cable with a further force [N]."""
+        data, row = self.data, self.cables[cable]
+        start = data.moment_rowadr[row]
+        entries = slice(start, start + data.moment_rownnz[row])
+        data.qfrc_applied[data.moment_colind[entries]] += force * data.actuator_moment[entries]
+
+    def scale_necks(self, factor: float = 1.0) -> None:
+        """Write the necks' stiffness and damping: those of the parameters times ``neck_factors`` times ``factor``."""
+        factors = factor * self.neck_factors
+        for (field, rows, necks), values in zip(self._neck_fields, self._neck_values, strict=True):
+            field[rows] = factors[necks] * values
+
+    def _step(self, pull) -> None:
+        """One engine step, and then the positions after it."""
+        model, data = self.model, self.data
+        data.xfrc_applied[:] = 0
+        data.qfrc_applied[:] = 0
+        for law in self.laws:
+            pull = law.command(self, pull)
+            law.push(self)
+        data.act[self.cables] = pull
+        mujoco.mj_step2(model, data)
+        mujoco.mj_step1(model, data)
+
+    def _row(self):
+        data = self.data
+        bend = np.linalg.norm(self.bend(), axis=1)
+        return data.xipos[self.links[1:]].copy(), bend, data.actuator_force[self.cables].copy()
+
+
+def _cross(a, b) -> np.ndarray:
+    """Cross products of rows; NumPy's takes five times as long for few of them."""
+    return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
+
+
+@lru_cache(maxsize=2)
+def _compiled(kind: str) -> mujoco.MjModel:
+    if kind not in KINDS:
+        raise ValueError(f"unknown robot {kind!r}; there are {', '.join(KINDS)}")
+    name, timestep = KINDS[kind]
+    spec = trunk.build_spec("reach.xml", name)
+    spec.option.timestep = timestep
+    return spec.compile()
+
+
+def _neck_fields(model):
+    """Field, rows and the neck of each row, of all that is proportional to the necks' stiffness."""
+    necks = np.arange(geo.NUM_NECKS)
+    if model.nflex:
+        cells = np.array([mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, f"neck{k}") for k in necks])
+        size = 24 * 24
+        rows = (model.flex_stiffnessadr[cells][:, None] + np.arange(size)).ravel()
+        yield "flex_stiffness", rows, np.repeat(necks, size)  # damping is a time in seconds, in proportion to it
+        return
+    for kind in ("axial", "bend_x", "bend_y"):
+        joints = np.array([model.joint(f"{kind}{k}").id for k in necks])
+        yield "jnt_stiffness", joints, necks
+        yield "dof_damping", model.jnt_dofadr[joints], necks
