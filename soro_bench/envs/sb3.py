@@ -12,14 +12,20 @@ class SB3VecEnv(VecEnv):
 
     Infos hold what Stable-Baselines3 reads (terminal_observation, TimeLimit.truncated, episode) and ``metric``, the
     task's at the end.
+
+    Args:
+        envs: the environments.
+        finite_horizon: an episode's last step is the end, and nothing after it counts; otherwise a truncated episode
+            is taken to go on (its value is bootstrapped).
     """
 
-    def __init__(self, envs: SoftRobotVectorEnv):
+    def __init__(self, envs: SoftRobotVectorEnv, finite_horizon: bool = False):
         if envs.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
             raise ValueError("Stable-Baselines3 resets in the same step: make the envs with autoreset_mode='SameStep'")
         self.envs = envs  # before super().__init__, which reads attributes of it
         self.num_envs = envs.num_envs
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+        self._finite_horizon = finite_horizon
         self._seed: int | None = None
         self._actions: np.ndarray | None = None
         self._returns = np.zeros(envs.num_envs)
@@ -49,7 +55,7 @@ class SB3VecEnv(VecEnv):
         for i in np.flatnonzero(done):
             infos[i] = {
                 "terminal_observation": info["final_obs"][i],
-                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]) and not self._finite_horizon,
                 "episode": {"r": self._returns[i], "l": self._lengths[i]},
                 "metric": info["final_info"][self.envs.task.metric][i],
             }
