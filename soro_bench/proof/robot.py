@@ -1,7 +1,8 @@
 """The real robot of a concealed case: a trunk in a plain MuJoCo loop, into which laws of hidden physics reach.
 
-Nothing is shared with what diagnoses: the robot is stepped by ``mj_step1`` and ``mj_step2``, between which each law sees
-the present positions and adds forces, changes the commanded displacements or writes model fields.
+Nothing is shared with what diagnoses. The robot is stepped by ``mj_step1`` and ``mj_step2``, which together are
+``mj_step``; between them each law sees the present positions and adds forces, changes the commanded displacements or
+writes model fields.
 """
 
 import copy
@@ -18,6 +19,7 @@ from soro_bench.models import trunk_geometry as geo
 CONTROL_TIMESTEP = 0.05  # s
 # engine model and time step [s]: the accurate one as it is, and the cheap one at a quarter of its step
 KINDS = {"flex": ("flex", 0.005), "fine": ("cable", 0.0025)}
+_FIRST_LAW = 10  # tag of the first law's random numbers; seeds that differ by trailing zeros only are the same
 _REACH = 0.5  # m, no keypoint of a sound simulation gets so far from the clamp
 
 
@@ -114,7 +116,7 @@ class Robot:
         mujoco.mj_resetData(model, data)
         mujoco.mj_step1(model, data)
         for i, law in enumerate(self.laws):
-            law.begin(self, np.random.default_rng([*seed, i]))
+            law.begin(self, np.random.default_rng([*seed, _FIRST_LAW + i]))
         points = np.empty((len(actions) * substeps + 1, len(self._keypoints), 3))
         rows, pull = [], np.zeros(len(self.cables))
         for t, action in enumerate(actions):
@@ -141,7 +143,7 @@ class Robot:
         return bend
 
     def push_necks(self, moments: np.ndarray) -> None:
-        """Act on each vertebra with a moment [N m] (10, 3) in the frame of ``bend``, and against it on the link before."""
+        """Act on the vertebrae with (10, 3) moments [N m] in the frames of ``bend``; the links before react."""
         world = (self.data.xmat[self.links[:-1]].reshape(-1, 3, 3) @ moments[:, :, None])[:, :, 0]
         self.data.xfrc_applied[self.links[1:], 3:] += world
         self.data.xfrc_applied[self.links[:-1], 3:] -= world
