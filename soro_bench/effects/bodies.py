@@ -10,7 +10,7 @@ class Payload(Law):
     """A point mass at a body's centre of mass."""
 
     name, category, kinds = "payload", "inertia", ("body",)
-    quantities = (Quantity("mass", "kg", 0.01, (0.0, 1e4)),)
+    quantities = (Quantity("mass", "kg", 0.015, (0.0, 1e4)),)
     fields = ("body_mass",)
 
     def write(self, which):
@@ -22,7 +22,7 @@ class BaseTilt(Law):
     """The base stands askew: gravity is turned by a rotation vector in world axes."""
 
     name, category, kinds = "base_tilt", "static_one_sided", ("model",)
-    quantities = tuple(Quantity(f"about_{axis}", "rad", 0.05, (-np.pi, np.pi)) for axis in "xyz")
+    quantities = tuple(Quantity(f"about_{axis}", "rad", 0.02, (-np.pi, np.pi)) for axis in "xyz")
     fields = ("opt.gravity",)
 
     def prepare(self, elements):
@@ -38,6 +38,7 @@ class FluidDrag(Law):
     """Drag in proportion to the squared speed of a body's centre of mass."""
 
     name, category, kinds, stepped, shared = "fluid_drag", "inertia", ("body",), True, True
+    only_shared = True
     quantities = (Quantity("drag", "N s^2/m^2", 0.1, (0.0, 1e6)),)
     outputs = ("xipos",)
 

@@ -82,7 +82,7 @@ class ActuatorLag(SetpointLaw):
     """The setpoint is followed with a first-order lag."""
 
     name, category, shared = "actuator_lag", "timing", True
-    quantities = (Quantity("time_constant", "s", 0.06, (0.0, 1e3)),)
+    quantities = (Quantity("time_constant", "s", 0.015, (0.0, 1e3)),)
 
     def prepare(self, elements):
         super().prepare(elements)
@@ -103,7 +103,7 @@ class ActuatorDelay(SetpointLaw):
     """The setpoint arrives later; between two time steps it is interpolated."""
 
     name, category, shared = "actuator_delay", "timing", True
-    quantities = (Quantity("delay", "s", 0.06, (0.0, 2.0)),)
+    quantities = (Quantity("delay", "s", 0.015, (0.0, 2.0)),)
 
     def prepare(self, elements):
         super().prepare(elements)
@@ -217,7 +217,7 @@ class ActuatorSaturation(Law):
     """An actuator that is weaker than its model: it gives only a share of the force that it should at most."""
 
     name, category, kinds = "actuator_saturation", "amplitude", ("actuator",)
-    quantities = (Quantity("loss", "1", 0.5, (0.0, 1.0)),)
+    quantities = (Quantity("loss", "1", 0.7, (0.0, 1.0)),)
     fields: ClassVar = ("actuator_forcerange",)
 
     def prepare(self, elements):

@@ -28,7 +28,8 @@ class Law:
     fields: ClassVar[tuple[str, ...]] = ()  # model fields that it writes; restored when effects change
     outputs: ClassVar[tuple[str, ...]] = ()  # data fields that step() reads
     stepped: ClassVar[bool] = False
-    shared: ClassVar[bool] = False  # makes sense at all ports of a kind at once: one cause, such as a slow controller
+    shared: ClassVar[bool] = False  # may act at all ports of a kind at once, from one cause such as a slow controller
+    only_shared: ClassVar[bool] = False  # a property of the material or the surroundings, the same everywhere
 
     def __init__(self, run: "ActiveEffects", entries: Sequence[tuple[int, Port, Effect]]):
         self.run, self.batch, self.model = run, run.batch, run.batch.model

@@ -34,7 +34,7 @@ class SensorDelay(Fault):
     """Every sample shows what was some time before."""
 
     name = "sensor_delay"
-    quantities = (Quantity("delay", "s", 0.03, (-2.0, 2.0)),)
+    quantities = (Quantity("delay", "s", 0.015, (-2.0, 2.0)),)
 
     @staticmethod
     def apply(time, values, p, index):
@@ -45,7 +45,7 @@ class ClockSkew(Fault):
     """The clock of the sensor runs faster than that of the commands."""
 
     name = "clock_skew"
-    quantities = (Quantity("rate", "1", 0.005, (-0.5, 0.5)),)
+    quantities = (Quantity("rate", "1", 0.001, (-0.5, 0.5)),)
 
     @staticmethod
     def apply(time, values, p, index):

@@ -139,6 +139,7 @@ class ViscoelasticCreep(OnJoints):
     """Standard linear solid: beside each spring another one whose rest length follows it with a time constant."""
 
     name, category, bending_only, shared, stepped = "viscoelastic_creep", "slow_drift", True, True, True
+    only_shared = True
     quantities = (
         Quantity("ratio", "1", 0.3, (0.0, 20.0)),
         Quantity("time_constant", "s", 2.0, (1e-3, 1e4)),

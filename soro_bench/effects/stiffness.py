@@ -42,6 +42,7 @@ class StiffnessDrift(OnJoints):
     """Stiffness that changes steadily with clock time: temperature, ageing."""
 
     name, category, kinds, stepped = "stiffness_drift", "local", ("body", "joint", "flex"), True
+    only_shared = True
     quantities = (Quantity("rate", "1/min", -0.4, (-10.0, 10.0)),)
     fields = ("jnt_stiffness", "dof_damping", "flex_stiffness")
     shared = True
@@ -61,7 +62,8 @@ class Stiffening(OnJoints):
     """Springs with a cubic term: k q (1 + beta q^2)."""
 
     name, category, bending_only, shared = "stiffening", "amplitude", True, True
-    quantities = (Quantity("beta", "1/rad^2 or 1/m^2", 5.0, (0.0, 1e6)),)
+    only_shared = True
+    quantities = (Quantity("beta", "1/rad^2 or 1/m^2", 2.0, (0.0, 1e6)),)
     fields = ("jnt_stiffnesspoly",)
 
     def write(self, which):
@@ -74,6 +76,7 @@ class MullinsSoftening(OnJoints):
     """Softer once stretched: the stiffness falls by a share that grows with the largest strain so far."""
 
     name, category, bending_only, shared, stepped = "mullins_softening", "amplitude", True, True, True
+    only_shared = True
     quantities = (
         Quantity("softening", "1", 0.3, (0.0, 0.9)),
         Quantity("strain", "rad or m", 0.05, (1e-4, 10.0)),

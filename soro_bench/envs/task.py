@@ -147,6 +147,11 @@ class Task(ABC):
             getattr(self.sim.batch, name)[ids] = state[name]
         self.sim.begin(ids)
 
+    def refine(self, factor: int) -> None:
+        """Simulate with time steps that are shorter by a factor."""
+        self.sim.batch.expand("opt.timestep")[...] /= factor
+        self._substeps *= factor
+
     def check_actions(self, actions: np.ndarray, count: int) -> np.ndarray:
         """Return ``actions`` as an array of ``count`` valid actions; raise ValueError otherwise."""
         space = self.single_action_space

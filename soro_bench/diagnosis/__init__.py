@@ -1,0 +1,1 @@
+"""Why a simulation and a recording differ: docs/diagnosis.md."""

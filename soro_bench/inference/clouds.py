@@ -1,0 +1,58 @@
+"""Linear models of a rugged simulation, by regression over clouds of points.
+
+A cable robot's motion is rugged in its parameters: cables fall slack, things are hit, and the derivative at a point
+says little about the next percent. A regression over a cloud does (statistical linearisation), and what it leaves is an
+error of the linear model that a step has to allow for: a covariance of low rank. The cloud shrinks as the fit improves.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+LENGTHS = (0.5, 1.0, 1.5)  # of a step, tried
+
+
+class LowRank:
+    """Products with the inverse of the covariance I + Bᵀ B of whitened residuals; the basis B is (F, M)."""
+
+    def __init__(self, basis: np.ndarray):
+        self.basis = basis
+        self._inner = np.eye(len(basis)) + basis @ basis.T
+
+    def product(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """(A, C) of rows a (A, M) and b (C, M)."""
+        if not len(self.basis):
+            return a @ b.T
+        return a @ b.T - (a @ self.basis.T) @ np.linalg.solve(self._inner, self.basis @ b.T)
+
+    def without(self, residual: np.ndarray) -> np.ndarray:
+        """(M,) what the basis does not explain."""
+        if not len(self.basis):
+            return residual
+        return residual - np.linalg.solve(self._inner, self.basis @ residual) @ self.basis
+
+
+@dataclass(frozen=True)
+class Line:
+    """A linear model around a point: residual (M,) there, slope (n, M), and a basis (N, M) of its error."""
+
+    residual: np.ndarray
+    slope: np.ndarray
+    error: np.ndarray
+
+
+def cloud(x: np.ndarray, scale: float, count: int, seed: Sequence[int]) -> np.ndarray:
+    """(count, n) points around x, a quasi-random sample of a normal distribution of standard deviation ``scale``."""
+    engine = qmc.Halton(len(x), rng=np.random.default_rng(seed))
+    normal = qmc.MultivariateNormalQMC(np.zeros(len(x)), engine=engine, inv_transform=True)
+    return x + scale * np.clip(normal.random(count), -3, 3)
+
+
+def linearised(x: np.ndarray, points: np.ndarray, residuals: np.ndarray) -> Line:
+    """The linear regression of residuals (N, M) at points (N, n) around x."""
+    design = np.column_stack([np.ones(len(points)), points - x])
+    coefficients = np.linalg.lstsq(design, residuals, rcond=None)[0]
+    error = (residuals - design @ coefficients) / np.sqrt(len(points) - len(x) - 1)
+    return Line(coefficients[0], coefficients[1:], error)
