@@ -3,25 +3,21 @@
 Unknowns are in standard deviations of their priors. What is left is white noise plus a numerical error of low rank,
 ``floor``, whose coefficients are unknowns too, with standard normal priors (floor.py).
 
-A cable robot's motion is rugged in its parameters: cables fall slack, and the derivative at a point says little about
-the next percent. So slopes are regressions over a cloud of points (statistical linearisation; Garcia-Fernandez et al.,
-"Posterior linearization filter", 2015), and what a regression leaves is an error of the linear model that the step has
-to allow for, another low-rank covariance. The cloud shrinks as the fit improves. On TrunkReach 57 replays end closer to
-the truth than 120 with finite differences (docs/diagnosis.md).
+Slopes are regressions over clouds of points (inference/clouds.py). On TrunkReach 57 replays end closer to the truth
+than 120 with finite differences.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import qmc
 
 from soro_bench.diagnosis.robot import Measured, Robot
 from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Effect, Port
+from soro_bench.inference.clouds import LENGTHS, LowRank, cloud, linearised
 
 CLOUD = 16  # replays per linearisation
-LENGTHS = (0.5, 1.0, 1.5)  # of a step, tried
 MAGNITUDE_DEVIATION, SECOND_DEVIATION = 5.0, 0.7  # of effects: in typical magnitudes, in logarithms
 LIMIT = 4.0  # standard deviations of the prior
 
@@ -62,26 +58,6 @@ class Suspect:
         return Effect(self.name, self.where, values)
 
 
-class Floor:
-    """Products with the inverse covariance (I + Bᵀ B)⁻¹ of noise and numerical error; ``basis`` B is (F, M)."""
-
-    def __init__(self, basis: np.ndarray):
-        self.basis = basis
-        self._inner = np.eye(len(basis)) + basis @ basis.T
-
-    def product(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """(A, C) of rows a (A, M) and b (C, M)."""
-        if not len(self.basis):
-            return a @ b.T
-        return a @ b.T - (a @ self.basis.T) @ np.linalg.solve(self._inner, self.basis @ b.T)
-
-    def without(self, residual: np.ndarray) -> np.ndarray:
-        """(M,) what the numerical error does not explain."""
-        if not len(self.basis):
-            return residual
-        return residual - np.linalg.solve(self._inner, self.basis @ residual) @ self.basis
-
-
 @dataclass(frozen=True)
 class Problem:
     """A recording to be explained.
@@ -94,7 +70,7 @@ class Problem:
     measured: Measured
     sigma: float
     weight: np.ndarray
-    floor: Floor
+    floor: LowRank
 
     @property
     def parameters(self) -> int:
@@ -140,9 +116,9 @@ class Hypothesis:
     slope: np.ndarray
     error: np.ndarray
 
-    def floor(self, problem: Problem) -> Floor:
+    def floor(self, problem: Problem) -> LowRank:
         """Numerical error together with that of the linearisation."""
-        return Floor(np.concatenate([problem.floor.basis, self.error]))
+        return LowRank(np.concatenate([problem.floor.basis, self.error]))
 
     def log_evidence(self, problem: Problem) -> float:
         """Logarithm of the probability of the recording, by Laplace's approximation, but for a common constant."""
@@ -167,18 +143,19 @@ def fitted(problem: Problem, guesses, scales: Sequence[float], seed: int, progre
     guesses, best = [(np.array(x, float), tuple(s)) for x, s in guesses], [None] * len(guesses)
     for k, scale in enumerate(scales):
         clouds = [_cloud(problem, x, s, scale, [seed, k]) for x, s in guesses]
-        found = iter(problem.residuals([(p, s) for cloud, (_, s) in zip(clouds, guesses, strict=True) for p in cloud]))
-        lines = [_linearised(x, cloud, np.stack([next(found) for _ in cloud]))
-                 for (x, _), cloud in zip(guesses, clouds, strict=True)]  # fmt: skip
-        trials = [_trials(problem, x, s, *line) for (x, s), line in zip(guesses, lines, strict=True)]
+        asked = [(p, s) for points, (_, s) in zip(clouds, guesses, strict=True) for p in points]
+        found = iter(problem.residuals(asked))
+        lines = [linearised(x, points, np.stack([next(found) for _ in points]))
+                 for (x, _), points in zip(guesses, clouds, strict=True)]  # fmt: skip
+        trials = [_trials(problem, x, s, line) for (x, s), line in zip(guesses, lines, strict=True)]
         tried = iter(problem.residuals([(p, s) for each, (_, s) in zip(trials, guesses, strict=True) for p in each]))
-        for i, ((_, s), each, (_, slope, error)) in enumerate(zip(guesses, trials, lines, strict=True)):
+        for i, ((_, s), each, line) in enumerate(zip(guesses, trials, lines, strict=True)):
             for x in each:
                 residual = next(tried)
                 cost = problem.cost(residual, x)
                 if best[i] is None or cost < best[i].cost:
-                    best[i] = Hypothesis(s, x, residual, cost, slope, error)
-            best[i] = replace(best[i], slope=slope, error=error)
+                    best[i] = Hypothesis(s, x, residual, cost, line.slope, line.error)
+            best[i] = replace(best[i], slope=line.slope, error=line.error)
         guesses = [(h.x, h.suspects) for h in best]
         progress()
     return best
@@ -190,25 +167,16 @@ def lower_bounds(problem: Problem, suspects: Sequence[Suspect]) -> np.ndarray:
 
 
 def _cloud(problem, x, suspects, scale, seed):
-    """(N, n) points around x, more of them for more unknowns; quasi-random."""
+    """(N, n) points around x, more of them for more unknowns."""
     count = CLOUD + 2 * (len(x) - problem.parameters)
-    normal = qmc.MultivariateNormalQMC(np.zeros(len(x)), rng=np.random.default_rng(seed)).random(count)
-    return np.maximum(x + np.clip(scale * normal, -3, 3), lower_bounds(problem, suspects))
+    return np.maximum(cloud(x, scale, count, seed), lower_bounds(problem, suspects))
 
 
-def _linearised(x, cloud, residuals):
-    """Residual at x (M,), slope (n, M) and error basis (N, M) of a linear regression over a cloud."""
-    design = np.column_stack([np.ones(len(cloud)), cloud - x])
-    coefficients = np.linalg.lstsq(design, residuals, rcond=None)[0]
-    error = (residuals - design @ coefficients) / np.sqrt(len(cloud) - len(x) - 1)
-    return coefficients[0], coefficients[1:], error
-
-
-def _trials(problem, x, suspects, residual, slope, error):
+def _trials(problem, x, suspects, line):
     """Points along the way to where the linearised cost is least, within the bounds."""
-    floor, lower = Floor(np.concatenate([problem.floor.basis, error])), lower_bounds(problem, suspects)
-    hessian, free = _hessian(floor, slope), np.ones(len(x), bool)
-    gradient = floor.product(slope, residual[None])[:, 0] + x
+    floor, lower = LowRank(np.concatenate([problem.floor.basis, line.error])), lower_bounds(problem, suspects)
+    hessian, free = _hessian(floor, line.slope), np.ones(len(x), bool)
+    gradient = floor.product(line.slope, line.residual[None])[:, 0] + x
     for _ in range(len(x)):
         step = np.zeros(len(x))
         step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], gradient[free])

@@ -95,9 +95,7 @@ class Robot:
             )
         return Measured(actions, times - recording.start, signal.values, self.signal, signal.unit)
 
-    def simulate(
-        self, actions: np.ndarray, parameters: np.ndarray, effects: Sequence[Sequence[Effect]]
-    ) -> np.ndarray:
+    def simulate(self, actions: np.ndarray, parameters: np.ndarray, effects: Sequence[Sequence[Effect]]) -> np.ndarray:
         """What the sensor would have recorded.
 
         Args:

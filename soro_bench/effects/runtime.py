@@ -101,6 +101,7 @@ class ActiveEffects:
     def _prepare_setpoints(self):
         model = self.batch.model
         self._integrates = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR
+        self._early = model.actuator_actearly.astype(bool)
         # where the control is a rate, the setpoint is the activation; the slot of others is not used
         self._slot = np.maximum(model.actuator_actadr, 0)
         self._setpoint = np.zeros((self.batch.nsim, model.nu))
@@ -121,8 +122,9 @@ class ActiveEffects:
         moved = self._setpoint[ids] + dt * limited
         low, high = model.actuator_actrange.T
         moved = np.where(model.actuator_actlimited, np.clip(moved, low, high), moved)
-        self._setpoint[ids] = np.where(self._integrates, moved, limited)
-        output = self._setpoint.copy()
+        before, self._setpoint[ids] = self._setpoint.copy(), np.where(self._integrates, moved, limited)
+        # a step uses the activation at its start, or at its end if the actuator is early
+        output = np.where(self._integrates & ~self._early, before, self._setpoint)
         for law in self._filters:
             at = law.rows[which[law]], law.ids[which[law]]
             output[at] = law.filter(which[law], output[at])

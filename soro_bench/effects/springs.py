@@ -86,20 +86,24 @@ class StribeckFriction(_Friction):
 
 class LoadFriction(_Friction):
     """Dry friction in proportion to the load: on a tendon that bends round its eyelets 1 - exp(-mu angle) of its
-    tension (Euler, Eytelwein), on a joint mu times the torque of its actuators."""
+    tension (Euler, Eytelwein), on a joint mu times the torque of all actuators."""
 
     name = "load_friction"
     quantities = (Quantity("mu", "1", 0.1, (0.0, 10.0)),)
-    outputs = ("actuator_force", "site_xpos")
+    outputs = ("actuator_force", "qfrc_actuator", "site_xpos")
     stepped = True
 
     def prepare(self, elements):
         super().prepare(elements)
+        self.on_joint = np.array([port.kind == "joint" for port in self.ports])
+        self.dofs = np.where(self.on_joint, self.model.jnt_dofadr[np.where(self.on_joint, self.ids, 0)], 0)
         self.paths = [_sites(self.model, i) if p.kind == "tendon" else None
                       for i, p in zip(self.ids, self.ports, strict=True)]  # fmt: skip
 
     def level(self, which):
-        load = tension(self.batch, self.rows[which], self.actuators[which])
+        rows = self.rows[which]
+        torque = np.abs(self.batch.qfrc_actuator[rows, self.dofs[which]])
+        load = np.where(self.on_joint[which], torque, tension(self.batch, rows, self.actuators[which]))
         mu = self.values["mu"][which]
         angle = np.array([self._angle(i) for i in np.flatnonzero(which)])
         return load * np.where(np.isnan(angle), mu, -np.expm1(-mu * np.nan_to_num(angle)))

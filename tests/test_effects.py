@@ -1,0 +1,314 @@
+"""Effects: what each law does, on the trunk and on small models whose answers are known."""
+
+import json
+from pathlib import Path
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+
+import soro_bench  # noqa: F401
+from soro_bench.effects.catalogue import CATEGORIES, MEASUREMENT, PHYSICS, QUANTITIES
+from soro_bench.effects.effect import Effect, EffectError, Port, load_effects, save_effects
+from soro_bench.effects.elements import Elements, instrument
+from soro_bench.models.simulation import Simulation
+from soro_bench.parameters import ParameterSet
+from soro_bench.registration import make_task
+
+PLACES = {"tendon": "L1", "actuator": "L1", "body": "vertebra4", "joint": "bend_x3", "model": "gravity",
+          "geom": "object"}  # fmt: skip
+CASES = [(name, kind) for name, law in PHYSICS.items() for kind in law.kinds if kind != "flex"]
+SEVERAL = ("base_tilt",)  # whose quantities are all magnitudes
+
+SERVO = """<mujoco><option timestep="0.002" integrator="implicitfast"/>
+<worldbody><body name="arm"><joint name="hinge" axis="0 1 0" damping="0.01"/>
+<geom name="arm" type="capsule" size="0.01" fromto="0 0 0 0.2 0 0" mass="0.1" contype="0" conaffinity="0"/></body>
+</worldbody><actuator><motor name="motor" joint="hinge" ctrlrange="-5 5" ctrllimited="true"/>
+<general name="servo" joint="hinge" gainprm="4" biasprm="0 -4 -0.1" biastype="affine" forcerange="-9 9"
+forcelimited="true" ctrlrange="-2 2" ctrllimited="true"/></actuator></mujoco>"""
+
+# a finger of two links that a cable bends; the cable's servo takes rates
+FINGER = """<mujoco><option timestep="0.002" integrator="implicitfast"/><default><geom contype="0" conaffinity="0"/>
+<joint axis="0 1 0" stiffness="0.5" damping="0.02"/></default><worldbody><site name="eyelet0" pos="0 0 0.02"/>
+<body name="near" pos="0.02 0 0"><joint name="near"/><geom type="capsule" size="0.01" fromto="0 0 0 0.1 0 0"
+mass="0.05"/><site name="eyelet1" pos="0.05 0 0.02"/><site name="eyelet2" pos="0.09 0 0.02"/>
+<body name="far" pos="0.1 0 0"><joint name="far"/><geom type="capsule" size="0.01" fromto="0 0 0 0.1 0 0" mass="0.05"/>
+<site name="eyelet3" pos="0.01 0 0.02"/><site name="eyelet4" pos="0.05 0 0.02"/></body></body></worldbody>
+<tendon><spatial name="cable"><site site="eyelet0"/><site site="eyelet1"/><site site="eyelet2"/><site site="eyelet3"/>
+<site site="eyelet4"/></spatial></tendon><actuator><general name="cable" tendon="cable" gear="-1" dyntype="integrator"
+gainprm="2000" biasprm="0 -2000 -40" biastype="affine" forcerange="0 20" forcelimited="true" ctrlrange="-0.1 0.1"
+ctrllimited="true" actrange="-0.05 0.05" actlimited="true"/></actuator></mujoco>"""
+
+
+def effect(elements, name, kind, share=1.0, place=None):
+    """An effect of a share of its typical magnitude."""
+    values = {}
+    for i, q in enumerate(QUANTITIES[name]):
+        port = Port(kind, place or PLACES[kind])
+        typical = q.typical * elements.scale(port, q.of)
+        if i == 0 or name in SEVERAL:
+            typical = float(np.clip(q.null + share * (typical - q.null), *q.bounds))
+        values[q.name] = typical
+    return Effect(name, Port(kind, place or PLACES[kind]), values)
+
+
+def trunk(effects, nsim=1):
+    task = make_task("TrunkPush-v0", nsim, 1, "cable", action="continuous", effects=())
+    if effects:
+        task.sim.assign_effects(effects)
+    return task
+
+
+def motion(task, steps=30, seed=0):
+    """(N, steps, 21, 3) keypoints of N trunks that get the same random actions, each held for five steps."""
+    ids, rng = np.arange(task.num_envs), np.random.default_rng(seed)
+    task.reset(ids, [np.random.default_rng(0)] * task.num_envs, [{"goal": [0.05, 0.05, 0.15]}] * task.num_envs)
+    rows = []
+    for step in range(steps):
+        if step % 5 == 0:
+            action = rng.uniform(-1, 1, (1, 8)).astype(np.float32)
+        task.step(ids, np.repeat(action, task.num_envs, axis=0))
+        rows.append(task.keypoints(ids).copy())
+    return np.stack(rows, axis=1)
+
+
+@pytest.fixture(scope="module")
+def elements():
+    return Elements(trunk(None).model)
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    return motion(make_task("TrunkPush-v0", 1, 1, "cable", action="continuous"))[0]
+
+
+def test_a_model_that_is_ready_for_effects_moves_bit_for_bit_as_before(nominal):
+    assert np.array_equal(motion(trunk(None))[0], nominal)
+
+
+@pytest.mark.parametrize(("name", "kind"), CASES)
+def test_no_magnitude_is_no_effect_and_ten_times_the_typical_one_stays_finite(name, kind, elements, nominal):
+    effects = [(effect(elements, name, kind, share),) for share in (0.0, 10.0)]
+    none, strong = motion(trunk(effects, nsim=2))
+    assert np.array_equal(none, nominal)
+    assert np.isfinite(strong).all()
+
+
+@pytest.mark.parametrize(("name", "kind"), [case for case in CASES if CATEGORIES[case[0]] != "contact"])
+def test_a_signature_changes_by_less_than_a_twentieth_with_half_the_time_step(name, kind):
+    responses = []
+    for timestep in (0.002, 0.001):
+        places = Elements(instrument(mujoco.MjSpec.from_string(FINGER)).compile())
+        where = {"tendon": "cable", "actuator": "cable", "joint": "far", "body": "far", "model": "gravity"}[kind]
+        effects = [effect(places, name, kind, place=where)]
+        responses.append(bend(effects, timestep) - bend((), timestep))
+    assert np.abs(responses[0]).max() > 1e-6 or name == "supply_coupling"  # of a single chamber
+    assert np.linalg.norm(responses[1] - responses[0]) <= 0.05 * np.linalg.norm(responses[0]) + 1e-9
+
+
+def test_a_result_does_not_depend_on_what_else_is_simulated(elements):
+    chosen = [(effect(elements, name, kind),) for name, kind in CASES if kind in ("tendon", "actuator")]
+    together = motion(trunk(chosen, nsim=len(chosen)), steps=10)
+    for i in (0, len(chosen) // 2, len(chosen) - 1):
+        assert np.array_equal(motion(trunk([chosen[i]]), steps=10)[0], together[i])
+
+
+def test_effects_end_with_their_assignment(elements, nominal):
+    task = trunk([(effect(elements, "local_stiffness", "body"), effect(elements, "actuator_delay", "actuator"))])
+    motion(task, steps=3)
+    task.sim.assign_effects([()])
+    assert np.array_equal(motion(task)[0], nominal)
+
+
+def bend(effects, timestep):
+    """(40, 2) joint angles of the finger over 2 s, in which the cable is pulled, held and released."""
+    spec = mujoco.MjSpec.from_string(FINGER)
+    spec.option.timestep = timestep
+    sim = Simulation(instrument(spec).compile(), ParameterSet(), (), 1, 1, effects)
+    # from where the finger hangs at rest: the servo's length at zero is that of the straight finger
+    sim.batch.expand("actuator_biasprm")[:, 0, 0] = -2000 * -sim.model.actuator_length0[0]
+    sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    sim.begin(np.arange(1))
+    rows = []
+    for step in range(40):
+        sim.batch.ctrl[0, 0] = 0.03 * np.sin(2 * np.pi * step / 40)
+        sim.step(np.arange(1), round(0.05 / timestep))
+        rows.append(sim.batch.qpos[0].copy())
+    return np.array(rows)
+
+
+# --- known answers, on a hinge ---
+
+
+def servo(effects, timestep=0.002):
+    spec = mujoco.MjSpec.from_string(SERVO)
+    spec.option.timestep = timestep
+    return Simulation(instrument(spec).compile(), ParameterSet(), (), 1, 1, effects)
+
+
+def turn(sim, torque=0.0, angle=None, steps=500, velocity=0.0):
+    """(steps,) angles of the hinge under a torque, or with the servo commanded to angles."""
+    ids, batch = np.arange(1), sim.batch
+    batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    batch.qvel[:] = velocity
+    sim.begin(ids)
+    if angle is None:
+        sim.set_params(ids, np.zeros((1, 0)))
+        batch.expand("actuator_gainprm")[:, 1] = 0
+        batch.expand("actuator_biasprm")[:, 1] = 0
+    way = []
+    for step in range(steps):
+        batch.ctrl[0] = [torque(step) if callable(torque) else torque, 0.0 if angle is None else angle(step)]
+        sim.step(ids, 1)
+        way.append(batch.qpos[0, 0])
+    return np.array(way)
+
+
+def on_hinge(name, **values):
+    return Effect(name, Port("joint", "hinge"), values)
+
+
+def flat(sim):
+    """Without weight."""
+    sim.batch.expand("opt.gravity")[:] = 0
+    return sim
+
+
+def test_dry_friction_sticks_below_its_force_and_slips_above():
+    sim = flat(servo([on_hinge("coulomb_friction", friction=0.5)]))
+    held = turn(sim, torque=lambda step: 0.49 * min(1.0, step / 3000), steps=6000)
+    assert np.ptp(held[5000:]) < 1e-9  # it does not creep
+    assert abs(held[-1]) < 0.003
+    assert turn(sim, torque=lambda step: 0.51 * min(1.0, step / 3000), steps=6000)[-1] > 0.1
+
+
+def test_dry_friction_stops_what_is_moving_without_adding_energy():
+    sim = flat(servo([on_hinge("coulomb_friction", friction=0.05)]))
+    way = turn(sim, velocity=2.0, steps=1500)
+    speed = np.abs(np.diff(way)) / 0.002
+    inertia = 0.1 * 0.2**2 / 3  # of the arm about the hinge, nearly
+    assert speed[-1] < 1e-3
+    assert way.max() == pytest.approx(0.5 * inertia * 2.0**2 / 0.05, rel=0.25)  # less by the damper
+    assert (np.diff(np.maximum.accumulate(speed[::-1])[::-1]) <= 1e-9).all()
+
+
+def test_hysteresis_needs_a_spring_and_creep_relaxes_with_its_time_constant():
+    spec = mujoco.MjSpec.from_string(SERVO)
+    spec.joint("hinge").stiffness[0] = 1.0
+    creep = on_hinge("viscoelastic_creep", ratio=1.0, time_constant=0.5)
+    sim = flat(Simulation(instrument(spec).compile(), ParameterSet(), (), 1, 1, [creep]))
+    way = turn(sim, torque=1.0, steps=4000)
+    # standard linear solid: 1/(k + k1) at once, 1/k in the end, with the time constant (k + k1)/k * tau
+    times = 0.002 * np.arange(1, 4001)
+    expected = 1.0 - 0.5 * np.exp(-times / (2 * 0.5))
+    assert np.abs(way - expected)[1000:].max() < 0.01
+
+
+def test_viscous_friction_is_a_damper():
+    sim = flat(servo([on_hinge("viscous_friction", damping=0.09)]))
+    way = turn(sim, torque=0.1, steps=3000)
+    assert np.diff(way)[-1] / 0.002 == pytest.approx(0.1 / (0.01 + 0.09), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "expected"),
+    [
+        ("actuator_gain", {"gain": 0.5}, lambda u: 0.5 * u),
+        ("pretension", {"offset": 0.1}, lambda u: u + 0.1),
+        ("actuator_deadband", {"width": 0.2}, lambda u: np.sign(u) * np.maximum(np.abs(u) - 0.2, 0)),
+        ("actuator_delay", {"delay": 0.1}, lambda u: np.concatenate([np.zeros(50), u[:-50]])),
+    ],
+)
+def test_a_command_law_gives_what_other_commands_would(name, values, expected):
+    commands = 0.8 * np.sin(2 * np.pi * 0.002 * np.arange(1000))
+    changed = expected(commands)
+    faulty = flat(servo([Effect(name, Port("actuator", "servo"), values)]))
+    way = turn(faulty, angle=lambda step: commands[step], steps=1000)
+    assert way == pytest.approx(turn(flat(servo(())), angle=lambda step: changed[step], steps=1000), abs=1e-12)
+
+
+def test_backlash_waits_for_its_width_after_a_reversal():
+    sim = flat(servo([Effect("backlash", Port("actuator", "servo"), {"width": 0.2})]))
+    ramp = np.concatenate([np.linspace(0, 1, 2000), np.linspace(1, 0, 2000)])
+    way = turn(sim, angle=lambda step: ramp[step], steps=4000)
+    assert way[1999] == pytest.approx(0.9, abs=0.02)
+    assert np.abs(way[2300] - 0.9) < 0.005  # the command has come back by 0.15 only
+    assert way[3999] == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_sensor_delay_shifts_a_signal_and_a_bias_moves_one_marker():
+    time = 0.05 * np.arange(100)
+    values = np.sin(time)[:, None, None] * np.ones((1, 4, 3))
+    later = MEASUREMENT["sensor_delay"].apply(time, values, {"delay": 0.1}, 0)
+    assert later[10:] == pytest.approx(values[8:-2], abs=1e-12)
+    moved = MEASUREMENT["sensor_bias"].apply(time, values, {"x": 1.0, "y": 0.0, "z": 0.0}, 2)
+    assert np.abs(moved - values).max(axis=(0, 2)).tolist() == [0, 0, 1, 0]
+
+
+# --- files and environments ---
+
+
+def test_the_documentation_has_every_effect_with_its_class():
+    text = (Path(__file__).parents[1] / "docs" / "effects.md").read_text()
+    for name, category in CATEGORIES.items():
+        assert f"| `{name}` | {category} |" in text
+
+
+def test_an_environment_with_an_effects_file_differs_and_without_effects_does_not(tmp_path):
+    path = tmp_path / "effects.json"
+    moved = []
+    for effects in ([], [Effect("payload", Port("body", "vertebra9"), {"mass": 0.05})]):
+        save_effects(effects, path)
+        env = gymnasium.make("TrunkReach-v0", model="cable", effects=path)
+        env.reset(seed=0)
+        moved.append([env.step(0)[0] for _ in range(3)][-1])
+        env.close()
+    plain = gymnasium.make("TrunkReach-v0", model="cable")
+    plain.reset(seed=0)
+    assert np.array_equal([plain.step(0)[0] for _ in range(3)][-1], moved[0])
+    assert not np.array_equal(moved[0], moved[1])
+
+
+def test_an_effects_file_is_read_as_it_was_written(tmp_path):
+    effects = (Effect("backlash", Port("actuator", "*"), {"width": 0.001}),
+               Effect("sensor_bias", Port("sensor", "keypoints", 3), {"x": 0.1, "y": 0.0, "z": 0.0}))  # fmt: skip
+    save_effects(effects, tmp_path / "effects.json")
+    assert load_effects(tmp_path / "effects.json", QUANTITIES) == effects
+
+
+GOOD = {"name": "backlash", "where": {"kind": "actuator", "name": "L0"}, "parameters": {"width": 0.001}}
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ([], "schema"),
+        ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "name": "magic"}]}, "unknown effect"),
+        ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "where": "L0"}]}, "where"),
+        ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "parameters": {"width": -1}}]}, "allowed is"),
+        ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "parameters": {}}]}, "needs its width"),
+        ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "parameters": {"wide": 1}}]}, "has no"),
+        ({"schema": "soro-bench/effects/1", "effects": [GOOD] * 101}, "at most 100"),
+    ],
+)
+def test_a_bad_effects_file_is_refused_in_words(tmp_path, data, message):
+    path = tmp_path / "effects.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(EffectError, match=message):
+        load_effects(path, QUANTITIES)
+
+
+@pytest.mark.parametrize(
+    ("effects", "message"),
+    [
+        ([Effect("payload", Port("body", "nose"), {"mass": 0.1})], "no body 'nose'"),
+        ([Effect("payload", Port("tendon", "L0"), {"mass": 0.1})], "acts on body"),
+        ([Effect("sensor_delay", Port("sensor", "keypoints"), {"delay": 0.1})], "no physics"),
+        ([Effect("coulomb_friction", Port("tendon", "L0"), {"friction": 1.0}),
+          Effect("load_friction", Port("tendon", "L0"), {"mu": 0.1})], "same spring"),
+    ],
+)  # fmt: skip
+def test_effects_that_have_no_place_are_refused_in_words(effects, message):
+    with pytest.raises(EffectError, match=message):
+        trunk([effects])
