@@ -5,7 +5,7 @@ would do too, is compared with the residual: a linear estimate of its magnitude 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,10 +23,9 @@ def suspects(robot: Robot, points: int) -> list[Suspect]:
             continue
         for kind in law.kinds:
             ports = [] if kind == "joint" and "body" in law.kinds else robot.ports(kind)
-            if law.shared and len(ports) > 1:
-                found.append(suspect(robot, name, Port(kind, EVERY)))
-            if not law.only_shared:
-                found += [suspect(robot, name, port) for port in ports]
+            every = [Port(kind, EVERY)] if law.shared and len(ports) > 1 else []
+            for port in every if law.only_shared else every + ports:
+                found += variants(suspect(robot, name, port))
     for name, fault in ALL.items():
         if name not in PHYSICS and name != "outliers":
             indices = range(points) if fault.local else [None]
@@ -46,6 +45,15 @@ def suspect(robot: Robot, name: str, where: Port) -> Suspect:
 
 
 PNEUMATIC = ("pressure_leak", "pressure_asymmetry", "supply_coupling")
+
+
+def variants(one: Suspect) -> list[Suspect]:
+    """A suspect, and those that begin at other values of what shapes the signature."""
+    found = [one]
+    for i, q in enumerate(ALL[one.name].quantities):
+        for value in q.also:
+            found.append(replace(one, typical=(*one.typical[:i], value, *one.typical[i + 1 :])))
+    return found
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,7 @@ class Quantity:
 
     typical: where a search begins; a multiple of the port's scale of force or length if ``of`` says so.
     null: where the law does nothing, if this is its first parameter.
+    also: other values that make another signature, from which a search begins too.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Quantity:
     typical: float
     bounds: tuple[float, float]
     null: float = 0.0
+    also: tuple[float, ...] = ()  # other values where a search begins
     of: Literal["force", "length"] | None = None
 
 

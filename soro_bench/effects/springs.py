@@ -123,7 +123,7 @@ class Hysteresis(OnJoints):
     name, category, bending_only, shared = "hysteresis", "rate_independent_memory", True, True
     quantities = (
         Quantity("ratio", "1", 0.5, (0.0, 20.0)),
-        Quantity("yield_strain", "rad or m", 0.03, (1e-4, 10.0)),
+        Quantity("yield_strain", "rad or m", 0.03, (1e-4, 10.0), also=(0.1,)),
     )
     fields = ("tendon_stiffness", "tendon_springyield")
 
@@ -146,7 +146,7 @@ class ViscoelasticCreep(OnJoints):
     only_shared = True
     quantities = (
         Quantity("ratio", "1", 0.3, (0.0, 20.0)),
-        Quantity("time_constant", "s", 2.0, (1e-3, 1e4)),
+        Quantity("time_constant", "s", 2.0, (1e-3, 1e4), also=(0.4, 10.0)),
     )
     fields = ("tendon_stiffness",)
     outputs = ("ten_length",)

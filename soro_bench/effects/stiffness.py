@@ -79,7 +79,7 @@ class MullinsSoftening(OnJoints):
     only_shared = True
     quantities = (
         Quantity("softening", "1", 0.3, (0.0, 0.9)),
-        Quantity("strain", "rad or m", 0.05, (1e-4, 10.0)),
+        Quantity("strain", "rad or m", 0.05, (1e-4, 10.0), also=(0.2,)),
     )
     fields = ("jnt_stiffness",)
 
