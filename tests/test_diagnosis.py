@@ -1,0 +1,88 @@
+"""Parts of the diagnosis, on short recordings of the cheap trunk."""
+
+import numpy as np
+import pytest
+
+import soro_bench  # noqa: F401
+from soro_bench.diagnosis.fit import Problem, Suspect, fitted
+from soro_bench.diagnosis.floor import numerical_floor
+from soro_bench.diagnosis.robot import Measured, Robot
+from soro_bench.diagnosis.screen import responses, screen, suspect, suspects
+from soro_bench.effects.effect import EVERY, Port
+from soro_bench.inference.clouds import LowRank
+from soro_bench.models.trunk_geometry import CABLE_NAMES
+from soro_bench.recording.recording import Recording, RecordingError, Signal
+
+STEPS, SIGMA = 50, 5e-4
+TRUTH = np.array([0.5, -0.4, -0.6, 0.3, 0.2])
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return Robot("TrunkReach-v0", threads=1)
+
+
+@pytest.fixture(scope="module")
+def actions():
+    return np.repeat(np.random.default_rng(0).uniform(-1, 1, (STEPS // 5, 8)), 5, axis=0).astype(np.float32)
+
+
+def problem(robot, actions, hidden=()):
+    """A recording of the robot with other parameters, hidden effects and noise."""
+    parameters = np.array([[prior.value(x) for prior, x in zip(robot.priors, TRUTH, strict=True)]])
+    values = robot.simulate(actions, parameters, [hidden])[0]
+    values = values + SIGMA * np.random.default_rng(1).standard_normal(values.shape)
+    measured = Measured(actions, 0.05 * np.arange(1, STEPS + 1), values, "keypoints", "m")
+    return Problem(robot, measured, SIGMA, np.ones(values.size), LowRank(np.zeros((0, values.size))))
+
+
+def test_a_fit_recovers_parameters_and_leaves_the_noise(robot, actions):
+    """Not within the linearised errors: along the weakest combination those are too small (docs/inference.md)."""
+    given = problem(robot, actions)
+    (found,) = fitted(given, [(np.zeros(5), ())], (0.7, 0.4, 0.2, 0.1, 0.05), seed=0)
+    assert np.abs(found.x - TRUTH).max() < 0.15  # of a prior standard deviation
+    assert 2 * found.cost / found.residual.size == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "port", "coordinate"),
+    [("payload", Port("body", "vertebra7"), 0.2), ("actuator_gain", Port("actuator", "L0"), 0.3)],
+)
+def test_screening_puts_a_hidden_effect_first(robot, actions, name, port, coordinate):
+    hidden = suspect(robot, name, port)
+    given = problem(robot, actions, [hidden.effect(np.array([coordinate]))])
+    (base,) = fitted(given, [(np.zeros(5), ())], (0.7, 0.4, 0.2, 0.1), seed=0)
+    candidates = [one for one in suspects(robot, 21) if one.where.kind in ("body", "actuator")]
+    first = screen(given, base, candidates, responses(given, base, candidates))[0]
+    assert (first.suspect.name, first.suspect.where) == (name, port)
+
+
+def test_there_is_a_suspect_for_every_place_and_none_without_a_magnitude(robot):
+    found = suspects(robot, 21)
+    assert len(found) > 150
+    assert {s.where.name for s in found if s.name == "coulomb_friction"} == set(CABLE_NAMES)
+    assert all(any(s.magnitudes) for s in found)
+    assert {s.where.name for s in found if s.name == "viscoelastic_creep"} == {EVERY}
+
+
+def test_the_numerical_floor_is_the_difference_from_half_the_time_step(robot, actions):
+    finer = robot.refined()[0]
+    floor = numerical_floor(robot, [finer], actions[:10], np.zeros((1, 5)))
+    assert floor.shape == (1, 10 * 63)
+    assert 1e-6 < np.abs(floor).max() < 5e-3
+
+
+def test_a_recording_of_something_else_is_refused(robot):
+    metadata = {"env_id": "TrunkReach-v0", "action": "continuous"}
+    commands = {"action": Signal(0.05 * np.arange(5), np.zeros((5, 8)), "1")}
+    times = 0.05 * np.arange(6)
+    with pytest.raises(RecordingError, match="no keypoints"):
+        robot.measured(Recording(commands, {"tip": Signal(times, np.zeros((6, 3)), "m")}, {}, metadata))
+    with pytest.raises(RecordingError, match="shape"):
+        robot.measured(Recording(commands, {"keypoints": Signal(times, np.zeros((6, 5, 3)), "m")}, {}, metadata))
+
+
+def test_a_suspect_without_magnitude_is_no_effect():
+    one = Suspect("actuator_gain", Port("actuator", "L0"), (0.85,), (True,))
+    assert one.effect(np.zeros(1)).parameters == {"gain": 1.0}
+    assert one.effect(np.array([0.2])).parameters["gain"] == pytest.approx(0.85)
