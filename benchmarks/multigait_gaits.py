@@ -55,7 +55,8 @@ class Tree:
         if path.exists():
             with np.load(path, allow_pickle=False) as data:
                 done = len(data["way"])
-                new_states[:done], new_way[:done] = data["states"], data["way"]
+                new_way[:done] = data["way"]
+                new_states[: len(data["states"])] = data["states"]  # none of the last level
         start, first, saved = time.monotonic(), done, time.monotonic()
         while done < count:
             sequences = np.arange(done, min(done + SIMULATIONS, count))
@@ -74,6 +75,15 @@ class Tree:
                 left = (saved - start) / max(done - first, 1) * (count - done) / 60
                 print(f"level {level}: {done} of {count} sequences, {left:.0f} min left", flush=True)
         return new_states, new_way
+
+    def observations(self, states) -> np.ndarray:
+        """(n, 8) what is observed in states."""
+        parts = []
+        for first in range(0, len(states), SIMULATIONS):
+            part = states[first : first + SIMULATIONS]
+            self._load(self._ids[: len(part)], part)
+            parts.append(self._task._observe(self._ids[: len(part)]))
+        return np.concatenate(parts)
 
     def _states(self):
         batch = self._task.sim.batch
