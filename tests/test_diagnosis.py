@@ -7,7 +7,7 @@ import soro_bench  # noqa: F401
 from soro_bench.diagnosis.fit import Problem, Suspect, fitted
 from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.robot import Measured, Robot
-from soro_bench.diagnosis.screen import responses, screen, suspect, suspects
+from soro_bench.diagnosis.screen import evidence, pairs, responses, singles, suspect, suspects
 from soro_bench.effects.effect import EVERY, Port
 from soro_bench.inference.clouds import LowRank
 from soro_bench.models.trunk_geometry import CABLE_NAMES
@@ -53,8 +53,18 @@ def test_screening_puts_a_hidden_effect_first(robot, actions, name, port, coordi
     given = problem(robot, actions, [hidden.effect(np.array([coordinate]))])
     (base,) = fitted(given, [(np.zeros(5), ())], (0.7, 0.4, 0.2, 0.1), seed=0)
     candidates = [one for one in suspects(robot, 21) if one.where.kind in ("body", "actuator")]
-    first = screen(given, base, candidates, responses(given, base, candidates))[0]
-    assert (first.suspect.name, first.suspect.where) == (name, port)
+    found = evidence(given, base, candidates, responses(given, base, candidates))
+    (first,) = singles(found)[0].suspects
+    assert (first.name, first.where) == (name, port)
+
+
+def test_screening_finds_a_pair_of_hidden_effects(robot, actions):
+    hidden = [suspect(robot, "payload", Port("body", "vertebra8")), suspect(robot, "backlash", Port("actuator", "L2"))]
+    given = problem(robot, actions, [one.effect(np.array([0.2])) for one in hidden])
+    (base,) = fitted(given, [(np.zeros(5), ())], (0.7, 0.4, 0.2, 0.1), seed=0)
+    candidates = [one for one in suspects(robot, 21) if one.name in ("payload", "backlash", "actuator_gain")]
+    lead = pairs(evidence(given, base, candidates, responses(given, base, candidates)))[0]
+    assert {(s.name, s.where) for s in lead.suspects} == {(s.name, s.where) for s in hidden}
 
 
 def test_there_is_a_suspect_for_every_place_and_none_without_a_magnitude(robot):

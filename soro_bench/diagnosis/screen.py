@@ -58,11 +58,43 @@ def variants(one: Suspect) -> list[Suspect]:
 
 @dataclass(frozen=True)
 class Lead:
-    """A suspect that explains some of what is left: log evidence gained, and estimated coordinates (size,)."""
+    """Suspects that explain some of what is left: log evidence gained, and the estimated coordinates of each."""
 
-    suspect: Suspect
+    suspects: tuple[Suspect, ...]
     gain: float
-    x: np.ndarray
+    x: tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What K response rows say together, parameters and floor marginalised: the evidence gained by magnitudes m (K,) is
+    -pull m - m matrix m / 2. ``lower`` (K,) bounds them, and ``blocks`` are the rows of each candidate."""
+
+    candidates: tuple[Suspect, ...]
+    matrix: np.ndarray
+    pull: np.ndarray
+    lower: np.ndarray
+    blocks: tuple[np.ndarray, ...]
+
+    def lead(self, chosen: Sequence[int]) -> Lead:
+        """The best magnitudes of some candidates together."""
+        rows = np.concatenate([self.blocks[i] for i in chosen])
+        matrix, pull, lower = self.matrix[np.ix_(rows, rows)], self.pull[rows], self.lower[rows]
+        at, free = np.zeros(len(rows)), np.ones(len(rows), bool)
+        for _ in rows:  # what would cross its bound stays there, and the rest is solved again
+            at[free] = -np.linalg.solve(matrix[np.ix_(free, free)], pull[free])
+            crossing = at < lower
+            if not crossing.any():
+                break
+            free &= ~crossing
+            at[~free] = 0.0
+        gain = -float(pull @ at + 0.5 * at @ matrix @ at) - 0.5 * float(np.linalg.slogdet(matrix)[1])
+        ends = np.cumsum([len(self.blocks[i]) for i in chosen])[:-1]
+        return Lead(
+            tuple(self.candidates[i] for i in chosen),
+            gain,
+            tuple(_coordinates(self.candidates[i], part) for i, part in zip(chosen, np.split(at, ends), strict=True)),
+        )
 
 
 def responses(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect]) -> list[np.ndarray]:
@@ -79,22 +111,36 @@ def responses(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect])
     return np.split(found, ends[:-1])
 
 
-def screen(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect], found) -> list[Lead]:
-    """Leads, the best first; ``found`` are the responses of the candidates."""
-    floor = base.floor(problem)
+def evidence(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect], found) -> Evidence:
+    """What the responses ``found`` of the candidates say about the residual of a hypothesis."""
+    floor, rows = base.floor(problem), np.concatenate(found)
     hessian = floor.product(base.slope, base.slope) + np.eye(len(base.x))
     gradient = floor.product(base.slope, base.residual[None])[:, 0] + base.x
-    leads = []
-    for candidate, response in zip(candidates, found, strict=True):
-        cross = floor.product(response, base.slope)
-        reduced = np.linalg.solve(hessian, cross.T).T
-        own = floor.product(response, response) + np.eye(len(response)) - reduced @ cross.T
-        pull = floor.product(response, base.residual[None])[:, 0] - reduced @ gradient
-        at = -np.linalg.solve(own, pull)
-        lower = candidate.lower[list(candidate.magnitudes)]
-        at = np.maximum(at, lower)
-        gain = -float(pull @ at + 0.5 * at @ own @ at) - 0.5 * float(np.linalg.slogdet(own)[1])
-        x = np.zeros(candidate.size)
-        x[list(candidate.magnitudes)] = at
-        leads.append(Lead(candidate, gain, x))
+    cross = floor.product(rows, base.slope)
+    reduced = np.linalg.solve(hessian, cross.T).T
+    return Evidence(
+        tuple(candidates),
+        floor.product(rows, rows) + np.eye(len(rows)) - reduced @ cross.T,
+        floor.product(rows, base.residual[None])[:, 0] - reduced @ gradient,
+        np.concatenate([c.lower[list(c.magnitudes)] for c in candidates]),
+        tuple(np.split(np.arange(len(rows)), np.cumsum([len(each) for each in found])[:-1])),
+    )
+
+
+def singles(found: Evidence) -> list[Lead]:
+    """One candidate at a time, the best first."""
+    return sorted((found.lead([i]) for i in range(len(found.candidates))), key=lambda lead: -lead.gain)
+
+
+def pairs(found: Evidence, firsts: int = 20) -> list[Lead]:
+    """Two candidates at a time, the best first: each of the best singles with every other one."""
+    gains = [found.lead([i]).gain for i in range(len(found.candidates))]
+    order = np.argsort(gains)[::-1]
+    leads = [found.lead([i, j]) for n, i in enumerate(order[:firsts]) for j in order[n + 1 :]]
     return sorted(leads, key=lambda lead: -lead.gain)
+
+
+def _coordinates(candidate, magnitudes):
+    x = np.zeros(candidate.size)
+    x[list(candidate.magnitudes)] = magnitudes
+    return x
