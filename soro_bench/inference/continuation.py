@@ -30,8 +30,13 @@ def best_track(residuals, deviation, groups, dimension, log, seed, starts, progr
 
 
 def polished(residuals, deviation, groups, point, cost, log, seed):
-    """A better point than one nearby, and its cost: steps on linear models over clouds that shrink (clouds.py)."""
-    steps, dimension = len(deviation), len(point)
+    """A better point than one nearby, and its cost: steps on linear models over clouds that shrink (clouds.py).
+
+    Each round moves on to its best point even if that is worse: the way out of a local optimum leads uphill. Best is
+    where most single numbers are explained.
+    """
+    steps, dimension, best = len(deviation), len(point), (point, cost)
+    single = [slice(i, i + 1) for i in range(deviation.shape[1])]
     for k, scale in enumerate(SCALES):
         points = np.clip(cloud(point, scale, CLOUD, [*seed, k]), 0, 1)
         found = log(lambda x: residuals(x, steps), points, "cloud")
@@ -41,11 +46,11 @@ def polished(residuals, deviation, groups, point, cost, log, seed):
         step = -np.linalg.solve(hessian, covariance.product(line.slope, line.residual[None])[:, 0])
         trials = np.clip([point + length * step for length in LENGTHS], 0, 1)
         tried = log(lambda x: residuals(x, steps), trials, "trial")
-        costs = _robust_cost(np.concatenate([tried, found]) / deviation, groups)
-        best = int(costs.argmin())
-        if costs[best] < cost:
-            point, cost = np.concatenate([trials, points])[best], float(costs[best])
-    return point, cost
+        tried = np.concatenate([tried, found]) / deviation
+        chosen = int(_robust_cost(tried, single).argmin())
+        point, cost = np.concatenate([trials, points])[chosen], float(_robust_cost(tried[[chosen]], groups)[0])
+        best = min(best, (point, cost), key=lambda pair: pair[1])
+    return best
 
 
 def track(residuals, deviation, groups, dimension, log, seed, starts, progress=lambda *_: None):
