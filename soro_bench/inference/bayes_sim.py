@@ -69,7 +69,7 @@ def train(points: np.ndarray, summaries: np.ndarray, features: str = "mdn", seed
         build = posterior_nn("mdn", z_score_x="none", z_score_theta="independent", hidden_features=HIDDEN,
                              num_components=COMPONENTS, embedding_net=embedding)  # fmt: skip
         prior = BoxUniform(torch.zeros(theta.shape[1]), torch.ones(theta.shape[1]))
-        inference = NPE(prior, density_estimator=build, show_progress_bars=False)
+        inference = NPE(prior, density_estimator=build, show_progress_bars=False, tracker=_NoTracker())
         inference.append_simulations(theta, x).train(show_train_summary=False)
         return Estimator(inference.build_posterior(), center, scale)
     finally:
@@ -115,3 +115,24 @@ def calibration(estimator: Estimator, points: np.ndarray, summaries: np.ndarray,
     sbc = check_sbc(ranks, theta, averaged, CHECK_SAMPLES)["ks_pvals"]
     coverage, nominal = run_tarp(theta, x, estimator.posterior, num_posterior_samples=CHECK_SAMPLES, **quiet)
     return {"sbc": [float(p) for p in sbc], "tarp": [float(check_tarp(coverage, nominal)[1])]}
+
+
+class _NoTracker:
+    """Keeps sbi from leaving a folder of TensorBoard logs where the command runs."""
+
+    log_dir = None
+
+    def log_metric(self, name, value, step=None):
+        pass
+
+    def log_metrics(self, metrics, step=None):
+        pass
+
+    def log_params(self, params):
+        pass
+
+    def add_figure(self, name, figure, step=None):
+        pass
+
+    def flush(self):
+        pass
