@@ -127,7 +127,7 @@ def plot(results: Path, path: Path) -> None:
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(9, 3.6), layout="constrained")
+    figure, axes = plt.subplots(figsize=(11, 3.6), layout="constrained")
     files = [results / f"reachability_{model}.json" for model in VARIANTS]
     found = [read_json(file) for file in files if file.exists()]
     for i, result in enumerate(found):
@@ -137,7 +137,7 @@ def plot(results: Path, path: Path) -> None:
     axes.set_xticks(range(len(labels)), labels, fontsize=7)
     axes.axhline(1.0, color="black", linewidth=0.8, linestyle="--", label="success, 1 mm")
     axes.set(xlabel="goal x, y, z [mm]", ylabel="best final distance [mm]", title="TrunkReach: what a planner reaches")
-    axes.legend()
+    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=120, format="png")
 

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.proof import body_laws, cable_laws, command_laws, neck_laws
@@ -245,3 +246,9 @@ def test_labels_name_what_is_outside_the_catalogue_unknown(base):
         assert (label["name"], label["class"], label["law"]) == ("unknown", "unknown", name)
         assert label["description"] and label["where"]["name"]
         assert json.dumps(label)
+
+
+def test_both_sides_mean_the_same_classes():
+    """Labels and diagnosis name the same class for the same effect."""
+    for name, (category, _) in (PHYSICS | MEASUREMENT).items():
+        assert CATEGORIES[name] == category, name

@@ -1,23 +1,16 @@
-"""Recordings: their file, what is refused, and simulated episodes recorded and replayed."""
+"""Recordings: their file, and what is refused."""
 
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from gymnasium import spaces
 
-from soro_bench.recording import comparison
-from soro_bench.recording.excitation import excitation, shortest
 from soro_bench.recording.recording import SCHEMA, Recording, RecordingError, Signal, resampled
-from soro_bench.recording.simulated import parse_params, record, replay
-from soro_bench.registration import ENV_IDS, make_task, task_type
-from soro_bench.training.policy import Policy, PolicyCard
+from tests.recordings import assert_same, example, says
 
 pa = pytest.importorskip("pyarrow")
 pq = pytest.importorskip("pyarrow.parquet")
@@ -25,39 +18,7 @@ from soro_bench.recording.parquet import load, save  # noqa: E402
 
 KEY = b"soro_bench"
 ONE = Signal([0.0, 0.1], [1.0, 2.0], "N")
-
-
-def says(*parts):
-    """A pattern for a message in which ``parts`` follow one another."""
-    return "(?s)" + ".*".join(re.escape(part) for part in parts)
-
-
-def example():
-    """Irregular times, several rates, missing samples, arrays, and numbers that only their bits tell apart."""
-    rng = np.random.default_rng(0)
-    times = np.cumsum(rng.uniform(0.001, 0.1, 50))
-    points = rng.normal(size=(50, 4, 3))
-    points[3, 1, 2], points[7] = np.nan, np.nan
-    signals = {
-        "points": Signal(times, points, "m", "world"),
-        "force": Signal([0.0, 0.25, times[20]], [1.0, -0.0, 5e-324], "N"),
-        "once": Signal([1 / 3], [[[1, 2], [3, 4]]], "rad"),
-    }
-    commands = {"action": Signal(times[:-1], rng.normal(size=(49, 2))), "pump": Signal([0.5, 0.6], [1, 0], "Pa")}
-    return Recording(commands, signals, {"trunk_mass": 0.1 + 0.2}, {"robot": "trunk no. 3, größer"})
-
-
-def assert_same(a, b):
-    """Equal to the last bit."""
-    for group in ("commands", "signals"):
-        first, second = getattr(a, group), getattr(b, group)
-        assert first.keys() == second.keys()
-        for name in first:
-            x, y = first[name], second[name]
-            assert (x.unit, x.frame, x.values.shape) == (y.unit, y.frame, y.values.shape)
-            assert x.time.tobytes() == y.time.tobytes()
-            assert x.values.tobytes() == y.values.tobytes()
-    assert (a.parameters, a.metadata) == (b.parameters, b.metadata)
+CHECKOUT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 
 
 def test_round_trip_is_exact(tmp_path):
@@ -288,7 +249,7 @@ WRITER = """
 import sys, time
 import pyarrow.parquet as pq
 from soro_bench.recording.parquet import save
-from tests.test_recording import example
+from tests.recordings import example
 
 def slow(table, path, **options):
     path.write_bytes(b"half")
@@ -317,179 +278,3 @@ def test_a_killed_writer_leaves_no_half_file(tmp_path, how):
     assert [file.name for file in tmp_path.glob("*.parquet")] == ["a.parquet"]
     if how == signal.SIGINT:
         assert len(list(tmp_path.iterdir())) == 1
-
-
-CHECKOUT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-CASES = [
-    ("TrunkReach-v0", "cable", "continuous", {"trunk_mass": 0.3}),
-    ("TrunkPush-v0", "cable", "discrete", {"friction": 0.5}),
-    ("TrunkLift-v0", "cable", "continuous", {"wall_offset": 0.02}),
-    ("MultiGait-v0", "coarse", "discrete", {"robot_mass": 0.03}),
-]
-
-
-@pytest.mark.parametrize(("env_id", "model", "action", "params"), CASES)
-def test_a_recording_replays_bit_for_bit(tmp_path, env_id, model, action, params):
-    """Simulated, saved, read again and simulated after what was read."""
-    recording = record(env_id, "random", model, action, params, steps=5, seed=4)
-    save(recording, tmp_path / "a.parquet")
-    loaded = load(tmp_path / "a.parquet")
-    assert_same(loaded, recording)
-    assert params.items() <= loaded.parameters.items()
-    episode = replay(loaded)
-    assert episode.signals.keys() == loaded.signals.keys()
-    for name, signal_ in loaded.signals.items():
-        np.testing.assert_array_equal(episode.signals[name], signal_.values, err_msg=name)
-        np.testing.assert_array_equal(episode.time, signal_.time)
-
-
-def test_a_trained_policy_is_recorded(tmp_path):
-    """As it acts in an evaluation; a policy of another environment is refused."""
-    rng = np.random.default_rng(0)
-    tensors = {"mean": np.zeros(66), "std": np.ones(66), "w0": rng.normal(size=(8, 66)), "b0": np.zeros(8)}
-    tensors = {name: values.astype(np.float32) for name, values in tensors.items()}
-    Policy(PolicyCard("TrunkReach-v0", "cable", "continuous", "oracle", 0, 0), tensors).save(tmp_path / "policy")
-    recording = record("TrunkReach-v0", str(tmp_path / "policy"), "cable", steps=4)
-    assert recording.commands["action"].values.any()
-    np.testing.assert_array_equal(replay(recording).signals["keypoints"], recording.signals["keypoints"].values)
-    with pytest.raises(ValueError, match=says("TrunkReach-v0 with continuous actions")):
-        record("TrunkPush-v0", str(tmp_path / "policy"), "cable")
-
-
-@pytest.mark.parametrize("env_id", ENV_IDS)
-def test_every_signal_has_a_unit(env_id):
-    task = make_task(env_id, 1, 1, task_type(env_id).cheap)
-    task.reset(np.arange(1), [np.random.default_rng(0)], [{}])
-    assert task.signals(np.arange(1)).keys() == task.signal_units.keys()
-
-
-def test_noise_is_seeded_and_falls_on_positions_only():
-    clean, noisy, again, other = (
-        record("TrunkReach-v0", model="cable", steps=20, seed=1, noise=noise) for noise in (0.0, 1e-3, 1e-3, 2e-3)
-    )
-    assert_same(noisy, again)
-    for name, values in ((n, s.values) for n, s in clean.signals.items()):
-        difference = noisy.signals[name].values - values
-        if name in ("keypoints", "link_position"):
-            assert np.std(difference) == pytest.approx(1e-3, rel=0.15)
-            np.testing.assert_allclose(other.signals[name].values - values, 2 * difference, atol=1e-12)
-        else:
-            assert not difference.any()
-    assert noisy.metadata["noise"] == "0.001"
-
-
-def test_a_recording_may_be_longer_than_an_episode_and_goes_on_when_solved(monkeypatch):
-    monkeypatch.setattr("soro_bench.envs.trunk.SUCCESS_DISTANCE", 1.0)
-    monkeypatch.setattr("soro_bench.envs.trunk.TrunkTask._begin", lambda self, ids: None)
-    recording = record("TrunkReach-v0", model="cable", steps=110)
-    assert len(recording.commands["action"].time) == 110
-    assert len(recording.signals["tension"].time) == 111
-
-
-def test_actions_of_a_robot_are_held_until_the_next():
-    """Commands at their own times, which begin after the signals do."""
-    recording = record("TrunkReach-v0", model="cable", steps=4)
-    values = np.array([np.full(8, 0.5), np.full(8, -0.5)])
-    commands = {"action": Signal([0.06, 0.14], values)}
-    episode = replay(replace(recording, commands=commands, metadata={**recording.metadata, "model": "cable"}))
-    np.testing.assert_array_equal(episode.actions[:, 0], [0, 0, 0.5, -0.5])
-
-
-@pytest.mark.parametrize(
-    ("change", "parts"),
-    [
-        ({"metadata": {}}, ("env_id None", "TrunkReach-v0", "continuous")),
-        ({"metadata": {"env_id": "os:Trunk-v0", "action": "discrete"}}, ("'os:Trunk-v0'", "TrunkReach-v0")),
-        ({"commands": {}}, ("no command 'action'",)),
-        ({"commands": {"action": Signal([0.0, 1e9], np.zeros((2, 8)))}}, ("control steps", "100000")),
-        ({"commands": {"action": Signal([0.0], np.full((1, 8), np.nan))}}, ("missing numbers",)),
-        ({"commands": {"action": Signal([0.0], np.full((1, 8), 7.0))}}, ("finite numbers from -1.0 to 1.0",)),
-        ({"commands": {"action": Signal([0.0], np.zeros((1, 3)))}}, ("expected (1, 8)",)),
-        ({"parameters": {"mass": 1.0}}, ("'mass'", "trunk_mass")),
-        ({"parameters": {"trunk_mass": 1e9}}, ("trunk_mass = 1000000000.0", "[0.001, 2.0] kg")),
-    ],
-)
-def test_what_cannot_be_replayed(change, parts):
-    with pytest.raises(ValueError, match=says(*parts)):
-        replay(replace(record("TrunkReach-v0", model="cable", steps=2), **change))
-
-
-@pytest.mark.parametrize(
-    "metadata", [{"goal": "left"}, {"goal": "[" * 5000}, {"goal": "[1e9, 0, 0]"}, {"model": "fem"}]
-)
-def test_hostile_metadata(metadata):
-    recording = record("TrunkReach-v0", model="cable", steps=2)
-    with pytest.raises(ValueError, match=r"goal|model"):
-        replay(replace(recording, metadata={**recording.metadata, **metadata}))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "parts"),
-    [
-        ({"env_id": "Walker-v0"}, ("'Walker-v0'", "TrunkReach-v0")),
-        ({"policy": "clever"}, ("'clever'", "random, excitation", "folder")),
-        ({"action": "torque"}, ("'torque'", "discrete, continuous")),
-        ({"model": "fem"}, ("'fem'", "flex, cable")),
-        ({"steps": 0}, ("steps 0",)),
-        ({"noise": -1.0}, ("noise -1.0",)),
-        ({"policy": "excitation", "action": "discrete"}, ("continuous",)),
-        ({"policy": "excitation", "steps": 50}, ("50 steps are too few",)),
-    ],
-)
-def test_what_cannot_be_recorded(arguments, parts):
-    with pytest.raises(ValueError, match=says(*parts)):
-        record(**{"env_id": "TrunkReach-v0", "model": "cable", "steps": 2, **arguments})
-
-
-def test_parameters_of_the_command_line():
-    assert parse_params(("trunk_mass=0.3", "damping=1e-1")) == {"trunk_mass": 0.3, "damping": 0.1}
-    for bad in ("trunk_mass", "trunk_mass=heavy", "=", "a=b=c"):
-        with pytest.raises(ValueError, match=re.escape(repr(bad))):
-            parse_params((bad,))
-
-
-@pytest.mark.parametrize(("channels", "timestep", "duration"), [(8, 0.05, 30.0), (8, 0.05, 60.0), (3, 0.6, 120.0)])
-def test_excitation(channels, timestep, duration):
-    """It fills its duration, keeps within the action space, moves every channel alone and ends where it began."""
-    actions = excitation(spaces.Box(-1, 1, (channels,)), timestep, duration)
-    assert actions.shape == (round(duration / timestep), channels)
-    assert np.abs(actions).max() <= 1
-    np.testing.assert_allclose(actions.sum(axis=0), 0, atol=1e-9)
-    assert not actions[:10].any()
-    assert not actions[-10:].any()
-    alone = (actions != 0).sum(axis=1) == 1
-    assert ((actions != 0)[alone].sum(axis=0) > 10).all()
-    for rate in (1, 1 / 2, 1 / 3):
-        assert (np.isclose(actions, rate).any(axis=0)).all()
-    np.testing.assert_array_equal(actions, excitation(spaces.Box(-1, 1, (channels,)), timestep, duration))
-    assert len(excitation(spaces.Box(-1, 1, (channels,)), 0.05, shortest(channels) * 0.05)) == shortest(channels)
-
-
-def test_excitation_has_odd_harmonics_of_its_band():
-    actions = excitation(spaces.Box(-1, 1, (2,)), 0.05, 60.0)
-    quiet = np.flatnonzero(~actions.any(axis=1))
-    rich = actions[quiet[quiet < len(actions) - 16][-1] + 1 : -16]
-    power = np.abs(np.fft.rfft(rich[:, 0])) ** 2
-    frequency = np.fft.rfftfreq(len(rich), 0.05)
-    strong = frequency[power > 1e-3 * power.max()]
-    assert 0.15 < strong[0] < 0.25
-    assert 1.5 < strong[-1] <= 2.05
-    np.testing.assert_allclose((strong / strong[0]) % 2, 1, atol=1e-6)
-
-
-def test_comparison_shows_the_measured_points_at_their_times(tmp_path):
-    pytest.importorskip("rerun")
-    from rerun.chunk import RrdReader
-
-    recording = record("TrunkReach-v0", model="cable", steps=5, noise=1e-3)
-    keypoints = recording.signals["keypoints"]
-    keypoints.values[2, 4] = np.nan
-    comparison.write_comparison(recording, tmp_path / "a.rrd", "a")
-    chunks = RrdReader(tmp_path / "a.rrd").stream().to_chunks()
-    (chunk,) = [c for c in chunks if c.entity_path.endswith("measured/keypoints") and not c.is_static]
-    batch = chunk.to_record_batch()
-    positions = batch.column("Points3D:positions").to_pylist()
-    assert [len(row) for row in positions] == [21, 21, 20, 21, 21, 21]
-    np.testing.assert_allclose(positions[1], keypoints.values[1], atol=1e-6)
-    assert any(c.entity_path == "/episode_01/world/backbone" for c in chunks)
-    assert comparison.measured_points(recording).keys() == {"keypoints", "link_position"}

@@ -26,6 +26,17 @@ class SetpointLaw(Law):
         raise NotImplementedError
 
 
+class _Following(SetpointLaw):
+    """A law whose output remembers where it was, ``output`` (n,)."""
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        self.output = np.zeros(len(self.rows))
+
+    def start(self, which, setpoint):
+        self.output[which] = setpoint
+
+
 class ActuatorGain(SetpointLaw):
     """The actuator goes gain times as far as it is told: a drum of another radius, a broken cable."""
 
@@ -58,19 +69,12 @@ class ActuatorDeadband(SetpointLaw):
         return setpoint - np.clip(setpoint, -self.values["width"][which], self.values["width"][which])
 
 
-class Backlash(SetpointLaw):
+class Backlash(_Following):
     """Play: after a reversal the output waits until the setpoint has come back by the width."""
 
     name, category = "backlash", "rate_independent_memory"
     quantities = (Quantity("width", "setpoint", 1.0, (0.0, np.inf), of="length"),)
     shared = True
-
-    def prepare(self, elements):
-        super().prepare(elements)
-        self.output = np.zeros(len(self.rows))
-
-    def start(self, which, setpoint):
-        self.output[which] = setpoint
 
     def filter(self, which, setpoint):
         half = self.values["width"][which] / 2
@@ -78,18 +82,11 @@ class Backlash(SetpointLaw):
         return self.output[which]
 
 
-class ActuatorLag(SetpointLaw):
+class ActuatorLag(_Following):
     """The setpoint is followed with a first-order lag."""
 
     name, category, shared = "actuator_lag", "timing", True
     quantities = (Quantity("time_constant", "s", 0.015, (0.0, 1e3)),)
-
-    def prepare(self, elements):
-        super().prepare(elements)
-        self.output = np.zeros(len(self.rows))
-
-    def start(self, which, setpoint):
-        self.output[which] = setpoint
 
     def filter(self, which, setpoint):
         tau = self.values["time_constant"][which]
@@ -126,7 +123,7 @@ class ActuatorDelay(SetpointLaw):
         return np.where(part > 0, (1.0 - part) * newer + part * older, newer)
 
 
-class _Pneumatic(SetpointLaw):
+class _Pneumatic(_Following):
     """A law of a chamber that is filled through a supply: an actuator whose control is the rate of its activation."""
 
     shared = True
@@ -135,11 +132,11 @@ class _Pneumatic(SetpointLaw):
         super().prepare(elements)
         if (self.model.actuator_dyntype[self.ids] != mujoco.mjtDyn.mjDYN_INTEGRATOR).any():
             raise EffectError(f"{self.name} acts on actuators that integrate their control, such as chambers")
-        self.output = np.zeros(len(self.rows))
         self.asked = np.zeros(len(self.rows))
 
     def start(self, which, setpoint):
-        self.output[which] = self.asked[which] = setpoint
+        super().start(which, setpoint)
+        self.asked[which] = setpoint
 
     def filter(self, which, setpoint):
         change, self.asked[which] = setpoint - self.asked[which], setpoint

@@ -84,6 +84,7 @@ def effect_from(data, quantities: Mapping[str, Sequence[Quantity]]) -> Effect:
         raise EffectError(f"unknown effect {_brief(name)}; there are {', '.join(sorted(quantities))}")
     valid = isinstance(where, dict) and where.keys() - {"index"} == {"kind", "name"} and where["kind"] in KINDS
     valid = valid and isinstance(where["name"], str) and type(where.get("index", 0)) is int
+    valid = valid and where.get("index", 0) >= 0
     if not valid:
         raise EffectError(f"where of {name} is {_brief(where)}; it has a kind ({', '.join(KINDS)}), a name, an index")
     return checked(Effect(name, Port(**where), data["parameters"]), quantities[name])

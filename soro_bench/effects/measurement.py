@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from soro_bench.effects.bodies import rotated
-from soro_bench.effects.effect import Effect, Quantity
+from soro_bench.effects.effect import Effect, EffectError, Quantity
 
 _ANY = (-np.inf, np.inf)
 
@@ -108,6 +108,8 @@ def distorted(faults: Mapping[str, type[Fault]], effects, time, values, signal: 
     """(T, P, D) samples of a signal with the measurement faults among ``effects`` that concern it."""
     for effect in effects:
         if effect.where.kind == "sensor" and effect.where.name in ("*", signal):
+            if _point(effect) >= values.shape[1]:
+                raise EffectError(f"{effect.name} is at {effect.where}; {signal} has {values.shape[1]} points")
             values = faults[effect.name].apply(time, values, effect.parameters, _point(effect))
     return values
 

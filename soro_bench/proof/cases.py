@@ -18,8 +18,9 @@ from gymnasium import spaces
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
-from soro_bench.proof.hidden import ALL, MEASUREMENT, PHYSICS, UNKNOWN, Hidden
+from soro_bench.proof.hidden import ALL, MEASUREMENT, PHYSICS, UNKNOWN
 from soro_bench.proof.manoeuvre import manoeuvre
+from soro_bench.proof.places import Hidden
 from soro_bench.proof.robot import CONTROL_TIMESTEP, KINDS, Diverged, Law, Trace, simulate
 from soro_bench.proof.sensor_laws import SensorLaw
 from soro_bench.recording.excitation import excitation

@@ -5,7 +5,6 @@ An effect's magnitude is zero where it changes nothing, and the larger it is, th
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,8 +15,17 @@ from soro_bench.proof import cable_laws as cable
 from soro_bench.proof import command_laws as command
 from soro_bench.proof import neck_laws as neck
 from soro_bench.proof import sensor_laws as sensor
-from soro_bench.proof.robot import Law, Trace
-from soro_bench.proof.sensor_laws import SensorLaw
+from soro_bench.proof import uncatalogued
+from soro_bench.proof.places import (
+    Hidden,
+    any_cable,
+    any_keypoint,
+    any_neck,
+    log_uniform,
+    offset_values,
+    random_direction,
+)
+from soro_bench.proof.robot import Trace
 
 _ALL_ACTUATORS = {"kind": "actuator", "name": "*"}
 _ALL_NECKS = {"kind": "body", "name": "*"}
@@ -26,40 +34,19 @@ _STIFFEST = 15.0  # of what is explicit at a neck, in parts of its own nominal s
 _EXCITATION = 30.0  # s, over which a drift's magnitude is its change
 
 
-@dataclass(frozen=True)
-class Hidden:
-    """An effect but for its magnitude.
-
-    Args:
-        where: as in a report of a diagnosis: kind and name of a port, and perhaps an index.
-        law: of a magnitude.
-        parameters: value and unit by name, of a magnitude.
-        guess: the magnitude that changes keypoints by about 2 mm.
-        highest: the largest magnitude that makes sense.
-        description: of what has no name in the catalogue.
-    """
-
-    where: dict[str, str | int]
-    law: Callable[[float], Law | SensorLaw]
-    parameters: Callable[[float], dict[str, tuple[float, str]]]
-    guess: float
-    highest: float
-    description: str = field(default="")
-
-
 def _coulomb_friction(rng, base):
-    c, where = _any_cable(rng, "tendon")
+    c, where = any_cable(rng, "tendon")
     return Hidden(where, lambda m: cable.Friction(c, m), lambda m: {"friction": (m, "N")}, 0.4, 10.0)
 
 
 def _load_friction(rng, base):
-    c, where = _any_cable(rng, "tendon")
+    c, where = any_cable(rng, "tendon")
     return Hidden(where, lambda m: cable.Capstan(c, m), lambda m: {"coefficient": (m, "1")}, 0.4, 1.0)
 
 
 def _stribeck_friction(rng, base):
-    c, where = _any_cable(rng, "tendon")
-    ratio, speed = rng.uniform(1.6, 3.0), _log_uniform(rng, 0.002, 0.010)
+    c, where = any_cable(rng, "tendon")
+    ratio, speed = rng.uniform(1.6, 3.0), log_uniform(rng, 0.002, 0.010)
 
     def parameters(m):
         return {"friction": (m, "N"), "breakaway_friction": (ratio * m, "N"), "stribeck_speed": (speed, "m/s")}
@@ -68,34 +55,34 @@ def _stribeck_friction(rng, base):
 
 
 def _viscous_friction(rng, base):
-    c, where = _any_cable(rng, "tendon")
+    c, where = any_cable(rng, "tendon")
     return Hidden(where, lambda m: cable.Viscous(c, m), lambda m: {"drag": (m, "N s/m")}, 15.0, 1000.0)
 
 
 def _backlash(rng, base):
-    c, where = _any_cable(rng, "actuator")
+    c, where = any_cable(rng, "actuator")
     return Hidden(where, lambda m: command.Backlash(c, m), lambda m: {"width": (m, "m")}, 0.0023, 0.02)
 
 
 def _compliance(rng, base):
-    c, where = _any_cable(rng, "actuator")
+    c, where = any_cable(rng, "actuator")
     return Hidden(where, lambda m: cable.Compliance(c, m), lambda m: {"compliance": (m, "m/N")}, 2e-4, 1e-2)
 
 
 def _actuator_gain(rng, base):
-    c, where = _any_cable(rng, "actuator")
+    c, where = any_cable(rng, "actuator")
     sign = rng.choice([-1.0, 1.0], p=[0.7, 0.3])
     return Hidden(where, lambda m: command.Gain(c, 1 + sign * m), lambda m: {"gain": (1 + sign * m, "1")}, 0.15, 0.9)
 
 
 def _pretension(rng, base):
-    c, where = _any_cable(rng, "actuator")
+    c, where = any_cable(rng, "actuator")
     sign = rng.choice([-1.0, 1.0])
     return Hidden(where, lambda m: command.Offset(c, sign * m), lambda m: {"offset": (sign * m, "m")}, 0.0012, 0.02)
 
 
 def _actuator_saturation(rng, base):
-    c, where = _any_cable(rng, "actuator")
+    c, where = any_cable(rng, "actuator")
     highest = min(1.05 * base.tension[:, c].max(), trunk.MAX_TENSION)  # between samples there may be a little more
 
     def limit(m):
@@ -105,7 +92,7 @@ def _actuator_saturation(rng, base):
 
 
 def _actuator_deadband(rng, base):
-    c, where = _any_cable(rng, "actuator")
+    c, where = any_cable(rng, "actuator")
     return Hidden(where, lambda m: command.Deadband(c, m), lambda m: {"width": (m, "m")}, 0.0016, 0.02)
 
 
@@ -118,8 +105,8 @@ def _actuator_lag(rng, base):
 
 
 def _hysteresis(rng, base):
-    k, where = _any_neck(rng)
-    angle = _log_uniform(rng, 0.06, 0.2)
+    k, where = any_neck(rng)
+    angle = log_uniform(rng, 0.06, 0.2)
     highest = _STIFFEST * float(geo.BEND[1, k]) / neck.Hysteresis(k, 1.0, angle).stiffness
 
     def parameters(m):
@@ -129,7 +116,7 @@ def _hysteresis(rng, base):
 
 
 def _plastic_set(rng, base):
-    k, where = _any_neck(rng)
+    k, where = any_neck(rng)
     angle = rng.uniform(0.25, 0.55) * base.bend[:, k].max()
 
     def parameters(m):
@@ -139,7 +126,7 @@ def _plastic_set(rng, base):
 
 
 def _local_stiffness(rng, base):
-    k, where = _any_neck(rng)
+    k, where = any_neck(rng)
     sign = rng.choice([-1.0, 1.0], p=[0.6, 0.4])
 
     def factor(m):
@@ -149,7 +136,7 @@ def _local_stiffness(rng, base):
 
 
 def _viscoelastic_creep(rng, base):
-    time_constant = _log_uniform(rng, 0.7, 6.0)
+    time_constant = log_uniform(rng, 0.7, 6.0)
 
     def parameters(m):
         return {"stiffness_ratio": (m, "1"), "time_constant": (time_constant, "s")}
@@ -162,7 +149,7 @@ def _stiffening(rng, base):
 
 
 def _mullins_softening(rng, base):
-    angle = _log_uniform(rng, 0.1, 0.3)
+    angle = log_uniform(rng, 0.1, 0.3)
 
     def parameters(m):
         return {"softening": (m, "1"), "angle": (angle, "rad")}
@@ -180,7 +167,7 @@ def _stiffness_drift(rng, base):
 
 
 def _payload(rng, base):
-    k, where = _any_neck(rng)
+    k, where = any_neck(rng)
     return Hidden(where, lambda m: body.Payload(k, m), lambda m: {"mass": (m, "kg")}, 0.015, 0.3)
 
 
@@ -199,11 +186,11 @@ def _fluid_drag(rng, base):
 
 
 def _sensor_bias(rng, base):
-    i, direction = _any_keypoint(rng), _direction(rng)
+    i, direction = any_keypoint(rng), random_direction(rng)
     return Hidden(
         {**_ALL_KEYPOINTS, "index": i},
         lambda m: sensor.SensorBias(i, m * direction),
-        lambda m: _offset(m * direction),
+        lambda m: offset_values(m * direction),
         0.009,
         0.1,
     )
@@ -221,18 +208,18 @@ def _clock_skew(rng, base):
 
 
 def _marker_slip(rng, base):
-    i, direction, start = _any_keypoint(rng), _direction(rng), rng.uniform(3.0, 9.0)
+    i, direction, start = any_keypoint(rng), random_direction(rng), rng.uniform(3.0, 9.0)
     return Hidden(
         {**_ALL_KEYPOINTS, "index": i},
         lambda m: sensor.SensorBias(i, m * direction, start),
-        lambda m: {**_offset(m * direction), "start": (start, "s")},
+        lambda m: {**offset_values(m * direction), "start": (start, "s")},
         0.01,
         0.1,
     )
 
 
 def _frame_misalignment(rng, base):
-    axis = _direction(rng)
+    axis = random_direction(rng)
 
     def parameters(m):
         return {"angle": (m, "rad"), **{f"axis_{n}": (float(a), "1") for n, a in zip("xyz", axis, strict=True)}}
@@ -241,90 +228,12 @@ def _frame_misalignment(rng, base):
 
 
 def _outliers(rng, base):
-    share = _log_uniform(rng, 0.001, 0.01)
+    share = log_uniform(rng, 0.001, 0.01)
 
     def parameters(m):
         return {"size": (m, "m"), "share": (share, "1")}
 
     return Hidden(_ALL_KEYPOINTS, lambda m: sensor.Outliers(m, share), parameters, 0.02, 0.3)
-
-
-def _cross_talk(rng, base):
-    source, c = map(int, rng.choice(len(geo.CABLE_NAMES), 2, replace=False))
-    return Hidden(
-        {"kind": "actuator", "name": geo.CABLE_NAMES[c]},
-        lambda m: command.CrossTalk(source, c, m),
-        lambda m: {"share": (m, "1")},
-        0.2,
-        2.0,
-        f"cross-talk: the motor of cable {geo.CABLE_NAMES[source]} also moves cable {geo.CABLE_NAMES[c]}",
-    )
-
-
-def _rubber_band(rng, base):
-    k, where = _any_neck(rng, 3)
-    offset = rng.uniform(0.08, 0.15) * _direction(rng)
-    length = rng.uniform(0.5, 0.9) * float(np.linalg.norm(offset))
-    return Hidden(
-        where,
-        lambda m: body.RubberBand(k, m, offset, length),
-        lambda m: {"stiffness": (m, "N/m"), "length": (length, "m"), **_offset(offset)},
-        1.0,
-        100.0,
-        f"a rubber band from vertebra {k} to a place in the world",
-    )
-
-
-def _vibrating_base(rng, base):
-    azimuth, frequency = rng.uniform(0, 2 * np.pi), _log_uniform(rng, 0.5, 2.5)
-    return Hidden(
-        {"kind": "model", "name": "gravity"},
-        lambda m: body.Tilt(m, azimuth, frequency),
-        lambda m: {"angle": (m, "rad"), "axis_azimuth": (azimuth, "rad"), "frequency": (frequency, "Hz")},
-        0.06,
-        0.8,
-        "the base rocks: the direction of gravity oscillates",
-    )
-
-
-def _gusts(rng, base):
-    k, where = _any_neck(rng, 3)
-    direction, length = _direction(rng), rng.uniform(0.3, 0.7)
-    return Hidden(
-        where,
-        lambda m: body.Gusts(k, m, direction, length),
-        lambda m: {"force": (m, "N"), "pulse": (length, "s")},
-        0.15,
-        10.0,
-        f"gusts push vertebra {k} at a few random times",
-    )
-
-
-def _hidden_obstacle(rng, base):
-    k, where = _any_neck(rng, 4)
-    angle = rng.uniform(0, 2 * np.pi)
-    normal = np.array([np.cos(angle), np.sin(angle), 0.0])
-    position = float(np.quantile(base.vertebrae[:, k] @ normal, rng.uniform(0.75, 0.92)))
-    return Hidden(
-        where,
-        lambda m: body.Wall(k, m, normal, position),
-        lambda m: {"stiffness": (m, "N/m"), "position": (position, "m"), "normal_azimuth": (angle, "rad")},
-        30.0,
-        600.0,
-        f"a soft wall that vertebra {k} hits",
-    )
-
-
-def _coupled_bend(rng, base):
-    source, k = map(int, rng.choice(8, 2, replace=False))
-    return Hidden(
-        _vertebra(k),
-        lambda m: neck.CoupledBend(source, k, m),
-        lambda m: {"share": (m, "1")},
-        0.6,
-        1.5,
-        f"the neck before vertebra {k} is bent sideways in proportion to the bend before vertebra {source}",
-    )
 
 
 Draw = Callable[[np.random.Generator, Trace], Hidden]
@@ -348,7 +257,7 @@ PHYSICS: dict[str, tuple[str, Draw]] = {
     "mullins_softening": ("amplitude", _mullins_softening),
     "plastic_set": ("slow_drift", _plastic_set),
     "local_stiffness": ("local", _local_stiffness),
-    "stiffness_drift": ("slow_drift", _stiffness_drift),
+    "stiffness_drift": ("local", _stiffness_drift),
     "payload": ("inertia", _payload),
     "base_tilt": ("static_one_sided", _base_tilt),
     "fluid_drag": ("inertia", _fluid_drag),
@@ -363,44 +272,11 @@ MEASUREMENT: dict[str, tuple[str, Draw]] = {
 }
 # what no catalogue has; their labels say "unknown"
 UNKNOWN: dict[str, tuple[str, Draw]] = {
-    "cross_talk": ("unknown", _cross_talk),
-    "rubber_band": ("unknown", _rubber_band),
-    "vibrating_base": ("unknown", _vibrating_base),
-    "gusts": ("unknown", _gusts),
-    "hidden_obstacle": ("unknown", _hidden_obstacle),
-    "coupled_bend": ("unknown", _coupled_bend),
+    "cross_talk": ("unknown", uncatalogued.cross_talk),
+    "rubber_band": ("unknown", uncatalogued.rubber_band),
+    "vibrating_base": ("unknown", uncatalogued.vibrating_base),
+    "gusts": ("unknown", uncatalogued.gusts),
+    "hidden_obstacle": ("unknown", uncatalogued.hidden_obstacle),
+    "coupled_bend": ("unknown", uncatalogued.coupled_bend),
 }
 ALL = {**PHYSICS, **MEASUREMENT, **UNKNOWN}
-
-
-def _log_uniform(rng, low, high) -> float:
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
-
-
-def _direction(rng) -> np.ndarray:
-    """(3,) unit vector, uniform on the sphere."""
-    vector = rng.standard_normal(3)
-    return vector / np.linalg.norm(vector)
-
-
-def _any_cable(rng, kind):
-    c = int(rng.integers(len(geo.CABLE_NAMES)))
-    return c, {"kind": kind, "name": geo.CABLE_NAMES[c]}
-
-
-def _any_neck(rng, first=0):
-    k = int(rng.integers(first, geo.NUM_NECKS))
-    return k, _vertebra(k)
-
-
-def _vertebra(k) -> dict[str, str | int]:
-    return {"kind": "body", "name": f"vertebra{k}"}
-
-
-def _any_keypoint(rng) -> int:
-    """Any but the clamped end."""
-    return int(rng.integers(1, len(geo.KEYPOINT_Z)))
-
-
-def _offset(vector) -> dict[str, tuple[float, str]]:
-    return {f"offset_{n}": (float(v), "m") for n, v in zip("xyz", vector, strict=True)}
