@@ -7,6 +7,8 @@ import numpy as np
 from soro_bench.effects.effect import Quantity
 from soro_bench.effects.law import Law
 
+_REACH = 1e-3  # m, far beyond the micrometres by which a contact opens before it tears
+
 
 class _Sliding(Law):
     """Sliding friction of a geom that depends on its velocity."""
@@ -62,11 +64,15 @@ class Stiction(_Sliding):
 
 
 class Adhesion(Law):
-    """A contact that holds on until it is pulled off with this force."""
+    """Contacts that hold on until each of their points is pulled off with this force, within a reach of 1 mm."""
 
     name, category, kinds = "adhesion", "contact", ("geom",)
     quantities = (Quantity("force", "N", 0.1, (0.0, np.inf)),)
-    fields: ClassVar = ("geom_adhesion",)
+    # MuJoCo drops a contact that opens, and its adhesion with it, unless the geoms have a gap
+    fields: ClassVar = ("geom_adhesion", "geom_gap")
 
     def write(self, which):
-        self.field("geom_adhesion")[self.rows[which], self.ids[which]] += self.values["force"][which]
+        at, force = (self.rows[which], self.ids[which]), self.values["force"][which]
+        self.field("geom_adhesion")[at] += force
+        gap = self.field("geom_gap")
+        gap[at] = np.where(force > 0, np.maximum(gap[at], _REACH), gap[at])

@@ -24,7 +24,6 @@ def instrument(spec: mujoco.MjSpec) -> mujoco.MjSpec:
             tendon.springyield = NEVER
     for joint in spec.joints:
         if joint.type in _SCALARS and joint.name:
-            joint.springyield = NEVER
             spring = spec.add_tendon(name=AUXILIARY + joint.name, springyield=NEVER)
             spring.wrap_joint(joint.name, 1.0)
     return spec

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from mujoco.batch import Batch
 
-from soro_bench.effects.effect import Effect, Port, Quantity
+from soro_bench.effects.effect import Effect, EffectError, Port, Quantity
 from soro_bench.effects.elements import Elements
 
 if TYPE_CHECKING:
@@ -75,16 +75,25 @@ class OnJoints(Law):
     def prepare(self, elements):
         joints = [self._joints(elements, port) for port in self.ports]
         counts = [len(each) for each in joints]
+        self.place = np.repeat(np.arange(len(counts)), counts)
         self.rows = np.repeat(self.rows, counts)
         self.values = {name: np.repeat(values, counts) for name, values in self.values.items()}
         self.joints = np.concatenate(joints) if joints else np.zeros(0, int)
         self.dofs = self.model.jnt_dofadr[self.joints]
         self.qpos = self.model.jnt_qposadr[self.joints]
 
+    def strain(self) -> np.ndarray:
+        """(n,) of each entry [rad, m]: the joints of one body bend it together, in no preferred direction."""
+        position = self.batch.qpos[self.rows, self.qpos]
+        return np.sqrt(np.bincount(self.place, position * position))[self.place]
+
     def _joints(self, elements, port):
         if port.kind == "joint":
             return np.array([elements.id(port)])
-        return elements.joints_of(elements.id(port), self.bending_only)
+        joints = elements.joints_of(elements.id(port), self.bending_only)
+        if not len(joints):
+            raise EffectError(f"{self.name} acts on scalar joints; {port} has none")
+        return joints
 
 
 def tension(batch: Batch, rows, actuators) -> np.ndarray:

@@ -24,6 +24,7 @@ class _Friction(Law):
     category = "dry_loss"
     kinds = ("tendon", "joint")
     fields = ("tendon_stiffness", "tendon_springyield")
+    outputs = ("ten_length",)
 
     def prepare(self, elements):
         super().prepare(elements)
@@ -43,6 +44,12 @@ class _Friction(Law):
         self._set(which, self.level(which))
         at = self.rows[which], self.springs[which]
         self.field("tendon_springyield")[at] = self.reach[which]
+
+    def reset(self, which):
+        """An episode begins without friction, wherever the spring is then."""
+        rows, springs = self.rows[which], self.springs[which]
+        slots, length = self.model.tendon_plasticadr[springs], self.batch.ten_length[rows, springs]
+        self.batch.plastic[rows, slots] = self.batch.plastic[rows, slots + 1] = length
 
     def step(self, which):
         self._set(which, self.level(which))
@@ -74,7 +81,7 @@ class StribeckFriction(_Friction):
         Quantity("static_ratio", "1", 2.0, (1.0, 10.0)),
         Quantity("stribeck_velocity", "m/s or rad/s", 0.02, (1e-4, 100.0)),
     )
-    outputs = ("ten_velocity",)
+    outputs = ("ten_length", "ten_velocity")
     stepped = True
 
     def level(self, which):
@@ -90,7 +97,7 @@ class LoadFriction(_Friction):
 
     name = "load_friction"
     quantities = (Quantity("mu", "1", 0.1, (0.0, 10.0)),)
-    outputs = ("actuator_force", "qfrc_actuator", "site_xpos")
+    outputs = ("ten_length", "actuator_force", "qfrc_actuator", "site_xpos")
     stepped = True
 
     def prepare(self, elements):
@@ -172,17 +179,33 @@ class ViscoelasticCreep(OnJoints):
 
 
 class PlasticSet(OnJoints):
-    """Springs that yield: beyond a strain their rest position moves along, and stays."""
+    """Springs that yield: beyond a strain their rest position moves along by a share of the excess, and stays.
+
+    A share of each spring is ideally plastic, the rest of it elastic.
+    """
 
     name, category, bending_only = "plastic_set", "slow_drift", True
     # infinity is no effect, and a strength is easier to search than a threshold
-    quantities = (Quantity("softness", "1/rad or 1/m", 5.0, (0.0, 1e4)),)
-    fields: ClassVar = ("jnt_springyield",)
+    quantities = (
+        Quantity("softness", "1/rad or 1/m", 5.0, (0.0, 1e4)),
+        Quantity("share", "1", 0.5, (0.0, 1.0)),
+    )
+    fields: ClassVar = ("jnt_stiffness", "tendon_stiffness", "tendon_springyield")
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        self.springs = np.array([elements.spring_of(joint) for joint in self.joints], int)
+        self.run.claim(self, self.rows, self.springs)
 
     def write(self, which):
-        softness = self.values["softness"][which]
-        limit = np.where(softness > 0, 1.0 / np.maximum(softness, 1e-9), NEVER)
-        self.field("jnt_springyield")[self.rows[which], self.joints[which]] = limit
+        rows, softness = self.rows[which], self.values["softness"][which]
+        share = np.where(softness > 0, self.values["share"][which], 0.0)
+        stiffness = self.field("jnt_stiffness")
+        self.field("tendon_stiffness")[rows, self.springs[which]] = share * stiffness[rows, self.joints[which]]
+        self.field("tendon_springyield")[rows, self.springs[which]] = np.where(
+            softness > 0, 1.0 / np.maximum(softness, 1e-9), NEVER
+        )
+        stiffness[rows, self.joints[which]] *= 1.0 - share
 
 
 def _sites(model, tendon) -> np.ndarray:

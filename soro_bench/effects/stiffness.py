@@ -58,47 +58,61 @@ class StiffnessDrift(OnJoints):
         self.springs.set(factor, which)
 
 
-class Stiffening(OnJoints):
-    """Springs with a cubic term: k q (1 + beta q^2)."""
+class _StrainDependent(OnJoints):
+    """Springs whose stiffness depends on how far they are, or were, strained."""
 
-    name, category, bending_only, shared = "stiffening", "amplitude", True, True
-    only_shared = True
-    quantities = (Quantity("beta", "1/rad^2 or 1/m^2", 2.0, (0.0, 1e6)),)
-    fields = ("jnt_stiffnesspoly",)
-
-    def write(self, which):
-        at = self.rows[which], self.joints[which]
-        own = self.field("jnt_stiffness")[at]
-        self.field("jnt_stiffnesspoly")[(*at, 1)] += self.values["beta"][which] * own
-
-
-class MullinsSoftening(OnJoints):
-    """Softer once stretched: the stiffness falls by a share that grows with the largest strain so far."""
-
-    name, category, bending_only, shared, stepped = "mullins_softening", "amplitude", True, True, True
-    only_shared = True
-    quantities = (
-        Quantity("softening", "1", 0.3, (0.0, 0.9)),
-        Quantity("strain", "rad or m", 0.05, (1e-4, 10.0), also=(0.2,)),
-    )
+    category, bending_only, shared, only_shared, stepped = "amplitude", True, True, True, True
     fields = ("jnt_stiffness",)
 
     def prepare(self, elements):
         super().prepare(elements)
-        self.largest = np.zeros(len(self.rows))
         self.own = np.zeros(len(self.rows))
 
     def write(self, which):
         self.own[which] = self.field("jnt_stiffness")[self.rows[which], self.joints[which]]
 
+    def step(self, which):
+        factor = self.factor(self.strain(), which)[which]
+        self.field("jnt_stiffness")[self.rows[which], self.joints[which]] = self.own[which] * factor
+
+    def factor(self, strain, which):
+        """(n,) of the stiffness at strains (n,)."""
+        raise NotImplementedError
+
+
+class Stiffening(_StrainDependent):
+    """Springs with a cubic term: k q (1 + beta |q|^2)."""
+
+    name = "stiffening"
+    quantities = (Quantity("beta", "1/rad^2 or 1/m^2", 2.0, (0.0, 1e6)),)
+
+    def factor(self, strain, which):
+        return 1.0 + self.values["beta"] * strain**2
+
+
+class MullinsSoftening(_StrainDependent):
+    """Softer below the largest strain so far, and as stiff as ever at it.
+
+    Mullins, "Softening of rubber by deformation", 1969; as a pseudo-elasticity (Ogden, Roxburgh, 1999).
+    """
+
+    name = "mullins_softening"
+    quantities = (
+        Quantity("softening", "1", 0.3, (0.0, 0.9)),
+        Quantity("strain", "rad or m", 0.05, (1e-4, 10.0), also=(0.2,)),
+    )
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        self.largest = np.zeros(len(self.rows))
+
     def reset(self, which):
         self.largest[which] = 0.0
 
-    def step(self, which):
-        rows = self.rows[which]
-        self.largest[which] = np.maximum(self.largest[which], np.abs(self.batch.qpos[rows, self.qpos[which]]))
-        loss = self.values["softening"][which] * -np.expm1(-self.largest[which] / self.values["strain"][which])
-        self.field("jnt_stiffness")[rows, self.joints[which]] = self.own[which] * (1.0 - loss)
+    def factor(self, strain, which):
+        self.largest[which] = np.maximum(self.largest, strain)[which]
+        below = 1.0 - strain / np.maximum(self.largest, 1e-12)
+        return 1.0 - self.values["softening"] * -np.expm1(-self.largest / self.values["strain"]) * below
 
 
 class _Springs:

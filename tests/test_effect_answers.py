@@ -1,0 +1,194 @@
+"""Known answers of the effects at contacts, chambers and sensors, and what no friction may do."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from soro_bench.effects.catalogue import MEASUREMENT
+from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.elements import instrument
+from soro_bench.models.simulation import Simulation
+from soro_bench.parameters import ParameterSet
+from soro_bench.registration import make_task
+
+TIMESTEP, FRICTION, GRAVITY = 0.001, 0.3, 9.81
+BLOCK = f"""<mujoco><option timestep="{TIMESTEP}"/>
+<default><geom friction="{FRICTION} 0 0" solref="0.004 1"/></default>
+<worldbody><geom type="plane" size="5 5 0.1"/><body name="block" pos="0 0 0.009996"><freejoint/>
+<geom name="block" type="box" size="0.05 0.05 0.01" mass="0.2"/></body></worldbody></mujoco>"""
+
+# three chambers: actuators that integrate the rate of their pressure
+CHAMBERS = """<mujoco><option timestep="0.001"/><worldbody><body><joint name="hinge" armature="1"/>
+<geom size="0.01" contype="0" conaffinity="0"/></body></worldbody><actuator>
+<general name="a" joint="hinge" dyntype="integrator" gainprm="0.001" ctrlrange="-9 9" ctrllimited="true"/>
+<general name="b" joint="hinge" dyntype="integrator" gainprm="0.001" ctrlrange="-9 9" ctrllimited="true"/>
+<general name="c" joint="hinge" dyntype="integrator" gainprm="0.001" ctrlrange="-9 9" ctrllimited="true"/>
+</actuator></mujoco>"""
+
+
+def slide(effects, velocity=0.0, tilt=0.0, gravity=GRAVITY, duration=1.0):
+    """(T, 3) m, the way of a block on a plane that is tilted about y (a slope down along +x) [rad]."""
+    model = instrument(mujoco.MjSpec.from_string(BLOCK)).compile()
+    sim = Simulation(model, ParameterSet(), (), 1, 1, effects)
+    sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    sim.batch.expand("opt.gravity")[:] = gravity * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
+    sim.batch.qvel[0, 0] = velocity
+    sim.begin(np.arange(1))
+    way = []
+    for _ in range(round(duration / TIMESTEP)):
+        sim.step(np.arange(1), 1)
+        way.append(sim.batch.qpos[0, :3].copy())
+    return np.array(way) - [0, 0, 0.01]
+
+
+def on_block(name, **values):
+    return [Effect(name, Port("geom", "block"), values)]
+
+
+@pytest.mark.parametrize(("slope", "factor"), [(0.8, 1.0), (-0.8, 2.0)])
+def test_anisotropic_friction_brakes_more_one_way(slope, factor):
+    """A block that slides down a slope in 1 s, along x or against it."""
+    way = slide(on_block("anisotropic_friction", excess=1.0), tilt=np.arctan(slope))[-1, 0]
+    expected = 0.5 * GRAVITY * (abs(slope) - factor * FRICTION) / np.hypot(1, slope)
+    assert way * np.sign(slope) == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.parametrize(("excess", "velocity", "rests"), [(0.0, 0.0, False), (1.0, 0.0, True), (1.0, 0.3, False)])
+def test_stiction_holds_what_rests_and_not_what_slides(excess, velocity, rests):
+    """On a slope of tan 0.45, between the friction of sliding, 0.3, and that of rest, 0.6."""
+    way = slide(on_block("stiction", excess=excess, velocity=0.02), velocity, tilt=np.arctan(0.45))
+    acceleration = GRAVITY * (0.45 - FRICTION) / np.hypot(1, 0.45)
+    expected = 0.0 if rests else velocity + 0.5 * acceleration
+    assert way[-1, 0] == pytest.approx(expected, rel=0.05, abs=0.01)
+
+
+@pytest.mark.parametrize(("pull", "holds"), [(0.8, True), (1.2, False)])
+def test_adhesion_holds_up_to_its_force(pull, holds):
+    """A block that hangs from the plane by its four corners, pulled at with ``pull`` times what they hold."""
+    way = slide(on_block("adhesion", force=0.2 * GRAVITY / pull / 4), gravity=-GRAVITY, duration=0.5)
+    assert (way[-1, 2] < 0.005) == holds
+
+
+def pressures(effects, rates):
+    """(T, 3) activations of chambers that are filled at rates (T, 3) [1/s]."""
+    model = instrument(mujoco.MjSpec.from_string(CHAMBERS)).compile()
+    sim = Simulation(model, ParameterSet(), (), 1, 1, effects)
+    sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    sim.begin(np.arange(1))
+    rows = []
+    for rate in rates:
+        sim.batch.ctrl[0] = rate
+        sim.step(np.arange(1), 1)
+        rows.append(sim.batch.act[0].copy())
+    return np.array(rows)
+
+
+def test_chambers_on_one_supply_fill_more_slowly_together_and_vent_as_alone():
+    rates = np.repeat([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [-1.0, -1.0, 0.0]], 100, axis=0)
+    found = pressures([Effect("supply_coupling", Port("actuator", "*"), {"coupling": 0.25})], rates)
+    assert found[99] == pytest.approx([0.1, 0, 0], abs=0.002)
+    assert found[199] == pytest.approx([0.1, 0.075, 0.075], abs=0.002)
+    assert found[299] == pytest.approx([0.0, -0.025, 0.075], abs=0.002)
+
+
+def test_a_leak_loses_pressure_with_its_rate():
+    rates = np.repeat([[1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], [100, 900], axis=0)
+    found = pressures([Effect("pressure_leak", Port("actuator", "a"), {"rate": 2.0})], rates)
+    assert found[-1] == pytest.approx([0.1 * np.exp(-2.0 * 0.95), 0.1, 0.0], rel=0.01, abs=1e-12)
+
+
+def test_filling_lags_and_venting_does_not():
+    rates = np.repeat([[5.0, 0.0, 0.0], [0.0, 0.0, 0.0], [-5.0, 0.0, 0.0]], [20, 480, 40], axis=0)
+    asymmetry = [Effect("pressure_asymmetry", Port("actuator", "a"), {"difference": 0.1, "venting": 0.001})]
+    found = pressures(asymmetry, rates)[:, 0]
+    assert found[120] == pytest.approx(0.1 * (1 - np.exp(-1.1)), rel=0.05)
+    assert found[499] == pytest.approx(0.1, rel=0.02)
+    assert found[539] == pytest.approx(-0.1, rel=0.1)
+
+
+WEAK = {
+    "pressure_leak": {"rate": 2.0},
+    "supply_coupling": {"coupling": 0.5},
+    "pressure_asymmetry": {"difference": 1.0, "venting": 0.1},
+}
+
+
+@pytest.mark.parametrize("name", WEAK)
+def test_a_walker_whose_supply_is_weak_is_inflated_less(name):
+    inflation = []
+    for effects in ((), [Effect(name, Port("actuator", "*"), WEAK[name])]):
+        task = make_task("MultiGait-v0", 1, 1, "coarse", action="continuous", effects=effects)
+        task.reset(np.arange(1), [np.random.default_rng(0)], [{}])
+        task.step(np.arange(1), np.ones((1, 3), np.float32))
+        inflation.append(task.sim.batch.act[0].mean())
+    assert inflation[1] < 0.9 * inflation[0]
+
+
+# --- faults of measurement, on points that move along x ---
+
+TIME = 0.05 * np.arange(100)
+POINTS = np.stack([np.sin(TIME), 0 * TIME, 0 * TIME], axis=1)[:, None] * np.ones((1, 4, 1))
+
+
+def recorded(name, index=0, **parameters):
+    return MEASUREMENT[name].apply(TIME, POINTS, parameters, index)
+
+
+def test_a_fast_clock_shows_later_what_happened():
+    assert recorded("clock_skew", rate=0.02)[:, 0, 0] == pytest.approx(np.sin(0.98 * TIME), abs=1e-3)
+
+
+def test_a_slipped_marker_is_off_from_its_time_on():
+    shift = recorded("marker_slip", index=2, x=0.0, y=1.0, z=0.0, time=2.0) - POINTS
+    assert (shift[:, 2, 1] == (TIME >= 2.0)).all()
+    assert not np.delete(shift, 2, axis=1).any()
+
+
+def test_a_misaligned_frame_is_turned_and_shifted():
+    turned = recorded("frame_misalignment", about_x=0.0, about_y=0.0, about_z=np.pi / 2, x=0.0, y=0.0, z=3.0)
+    expected = np.stack([0 * TIME, np.sin(TIME), 0 * TIME + 3.0], axis=1)
+    assert turned[:, 1] == pytest.approx(expected, abs=1e-12)
+
+
+def test_outliers_are_few_and_far_off():
+    far = np.linalg.norm(recorded("outliers", share=0.1, size=5.0) - POINTS, axis=2) > 0.1
+    assert far.mean() == pytest.approx(0.1, abs=0.05)
+
+
+# --- energy ---
+
+PENDULUM = """<mujoco><option timestep="0.002" integrator="implicitfast"/>
+<worldbody><body name="arm"><joint name="hinge" axis="0 1 0" stiffness="0.2"/>
+<geom type="capsule" size="0.01" fromto="0 0 0 0.2 0 0" mass="0.1" contype="0" conaffinity="0"/></body></worldbody>
+<actuator><motor joint="hinge"/></actuator></mujoco>"""
+DISSIPATIVE = {
+    "coulomb_friction": {"friction": 0.01},
+    "load_friction": {"mu": 0.2},
+    "stribeck_friction": {"friction": 0.005, "static_ratio": 3.0, "stribeck_velocity": 0.2},
+    "viscous_friction": {"damping": 0.001},
+    "hysteresis": {"ratio": 0.5, "yield_strain": 0.1},
+    "viscoelastic_creep": {"ratio": 0.2, "time_constant": 0.5},
+}
+
+
+@pytest.mark.parametrize("name", DISSIPATIVE)
+def test_a_lossy_law_makes_every_swing_of_a_pendulum_smaller(name):
+    """Under a constant torque, from a start away from where its springs are at rest."""
+    effects = [Effect(name, Port("joint", "hinge"), DISSIPATIVE[name])]
+    model = instrument(mujoco.MjSpec.from_string(PENDULUM)).compile()
+    sim = Simulation(model, ParameterSet(), (), 1, 1, effects)
+    sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    sim.batch.expand("opt.gravity")[:] = 0
+    sim.batch.qpos[:], sim.batch.ctrl[:] = 1.0, 0.05
+    sim.begin(np.arange(1))
+    angles = [1.0]
+    for _ in range(5000):
+        sim.step(np.arange(1), 1)
+        angles.append(sim.batch.qpos[0, 0])
+    angles = np.array(angles)
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(angles)))) + 1
+    swings = np.abs(np.diff(angles[np.concatenate([[0], turns])]))
+    assert len(swings) > 3
+    assert swings[0] < 1.6  # twice the way to where torque and springs balance
+    assert (np.diff(swings) <= 2e-4).all()
+    assert swings[-1] < 0.9 * swings[0]
