@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 import soro_bench  # noqa: F401
-from soro_bench.diagnosis.fit import Problem, Suspect, fitted
+from soro_bench.diagnosis.fit import Guess, fitted
 from soro_bench.diagnosis.floor import numerical_floor
+from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Measured, Robot
-from soro_bench.diagnosis.screen import evidence, pairs, responses, singles, suspect, suspects
+from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
+from soro_bench.diagnosis.suspects import Suspect, suspect, suspects
 from soro_bench.effects.effect import EVERY, Port
 from soro_bench.inference.clouds import LowRank
 from soro_bench.models.trunk_geometry import CABLE_NAMES
@@ -32,14 +34,14 @@ def problem(robot, actions, hidden=()):
     parameters = np.array([[prior.value(x) for prior, x in zip(robot.priors, TRUTH, strict=True)]])
     values = robot.simulate(actions, parameters, [hidden])[0]
     values = values + SIGMA * np.random.default_rng(1).standard_normal(values.shape)
-    measured = Measured(actions, 0.05 * np.arange(1, STEPS + 1), values, "keypoints", "m")
-    return Problem(robot, measured, SIGMA, np.ones(values.size), LowRank(np.zeros((0, values.size))))
+    measured = Measured(actions, 0.05 * np.arange(1, len(actions) + 1), values, "keypoints", "m")
+    return Problem(robot, (measured,), SIGMA, np.ones(values.size), LowRank(np.zeros((0, values.size))))
 
 
 def test_a_fit_recovers_parameters_and_leaves_the_noise(robot, actions):
     """Not within the linearised errors: along the weakest combination those are too small (docs/inference.md)."""
     given = problem(robot, actions)
-    (found,) = fitted(given, [(np.zeros(5), ())], (0.7, 0.4, 0.2, 0.1, 0.05), seed=0)
+    (found,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1, 0.05), seed=0)
     assert np.abs(found.x - TRUTH).max() < 0.15  # of a prior standard deviation
     assert 2 * found.cost / found.residual.size == pytest.approx(1, abs=0.1)
 
@@ -51,7 +53,7 @@ def test_a_fit_recovers_parameters_and_leaves_the_noise(robot, actions):
 def test_screening_puts_a_hidden_effect_first(robot, actions, name, port, coordinate):
     hidden = suspect(robot, name, port)
     given = problem(robot, actions, [hidden.effect(np.array([coordinate]))])
-    (base,) = fitted(given, [(np.zeros(5), ())], (0.7, 0.4, 0.2, 0.1), seed=0)
+    (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
     candidates = [one for one in suspects(robot, 21) if one.where.kind in ("body", "actuator")]
     found = evidence(given, base, candidates, responses(given, base, candidates))
     (first,) = singles(found)[0].suspects
@@ -61,7 +63,7 @@ def test_screening_puts_a_hidden_effect_first(robot, actions, name, port, coordi
 def test_screening_finds_a_pair_of_hidden_effects(robot, actions):
     hidden = [suspect(robot, "payload", Port("body", "vertebra8")), suspect(robot, "backlash", Port("actuator", "L2"))]
     given = problem(robot, actions, [one.effect(np.array([0.2])) for one in hidden])
-    (base,) = fitted(given, [(np.zeros(5), ())], (0.7, 0.4, 0.2, 0.1), seed=0)
+    (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
     candidates = [one for one in suspects(robot, 21) if one.name in ("payload", "backlash", "actuator_gain")]
     lead = pairs(evidence(given, base, candidates, responses(given, base, candidates)))[0]
     assert {(s.name, s.where) for s in lead.suspects} == {(s.name, s.where) for s in hidden}
@@ -76,10 +78,20 @@ def test_there_is_a_suspect_for_every_place_and_none_without_a_magnitude(robot):
 
 
 def test_the_numerical_floor_is_the_difference_from_half_the_time_step(robot, actions):
-    finer = robot.refined()[0]
-    floor = numerical_floor(robot, [finer], actions[:10], np.zeros((1, 5)))
+    given = problem(robot, actions[:10])
+    floor = numerical_floor(given, robot.refined()[:1], [(np.zeros(5), ())])
     assert floor.shape == (1, 10 * 63)
     assert 1e-6 < np.abs(floor).max() < 5e-3
+
+
+def test_the_numerical_floor_has_the_effects_of_a_hypothesis_or_none_on_either_side(robot, actions):
+    """The flex model has no joints that could stiffen: the difference must not contain the effect itself."""
+    given, refined = problem(robot, actions[:10]), robot.refined()[1:]
+    plain = numerical_floor(given, refined, [(np.zeros(5), ())])
+    gain = suspect(robot, "actuator_gain", Port("actuator", "L0"))
+    stiffer = suspect(robot, "stiffening", Port("body", EVERY))
+    assert np.abs(numerical_floor(given, refined, [(np.append(np.zeros(5), 0.5), [gain])]) - plain).max() > 1e-6
+    assert np.array_equal(numerical_floor(given, refined, [(np.append(np.zeros(5), 0.5), [stiffer])]), plain)
 
 
 def test_a_recording_of_something_else_is_refused(robot):

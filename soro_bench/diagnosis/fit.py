@@ -12,93 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soro_bench.diagnosis.robot import Measured, Robot
-from soro_bench.effects.catalogue import QUANTITIES
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.diagnosis.problem import Problem
+from soro_bench.diagnosis.suspects import LIMIT, Suspect, effects_at
+from soro_bench.effects.effect import Effect
 from soro_bench.inference.clouds import LENGTHS, LowRank, cloud, linearised
 
-CLOUD = 16  # replays per linearisation
-MAGNITUDE_DEVIATION, SECOND_DEVIATION = 5.0, 0.7  # of effects: in typical magnitudes, in logarithms
-LIMIT = 4.0  # standard deviations of the prior
-
-
-@dataclass(frozen=True)
-class Suspect:
-    """An effect whose parameters are to be found: a law at a port.
-
-    typical: of its quantities, at this port. magnitudes: which of them are null without the effect.
-    """
-
-    name: str
-    where: Port
-    typical: tuple[float, ...]
-    magnitudes: tuple[bool, ...]
-
-    @property
-    def size(self) -> int:
-        return len(self.typical)
-
-    @property
-    def lower(self) -> np.ndarray:
-        """(size,) below which a coordinate has no meaning: of magnitudes that cannot be negative."""
-        bounds = []
-        for q, magnitude in zip(QUANTITIES[self.name], self.magnitudes, strict=True):
-            bounds.append(-LIMIT if not magnitude else 0.0 if q.bounds[0] == q.null else -np.inf)
-        return np.array(bounds)
-
-    def effect(self, x: np.ndarray) -> Effect:
-        """The effect at coordinates x (size,), in standard deviations of their priors."""
-        values = {}
-        for q, typical, magnitude, one in zip(QUANTITIES[self.name], self.typical, self.magnitudes, x, strict=True):
-            if magnitude:
-                value = q.null + MAGNITUDE_DEVIATION * one * (typical - q.null)
-            else:
-                value = typical * np.exp(SECOND_DEVIATION * one)
-            values[q.name] = float(np.clip(value, *q.bounds))
-        return Effect(self.name, self.where, values)
-
-
-@dataclass(frozen=True)
-class Problem:
-    """A recording to be explained.
-
-    sigma: standard deviation of its noise [signal's unit]. weight: (M,) 1 for a good sample and 0 for a missing one or
-    an outlier. floor: numerical error in units of sigma.
-    """
-
-    robot: Robot
-    measured: Measured
-    sigma: float
-    weight: np.ndarray
-    floor: LowRank
-
-    @property
-    def parameters(self) -> int:
-        """Number of parameters, which come first among the unknowns."""
-        return len(self.robot.priors)
-
-    def residuals(self, points: Sequence[tuple[np.ndarray, Sequence[Suspect]]]) -> np.ndarray:
-        """(N, M) measured less simulated, in units of sigma, for N points: unknowns, and suspects they belong to."""
-        d = self.parameters
-        values = np.array([x[:d] for x, _ in points])
-        parameters = np.stack([prior.value(values[:, i]) for i, prior in enumerate(self.robot.priors)], axis=1)
-        effects = [effects_at(x[d:], suspects) for x, suspects in points]
-        simulated = self.robot.simulate(self.measured.actions, parameters, effects)
-        residual = (np.nan_to_num(self.measured.values) - simulated).reshape(len(points), -1) / self.sigma
-        return np.nan_to_num(residual, nan=1e3, posinf=1e3, neginf=-1e3) * self.weight
-
-    def cost(self, residual: np.ndarray, x: np.ndarray) -> float:
-        """Minus the logarithm of likelihood times prior, but for a constant."""
-        return 0.5 * float(self.floor.product(residual[None], residual[None])[0, 0] + x @ x)
-
-
-def effects_at(x: np.ndarray, suspects: Sequence[Suspect]) -> list[Effect]:
-    """The suspects with the parameters that the coordinates x stand for."""
-    found, first = [], 0
-    for suspect in suspects:
-        found.append(suspect.effect(x[first : first + suspect.size]))
-        first += suspect.size
-    return found
+CLOUD, CLOUD_WITH_SLOPE = 16, 6  # replays per linearisation, and where slopes are known from elsewhere
 
 
 @dataclass(frozen=True)
@@ -133,32 +52,53 @@ class Hypothesis:
         return effects_at(self.x[parameters:], self.suspects)
 
 
-def fitted(problem: Problem, guesses, scales: Sequence[float], seed: int, progress=lambda: None) -> list[Hypothesis]:
+@dataclass(frozen=True)
+class Guess:
+    """Where a fit begins: unknowns (n,), the suspects they belong to, and slopes (n, M) if there are any."""
+
+    x: np.ndarray
+    suspects: tuple[Suspect, ...] = ()
+    slope: np.ndarray | None = None
+
+
+def fitted(
+    problem: Problem, guesses: Sequence[Guess], scales: Sequence[float], seed: int, progress=lambda: None
+) -> list[Hypothesis]:
     """The most probable unknowns of several hypotheses, whose replays run together.
 
     Args:
-        guesses: a pair for each hypothesis: unknowns (n,) to start from, and its suspects.
         scales: radii of the clouds, in standard deviations of the priors.
     """
-    guesses, best = [(np.array(x, float), tuple(s)) for x, s in guesses], [None] * len(guesses)
+    best: list[Hypothesis] = []
     for k, scale in enumerate(scales):
-        clouds = [_cloud(problem, x, s, scale, [seed, k]) for x, s in guesses]
-        asked = [(p, s) for points, (_, s) in zip(clouds, guesses, strict=True) for p in points]
-        found = iter(problem.residuals(asked))
-        lines = [linearised(x, points, np.stack([next(found) for _ in points]))
-                 for (x, _), points in zip(guesses, clouds, strict=True)]  # fmt: skip
-        trials = [_trials(problem, x, s, line) for (x, s), line in zip(guesses, lines, strict=True)]
-        tried = iter(problem.residuals([(p, s) for each, (_, s) in zip(trials, guesses, strict=True) for p in each]))
-        for i, ((_, s), each, line) in enumerate(zip(guesses, trials, lines, strict=True)):
-            for x in each:
-                residual = next(tried)
-                cost = problem.cost(residual, x)
-                if best[i] is None or cost < best[i].cost:
-                    best[i] = Hypothesis(s, x, residual, cost, line.slope, line.error)
-            best[i] = replace(best[i], slope=line.slope, error=line.error)
-        guesses = [(h.x, h.suspects) for h in best]
+        clouds = [_cloud(problem, guess, scale, [seed, k]) for guess in guesses]
+        found = _residuals(problem, guesses, clouds)
+        lines = [linearised(g.x, points, rows, g.slope) for g, points, rows in zip(guesses, clouds, found, strict=True)]
+        trials = [_trials(problem, guess, line) for guess, line in zip(guesses, lines, strict=True)]
+        found = _residuals(problem, guesses, trials)
+        news = []
+        for i, (guess, line, points, rows) in enumerate(zip(guesses, lines, trials, found, strict=True)):
+            kept = [replace(best[i], slope=line.slope, error=line.error)] if best else []
+            news.append(min([*_hypotheses(problem, guess, points, rows, line), *kept], key=lambda h: h.cost))
+        best = news
+        guesses = [replace(g, x=h.x, slope=g.slope if g.slope is None else h.slope)
+                   for g, h in zip(guesses, best, strict=True)]  # fmt: skip
         progress()
     return best
+
+
+def _hypotheses(problem, guess, points, residuals, line):
+    return [
+        Hypothesis(guess.suspects, x, row, problem.cost(row, x), line.slope, line.error)
+        for x, row in zip(points, residuals, strict=True)
+    ]
+
+
+def _residuals(problem, guesses, groups):
+    """Residuals (N, M) at the points (N, n) of each guess, replayed together."""
+    asked = [(x, guess.suspects) for guess, points in zip(guesses, groups, strict=True) for x in points]
+    ends = np.cumsum([len(points) for points in groups])
+    return np.split(problem.residuals(asked), ends[:-1])
 
 
 def lower_bounds(problem: Problem, suspects: Sequence[Suspect]) -> np.ndarray:
@@ -166,14 +106,16 @@ def lower_bounds(problem: Problem, suspects: Sequence[Suspect]) -> np.ndarray:
     return np.concatenate([np.full(problem.parameters, -LIMIT), *[s.lower for s in suspects]])
 
 
-def _cloud(problem, x, suspects, scale, seed):
-    """(N, n) points around x, more of them for more unknowns."""
-    count = CLOUD + 2 * (len(x) - problem.parameters)
-    return np.maximum(cloud(x, scale, count, seed), lower_bounds(problem, suspects))
+def _cloud(problem, guess, scale, seed):
+    """(N, n) points around a guess, more of them for more unknowns."""
+    more = len(guess.x) - problem.parameters
+    count = CLOUD + 2 * more if guess.slope is None else CLOUD_WITH_SLOPE + more
+    return np.maximum(cloud(guess.x, scale, count, seed), lower_bounds(problem, guess.suspects))
 
 
-def _trials(problem, x, suspects, line):
+def _trials(problem, guess, line):
     """Points along the way to where the linearised cost is least, within the bounds."""
+    x, suspects = guess.x, guess.suspects
     floor, lower = LowRank(np.concatenate([problem.floor.basis, line.error])), lower_bounds(problem, suspects)
     hessian, free = _hessian(floor, line.slope), np.ones(len(x), bool)
     gradient = floor.product(line.slope, line.residual[None])[:, 0] + x

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from soro_bench.effects.catalogue import MEASUREMENT
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.effect import Effect, EffectError, Port
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.measurement import distorted
 from soro_bench.recording.recording import Recording, RecordingError, resampled
@@ -54,22 +54,24 @@ _RATIO_DEVIATION = 0.03
 
 
 class Robot:
-    """One of the suite's robots.
+    """The trunk of TrunkReach.
 
     Args:
-        env_id: the environment.
+        env_id: the environment; the others of the suite, and models of other robots, are to come.
         model: its model or mesh; the cheap one by default.
         threads: 0 for all processors; results do not depend on it.
     """
 
     def __init__(self, env_id: str, model: str | None = None, threads: int = 0):
+        if env_id != "TrunkReach-v0":
+            raise ValueError(f"{env_id!r} cannot be diagnosed yet; allowed is TrunkReach-v0")
         kind = task_type(env_id)
         self.env_id, self.threads = env_id, threads
         self.model_name = model or kind.cheap
         self._task = make_task(env_id, SIMULATIONS, threads, self.model_name, action="continuous", effects=())
         self.signal = kind.inferred_from[0]
         self.elements = Elements(self._task.model)
-        self.priors = tuple(_prior(p) for p in kind.parameters.parameters.values() if p.name in _FITTED)
+        self.priors = tuple(_prior(p) for p in kind.parameters.parameters.values())
 
     def refined(self) -> "list[Robot]":
         """The same robot simulated more accurately: with half the time step, and with the accurate model."""
@@ -81,9 +83,28 @@ class Robot:
         """The ports of a kind at which something may be missing."""
         return self.elements.ports(kind) if kind in _KINDS else []
 
+    def accepts(self, effects: Sequence[Effect]) -> bool:
+        """Whether the robot can have these effects at once: none twice at a place, no two on the same spring."""
+        if len({(e.name, e.where) for e in effects}) < len(effects):
+            return False
+        try:
+            self._task.sim.assign_effects([[e for e in effects if e.where.kind != "sensor"]] * SIMULATIONS)
+        except EffectError:
+            return False
+        return True
+
     def measured(self, recording: Recording) -> Measured:
         """The part of a recording that a diagnosis uses; RecordingError says what it lacks."""
-        _, actions = recorded_actions(recording)
+        env_id, actions = recorded_actions(recording)
+        if env_id != self.env_id or recording.metadata["action"] != "continuous":
+            raise RecordingError(
+                f"a recording of {env_id} with {recording.metadata['action']} actions; "
+                f"this robot is {self.env_id} with continuous ones"
+            )
+        try:
+            self._task.check_actions(actions, len(actions))
+        except ValueError as error:
+            raise RecordingError(str(error)) from error
         times = recording.start + self._task.control_timestep * np.arange(1, len(actions) + 1)
         if self.signal not in recording.signals:
             raise RecordingError(f"the recording has no {self.signal}; it has {', '.join(recording.names)}")
@@ -139,7 +160,6 @@ class Robot:
 
 # a trunk's necks have no friction of their own, and TrunkReach no contacts
 _KINDS = ("tendon", "actuator", "body", "model")
-_FITTED = ("trunk_mass", "young_modulus", "poisson_ratio", "damping", "cable_stiffness")
 
 
 def _prior(parameter) -> Prior:

@@ -5,76 +5,55 @@ would do too, is compared with the residual: a linear estimate of its magnitude 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from soro_bench.diagnosis.fit import MAGNITUDE_DEVIATION, Hypothesis, Problem, Suspect
-from soro_bench.diagnosis.robot import Robot
-from soro_bench.effects.catalogue import ALL, PHYSICS
-from soro_bench.effects.effect import EVERY, Port
-
-
-def suspects(robot: Robot, points: int) -> list[Suspect]:
-    """Every effect at every port of the robot, and every fault of its sensor, which has that many points."""
-    found = []
-    for name, law in PHYSICS.items():
-        if name in PNEUMATIC:
-            continue
-        for kind in law.kinds:
-            ports = [] if kind == "joint" and "body" in law.kinds else robot.ports(kind)
-            every = [Port(kind, EVERY)] if law.shared and len(ports) > 1 else []
-            for port in every if law.only_shared else every + ports:
-                found += variants(suspect(robot, name, port))
-    for name, fault in ALL.items():
-        if name not in PHYSICS and name != "outliers":
-            indices = range(points) if fault.local else [None]
-            found += [suspect(robot, name, Port("sensor", robot.signal, i)) for i in indices]
-    return found
-
-
-def suspect(robot: Robot, name: str, where: Port) -> Suspect:
-    """An effect at a port, with what is typical there."""
-    quantities, magnitudes = ALL[name].quantities, []
-    for i, q in enumerate(quantities):
-        magnitudes.append(i == 0 or (q.null == 0.0 and q.bounds[0] < 0))
-    scale = robot.elements.scale
-    port = robot.ports(where.kind)[0] if where.name == EVERY else where
-    typical = tuple(q.typical * (scale(port, q.of) if where.kind != "sensor" else 1.0) for q in quantities)
-    return Suspect(name, where, typical, tuple(magnitudes))
-
-
-PNEUMATIC = ("pressure_leak", "pressure_asymmetry", "supply_coupling")
-
-
-def variants(one: Suspect) -> list[Suspect]:
-    """A suspect, and those that begin at other values of what shapes the signature."""
-    found = [one]
-    for i, q in enumerate(ALL[one.name].quantities):
-        for value in q.also:
-            found.append(replace(one, typical=(*one.typical[:i], value, *one.typical[i + 1 :])))
-    return found
+from soro_bench.diagnosis.fit import Guess, Hypothesis
+from soro_bench.diagnosis.problem import Problem
+from soro_bench.diagnosis.suspects import MAGNITUDE_DEVIATION, Suspect, effects_at
+from soro_bench.effects.effect import Effect
 
 
 @dataclass(frozen=True)
 class Lead:
-    """Suspects that explain some of what is left: log evidence gained, and the estimated coordinates of each."""
+    """Suspects that explain some of what a hypothesis leaves.
+
+    suspects: of the hypothesis, and those to be added. gain: log evidence gained. x: (n,) estimate of all unknowns.
+    chosen: which candidates these are.
+    """
 
     suspects: tuple[Suspect, ...]
     gain: float
-    x: tuple[np.ndarray, ...]
+    x: np.ndarray
+    chosen: tuple[int, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Sorted names of the suspects."""
+        return tuple(sorted(s.name for s in self.suspects))
+
+    @property
+    def effects(self) -> list[Effect]:
+        """The suspects as estimated."""
+        return effects_at(self.x[len(self.x) - sum(s.size for s in self.suspects) :], self.suspects)
 
 
 @dataclass(frozen=True)
 class Evidence:
     """What K response rows say together, parameters and floor marginalised: the evidence gained by magnitudes m (K,) is
-    -pull m - m matrix m / 2. ``lower`` (K,) bounds them, and ``blocks`` are the rows of each candidate."""
+    -pull m - m matrix m / 2. ``lower`` (K,) bounds them, and ``blocks`` are the rows of each candidate. With magnitudes
+    m the best unknowns of the hypothesis move by step - shift m, where step is (n,) and shift (n, K)."""
 
+    base: Hypothesis
     candidates: tuple[Suspect, ...]
+    responses: Sequence[np.ndarray]
     matrix: np.ndarray
     pull: np.ndarray
     lower: np.ndarray
     blocks: tuple[np.ndarray, ...]
+    step: np.ndarray
+    shift: np.ndarray
 
     def lead(self, chosen: Sequence[int]) -> Lead:
         """The best magnitudes of some candidates together."""
@@ -89,12 +68,26 @@ class Evidence:
             free &= ~crossing
             at[~free] = 0.0
         gain = -float(pull @ at + 0.5 * at @ matrix @ at) - 0.5 * float(np.linalg.slogdet(matrix)[1])
+        x = self.base.x + np.clip(self.step - self.shift[:, rows] @ at, -1, 1)
         ends = np.cumsum([len(self.blocks[i]) for i in chosen])[:-1]
-        return Lead(
-            tuple(self.candidates[i] for i in chosen),
-            gain,
-            tuple(_coordinates(self.candidates[i], part) for i, part in zip(chosen, np.split(at, ends), strict=True)),
-        )
+        added = [self.candidates[i] for i in chosen]
+        parts = [_coordinates(s, part) for s, part in zip(added, np.split(at, ends), strict=True)]
+        return Lead((*self.base.suspects, *added), gain, np.concatenate([x, *parts]), tuple(chosen))
+
+    def guess(self, lead: Lead) -> Guess:
+        """Where to begin a fit: what shapes a response without being its magnitude has no slope yet."""
+        slope = [self.base.slope]
+        for i in lead.chosen:
+            rows = np.zeros((self.candidates[i].size, self.base.slope.shape[1]))
+            rows[list(self.candidates[i].magnitudes)] = self.responses[i]
+            slope.append(rows)
+        return Guess(lead.x, lead.suspects, np.concatenate(slope))
+
+    def detectable(self, gain: float) -> tuple[tuple[Suspect, float], ...]:
+        """Of each candidate, the coordinate of its first magnitude that gains as much if nothing else is missing."""
+        rows = np.array([block[0] for block in self.blocks])
+        information = np.maximum(np.diag(self.matrix)[rows] - 1.0, 1e-12)
+        return tuple(zip(self.candidates, np.sqrt(2.0 * gain / information).tolist(), strict=True))
 
 
 def responses(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect]) -> list[np.ndarray]:
@@ -117,13 +110,17 @@ def evidence(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect], 
     hessian = floor.product(base.slope, base.slope) + np.eye(len(base.x))
     gradient = floor.product(base.slope, base.residual[None])[:, 0] + base.x
     cross = floor.product(rows, base.slope)
-    reduced = np.linalg.solve(hessian, cross.T).T
+    shift, step = np.linalg.solve(hessian, cross.T), -np.linalg.solve(hessian, gradient)
     return Evidence(
+        base,
         tuple(candidates),
-        floor.product(rows, rows) + np.eye(len(rows)) - reduced @ cross.T,
-        floor.product(rows, base.residual[None])[:, 0] - reduced @ gradient,
+        found,
+        floor.product(rows, rows) + np.eye(len(rows)) - cross @ shift,
+        floor.product(rows, base.residual[None])[:, 0] + cross @ step,
         np.concatenate([c.lower[list(c.magnitudes)] for c in candidates]),
         tuple(np.split(np.arange(len(rows)), np.cumsum([len(each) for each in found])[:-1])),
+        step,
+        shift,
     )
 
 

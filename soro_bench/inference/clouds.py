@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import qmc
 
 LENGTHS = (0.5, 1.0, 1.5)  # of a step, tried
+RIDGE = 1.0  # observations that a slope known beforehand is worth
 
 
 class LowRank:
@@ -50,9 +51,21 @@ def cloud(x: np.ndarray, scale: float, count: int, seed: Sequence[int]) -> np.nd
     return x + scale * np.clip(normal.random(count), -3, 3)
 
 
-def linearised(x: np.ndarray, points: np.ndarray, residuals: np.ndarray) -> Line:
-    """The linear regression of residuals (N, M) at points (N, n) around x."""
-    design = np.column_stack([np.ones(len(points)), points - x])
-    coefficients = np.linalg.lstsq(design, residuals, rcond=None)[0]
-    error = (residuals - design @ coefficients) / np.sqrt(len(points) - len(x) - 1)
-    return Line(coefficients[0], coefficients[1:], error)
+def linearised(x: np.ndarray, points: np.ndarray, residuals: np.ndarray, slope: np.ndarray | None = None) -> Line:
+    """The linear regression of residuals (N, M) at points (N, n) around x.
+
+    A ``slope`` (n, M) that is known beforehand is changed only as far as the points speak against it (ridge
+    regression), and there may be fewer of them than unknowns.
+    """
+    scale = np.sqrt(((points - x) ** 2).mean())
+    design, ridge = np.column_stack([np.ones(len(points)), (points - x) / scale]), np.zeros(1 + len(x))
+    if slope is None:
+        slope = np.zeros((len(x), residuals.shape[1]))
+    else:
+        ridge[1:] = RIDGE
+    rest = residuals - (points - x) @ slope
+    hat = np.linalg.solve(design.T @ design + np.diag(ridge), design.T)
+    coefficients = hat @ rest
+    freedom = len(points) - np.trace(design @ hat)
+    error = (rest - design @ coefficients) / np.sqrt(freedom)
+    return Line(coefficients[0], slope + coefficients[1:] / scale, error)

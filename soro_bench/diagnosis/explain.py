@@ -1,0 +1,107 @@
+"""Which effects explain recordings: from the nominal robot one effect further as long as much is left.
+
+Each round screens every suspect on top of the best hypothesis so far (and, once there are two, every pair on top of the
+nominal robot), refits the leads, and computes the numerical floor of the best anew with their effects.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
+from soro_bench.diagnosis.floor import numerical_floor
+from soro_bench.diagnosis.problem import Problem
+from soro_bench.diagnosis.refit import distinct, refitted
+from soro_bench.diagnosis.robot import Robot
+from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
+from soro_bench.diagnosis.suspects import Suspect
+
+WIDE, NARROW, LAST = (0.7, 0.4, 0.2), (0.1, 0.05), 0.07  # radii of clouds, in standard deviations of the priors
+DRAWS = 3  # replays of each refined robot, at first and again near the fit
+NEAR, FAR = 0.15, 0.7  # their standard deviations, in those of the priors
+MOST = 3  # effects
+LEADS = 8
+WORTH = 400.0  # natural logarithm of the evidence that a lead promises; of nulls the best promise 30 to 120
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Hypotheses about recordings.
+
+    problem: with the numerical floor under which all hypotheses are compared.
+    nominal: no effect.
+    found: those that were refitted, the last round first and of each round the most probable first; empty where nothing
+        is missing.
+    promised: the evidence that the best lead promised on top of the nominal robot.
+    left: the same on top of the best of all.
+    minimum: of each suspect, the coordinate of its first magnitude that would just have been worth a look.
+    """
+
+    problem: Problem
+    nominal: Hypothesis
+    found: tuple[Hypothesis, ...]
+    promised: float
+    left: float
+    minimum: tuple[tuple[Suspect, float], ...]
+
+    @property
+    def best(self) -> Hypothesis:
+        return self.found[0] if self.found else self.nominal
+
+
+def nominal_fit(problem: Problem, refined: Sequence[Robot], seed: int, progress=lambda *_: None):
+    """The problem with its numerical floor, and the nominal robot fitted."""
+    rng = np.random.default_rng(seed)
+    draws = FAR * rng.standard_normal((DRAWS, problem.parameters))
+    draws[0] = 0.0
+    progress("numerical floor")
+    problem = problem.with_floor(numerical_floor(problem, refined, [(x, ()) for x in draws]))
+    progress("joint fit of the parameters")
+    (fit,) = fitted(problem, [Guess(np.zeros(problem.parameters))], WIDE, seed)
+    progress("numerical floor near the fit")
+    near = np.clip(fit.x + NEAR * rng.standard_normal((DRAWS, problem.parameters)), -2, 2)
+    problem = problem.with_floor(numerical_floor(problem, refined, [(x, ()) for x in near]))
+    progress("joint fit of the parameters")
+    (fit,) = fitted(problem, [Guess(fit.x, slope=fit.slope)], NARROW, seed + 1)
+    return problem, fit
+
+
+def explained(
+    problem: Problem, nominal: Hypothesis, refined: Sequence[Robot], candidates: Sequence[Suspect], seed: int,
+    progress=lambda *_: None,
+) -> Explanation:  # fmt: skip
+    """One effect further as long as a lead promises enough."""
+    progress("screening")
+    found = responses(problem, nominal, candidates)
+    first = evidence(problem, nominal, candidates, found)
+    screened, best, tried = first, nominal, []
+    promised = left = singles(first)[0].gain
+    for number in range(1, MOST + 1):
+        if left < WORTH:
+            break
+        progress(f"refits with {number} effect{'s' * (number > 1)}")
+        leads = [screened.guess(lead) for lead in distinct(singles(screened), LEADS, problem.robot)]
+        if number == 2:
+            leads += [first.guess(lead) for lead in distinct(pairs(first), LEADS, problem.robot)]
+        new = refitted(problem, leads, 100 * number + seed)
+        problem, new = _with_own_floor(problem, refined, new, 100 * number + seed)
+        new.sort(key=lambda h: -h.log_evidence(problem))
+        tried = new + [_again(problem, h) for h in tried]
+        nominal, best = _again(problem, nominal), tried[0]
+        screened = evidence(problem, best, candidates, found)
+        left = singles(screened)[0].gain
+    return Explanation(problem, nominal, tuple(tried), promised, left, first.detectable(WORTH))
+
+
+def _with_own_floor(problem, refined, hypotheses, seed):
+    """Numerical error with the effects of the hypotheses, under which they are fitted once more."""
+    points = [(h.x, h.suspects) for h in hypotheses]
+    problem = problem.with_floor(numerical_floor(problem, refined, points))
+    again = fitted(problem, [Guess(h.x, h.suspects, h.slope) for h in hypotheses], (LAST,), seed)
+    before = [_again(problem, h) for h in hypotheses]
+    return problem, [min(pair, key=lambda h: h.cost) for pair in zip(before, again, strict=True)]
+
+
+def _again(problem, hypothesis):
+    return replace(hypothesis, cost=problem.cost(hypothesis.residual, hypothesis.x))

@@ -1,0 +1,52 @@
+"""Refits: leads become hypotheses, fitted together with all parameters, in rounds that drop those that fall behind."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
+from soro_bench.diagnosis.problem import Problem
+from soro_bench.diagnosis.robot import Robot
+from soro_bench.diagnosis.screen import Lead
+
+SCALES, KEPT = (0.15, 0.07), (4, 3)  # of the clouds, and how many hypotheses go on after each
+_TRIED, _LENGTHS = 5, (0.5, 1.0)  # how many leads are fitted, and shares of their magnitudes at which all are tried
+_PER_NAME = 2  # leads that differ in their places only
+
+
+def distinct(leads: Sequence[Lead], count: int, robot: Robot) -> list[Lead]:
+    """The first ``count`` leads that the robot can have, of which at most two have the same names."""
+    chosen, seen = [], Counter()
+    for lead in leads:
+        if len(chosen) == count:
+            break
+        if seen[lead.names] < _PER_NAME and robot.accepts(lead.effects):
+            seen[lead.names] += 1
+            chosen.append(lead)
+    return chosen
+
+
+def refitted(problem: Problem, guesses: Sequence[Guess], seed: int, progress=lambda: None) -> list[Hypothesis]:
+    """The hypotheses that remain, the best first."""
+    guesses = _tried(problem, guesses)
+    for k, (scale, kept) in enumerate(zip(SCALES, KEPT, strict=True)):
+        found = fitted(problem, guesses, (scale,), seed + k, progress)
+        found = sorted(found, key=lambda h: -h.log_evidence(problem))[:kept]
+        guesses = [Guess(h.x, h.suspects, h.slope) for h in found]
+    return found
+
+
+def _tried(problem, guesses):
+    """The guesses that really explain most, with the shares of their magnitudes that do."""
+    scaled = [replace(g, x=_scaled(g.x, problem.parameters, length)) for g in guesses for length in _LENGTHS]
+    residuals = problem.residuals([(g.x, g.suspects) for g in scaled])
+    costs = np.array([problem.cost(row, g.x) for row, g in zip(residuals, scaled, strict=True)])
+    best = costs.reshape(len(guesses), -1)
+    order = np.argsort(best.min(axis=1))[:_TRIED]
+    return [scaled[i * len(_LENGTHS) + int(best[i].argmin())] for i in order]
+
+
+def _scaled(x, parameters, length):
+    return np.concatenate([x[:parameters], length * x[parameters:]])

@@ -1,0 +1,97 @@
+"""Suspects: every effect at every place where it may act, with coordinates in which fits look for its parameters."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from soro_bench.diagnosis.robot import Robot
+from soro_bench.effects.catalogue import ALL, PHYSICS, QUANTITIES
+from soro_bench.effects.effect import EVERY, Effect, Port
+
+MAGNITUDE_DEVIATION, SECOND_DEVIATION = 5.0, 0.7  # of effects: in typical magnitudes, in logarithms
+LIMIT = 4.0  # standard deviations of the prior
+PNEUMATIC = ("pressure_leak", "pressure_asymmetry", "supply_coupling")
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """An effect whose parameters are to be found: a law at a port.
+
+    typical: of its quantities, at this port. magnitudes: which of them are null without the effect.
+    """
+
+    name: str
+    where: Port
+    typical: tuple[float, ...]
+    magnitudes: tuple[bool, ...]
+
+    @property
+    def size(self) -> int:
+        return len(self.typical)
+
+    @property
+    def lower(self) -> np.ndarray:
+        """(size,) below which a coordinate has no meaning: of magnitudes that cannot be negative."""
+        bounds = []
+        for q, magnitude in zip(QUANTITIES[self.name], self.magnitudes, strict=True):
+            bounds.append(-LIMIT if not magnitude else 0.0 if q.bounds[0] == q.null else -np.inf)
+        return np.array(bounds)
+
+    def effect(self, x: np.ndarray) -> Effect:
+        """The effect at coordinates x (size,), in standard deviations of their priors."""
+        values = {}
+        for q, typical, magnitude, one in zip(QUANTITIES[self.name], self.typical, self.magnitudes, x, strict=True):
+            if magnitude:
+                value = q.null + MAGNITUDE_DEVIATION * one * (typical - q.null)
+            else:
+                value = typical * np.exp(SECOND_DEVIATION * one)
+            values[q.name] = float(np.clip(value, *q.bounds))
+        return Effect(self.name, self.where, values)
+
+
+def effects_at(x: np.ndarray, suspects: Sequence[Suspect]) -> list[Effect]:
+    """The suspects with the parameters that the coordinates x stand for."""
+    found, first = [], 0
+    for suspect in suspects:
+        found.append(suspect.effect(x[first : first + suspect.size]))
+        first += suspect.size
+    return found
+
+
+def suspects(robot: Robot, points: int) -> list[Suspect]:
+    """Every effect at every port of the robot, and every fault of its sensor, which has that many points."""
+    found = []
+    for name, law in PHYSICS.items():
+        if name in PNEUMATIC:
+            continue
+        for kind in law.kinds:
+            ports = [] if kind == "joint" and "body" in law.kinds else robot.ports(kind)
+            every = [Port(kind, EVERY)] if law.shared and len(ports) > 1 else []
+            for port in every if law.only_shared else every + ports:
+                found += variants(suspect(robot, name, port))
+    for name, fault in ALL.items():
+        if name not in PHYSICS and name != "outliers":
+            indices = range(points) if fault.local else [None]
+            found += [suspect(robot, name, Port("sensor", robot.signal, i)) for i in indices]
+    return found
+
+
+def suspect(robot: Robot, name: str, where: Port) -> Suspect:
+    """An effect at a port, with what is typical there."""
+    quantities, magnitudes = ALL[name].quantities, []
+    for i, q in enumerate(quantities):
+        magnitudes.append(i == 0 or (q.null == 0.0 and q.bounds[0] < 0))
+    scale = robot.elements.scale
+    port = robot.ports(where.kind)[0] if where.name == EVERY else where
+    typical = tuple(q.typical * (scale(port, q.of) if where.kind != "sensor" else 1.0) for q in quantities)
+    return Suspect(name, where, typical, tuple(magnitudes))
+
+
+def variants(one: Suspect) -> list[Suspect]:
+    """A suspect, and those that begin at other values of what shapes the signature."""
+    found = [one]
+    for i, q in enumerate(ALL[one.name].quantities):
+        for value in q.also:
+            found.append(replace(one, typical=(*one.typical[:i], value, *one.typical[i + 1 :])))
+    return found
