@@ -247,6 +247,78 @@ class View:
 
 
 @dataclass
+class Excite:
+    """Write the actions that show what a robot does: the recording that a diagnosis needs."""
+
+    env: EnvId
+    out: Path
+    """.csv with a row per control step: time [s], and the action of every channel, from -1 to 1."""
+    duration: float = 30.0
+    seed: int = 0
+
+    def run(self) -> None:
+        from soro_bench.recording.excitation import excitation, write_actions
+        from soro_bench.registration import make_task
+
+        task = make_task(self.env, 1, 1, action="continuous")
+        actions = excitation(task.single_action_space, task.control_timestep, self.duration, self.seed)
+        write_actions(self.out, task.control_timestep, actions)
+        _console.print(f"{self.out}: replay it on the robot, record what it does, and: soro-bench diagnose RECORDING")
+
+
+@dataclass
+class Diagnose:
+    """Say what physics is missing in a simulation, from recordings of the real robot."""
+
+    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """.parquet; `soro-bench excite` writes the actions for a good one."""
+    env: str
+    """Environment whose robot was recorded."""
+    out: Path
+    """Folder for report.html, report.json, effects.json, posterior.json and comparison.rrd."""
+    heldout: tuple[Path, ...] = ()
+    """Recordings of another motion, to test what is found."""
+    model: str | None = None
+    """Model to simulate; the cheap one by default."""
+    seed: int = 0
+
+    def run(self) -> None:
+        from soro_bench.diagnosis.page import write_reports
+        from soro_bench.diagnosis.pipeline import diagnose
+        from soro_bench.diagnosis.robot import Robot
+        from soro_bench.recording.parquet import load
+
+        robot = Robot(self.env, self.model)
+        recordings, heldout = ([load(path) for path in paths] for paths in (self.recordings, self.heldout))
+        with _console.status("") as status:
+            found = diagnose(robot, recordings, heldout, self.seed, lambda stage: status.update(f"{stage} ..."))
+            status.update("report ...")
+            text = write_reports(found, recordings, self.out)
+        _console.print(text, soft_wrap=True, markup=False, highlight=False)
+        _console.print(f"{self.out / 'report.html'}, {self.out / 'report.json'}; {found.seconds:.0f} s", soft_wrap=True)
+
+
+@dataclass
+class Prove:
+    """Test the diagnosis on robots with concealed physics; an interrupted proof goes on from its files."""
+
+    out: Path
+    """Folder for cases, reports and scorecard."""
+    count: int = 120
+    seed: int = 0
+    """Of the cases; one that has been used to develop the method proves nothing."""
+    nulls: int | None = None
+    """Cases without any effect; a fifth by default."""
+
+    def run(self) -> None:
+        from soro_bench.proof.prove import prove
+
+        with _Progress() as bar:
+            text = prove(self.out, self.count, self.seed, self.nulls, bar)
+        _console.print(text, soft_wrap=True, markup=False, highlight=False)
+
+
+@dataclass
 class Baseline:
     """What the scripts in baselines/ take."""
 
@@ -317,6 +389,25 @@ def _describe(recording, path: Path) -> None:
     _console.print(table)
 
 
+class _Progress:
+    """Progress bars of stages that follow one another."""
+
+    def __enter__(self):
+        self._progress = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
+                                  TimeElapsedColumn(), TimeRemainingColumn(), console=_console)  # fmt: skip
+        self._progress.start()
+        self._tasks: dict[str, int] = {}
+        return self
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        if stage not in self._tasks:
+            self._tasks[stage] = self._progress.add_task(stage, total=total)
+        self._progress.update(self._tasks[stage], completed=done)
+
+    def __exit__(self, *_):
+        self._progress.stop()
+
+
 class _Steps:
     """A progress bar for an inference."""
 
@@ -374,6 +465,9 @@ COMMANDS = {
     "infer": Infer,
     "import": Import,
     "view": View,
+    "excite": Excite,
+    "diagnose": Diagnose,
+    "prove": Prove,
 }
 
 

@@ -70,8 +70,8 @@ def nominal_fit(problem: Problem, refined: Sequence[Robot], seed: int, progress=
 def explained(
     problem: Problem, nominal: Hypothesis, refined: Sequence[Robot], candidates: Sequence[Suspect], seed: int,
     progress=lambda *_: None,
-) -> Explanation:  # fmt: skip
-    """One effect further as long as a lead promises enough."""
+) -> tuple[Explanation, list[np.ndarray]]:  # fmt: skip
+    """One effect further as long as a lead promises enough; and the response of every candidate, (k, M) each."""
     progress("screening")
     found = responses(problem, nominal, candidates)
     first = evidence(problem, nominal, candidates, found)
@@ -91,7 +91,7 @@ def explained(
         nominal, best = _again(problem, nominal), tried[0]
         screened = evidence(problem, best, candidates, found)
         left = singles(screened)[0].gain
-    return Explanation(problem, nominal, tuple(tried), promised, left, first.detectable(WORTH))
+    return Explanation(problem, nominal, tuple(tried), promised, left, first.detectable(WORTH)), found
 
 
 def _with_own_floor(problem, refined, hypotheses, seed):

@@ -13,16 +13,26 @@ import numpy as np
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.suspects import Suspect
-from soro_bench.effects.effect import EffectError
 
 
 def numerical_floor(problem: Problem, refined: Sequence[Robot], points: Sequence[tuple[np.ndarray, Sequence[Suspect]]]):
-    """(F, M) differences [signal's unit] of refined replays from plain ones, at points: unknowns and suspects."""
-    plain, columns = problem.simulated(problem.robot, points), []
+    """(F, M) differences [signal's unit] of refined replays from plain ones, at points: unknowns and suspects.
+
+    The accurate model has other parts: an effect that has no place in it is left out on both sides.
+    """
+    columns = []
     for finer in refined:
-        try:
-            columns.append(problem.simulated(finer, points) - plain)
-        except EffectError:  # the accurate model has other parts, at which an effect has no place
-            bare = [(x[: problem.parameters], ()) for x, _ in points]
-            columns.append(problem.simulated(finer, bare) - problem.simulated(problem.robot, bare))
+        common = [_common(problem, finer, *point) for point in points]
+        columns.append(problem.simulated(finer, common) - problem.simulated(problem.robot, common))
     return np.nan_to_num(np.concatenate(columns))
+
+
+def _common(problem, finer, x, suspects):
+    """A point without the suspects that the finer robot cannot have."""
+    kept, parts, first = [], [x[: problem.parameters]], problem.parameters
+    for suspect in suspects:
+        part, first = x[first : first + suspect.size], first + suspect.size
+        if finer.accepts([suspect.effect(part)]):
+            kept.append(suspect)
+            parts.append(part)
+    return np.concatenate(parts), kept

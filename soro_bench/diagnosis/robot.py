@@ -83,6 +83,10 @@ class Robot:
         """The ports of a kind at which something may be missing."""
         return self.elements.ports(kind) if kind in _KINDS else []
 
+    def parameters(self, x: np.ndarray) -> dict[str, float]:
+        """Values by name of the first unknowns in ``x``."""
+        return {prior.name: float(prior.value(value)) for prior, value in zip(self.priors, x, strict=False)}
+
     def accepts(self, effects: Sequence[Effect]) -> bool:
         """Whether the robot can have these effects at once: none twice at a place, no two on the same spring."""
         if len({(e.name, e.where) for e in effects}) < len(effects):

@@ -5,8 +5,13 @@ loops; pairs of channels pulled, held and released; all channels at once in sums
 rate, and each part ends where it began.
 """
 
+import csv
+from pathlib import Path
+
 import numpy as np
 from gymnasium import spaces
+
+from soro_bench.files import replacing
 
 SLOWNESS = (1, 2, 3)  # of the triangles: full rate, half of it, a third of it
 FREQUENCIES = (0.2, 2.0)  # Hz, of the harmonics
@@ -50,6 +55,14 @@ def excitation(space: spaces.Box, timestep: float, duration: float = 30.0, seed:
     remaining = steps - sum(map(len, parts)) - _REST
     parts += [_multisine(remaining, channels, timestep, seed), np.zeros((_REST, channels))]
     return np.concatenate(parts)
+
+
+def write_actions(path: str | Path, timestep: float, actions: np.ndarray) -> None:
+    """A table for a robot's controller: a row per control step with its time [s] and the action of every channel."""
+    with replacing(path) as temporary, open(temporary, "w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["time", *(f"action.{i}" for i in range(actions.shape[1]))])
+        table.writerows([f"{step * timestep:.6g}", *(f"{a:.9g}" for a in row)] for step, row in enumerate(actions))
 
 
 def _triangles(stroke: int) -> np.ndarray:

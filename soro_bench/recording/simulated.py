@@ -73,7 +73,7 @@ def record(
     return _recording(episode, action, noise, seed, metadata)
 
 
-def replay(recording: Recording, model: str | None = None) -> Episode:
+def replay(recording: Recording, model: str | None = None, **options) -> Episode:
     """Simulate what a recording's actions do to a robot with its parameters.
 
     A recording of the same simulation without noise gives its signals again, bit for bit.
@@ -81,6 +81,7 @@ def replay(recording: Recording, model: str | None = None) -> Episode:
     Args:
         recording: with the command "action" and env_id, action and perhaps model and goal in its metadata.
         model: instead of the recording's; the accurate one if neither is given.
+        options: further arguments of the environment, such as effects.
 
     Raises:
         ValueError: names what the recording lacks.
@@ -91,7 +92,7 @@ def replay(recording: Recording, model: str | None = None) -> Episode:
     if "goal" in metadata and "goal" in task_type(env_id).options:
         start["goal"] = _goal(metadata["goal"])
     model = model or metadata.get("model") or task_type(env_id).accurate
-    return _run(_in_turn(actions), env_id, model, metadata["action"], start, len(actions))
+    return _run(_in_turn(actions), env_id, model, metadata["action"], start, len(actions), **options)
 
 
 def recorded_actions(recording: Recording) -> tuple[str, np.ndarray]:
@@ -127,9 +128,9 @@ def parse_params(pairs: Sequence[str]) -> dict[str, float]:
     return params
 
 
-def _run(act, env_id, model, action, start, steps, seed=0, full_state=False) -> Episode:
+def _run(act, env_id, model, action, start, steps, seed=0, full_state=False, **options) -> Episode:
     (episode,) = evaluate(
-        act, env_id, model, action, [start], 1, steps, seed=seed, stop_when_solved=False, full_state=full_state
+        act, env_id, model, action, [start], 1, steps, seed, stop_when_solved=False, full_state=full_state, **options
     )
     return episode
 

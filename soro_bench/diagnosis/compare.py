@@ -1,0 +1,119 @@
+"""Compare: which hypothesis, how probable, and whether it holds on recordings that it was not fitted to.
+
+Evidence is a sum over thousands of samples, and a simulation is never right to the last of them: taken at its word it
+would call everything certain. It is tempered by what the best hypothesis leaves unexplained (``TEMPER``), which is how
+wrong the models are at any rate. The constants are calibrated on simulated cases (docs/diagnosis.md).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import expit
+
+from soro_bench.diagnosis.explain import Explanation
+from soro_bench.diagnosis.fit import Hypothesis
+from soro_bench.diagnosis.floor import numerical_floor
+from soro_bench.diagnosis.problem import Problem
+from soro_bench.diagnosis.robot import Robot
+
+# evidence that the best lead promises where nothing is missing: a Gumbel distribution
+GUMBEL_LOCATION, GUMBEL_SCALE = 65.0, 35.0
+TEMPER = (100.0, 0.1)  # nats, and share of the excess
+UNKNOWN = (0.25, 0.06, 400.0)  # share of the excess that is left where it is as likely as not, width, least excess left
+COMPARED = 6  # hypotheses that are simulated on held-out recordings
+CREDIBLE = 0.9
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How a hypothesis fits recordings, before and after: rms of a coordinate [signal's unit], numerical error taken
+    off; and the noise."""
+
+    before: float
+    after: float
+    noise: float
+
+    @property
+    def explained(self) -> float:
+        """Share of the variance above the noise that is explained; NaN where there is none."""
+        above = self.before**2 - self.noise**2
+        return 1.0 - max(self.after**2 - self.noise**2, 0.0) / above if above > 0 else math.nan
+
+
+@dataclass(frozen=True)
+class Answer:
+    """A hypothesis and how probable it is. ``heldout`` is None where no recording is held out."""
+
+    hypothesis: Hypothesis
+    probability: float
+    train: Fit
+    heldout: Fit | None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(s.name for s in self.hypothesis.suspects)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Answers, the most probable first, the nominal robot among them; and the probability that it is none of them."""
+
+    answers: tuple[Answer, ...]
+    unknown: float
+    p_value: float
+
+
+def p_value(promised: float) -> float:
+    """Probability that the best lead promises as much where nothing is missing."""
+    return float(-np.expm1(-np.exp(-(promised - GUMBEL_LOCATION) / GUMBEL_SCALE)))
+
+
+def compared(found: Explanation, heldout: Problem | None, refined: Sequence[Robot]) -> Comparison:
+    """Probabilities of the hypotheses of an explanation, and their fits."""
+    problem, nominal = found.problem, found.nominal
+    hypotheses = [nominal, *found.found[:COMPARED]]
+    scores = np.array([h.log_evidence(problem) for h in hypotheses])
+    train = [_rms(problem, h.residual) for h in hypotheses]
+    tested = [None] * len(hypotheses)
+    if heldout is not None:
+        points = [(h.x, h.suspects) for h in hypotheses]
+        heldout = heldout.with_floor(numerical_floor(heldout, refined, points))
+        residuals = heldout.residuals(points)
+        scores = scores - [heldout.excess(row) for row in residuals]
+        tested = [_rms(heldout, row) for row in residuals]
+    detected = p_value(found.promised)
+    chances = _chances(scores, detected, min(problem.excess(h.residual) for h in hypotheses))
+    answers = [
+        Answer(h, p, Fit(train[0], a, problem.sigma), None if b is None else Fit(tested[0], b, heldout.sigma))
+        for h, p, a, b in zip(hypotheses, chances, train, tested, strict=True)
+    ]
+    unknown = _unknown(problem, nominal, answers[1:]) if detected < 0.5 else 0.0
+    answers = [replace(a, probability=a.probability * (1.0 - unknown)) for a in answers]
+    return Comparison(tuple(sorted(answers, key=lambda a: -a.probability)), unknown, detected)
+
+
+def _chances(scores, detected, excess):
+    """Tempered probabilities; the first is that of nothing missing, which the detection decides."""
+    if len(scores) == 1:
+        return np.ones(1)
+    tempered = scores[1:] / (TEMPER[0] + TEMPER[1] * max(excess, 0.0))
+    others = np.exp(tempered - tempered.max())
+    return np.concatenate([[detected], (1.0 - detected) * others / others.sum()])
+
+
+def _unknown(problem, nominal, answers) -> float:
+    """Probability that the physics has no name: much of what the nominal robot leaves is left by all."""
+    if not answers:
+        return 0.0
+    before = problem.excess(nominal.residual)
+    left = min(problem.excess(a.hypothesis.residual) for a in answers)
+    share, width, least = UNKNOWN
+    return float(expit(((left - least) / max(before - least, 1.0) - share) / width))
+
+
+def _rms(problem, residual) -> float:
+    """Of what the numerical floor does not explain."""
+    left = problem.floor.without(residual)
+    return float(problem.sigma * np.sqrt((left**2).sum() / problem.weight.sum()))

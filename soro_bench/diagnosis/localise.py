@@ -1,0 +1,126 @@
+"""Localise: where on the robot, when, and under which conditions a hypothesis explains more than another one.
+
+``places`` needs no name for what is missing: at every place the responses of all suspects there, free to change from
+window to window, stand for any force that acts at it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from soro_bench.diagnosis.fit import Hypothesis
+from soro_bench.diagnosis.problem import Problem
+from soro_bench.diagnosis.robot import Measured
+from soro_bench.diagnosis.suspects import Suspect
+from soro_bench.effects.effect import EVERY, Port
+
+WINDOW = 1.0  # s, of maps over time
+FREE_WINDOW = 3.0  # s, in which an unknown force is a fixed combination of known responses
+_WHEN = 0.8  # of what is explained lies in the intervals that are named
+_AFTER_REVERSAL = 0.25  # s
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place, and the evidence (natural logarithm) that any force there gains, with its strength in every window."""
+
+    where: Port
+    gain: float
+
+
+@dataclass(frozen=True)
+class Regime:
+    """Share of time, and of what is explained, under a condition."""
+
+    condition: str
+    time: float
+    explained: float
+
+
+def residual_map(problem: Problem, residual: np.ndarray) -> np.ndarray:
+    """(windows, points) rms [signal's unit] of what the numerical floor does not explain, of the first recording."""
+    first = problem.recordings[0]
+    left = problem.sigma * problem.floor.without(residual)[: first.values.size].reshape(first.values.shape)
+    size = max(1, round(WINDOW / float(np.median(np.diff(first.time)))))
+    count = len(left) // size
+    return np.sqrt((left[: count * size].reshape(count, size, *left.shape[1:]) ** 2).mean(axis=(1, 3)))
+
+
+def explained_over_time(problem: Problem, before: Hypothesis, after: Hypothesis) -> np.ndarray:
+    """(T,) evidence gained in each sample of the first recording."""
+    first = problem.recordings[0]
+    squares = [problem.floor.without(h.residual)[: first.values.size] ** 2 for h in (before, after)]
+    return 0.5 * (squares[0] - squares[1]).reshape(len(first.time), -1).sum(axis=1)
+
+
+def intervals(time: np.ndarray, gain: np.ndarray) -> list[tuple[float, float]]:
+    """The fewest windows with most of the gain, as intervals [s]."""
+    edges = np.arange(0.0, time[-1] + WINDOW, WINDOW)
+    of_window = np.histogram(time - 1e-9, edges, weights=np.maximum(gain, 0.0))[0]
+    order = np.argsort(of_window)[::-1]
+    enough = int(np.searchsorted(np.cumsum(of_window[order]), _WHEN * of_window.sum())) + 1
+    found: list[tuple[float, float]] = []
+    for i in sorted(order[:enough]):
+        start, end = float(edges[i]), float(min(edges[i + 1], time[-1]))
+        if found and found[-1][1] == start:
+            start = found.pop()[0]
+        found.append((start, end))
+    return found
+
+
+def regimes(measured: Measured, gain: np.ndarray, channel: int | None) -> list[Regime]:
+    """What is explained while a channel of the commands (None: any) moves, has just reversed, or rests."""
+    actions = measured.actions if channel is None else measured.actions[:, [channel]]
+    steps = max(1, round(_AFTER_REVERSAL / float(np.median(np.diff(measured.time)))))
+    moving = (np.abs(actions) > 1e-3).any(axis=1)
+    reversal = np.zeros(len(actions), bool)
+    for column in np.sign(np.where(np.abs(actions) > 1e-3, actions, 0.0)).T:
+        last = 0.0
+        for t, sign in enumerate(column):
+            if sign and last and sign != last:
+                reversal[t : t + steps] = True
+            last = sign or last
+    gained = np.maximum(gain, 0.0)
+    total = max(float(gained.sum()), 1e-300)
+    masks = {
+        "just after reversals": reversal,
+        "while it moves on": moving & ~reversal,
+        "while it rests": ~moving & ~reversal,
+    }
+    return [Regime(name, float(m.mean()), float(gained[m].sum()) / total) for name, m in masks.items()]
+
+
+def places(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect], responses) -> list[Place]:
+    """Where any force would explain most of what a hypothesis leaves, the best place first."""
+    groups: dict[Port, list[np.ndarray]] = {}
+    for candidate, rows in zip(candidates, responses, strict=True):
+        if candidate.where.name != EVERY:
+            groups.setdefault(_place(candidate.where), []).append(rows)
+    floor = base.floor(problem)
+    hessian = floor.product(base.slope, base.slope) + np.eye(len(base.x))
+    found = []
+    for where, rows in groups.items():
+        free = _windowed(problem, np.concatenate(rows))
+        cross = floor.product(free, base.slope)
+        reduced = np.linalg.solve(hessian, cross.T)
+        matrix = floor.product(free, free) + np.eye(len(free)) - cross @ reduced
+        gradient = floor.product(base.slope, base.residual[None])[:, 0] + base.x
+        pull = floor.product(free, base.residual[None])[:, 0] - reduced.T @ gradient
+        gain = 0.5 * float(pull @ np.linalg.solve(matrix, pull)) - 0.5 * float(np.linalg.slogdet(matrix)[1])
+        found.append(Place(where, gain))
+    return sorted(found, key=lambda place: -place.gain)
+
+
+def _place(where: Port) -> Port:
+    """A cable and the actuator that pulls it are one place."""
+    return Port("tendon", where.name) if where.kind == "actuator" else where
+
+
+def _windowed(problem, rows):
+    """(K * windows, M) each of the rows (K, M), cut into windows."""
+    window = np.concatenate([
+        np.repeat((each.time // FREE_WINDOW).astype(int), each.values[0].size) + 1000 * i
+        for i, each in enumerate(problem.recordings)
+    ])
+    return np.concatenate([rows * (window == w) for w in np.unique(window)])

@@ -1,0 +1,172 @@
+"""report.html: a diagnosis to look at, in one file without scripts; and the robot before and after, for rerun."""
+
+import base64
+import html
+import io
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.diagnosis.fit import Hypothesis
+from soro_bench.diagnosis.localise import explained_over_time, residual_map
+from soro_bench.diagnosis.pipeline import Diagnosis
+from soro_bench.diagnosis.report import findings, patch, verdict, write_json_report
+from soro_bench.files import replacing
+from soro_bench.recording.comparison import measured_points
+from soro_bench.recording.recording import Recording
+from soro_bench.recording.rerun_log import write_recording
+from soro_bench.recording.simulated import replay
+from soro_bench.report import pyplot
+
+_STYLE = """body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem }
+img { width: 100% } table { border-collapse: collapse; font-size: 90% } td, th { padding: .2rem .8rem .2rem 0;
+text-align: left; vertical-align: top; border-bottom: 1px solid #ddd } .verdict { background: #f3f6fa; padding: 1rem;
+white-space: pre-line } figcaption { color: #555; margin-bottom: 1.5rem }"""
+_RANKED = 10  # effects in the table
+_MM = 1e3
+
+
+def write_reports(diagnosis: Diagnosis, recordings: Sequence[Recording], folder: str | Path) -> str:
+    """All files of a diagnosis in a folder; returns the verdict in sentences."""
+    folder = Path(folder)
+    report = write_json_report(diagnosis, folder)
+    text = verdict(diagnosis)
+    with replacing(folder / "report.html") as temporary:
+        temporary.write_text(_page(diagnosis, report, text), encoding="utf-8")
+    _write_comparison(diagnosis, recordings[0], folder / "comparison.rrd")
+    return text
+
+
+def _write_comparison(diagnosis, recording, path) -> None:
+    """Measured points beside the simulated robot, before (with fitted parameters) and after (with the patch)."""
+    explanation, model = diagnosis.explanation, diagnosis.robot.model_name
+    best, episodes = diagnosis.comparison.answers[0].hypothesis, []
+    for hypothesis, effects in ((explanation.nominal, []), (best, patch(diagnosis))):
+        physics = [effect for effect in effects if effect.where.kind != "sensor"]
+        fitted = replace(recording, parameters=diagnosis.robot.parameters(hypothesis.x))
+        episodes.append(replay(fitted, model, effects=physics))
+    write_recording(path, episodes, "before, and after the diagnosis", measured_points(recording))
+
+
+def _page(diagnosis: Diagnosis, report: dict, text: str) -> str:
+    plots = [
+        ("What was found", "Probability of every effect.", _ranking(diagnosis)),
+        ("Where and when", "What the nominal robot leaves, with its parameters fitted and numerical error taken off.",
+         _heat(diagnosis)),
+        ("Before and after", "The point with the largest error: measured less simulated. The band is two standard "
+         "deviations of the noise.", _overlay(diagnosis)),
+        ("When it is explained", "Evidence gained by the best hypothesis in every second.", _gain(diagnosis)),
+    ]  # fmt: skip
+    figures = "".join(
+        f"<h2>{title}</h2><figure><img alt='{html.escape(caption)}' src='data:image/png;base64,{image}'>"
+        f"<figcaption>{html.escape(caption)}</figcaption></figure>"
+        for title, caption, image in plots
+    )
+    return (
+        f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Diagnosis</title><style>{_STYLE}</style>"
+        f"<h1>Diagnosis of {html.escape(diagnosis.robot.env_id)}</h1><p class='verdict'>{html.escape(text)}</p>"
+        f"{_effects_table(report)}{figures}{_parameters_table(report)}{_detectable_table(report)}</html>\n"
+    )
+
+
+def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    cells = "".join(f"<th>{html.escape(each)}</th>" for each in head)
+    body = "".join("<tr>" + "".join(f"<td>{html.escape(each)}</td>" for each in row) + "</tr>" for row in rows)
+    return f"<h2>{html.escape(title)}</h2><table><tr>{cells}</tr>{body}</table>"
+
+
+def _effects_table(report) -> str:
+    rows = []
+    for effect in report["effects"][:_RANKED]:
+        where = effect["where"]
+        place = " ".join(str(where[key]) for key in ("kind", "name", "index") if key in where) if where else ""
+        values = "; ".join(_value(name, q) for name, q in effect["parameters"].items())
+        said = "; ".join([*effect["evidence"], *(f"but {each}" for each in effect["against"])])
+        rows.append([f"{effect['probability']:.2f}", effect["name"], place, values, said])
+    return _table("Effects", ["probability", "effect", "place", "parameters", "evidence"], rows)
+
+
+def _value(name, q) -> str:
+    interval = f" [{q['ci90'][0]:.3g}, {q['ci90'][1]:.3g}]" if "ci90" in q else ""
+    return f"{name} {q['value']:.3g}{interval} {q['unit']}"
+
+
+def _parameters_table(report) -> str:
+    rows = []
+    for name, p in report["parameters"].items():
+        low, high = p["ci90"]
+        rows.append([name, f"{p['value']:.4g}", f"{low:.4g} .. {high:.4g}", p["unit"], f"{p['prior_tension_sd']:+.1f}"])
+    return _table("Parameters", ["parameter", "value", "90 %", "unit", "standard deviations from nominal"], rows)
+
+
+def _detectable_table(report) -> str:
+    rows = []
+    for name, d in sorted(report["detectable"].items()):
+        rows.append([name, f"{d['quantity']} {d['minimum']:.2g} {d['unit']}"])
+    return _table("What would just have been seen", ["effect", "smallest magnitude"], rows)
+
+
+def _ranking(diagnosis) -> str:
+    shown = [(f"{f.effect.name} at {f.effect.where}", f.probability) for f in findings(diagnosis)][:_RANKED]
+    nothing = sum(a.probability for a in diagnosis.comparison.answers if not a.names)
+    shown = sorted(
+        [*shown, ("nothing missing", nothing), ("unknown", diagnosis.comparison.unknown)], key=lambda pair: pair[1]
+    )
+    figure, axes = pyplot().subplots(figsize=(9, 0.4 + 0.3 * len(shown)), layout="constrained")
+    axes.barh([name for name, _ in shown], [chance for _, chance in shown])
+    axes.set(xlim=(0, 1), xlabel="probability")
+    return _image(figure)
+
+
+def _heat(diagnosis) -> str:
+    shown = _MM * residual_map(diagnosis.explanation.problem, diagnosis.explanation.nominal.residual)
+    figure, axes = pyplot().subplots(figsize=(9, 3.6), layout="constrained")
+    mesh = axes.pcolormesh(np.arange(len(shown) + 1), np.arange(shown.shape[1] + 1), shown.T, cmap="magma_r")
+    axes.set(xlabel="time [s]", ylabel="point, from the clamp to the tip")
+    figure.colorbar(mesh, label="rms left [mm]")
+    return _image(figure)
+
+
+def _overlay(diagnosis) -> str:
+    explanation = diagnosis.explanation
+    problem, best = explanation.problem, diagnosis.comparison.answers[0].hypothesis
+    measured = problem.recordings[0]
+    before, after = (_left(problem, h) for h in (explanation.nominal, best))
+    point = int((before**2).sum(axis=(0, 2)).argmax())
+    figure, axes = pyplot().subplots(3, 1, figsize=(9, 5.5), sharex=True, layout="constrained")
+    for axis, ax in enumerate(axes):
+        ax.axhspan(-2 * _MM * problem.sigma, 2 * _MM * problem.sigma, color="0.85", lw=0)
+        ax.plot(measured.time, _MM * before[:, point, axis], color="C3", lw=0.8, label="parameters fitted")
+        ax.plot(measured.time, _MM * after[:, point, axis], color="C0", lw=0.8, label="best hypothesis")
+        ax.set_ylabel(f"{'xyz'[axis]} [mm]")
+    axes[0].legend(loc="upper right", ncols=2, frameon=False)
+    axes[0].set_title(f"point {point}")
+    axes[-1].set_xlabel("time [s]")
+    return _image(figure)
+
+
+def _gain(diagnosis) -> str:
+    explanation = diagnosis.explanation
+    measured = explanation.problem.recordings[0]
+    gain = explained_over_time(explanation.problem, explanation.nominal, diagnosis.comparison.answers[0].hypothesis)
+    figure, axes = pyplot().subplots(figsize=(9, 2.4), layout="constrained")
+    edges = np.arange(0.0, measured.time[-1] + 1.0)
+    axes.stairs(np.histogram(measured.time - 1e-9, edges, weights=gain)[0], edges, fill=True)
+    axes.set(xlabel="time [s]", ylabel="evidence [nats/s]")
+    return _image(figure)
+
+
+def _left(problem, hypothesis: Hypothesis) -> np.ndarray:
+    """(T, P, D) [signal's unit] of the first recording, numerical error taken off."""
+    first = problem.recordings[0]
+    left = problem.sigma * problem.floor.without(hypothesis.residual)
+    return left[: first.values.size].reshape(first.values.shape)
+
+
+def _image(figure) -> str:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
+    pyplot().close(figure)
+    return base64.b64encode(buffer.getvalue()).decode()

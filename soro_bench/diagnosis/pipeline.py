@@ -1,0 +1,123 @@
+"""The whole diagnosis of a robot: from recordings to what is missing in its simulation."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from soro_bench.diagnosis.audit import Audit, audit, outliers
+from soro_bench.diagnosis.compare import Comparison, compared
+from soro_bench.diagnosis.explain import Explanation, explained, nominal_fit
+from soro_bench.diagnosis.localise import Place, places
+from soro_bench.diagnosis.problem import Problem
+from soro_bench.diagnosis.robot import Measured, Robot
+from soro_bench.diagnosis.suspects import suspects
+from soro_bench.inference.clouds import LowRank
+from soro_bench.recording.recording import Recording
+
+ALPHA = 0.01  # a mismatch is one where nothing missing would look like it less often
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """Samples left out because they are alone and far off: share of all points, and their rms distance [unit]."""
+
+    share: float
+    size: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What was found; times are in seconds, everything else in the units of the robot and its signal."""
+
+    robot: Robot
+    audits: tuple[Audit, ...]
+    outliers: Outliers
+    explanation: Explanation
+    comparison: Comparison
+    places: tuple[Place, ...]
+    heldout: Problem | None
+    seconds: float
+
+    @property
+    def detected(self) -> bool:
+        return self.comparison.p_value < ALPHA
+
+    @property
+    def verdict(self) -> str:
+        """One of the verdicts of report.json."""
+        if not self.detected:
+            return "measurement_fault" if self.outliers.share else "none_detected"
+        best = self.comparison.answers[0]
+        if self.comparison.unknown > 0.5:
+            return "unknown_physics"
+        if not best.names:
+            return "none_detected"
+        return (
+            "measurement_fault"
+            if all(s.where.kind == "sensor" for s in best.hypothesis.suspects)
+            else "missing_physics"
+        )
+
+
+def diagnose(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    heldout: Sequence[Recording] = (),
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Diagnosis:
+    """Explain what a simulated robot gets wrong in recordings.
+
+    Args:
+        recordings: to explain.
+        heldout: of other motion, to test the explanations on.
+        progress: called with the name of every stage.
+
+    Raises:
+        RecordingError: a recording lacks something; says what.
+    """
+    start = time.perf_counter()
+    progress("audit")
+    refined = robot.refined()
+    measured = tuple(robot.measured(each) for each in recordings)
+    tested = tuple(robot.measured(each) for each in heldout)
+    audits = tuple(audit(each) for each in (*measured, *tested))
+    sigma = float(np.median([a.sigma for a in audits]))
+    problem, nominal = nominal_fit(_problem(robot, measured, sigma), refined, seed, progress)
+    problem, nominal, found_outliers = _without_outliers(problem, nominal)
+    candidates = suspects(robot, measured[0].values.shape[1])
+    explanation, responses = explained(problem, nominal, refined, candidates, seed, progress)
+    progress("comparison")
+    tested_problem = _problem(robot, tested, sigma) if tested else None
+    comparison = compared(explanation, tested_problem, refined)
+    where = places(explanation.problem, explanation.nominal, candidates, responses) if explanation.found else []
+    return Diagnosis(robot, audits, found_outliers, explanation, comparison, tuple(where), tested_problem,
+                     time.perf_counter() - start)  # fmt: skip
+
+
+def _problem(robot: Robot, measured: tuple[Measured, ...], sigma: float) -> Problem:
+    weight = np.concatenate([np.isfinite(each.values).ravel().astype(float) for each in measured])
+    return Problem(robot, measured, sigma, weight, LowRank(np.zeros((0, weight.size))))
+
+
+def _without_outliers(problem, nominal):
+    """The problem and its nominal fit without the samples that are alone and far off."""
+    ends = np.cumsum([each.values.size for each in problem.recordings])[:-1]
+    weight, squares, hits, points = problem.weight.copy(), 0.0, 0, 0
+    left = np.split(np.where(weight > 0, nominal.residual, np.nan), ends)
+    for each, residual, mask in zip(problem.recordings, left, np.split(weight, ends), strict=True):
+        shape = each.values.shape
+        far = outliers(residual.reshape(shape))
+        mask.reshape(shape)[far] = 0.0  # a view of weight
+        squares += float((residual.reshape(shape)[far] ** 2).sum())
+        hits, points = hits + int(far.sum()), points + far.size
+    if not hits:
+        return problem, nominal, Outliers(0.0, 0.0)
+    problem = replace(problem, weight=weight, floor=LowRank(problem.floor.basis * weight))
+    masked = {name: getattr(nominal, name) * weight for name in ("residual", "slope", "error")}
+    nominal = replace(nominal, **masked)
+    nominal = replace(nominal, cost=problem.cost(nominal.residual, nominal.x))
+    size = problem.sigma * float(np.sqrt(squares / (hits * problem.recordings[0].values.shape[2])))
+    return problem, nominal, Outliers(hits / points, size)

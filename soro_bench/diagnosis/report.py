@@ -1,0 +1,319 @@
+"""report.json: what a diagnosis found, for programs; and the same in sentences."""
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.diagnosis.compare import Answer, Fit
+from soro_bench.diagnosis.fit import Hypothesis
+from soro_bench.diagnosis.localise import Regime, explained_over_time, intervals, regimes
+from soro_bench.diagnosis.pipeline import ALPHA, Diagnosis
+from soro_bench.diagnosis.suspects import Suspect
+from soro_bench.effects.catalogue import CATEGORIES, QUANTITIES
+from soro_bench.effects.effect import Effect, Port, save_effects
+from soro_bench.files import write_json
+from soro_bench.randomization import TruncatedNormal
+
+SCHEMA = "soro-bench/diagnosis/1"
+CREDIBLE = 0.9
+NINETY = 1.645  # standard deviations on either side of the middle 90 %
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect at a place, in the most probable hypothesis that has it, and its probability in all of them."""
+
+    suspect: Suspect
+    effect: Effect
+    answer: Answer
+    probability: float
+
+
+def findings(diagnosis: Diagnosis) -> list[Finding]:
+    """Every effect of any hypothesis, the most probable first; of those in one hypothesis that which gains most."""
+    best: dict[tuple[str, Port], Finding] = {}
+    d = diagnosis.explanation.problem.parameters
+    for answer in diagnosis.comparison.answers:
+        for suspect, effect in zip(answer.hypothesis.suspects, answer.hypothesis.effects(d), strict=True):
+            key = (effect.name, effect.where)
+            first = best.get(key)
+            chance = answer.probability + (first.probability if first else 0.0)
+            best[key] = replace(first, probability=chance) if first else Finding(suspect, effect, answer, chance)
+    return sorted(best.values(), key=lambda f: -f.probability)
+
+
+def write_json_report(diagnosis: Diagnosis, folder: str | Path) -> dict:
+    """report.json, effects.json and posterior.json in a folder; returns the report."""
+    folder = Path(folder)
+    report = report_of(diagnosis)
+    write_json(folder / "report.json", report)
+    save_effects(patch(diagnosis), folder / "effects.json")
+    write_json(folder / "posterior.json", posterior(diagnosis).to_dict())
+    return report
+
+
+def patch(diagnosis: Diagnosis) -> list[Effect]:
+    """The physics that the simulation should have; none where nothing is missing or held-out recordings got worse."""
+    if diagnosis.verdict not in ("missing_physics", "measurement_fault") or rejected(diagnosis):
+        return []
+    return diagnosis.comparison.answers[0].hypothesis.effects(diagnosis.explanation.problem.parameters)
+
+
+def rejected(diagnosis: Diagnosis) -> bool:
+    """Whether the most probable hypothesis makes held-out recordings worse."""
+    heldout = diagnosis.comparison.answers[0].heldout
+    return heldout is not None and heldout.after > heldout.before
+
+
+def posterior(diagnosis: Diagnosis) -> TruncatedNormal:
+    """The parameters under the most probable hypothesis, as a distribution to train on."""
+    best, priors = diagnosis.comparison.answers[0].hypothesis, diagnosis.robot.priors
+    low, middle, high = (_values(priors, best.x + k * _deviations(diagnosis, best)) for k in (-1.0, 0.0, 1.0))
+    return TruncatedNormal(tuple(p.name for p in priors), middle, 0.5 * (high - low))
+
+
+def report_of(diagnosis: Diagnosis) -> dict:
+    """The contents of report.json."""
+    comparison, best = diagnosis.comparison, diagnosis.comparison.answers[0]
+    ranked = [_effect(diagnosis, finding) for finding in findings(diagnosis)]
+    nothing = next((a.probability for a in comparison.answers if not a.names), 0.0)
+    ranked.append(_nameless("none", nothing))
+    ranked.append(_nameless("unknown", comparison.unknown, diagnosis))
+    if diagnosis.outliers.share:
+        ranked.append(_outliers(diagnosis))
+    ranked.sort(key=lambda e: -e["probability"])
+    return {
+        "schema": SCHEMA,
+        "verdict": diagnosis.verdict,
+        "p_value": comparison.p_value,
+        "alpha": ALPHA,
+        "effects": ranked,
+        "hypotheses": [{"names": list(a.names), "probability": a.probability} for a in comparison.answers],
+        "credible_set": _credible(ranked),
+        "fit": {
+            "train": _fit(best.train),
+            "heldout": None if best.heldout is None else _fit(best.heldout),
+            "fve_heldout": None if best.heldout is None else _number(best.heldout.explained),
+            "unit": diagnosis.explanation.problem.recordings[0].unit,
+            "patch": "rejected" if rejected(diagnosis) else "accepted" if patch(diagnosis) else "none",
+        },
+        "parameters": _parameters(diagnosis, best.hypothesis),
+        "places": [{"where": _where(p.where), "gain": p.gain} for p in diagnosis.places[:10]],
+        "detectable": _detectable(diagnosis),
+        "audit": [{"noise": a.sigma, "missing": a.missing} for a in diagnosis.audits],
+        "seconds": round(diagnosis.seconds, 1),
+    }
+
+
+def _effect(diagnosis: Diagnosis, finding: Finding) -> dict:
+    problem, nominal = diagnosis.explanation.problem, diagnosis.explanation.nominal
+    hypothesis = finding.answer.hypothesis
+    gain = explained_over_time(problem, nominal, hypothesis)
+    measured = problem.recordings[0]
+    shares = regimes(measured, gain, _channel(diagnosis, finding.effect.where))
+    return {
+        "name": finding.effect.name,
+        "class": CATEGORIES[finding.effect.name],
+        "probability": finding.probability,
+        "where": _where(finding.effect.where),
+        "when": [{"start_s": a, "end_s": b} for a, b in intervals(measured.time, gain)],
+        "condition": _condition(finding.effect, shares),
+        "parameters": _quantities(diagnosis, finding),
+        "evidence": _evidence(diagnosis, finding.answer),
+        "against": _against(diagnosis, finding.answer),
+        "together_with": [s.name for s in hypothesis.suspects if s is not finding.suspect],
+    }
+
+
+def _nameless(name: str, probability: float, diagnosis: Diagnosis | None = None) -> dict:
+    where = _where(diagnosis.places[0].where) if diagnosis and diagnosis.places else None
+    return {"name": name, "class": name, "probability": probability, "where": where, "when": [], "condition": "",
+            "parameters": {}, "evidence": [], "against": [], "together_with": []}  # fmt: skip
+
+
+def _outliers(diagnosis: Diagnosis) -> dict:
+    """They were left out, so they compete with nothing; they are the answer where nothing else is."""
+    found, signal = diagnosis.outliers, diagnosis.robot.signal
+    parameters = {"share": {"value": found.share, "unit": "1"}, "size": {"value": found.size, "unit": "m"}}
+    return {
+        **_nameless("outliers", 0.0 if diagnosis.detected else 1.0),
+        "class": "measurement",
+        "where": {"kind": "sensor", "name": signal},
+        "parameters": parameters,
+        "evidence": [f"{100 * found.share:.2g} % of the points are alone {1e3 * found.size:.3g} mm off; left out"],
+    }
+
+
+def _channel(diagnosis: Diagnosis, where: Port) -> int | None:
+    """The command that moves a cable."""
+    names = [port.name for port in diagnosis.robot.ports("actuator")]
+    channels = diagnosis.explanation.problem.recordings[0].actions.shape[1]
+    known = where.kind in ("tendon", "actuator") and where.name in names and len(names) == channels
+    return names.index(where.name) if known else None
+
+
+def _condition(effect: Effect, shares: list[Regime]) -> str:
+    most = max(shares, key=lambda r: r.explained / max(r.time, 0.02))
+    what = f"of {effect.where}" if effect.where.kind in ("tendon", "actuator") else "of the commands"
+    explained, time = 100 * most.explained, 100 * most.time
+    return f"{explained:.0f} % of what it explains is {most.condition} {what}, {time:.0f} % of the time"
+
+
+def _quantities(diagnosis: Diagnosis, finding: Finding) -> dict:
+    hypothesis, at = finding.answer.hypothesis, diagnosis.explanation.problem.parameters
+    for suspect in hypothesis.suspects:
+        if suspect is finding.suspect:
+            break
+        at += suspect.size
+    x, spread = hypothesis.x, _deviations(diagnosis, hypothesis)
+    part = slice(at, at + finding.suspect.size)
+    low, high = (finding.suspect.effect(x[part] + k * NINETY * spread[part]).parameters for k in (-1.0, 1.0))
+    return {
+        q.name: {
+            "value": finding.effect.parameters[q.name],
+            "unit": _unit(q.unit, finding.effect.where, diagnosis.explanation.problem.recordings[0].unit),
+            "ci90": sorted((low[q.name], high[q.name])),
+        }
+        for q in QUANTITIES[finding.effect.name]
+    }
+
+
+def _unit(unit: str, where: Port, signal: str) -> str:
+    """Of "N or N m" and the like the one that fits the place."""
+    if unit == "signal":
+        return signal
+    parts = unit.split(" or ")
+    return parts[-1] if where.kind in ("joint", "body") else parts[0]
+
+
+def _deviations(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:
+    """(n,) of x."""
+    return np.sqrt(np.diag(hypothesis.covariance(diagnosis.explanation.problem)))
+
+
+def _values(priors, x) -> np.ndarray:
+    return np.array([float(prior.value(value)) for prior, value in zip(priors, x[: len(priors)], strict=True)])
+
+
+def _parameters(diagnosis: Diagnosis, hypothesis: Hypothesis) -> dict:
+    spread, priors = _deviations(diagnosis, hypothesis), diagnosis.robot.priors
+    low, middle, high = (_values(priors, hypothesis.x + k * NINETY * spread) for k in (-1.0, 0.0, 1.0))
+    return {
+        prior.name: {
+            "value": middle[i],
+            "unit": prior.unit,
+            "ci90": sorted((low[i], high[i])),
+            "prior_tension_sd": float(hypothesis.x[i]),
+        }
+        for i, prior in enumerate(priors)
+    }
+
+
+def _evidence(diagnosis: Diagnosis, answer: Answer) -> list[str]:
+    unit = diagnosis.explanation.problem.recordings[0].unit
+    said = [f"explains {_percent(answer.train)} of the variance above the noise ({_before_after(answer.train, unit)})"]
+    if answer.heldout is not None:
+        said.append(f"held out: {_percent(answer.heldout)} ({_before_after(answer.heldout, unit)})")
+    return said
+
+
+def _against(diagnosis: Diagnosis, answer: Answer) -> list[str]:
+    best, said = diagnosis.comparison.answers[0], []
+    if answer.heldout is not None and answer.heldout.after > answer.heldout.before:
+        said.append("makes held-out recordings worse")
+    if answer is not best:
+        said.append(f"{' with '.join(best.names) or 'nothing missing'} leaves {_length(best.train.after, 'm')}, "
+                    f"this {_length(answer.train.after, 'm')}")  # fmt: skip
+    return said
+
+
+def _percent(fit: Fit) -> str:
+    return "-" if math.isnan(fit.explained) else f"{100 * fit.explained:.0f} %"
+
+
+def _before_after(fit: Fit, unit: str) -> str:
+    return f"{_length(fit.before, unit)} -> {_length(fit.after, unit)}, noise {_length(fit.noise, unit)}"
+
+
+def _length(value: float, unit: str) -> str:
+    return f"{1e3 * value:.2f} mm" if unit == "m" else f"{value:.3g} {unit}"
+
+
+def _fit(fit: Fit) -> dict:
+    return {"rmse_before": fit.before, "rmse_after": fit.after, "noise_floor": fit.noise}
+
+
+def _number(value: float) -> float | None:
+    return None if math.isnan(value) else value
+
+
+def _where(port: Port) -> dict:
+    return {"kind": port.kind, "name": port.name, **({} if port.index is None else {"index": port.index})}
+
+
+def _credible(ranked: list[dict]) -> list[str]:
+    chosen, total = [], 0.0
+    for effect in ranked:
+        if total >= CREDIBLE:
+            break
+        total += effect["probability"]
+        if effect["name"] not in chosen:
+            chosen.append(effect["name"])
+    return chosen
+
+
+def _detectable(diagnosis: Diagnosis) -> dict:
+    """The smallest magnitude of each effect, at the place where it shows most, that would have been worth a look."""
+    found: dict[str, dict] = {}
+    for suspect, x in diagnosis.explanation.minimum:
+        q = QUANTITIES[suspect.name][0]
+        coordinates = np.zeros(suspect.size)
+        coordinates[0] = x
+        value = abs(suspect.effect(coordinates).parameters[q.name] - q.null)
+        if suspect.name not in found or value < found[suspect.name]["minimum"]:
+            unit = _unit(q.unit, suspect.where, diagnosis.explanation.problem.recordings[0].unit)
+            found[suspect.name] = {"quantity": q.name, "minimum": value, "unit": unit, "where": _where(suspect.where)}
+    return found
+
+
+def verdict(diagnosis: Diagnosis) -> str:
+    """What was found, in sentences."""
+    best, unit = diagnosis.comparison.answers[0], diagnosis.explanation.problem.recordings[0].unit
+    said = []
+    if diagnosis.outliers.share:
+        said.append(f"{100 * diagnosis.outliers.share:.2g} % of the points are outliers; they are left out.")
+    if not diagnosis.detected:
+        said.append(f"Nothing is missing that this recording shows (p = {diagnosis.comparison.p_value:.2g}).")
+        shown = sorted(_detectable(diagnosis).items())
+        seen = ", ".join(f"{name} of {d['minimum']:.2g} {d['unit']}" for name, d in shown)
+        said.append(f"It would have shown: {seen}.")
+        return "\n".join(said)
+    if diagnosis.verdict == "unknown_physics":
+        place = diagnosis.places[0].where
+        nearest = " with ".join(best.names) or "nothing"
+        said.append(f"Something acts at {place} that has no name in the catalogue "
+                    f"(probability {diagnosis.comparison.unknown:.2f}); nearest is {nearest}.")  # fmt: skip
+    said += [_sentence(diagnosis, f) for f in findings(diagnosis) if f.answer is best]
+    said.append(f"Fit: {_before_after(best.train, unit)}.")
+    if best.heldout is not None:
+        said.append(f"Held out: {_before_after(best.heldout, unit)} ({_percent(best.heldout)} explained).")
+        if rejected(diagnosis):
+            said.append("The patch is rejected: it makes the held-out recordings worse.")
+    others = [a for a in diagnosis.comparison.answers[1:4] if a.probability >= 0.05]
+    if others:
+        names = ", or ".join(f"{' with '.join(a.names) or 'nothing'} ({a.probability:.2f})" for a in others)
+        said.append(f"It may also be {names}.")
+    return "\n".join(said)
+
+
+def _sentence(diagnosis: Diagnosis, finding: Finding) -> str:
+    shown = _effect(diagnosis, finding)
+    values = ", ".join(
+        f"{name} {q['value']:.3g} {q['unit']} [{q['ci90'][0]:.3g}, {q['ci90'][1]:.3g}]"
+        for name, q in shown["parameters"].items()
+    )
+    when = ", ".join(f"{w['start_s']:.0f}-{w['end_s']:.0f} s" for w in shown["when"][:6])
+    return (f"{finding.effect.name} at {finding.effect.where} (probability {finding.probability:.2f}): {values}; "
+            f"visible at {when}; {shown['condition']}.")  # fmt: skip

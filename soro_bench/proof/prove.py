@@ -1,0 +1,46 @@
+"""The blinded challenge: cases with concealed physics are written and committed to, diagnosed, and only then scored."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from soro_bench.diagnosis.pipeline import diagnose
+from soro_bench.diagnosis.report import report_of
+from soro_bench.diagnosis.robot import Robot
+from soro_bench.files import read_json, replacing, write_json
+from soro_bench.proof.cases import write_cases
+from soro_bench.proof.score import markdown, opened_labels, scored
+from soro_bench.recording.parquet import load
+
+ENV_ID = "TrunkReach-v0"
+Progress = Callable[[str, int, int], None]
+
+
+def prove(
+    folder: str | Path, count: int, seed: int, nulls: int | None = None, progress: Progress = lambda *_: None
+) -> str:
+    """Write what is missing of cases, reports and scorecard in a folder; returns the scorecard, Markdown.
+
+    The diagnosis sees recordings only; the labels are opened when every case has its report.
+    """
+    folder = Path(folder)
+    cases, reports = folder / "cases", folder / "reports"
+    write_cases(cases, count, seed, nulls, lambda done, total: progress("cases written", done, total))
+    names = sorted(path.name for path in cases.glob("case_*"))
+    robot = Robot(ENV_ID)
+    for i, name in enumerate(names):
+        diagnosed(robot, cases / name, reports / f"{name}.json")
+        progress("cases diagnosed", i + 1, len(names))
+    card = scored(opened_labels(cases), {path.stem: read_json(path) for path in sorted(reports.glob("case_*.json"))})
+    write_json(folder / "scorecard.json", card)
+    text = markdown(card)
+    with replacing(folder / "scorecard.md") as temporary:
+        temporary.write_text(text + "\n")
+    return text
+
+
+def diagnosed(robot: Robot, case: Path, path: Path) -> dict:
+    """The report of a case, from its file if it has been made."""
+    if not path.exists():
+        found = diagnose(robot, [load(case / "train.parquet")], [load(case / "heldout.parquet")])
+        write_json(path, report_of(found))
+    return read_json(path)

@@ -1,0 +1,79 @@
+"""Scores of diagnoses, on labels and reports written by hand."""
+
+import hashlib
+
+import pytest
+
+from soro_bench.files import write_json
+from soro_bench.proof.score import markdown, opened_labels, scored
+
+
+def label(number, group="one", name="payload", category="inertia", kind="body", place="vertebra4", index=None):
+    where = {"kind": kind, "name": place, **({} if index is None else {"index": index})}
+    effects = [] if group == "none" else [{"name": name, "class": category, "where": where}]
+    change = {"train": 0.0 if group == "none" else 2.0, "heldout": 0.0 if group == "none" else 1.0}
+    return {"id": f"case_{number:03d}", "group": group, "robot": "fine", "effects": effects, "change_mm": change,
+            "noise": {"value": 5e-4, "unit": "m"}}  # fmt: skip
+
+
+def report(name="payload", category="inertia", kind="body", place="vertebra4", chance=0.9, verdict="missing_physics"):
+    where = None if name == "none" else {"kind": kind, "name": place}
+    first = {"name": name, "class": category, "probability": chance, "where": where}
+    rest = {"name": "unknown", "class": "unknown", "probability": 1 - chance, "where": None}
+    fit = {"rmse_before": 6e-4, "rmse_after": 5e-4, "noise_floor": 5e-4}
+    return {"effects": [first, rest], "verdict": verdict, "credible_set": [name],
+            "fit": {"train": fit, "heldout": fit, "fve_heldout": 0.95}, "seconds": 50.0}  # fmt: skip
+
+
+def values(labels, reports):
+    card = scored(labels, {one["id"]: found for one, found in zip(labels, reports, strict=True)})
+    return {gate["gate"]: gate["value"] for gate in card["gates"]}, card
+
+
+def test_what_is_right_is_counted_and_what_is_wrong_is_listed():
+    labels = [label(0), label(1), label(2), label(3, "none"), label(4, "none")]
+    wrong = report("base_tilt", "static_one_sided", "model", "gravity")
+    nothing = report("none", "none", verdict="none_detected")
+    found, card = values(labels, [report(), report(), wrong, nothing, report()])
+    assert found["first answer right"] == pytest.approx(2 / 3)
+    assert found["false alarms"] == 0.5
+    assert found["class right"] == pytest.approx(2 / 3)
+    assert {"truth": "payload", "said": "base_tilt", "cases": 1} in card["confusion"]
+    assert "MISSED" in markdown(card)
+
+
+@pytest.mark.parametrize(
+    ("truth", "said", "right"),
+    [
+        ({"place": "vertebra4"}, {"place": "vertebra5"}, True),
+        ({"place": "vertebra4"}, {"place": "vertebra6"}, False),
+        ({"kind": "tendon", "place": "L2"}, {"kind": "actuator", "place": "L2"}, True),
+        ({"kind": "tendon", "place": "L2"}, {"kind": "tendon", "place": "L1"}, False),
+        ({"place": "*"}, {"place": "*"}, True),
+        ({"place": "*"}, {"place": "vertebra4"}, False),
+    ],
+)
+def test_places(truth, said, right):
+    found, _ = values([label(0, **truth)], [report(**said)])
+    assert found["place right"] == float(right)
+
+
+def test_calibration_compares_what_is_stated_with_what_is_right():
+    labels = [label(i) for i in range(4)]
+    reports = [report(chance=0.75)] * 2 + [report("base_tilt", "static_one_sided", "model", "gravity", 0.75)] * 2
+    assert values(labels, reports)[0]["expected calibration error"] == pytest.approx(0.25)
+
+
+def test_parameters_that_hide_an_effect_are_seen():
+    _, card = values([label(0)], [report()])
+    assert card["cases"][0]["concealed"] == pytest.approx(1 - 3 * (0.6**2 - 0.5**2) / 2.0**2)
+
+
+def test_labels_that_were_changed_after_the_commitment_are_refused(tmp_path):
+    path = tmp_path / "sealed" / "labels.json"
+    write_json(path, {"cases": [label(0)]})
+    (tmp_path / "commitment.txt").write_text(hashlib.sha256(path.read_bytes()).hexdigest() + "\n")
+    assert opened_labels(tmp_path) == [label(0)]
+    write_json(path, {"cases": [label(1)]})
+    with pytest.raises(ValueError, match="commitment"):
+        opened_labels(tmp_path)
