@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from soro_bench.effects.catalogue import MEASUREMENT
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.effect import Effect, EffectError, Port
 from soro_bench.effects.elements import instrument
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import ParameterSet
@@ -153,6 +153,31 @@ def test_a_misaligned_frame_is_turned_and_shifted():
 def test_outliers_are_few_and_far_off():
     far = np.linalg.norm(recorded("outliers", share=0.1, size=5.0) - POINTS, axis=2) > 0.1
     assert far.mean() == pytest.approx(0.1, abs=0.05)
+
+
+# --- the accurate trunk, whose necks are flexes ---
+
+
+def sag(effects, model):
+    """m, how far the tip of a trunk hangs down that is held by no cable."""
+    task = make_task("TrunkReach-v0", 1, 1, model, action="continuous", effects=effects)
+    task.sim.batch.expand("opt.gravity")[:] = (0.0, -9.81, 0.0)
+    task.reset(np.arange(1), [np.random.default_rng(0)], [{}])
+    for _ in range(20):
+        task.step(np.arange(1), np.zeros((1, 8), np.float32))
+    return task.keypoints(np.arange(1))[0, -1, 1]
+
+
+@pytest.mark.parametrize("model", ["cable", "flex"])
+def test_a_softer_neck_sags_more_on_either_model(model):
+    softer = [Effect("local_stiffness", Port("body", "vertebra2"), {"factor": 0.5})]
+    assert sag(softer, model) < 1.05 * sag((), model) < 0
+
+
+@pytest.mark.parametrize("name", ["stiffening", "hysteresis", "viscoelastic_creep", "plastic_set", "mullins_softening"])
+def test_a_law_of_joints_is_refused_where_there_are_none(name):
+    with pytest.raises(EffectError, match="joints"):
+        sag([Effect(name, Port("body", "vertebra2"), {})], "flex")
 
 
 # --- energy ---

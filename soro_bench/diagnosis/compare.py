@@ -22,7 +22,7 @@ from soro_bench.diagnosis.robot import Robot
 GUMBEL_LOCATION, GUMBEL_SCALE = 65.0, 35.0
 TEMPER = (100.0, 0.1)  # nats, and share of the excess
 UNKNOWN = (0.25, 0.06, 400.0)  # share of the excess that is left where it is as likely as not, width, least excess left
-COMPARED = 6  # hypotheses that are simulated on held-out recordings
+COMPARED = 4  # hypotheses that are simulated on held-out recordings
 CREDIBLE = 0.9
 
 

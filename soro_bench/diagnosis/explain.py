@@ -18,11 +18,13 @@ from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
 from soro_bench.diagnosis.suspects import Suspect
 
 WIDE, NARROW, LAST = (0.7, 0.4, 0.2), (0.1, 0.05), 0.07  # radii of clouds, in standard deviations of the priors
-DRAWS = 3  # replays of each refined robot, at first and again near the fit
-NEAR, FAR = 0.15, 0.7  # their standard deviations, in those of the priors
+FAR_DRAWS, NEAR_DRAWS = 3, 2  # replays of each refined robot, at first and again near the fit
+FAR, NEAR = 0.7, 0.15  # their standard deviations, in those of the priors
 MOST = 3  # effects
-LEADS = 8
-WORTH = 400.0  # natural logarithm of the evidence that a lead promises; of nulls the best promise 30 to 120
+LEADS = 6
+# natural logarithm of the evidence that a lead has to promise (of nulls the best promise 30 to 120), and the share of
+# what is left: where physics has no name in the catalogue, one effect after the other would explain a little of it
+WORTH, WORTH_SHARE = 400.0, 0.05
 
 
 @dataclass(frozen=True)
@@ -53,14 +55,14 @@ class Explanation:
 def nominal_fit(problem: Problem, refined: Sequence[Robot], seed: int, progress=lambda *_: None):
     """The problem with its numerical floor, and the nominal robot fitted."""
     rng = np.random.default_rng(seed)
-    draws = FAR * rng.standard_normal((DRAWS, problem.parameters))
+    draws = FAR * rng.standard_normal((FAR_DRAWS, problem.parameters))
     draws[0] = 0.0
     progress("numerical floor")
     problem = problem.with_floor(numerical_floor(problem, refined, [(x, ()) for x in draws]))
     progress("joint fit of the parameters")
     (fit,) = fitted(problem, [Guess(np.zeros(problem.parameters))], WIDE, seed)
     progress("numerical floor near the fit")
-    near = np.clip(fit.x + NEAR * rng.standard_normal((DRAWS, problem.parameters)), -2, 2)
+    near = np.clip(fit.x + NEAR * rng.standard_normal((NEAR_DRAWS, problem.parameters)), -2, 2)
     problem = problem.with_floor(numerical_floor(problem, refined, [(x, ()) for x in near]))
     progress("joint fit of the parameters")
     (fit,) = fitted(problem, [Guess(fit.x, slope=fit.slope)], NARROW, seed + 1)
@@ -78,7 +80,7 @@ def explained(
     screened, best, tried = first, nominal, []
     promised = left = singles(first)[0].gain
     for number in range(1, MOST + 1):
-        if left < WORTH:
+        if left < max(WORTH, WORTH_SHARE * problem.excess(best.residual)):
             break
         progress(f"refits with {number} effect{'s' * (number > 1)}")
         leads = [screened.guess(lead) for lead in distinct(singles(screened), LEADS, problem.robot)]

@@ -68,6 +68,16 @@ class Elements:
         hinges = joints[model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE]
         return hinges if bending_only and len(hinges) else joints[np.isin(model.jnt_type[joints], _SCALARS)]
 
+    def flex_before(self, body: int) -> int | None:
+        """The flex that joins a body to one before it, as a neck does; None if there is none."""
+        model = self.model
+        for flex in range(model.nflex):
+            first = model.flex_nodeadr[flex]
+            nodes = model.flex_nodebodyid[first : first + model.flex_nodenum[flex]]
+            if len(nodes) > 1 and nodes.max() == body:
+                return flex
+        return None
+
     def spring_of(self, joint: int) -> int:
         """The tendon that is the second spring of a joint."""
         name = AUXILIARY + self.model.joint(joint).name

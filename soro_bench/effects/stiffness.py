@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from soro_bench.effects.effect import Quantity
+from soro_bench.effects.effect import EffectError, Quantity
 from soro_bench.effects.law import Law, OnJoints
 
 
@@ -131,11 +131,14 @@ class _Springs:
 
     def _places(self, law, elements, port):
         model, i = law.model, elements.id(port)
-        if port.kind == "flex":
-            start = model.flex_stiffnessadr[i]
+        joints = np.array([i]) if port.kind == "joint" else elements.joints_of(i) if port.kind == "body" else []
+        if not len(joints):
+            flex = i if port.kind == "flex" else elements.flex_before(i)
+            if flex is None:
+                raise EffectError(f"{law.name} needs joints or a flex; {port} has none")
+            start = model.flex_stiffnessadr[flex]  # its damping is in proportion
             end = min([a for a in model.flex_stiffnessadr if a > start], default=len(model.flex_stiffness))
             return [("flex_stiffness", column) for column in range(start, end)]
-        joints = np.array([i]) if port.kind == "joint" else elements.joints_of(i)
         return [("jnt_stiffness", j) for j in joints] + [("dof_damping", model.jnt_dofadr[j]) for j in joints]
 
     def remember(self, which):

@@ -158,7 +158,7 @@ GATES = (
     ("physics and measurement confused", _NAMED, _confused, 0.02, True),
     (
         "first answer right where parameters hide 90 %",
-        lambda row: (row["concealed"] or 0) > 0.9,
+        _hidden,
         _mean("first"),
         0.8,
         False,
