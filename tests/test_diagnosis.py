@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import soro_bench  # noqa: F401
+from soro_bench.diagnosis.audit import audit, outliers
 from soro_bench.diagnosis.fit import Guess, fitted
 from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.problem import Problem
@@ -84,14 +85,20 @@ def test_the_numerical_floor_is_the_difference_from_half_the_time_step(robot, ac
     assert 1e-6 < np.abs(floor).max() < 5e-3
 
 
-def test_the_numerical_floor_has_the_effects_of_a_hypothesis_or_none_on_either_side(robot, actions):
-    """The flex model has no joints that could stiffen: the difference must not contain the effect itself."""
+def test_the_numerical_floor_has_the_effects_of_a_hypothesis(robot, actions):
     given, refined = problem(robot, actions[:10]), robot.refined()[1:]
     plain = numerical_floor(given, refined, [(np.zeros(5), ())])
     gain = suspect(robot, "actuator_gain", Port("actuator", "L0"))
-    stiffer = suspect(robot, "stiffening", Port("body", EVERY))
     assert np.abs(numerical_floor(given, refined, [(np.append(np.zeros(5), 0.5), [gain])]) - plain).max() > 1e-6
-    assert np.array_equal(numerical_floor(given, refined, [(np.append(np.zeros(5), 0.5), [stiffer])]), plain)
+
+
+def test_the_numerical_floor_leaves_out_on_both_sides_what_a_finer_model_cannot_have(robot, actions, monkeypatch):
+    """Or the difference would contain the effect itself."""
+    given, finer = problem(robot, actions[:10]), robot.refined()[0]
+    plain = numerical_floor(given, [finer], [(np.zeros(5), ())])
+    monkeypatch.setattr(finer, "accepts", lambda effects: False)
+    stiffer = suspect(robot, "stiffening", Port("body", EVERY))
+    assert np.array_equal(numerical_floor(given, [finer], [(np.append(np.zeros(5), 0.5), [stiffer])]), plain)
 
 
 def test_a_recording_of_something_else_is_refused(robot):
@@ -108,3 +115,26 @@ def test_a_suspect_without_magnitude_is_no_effect():
     one = Suspect("actuator_gain", Port("actuator", "L0"), (0.85,), (True,))
     assert one.effect(np.zeros(1)).parameters == {"gain": 1.0}
     assert one.effect(np.array([0.2])).parameters["gain"] == pytest.approx(0.85)
+
+
+def test_an_audit_finds_the_noise_beside_motion():
+    time = 0.05 * np.arange(1, 301)
+    motion = 0.05 * np.sin(2 * np.pi * np.maximum(time - 2.0, 0.0))[:, None, None] * np.ones((1, 21, 3))
+    noise = 5e-4 * np.random.default_rng(0).standard_normal(motion.shape)
+    found = audit(Measured(np.zeros((300, 8)), time, motion + noise, "keypoints", "m"))
+    assert found.sigma == pytest.approx(5e-4, rel=0.1)
+    assert found.missing == 0
+
+
+def test_an_audit_finds_what_is_alone_and_far_off():
+    rng = np.random.default_rng(0)
+    residual = rng.standard_normal((300, 21, 3)) + 5 * np.sin(np.arange(300) / 20)[:, None, None]
+    truth = np.zeros((300, 21), bool)
+    truth[rng.integers(1, 299, 20), rng.integers(21, size=20)] = True
+    residual[truth] += 40
+    assert np.array_equal(outliers(residual), truth)
+
+
+def test_too_few_samples_are_refused():
+    with pytest.raises(RecordingError, match="too few"):
+        audit(Measured(np.zeros((1, 8)), np.array([0.05]), np.zeros((1, 21, 3)), "keypoints", "m"))

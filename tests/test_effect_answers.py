@@ -5,10 +5,14 @@ import numpy as np
 import pytest
 
 from soro_bench.effects.catalogue import MEASUREMENT
-from soro_bench.effects.effect import Effect, EffectError, Port
+from soro_bench.effects.effect import Effect, Port
 from soro_bench.effects.elements import instrument
+from soro_bench.models import trunk
+from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import ParameterSet
+from soro_bench.proof import neck_laws
+from soro_bench.proof.robot import simulate
 from soro_bench.registration import make_task
 
 TIMESTEP, FRICTION, GRAVITY = 0.001, 0.3, 9.81
@@ -174,10 +178,51 @@ def test_a_softer_neck_sags_more_on_either_model(model):
     assert sag(softer, model) < 1.05 * sag((), model) < 0
 
 
-@pytest.mark.parametrize("name", ["stiffening", "hysteresis", "viscoelastic_creep", "plastic_set", "mullins_softening"])
-def test_a_law_of_joints_is_refused_where_there_are_none(name):
-    with pytest.raises(EffectError, match="joints"):
-        sag([Effect(name, Port("body", "vertebra2"), {})], "flex")
+def test_the_bending_stiffness_of_a_neck_is_that_of_its_flex():
+    """Of the finite-element table that the flexes are made from (docs/models.md)."""
+    task = make_task("TrunkReach-v0", 1, 1, "flex", effects=[Effect("stiffening", Port("body", "*"), {"beta": 1.0})])
+    task.reset(np.arange(1), [np.random.default_rng(0)], [{}])
+    (law,) = task.sim._effects._laws
+    assert law._stiffness == pytest.approx(geo.BEND[1], rel=0.01)
+
+
+MATERIAL = {
+    "stiffening": ({"beta": 3.0}, [neck_laws.Stiffening(3.0)]),
+    "mullins_softening": ({"softening": 0.5, "strain": 0.05}, [neck_laws.Mullins(0.5, 0.05)]),
+    "viscoelastic_creep": ({"ratio": 0.5, "time_constant": 0.5}, [neck_laws.Creep(0.5, 0.5)]),
+    "plastic_set": ({"softness": 20.0, "share": 0.5}, [neck_laws.PlasticSet(k, 0.05, 0.5) for k in range(10)]),
+    "hysteresis": ({"ratio": 0.5, "yield_strain": 0.05}, None),
+}
+
+
+@pytest.mark.parametrize("name", [name for name, (_, law) in MATERIAL.items() if law])
+@pytest.mark.parametrize(("model", "kind"), [("cable", "fine"), ("flex", "flex")])
+def test_a_law_of_the_material_does_what_it_does_in_another_code(name, model, kind):
+    """That of the concealed robots, which shares nothing with the effects. Bent to and fro by the cables."""
+    parameters, laws = MATERIAL[name]
+    actions = np.zeros((60, 8), np.float32)
+    actions[:15, [0, 4]], actions[15:30, [0, 4]], actions[35:45, [1, 5]] = 1.0, -1.0, 1.0
+    ours = []
+    for effects in ((), [Effect(name, Port("body", "*"), parameters)]):
+        task = make_task("TrunkReach-v0", 1, 1, model, action="continuous", effects=effects)
+        task.reset(np.arange(1), [np.random.default_rng(0)], [{}])
+        for action in actions:
+            task.step(np.arange(1), action[None])
+            ours.append(task.keypoints(np.arange(1))[0].copy())
+    ours = np.array(ours[60:]) - ours[:60]
+    nominal = {p.name: p.nominal for p in trunk.PARAMETERS}
+    times = 0.05 * np.arange(1, 61)
+    theirs = np.subtract(*(simulate(kind, nominal, each, actions, (1, 2)).at(times) for each in (laws, [])))
+    assert np.abs(theirs).max() > 1e-3
+    assert np.linalg.norm(ours) == pytest.approx(np.linalg.norm(theirs), rel=0.05)
+    assert (ours * theirs).sum() > 0.94 * np.linalg.norm(ours) * np.linalg.norm(theirs)
+
+
+@pytest.mark.parametrize("name", MATERIAL)
+def test_a_material_without_magnitude_moves_the_flex_model_bit_for_bit_as_before(name):
+    parameters, _ = MATERIAL[name]
+    none = {**parameters, next(iter(parameters)): 0.0}
+    assert sag([Effect(name, Port("body", "*"), none)], "flex") == sag((), "flex")
 
 
 # --- energy ---

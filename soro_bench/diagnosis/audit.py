@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from soro_bench.diagnosis.robot import Measured
+from soro_bench.recording.recording import RecordingError
 
 _WINDOW = 10  # samples
-_QUIETEST = 0.25  # of the windows: the noise is what is there even when nothing moves
+_QUIETEST = 1.1  # times the least: windows in which there is nothing but noise
 _LEAST_NOISE = 1e-6  # of the signal's range: simulations and quantised signals have none
 _FAR = 6.0  # deviations of a point from what its neighbours in time say, to be called an outlier
 _TIMES_USUAL = 4.0  # and as many times what is usual around it, for motion that the simulation gets wrong
@@ -31,19 +32,17 @@ def audit(measured: Measured) -> Audit:
 
 
 def _noise(measured) -> float:
-    """From what a straight line leaves of short windows, where the commands rest if they ever do."""
+    """From what a parabola leaves of short windows, of those where it leaves least: the robot rests or moves evenly."""
     values = measured.values.reshape(len(measured.values), -1)
-    count = len(values) // _WINDOW
-    windows = values[: count * _WINDOW].reshape(count, _WINDOW, -1)
-    still = ~np.any(measured.actions[: count * _WINDOW].reshape(count, _WINDOW, -1), axis=(1, 2))
-    time = np.arange(_WINDOW) - 0.5 * (_WINDOW - 1)
-    level = windows.mean(axis=1, keepdims=True)
-    slope = (time[:, None] * windows).sum(axis=1, keepdims=True) / (time**2).sum()
-    left = windows - level - slope * time[:, None]
-    deviation = np.sqrt(np.nanmean((left**2).sum(axis=1) / (_WINDOW - 2), axis=1))
-    chosen = deviation[still & np.isfinite(deviation)]
-    chosen = chosen if len(chosen) else deviation[np.isfinite(deviation)]
-    return max(float(np.quantile(chosen, _QUIETEST)), _LEAST_NOISE * float(np.nanmax(values) - np.nanmin(values)))
+    if len(values) < _WINDOW:
+        raise RecordingError(f"{len(values)} samples are too few for a diagnosis; at least {_WINDOW} are needed")
+    windows = np.lib.stride_tricks.sliding_window_view(values, _WINDOW, axis=0)
+    powers = np.vander(np.linspace(-1, 1, _WINDOW), 3)
+    left = windows @ (np.eye(_WINDOW) - powers @ np.linalg.pinv(powers))
+    variance = np.nanmean((left**2).sum(axis=2) / (_WINDOW - 3), axis=1)
+    least = np.nanmin(variance)
+    quiet = variance[variance <= _QUIETEST**2 * least]
+    return max(float(np.sqrt(quiet.mean())), _LEAST_NOISE * float(np.nanmax(values) - np.nanmin(values)))
 
 
 def outliers(residual: np.ndarray) -> np.ndarray:

@@ -84,7 +84,7 @@ def diagnose(
     measured = tuple(robot.measured(each) for each in recordings)
     tested = tuple(robot.measured(each) for each in heldout)
     audits = tuple(audit(each) for each in (*measured, *tested))
-    sigma = float(np.median([a.sigma for a in audits]))
+    sigma = min(a.sigma for a in audits)  # of one sensor: motion only adds to it
     problem, nominal = nominal_fit(_problem(robot, measured, sigma), refined, seed, progress)
     problem, nominal, found_outliers = _without_outliers(problem, nominal)
     candidates = suspects(robot, measured[0].values.shape[1])

@@ -10,6 +10,7 @@ from soro_bench.effects.catalogue import PHYSICS
 from soro_bench.effects.commands import SetpointLaw
 from soro_bench.effects.effect import Effect, EffectError, checked
 from soro_bench.effects.elements import Elements
+from soro_bench.effects.necks import NECKS
 
 _RANGES = ("actuator_ctrlrange", "actuator_actrange")
 
@@ -33,7 +34,7 @@ class ActiveEffects:
         Raises:
             EffectError: an effect has no place in the model, or two need the same spring.
         """
-        by_law: dict[str, list] = {}
+        by_law: dict[tuple[str, bool], list] = {}
         for row, of_row in enumerate(effects):
             for effect in of_row:
                 if effect.name not in PHYSICS:
@@ -42,14 +43,20 @@ class ActiveEffects:
                 complete = checked(effect, law.quantities)
                 if effect.where.kind not in law.kinds:
                     raise EffectError(f"{effect.name} acts on {', '.join(law.kinds)}, not on {effect.where}")
-                places = self.elements.expand(effect.where)
-                by_law.setdefault(effect.name, []).extend((row, port, complete) for port in places)
+                for port in self.elements.expand(effect.where):
+                    by_law.setdefault((effect.name, self._on_neck(port)), []).append((row, port, complete))
         self._claimed: dict[tuple[int, int], str] = {}
-        self._laws = [PHYSICS[name](self, by_law[name]) for name in PHYSICS if name in by_law]
+        kinds = [(name, on_neck) for name in PHYSICS for on_neck in (False, True) if (name, on_neck) in by_law]
+        self._laws = [(NECKS if on_neck and name in NECKS else PHYSICS)[name](self, by_law[name, on_neck])
+                      for name, on_neck in kinds]  # fmt: skip
         self._fields |= {field for law in self._laws for field in law.fields}
         self._filters = [law for law in self._laws if isinstance(law, SetpointLaw)]
         self._stepped = [law for law in self._laws if law.stepped]
         self._prepare_setpoints()
+
+    def _on_neck(self, port) -> bool:
+        """Whether a body hangs on what precedes it by a flex, not by joints that could have springs."""
+        return port.kind == "body" and not len(self.elements.joints_of(self.elements.id(port)))
 
     def claim(self, law, rows, springs) -> None:
         """Note that a law uses springs; EffectError if another one does."""

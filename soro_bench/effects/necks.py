@@ -1,0 +1,193 @@
+"""Laws of a material that is bent, where there are no joints but a flex between two bodies: moments across that neck.
+
+They are the laws of springs.py and stiffness.py of the same names, which use MuJoCo's own springs. Moments are
+explicit: stable unless they are many times stiffer than the neck, whose own damping is implicit.
+"""
+
+from typing import ClassVar
+
+import mujoco
+import numpy as np
+
+from soro_bench.effects.effect import EffectError
+from soro_bench.effects.law import Law
+from soro_bench.effects.springs import Hysteresis, PlasticSet, ViscoelasticCreep
+from soro_bench.effects.stiffness import MullinsSoftening, Stiffening
+
+_CELL = 24  # numbers that place the eight nodes of a flex's cell
+
+
+class AcrossNeck(Law):
+    """A moment that depends on how a neck is bent, now and before.
+
+    Entry i acts between the bodies ``near[i]`` and ``far[i]``; bends and moments are (n, 3) rotation vectors [rad] and
+    N m in the frame of the near body, without twist.
+    """
+
+    twin: ClassVar[type[Law]]  # the law of joints that says the same
+    kinds, stepped, outputs = ("body",), True, ("xquat",)
+
+    def __init_subclass__(cls):
+        cls.name, cls.category, cls.quantities = cls.twin.name, cls.twin.category, cls.twin.quantities
+        cls.shared = cls.only_shared = True
+
+    def prepare(self, elements):
+        model = self.model
+        self.far = np.array([elements.id(port) for port in self.ports])
+        self.flexes = [elements.flex_before(body) for body in self.far]
+        for port, flex in zip(self.ports, self.flexes, strict=True):
+            if flex is None or model.flex_nodenum[flex] * 3 != _CELL:
+                raise EffectError(f"{self.name} acts on scalar joints or a neck of flex; {port} has none")
+        first = model.flex_nodeadr[self.flexes]
+        self.near = np.array([model.flex_nodebodyid[a : a + _CELL // 3].min() for a in first])
+        self._modes = [_Modes(model, flex) for flex in self.flexes]
+        self._stiffness = np.zeros(len(self.rows))
+        self._pushed = np.zeros((len(self.rows), 3))
+        self.memory = np.zeros((len(self.rows), 3))
+
+    def write(self, which):
+        field = self.field("flex_stiffness")
+        for i in np.flatnonzero(which):
+            start = self.model.flex_stiffnessadr[self.flexes[i]]
+            # minus: it gives forces
+            cell = -field[self.rows[i], start : start + _CELL**2].reshape(_CELL, _CELL)
+            self._stiffness[i] = _bending_stiffness(cell, self._modes[i])
+
+    def reset(self, which):
+        self._pushed[which] = 0.0
+        self.memory[which] = 0.0
+        for bodies in (self.near, self.far):
+            self.batch.xfrc_applied[self.rows[which], bodies[which], 3:] = 0.0
+
+    def step(self, which):
+        rows = self.rows[which]
+        near, far = (self.batch.xquat[rows, bodies[which]] for bodies in (self.near, self.far))
+        axes = np.stack([modes.axis for modes in self._modes])[which]
+        bend = _across(near, far)
+        bend = bend - (bend * axes).sum(axis=1, keepdims=True) * axes
+        moment = self._stiffness[which, None] * self.strain(which, bend)
+        push = _turned(near, moment) - self._pushed[which]
+        self._pushed[which] += push
+        np.add.at(self.batch.xfrc_applied, (rows, self.far[which], slice(3, None)), push)
+        np.subtract.at(self.batch.xfrc_applied, (rows, self.near[which], slice(3, None)), push)
+
+    def strain(self, which, bend):
+        """(n, 3) the moment over the neck's stiffness, at bends (n, 3)."""
+        raise NotImplementedError
+
+    def value(self, name, which):
+        return self.values[name][which, None]
+
+
+class NeckStiffening(AcrossNeck):
+    """k q (1 + beta |q|^2)."""
+
+    twin = Stiffening
+
+    def strain(self, which, bend):
+        return -self.value("beta", which) * (bend * bend).sum(axis=1, keepdims=True) * bend
+
+
+class NeckMullins(AcrossNeck):
+    """Softer below the largest bend so far."""
+
+    twin = MullinsSoftening
+
+    def strain(self, which, bend):
+        size = _size(bend)
+        largest = self.memory[which, :1] = np.maximum(self.memory[which, :1], size)
+        lost = self.value("softening", which) * -np.expm1(-largest / self.value("strain", which))
+        return lost * (1.0 - size / np.maximum(largest, 1e-12)) * bend
+
+
+class NeckHysteresis(AcrossNeck):
+    """A Jenkins element: an ideally plastic spring beside the neck."""
+
+    twin = Hysteresis
+
+    def strain(self, which, bend):
+        limit = self.value("yield_strain", which)
+        stretch = bend - self.memory[which]
+        stretch = stretch * np.minimum(1.0, limit / np.maximum(_size(stretch), 1e-12))
+        self.memory[which] = bend - stretch
+        return -self.value("ratio", which) * stretch
+
+
+class NeckCreep(AcrossNeck):
+    """A standard linear solid: a spring whose rest follows the bend."""
+
+    twin = ViscoelasticCreep
+
+    def strain(self, which, bend):
+        share = -np.expm1(-self.dt / self.value("time_constant", which))
+        self.memory[which] += share * (bend - self.memory[which])
+        return self.value("ratio", which) * (self.memory[which] - bend)
+
+
+class NeckPlasticSet(AcrossNeck):
+    """A share of the neck is ideally plastic."""
+
+    twin = PlasticSet
+
+    def strain(self, which, bend):
+        softness = self.value("softness", which)
+        excess = bend - self.memory[which]
+        beyond = 1.0 - 1.0 / np.maximum(np.maximum(softness, 1e-12) * _size(excess), 1.0)
+        self.memory[which] += np.where(softness > 0, beyond, 0.0) * excess
+        return self.value("share", which) * self.memory[which]
+
+
+NECKS = {law.name: law for law in (NeckStiffening, NeckMullins, NeckHysteresis, NeckCreep, NeckPlasticSet)}
+
+
+class _Modes:
+    """Rigid motions of the far end of a flex's cell: three turns about the middle of that end, three ways."""
+
+    def __init__(self, model, flex):
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        first = model.flex_nodeadr[flex]
+        nodes = slice(first, first + _CELL // 3)
+        places, bodies = model.flex_node0[nodes], model.flex_nodebodyid[nodes]
+        far = bodies == bodies.max()
+        middle = places[far].mean(axis=0)
+        arms = np.where(far[:, None], places - middle, 0.0)
+        turns = [np.cross(axis, arms).ravel() for axis in np.eye(3)]
+        ways = [(far[:, None] * axis).ravel() for axis in np.eye(3)]
+        self.motions = np.array(turns + ways)  # (6, 24)
+        axis = middle - places[~far].mean(axis=0)
+        self.world_axis = axis / np.linalg.norm(axis)
+        inverse = np.zeros(4)
+        mujoco.mju_negQuat(inverse, data.xquat[bodies.min()])
+        self.axis = np.zeros(3)  # of the neck, in the frame of the near body
+        mujoco.mju_rotVecQuat(self.axis, self.world_axis, inverse)
+
+
+def _bending_stiffness(cell: np.ndarray, modes: _Modes) -> float:
+    """N m/rad of a neck whose far end is free to move while it is turned; the mean of all directions."""
+    matrix = modes.motions @ cell @ modes.motions.T
+    turning, coupling, moving = matrix[:3, :3], matrix[:3, 3:], matrix[3:, 3:]
+    free = turning - coupling @ np.linalg.solve(moving, coupling.T)
+    axis = modes.world_axis
+    return float(np.trace(free) - axis @ free @ axis) / 2.0
+
+
+def _across(near: np.ndarray, far: np.ndarray) -> np.ndarray:
+    """(n, 3) rotation vectors from orientations near to far (n, 4), in the frame of the near ones."""
+    w, v = near[:, :1], near[:, 1:]
+    real = w * far[:, :1] + (v * far[:, 1:]).sum(axis=1, keepdims=True)
+    vector = w * far[:, 1:] - far[:, :1] * v - np.cross(v, far[:, 1:])
+    vector = np.where(real < 0, -vector, vector)
+    sine = _size(vector)
+    return vector * 2.0 * np.arctan2(sine, np.abs(real)) / np.maximum(sine, 1e-12)
+
+
+def _turned(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """(n, 3) vectors turned by quaternions (n, 4)."""
+    w, v = quaternion[:, :1], quaternion[:, 1:]
+    twice = 2.0 * np.cross(v, vector)
+    return vector + w * twice + np.cross(v, twice)
+
+
+def _size(vectors: np.ndarray) -> np.ndarray:
+    return np.sqrt((vectors * vectors).sum(axis=1, keepdims=True))
