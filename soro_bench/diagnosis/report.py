@@ -173,19 +173,28 @@ def _quantities(diagnosis: Diagnosis, finding: Finding) -> dict:
     return {
         q.name: {
             "value": finding.effect.parameters[q.name],
-            "unit": _unit(q.unit, finding.effect.where, diagnosis.explanation.problem.recordings[0].unit),
+            "unit": _unit(q.unit, finding.effect.where, *_own_units(diagnosis)),
             "ci90": sorted((low[q.name], high[q.name])),
         }
         for q in QUANTITIES[finding.effect.name]
     }
 
 
-def _unit(unit: str, where: Port, signal: str) -> str:
-    """Of "N or N m" and the like the one that fits the place."""
-    if unit == "signal":
-        return signal
+def _unit(unit: str, where: Port, signal: str, setpoint: str = "setpoint") -> str:
+    """Of "N or N m" and the like the one that fits the place: joints turn, cables are long."""
+    if unit in ("signal", "setpoint"):
+        return signal if unit == "signal" else setpoint
     parts = unit.split(" or ")
-    return parts[-1] if where.kind in ("joint", "body") else parts[0]
+    turning = [part for part in parts if "rad" in part or "N m" in part]
+    return turning[0] if turning and where.kind in ("joint", "body") else parts[0]
+
+
+def _own_units(diagnosis: Diagnosis) -> tuple[str, str]:
+    """Units of the signal, and of the actuators' setpoints: lengths where they pull tendons."""
+    pulls = {port.name for port in diagnosis.robot.ports("tendon")} >= {
+        p.name for p in diagnosis.robot.ports("actuator")
+    }
+    return diagnosis.explanation.problem.recordings[0].unit, "m" if pulls else "setpoint"
 
 
 def _deviations(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:
@@ -273,7 +282,7 @@ def _detectable(diagnosis: Diagnosis) -> dict:
         coordinates[0] = x
         value = abs(suspect.effect(coordinates).parameters[q.name] - q.null)
         if suspect.name not in found or value < found[suspect.name]["minimum"]:
-            unit = _unit(q.unit, suspect.where, diagnosis.explanation.problem.recordings[0].unit)
+            unit = _unit(q.unit, suspect.where, *_own_units(diagnosis))
             found[suspect.name] = {"quantity": q.name, "minimum": value, "unit": unit, "where": _where(suspect.where)}
     return found
 

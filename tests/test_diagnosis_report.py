@@ -1,0 +1,102 @@
+"""A whole diagnosis, on a short recording and a few suspects: what it says and what it writes."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pyarrow")
+pytest.importorskip("rerun")
+pytest.importorskip("matplotlib")
+
+from soro_bench.diagnosis import pipeline
+from soro_bench.diagnosis.page import write_reports
+from soro_bench.diagnosis.report import report_of
+from soro_bench.diagnosis.robot import Robot
+from soro_bench.diagnosis.suspects import suspect, suspects
+from soro_bench.effects.catalogue import QUANTITIES
+from soro_bench.effects.effect import Effect, Port, load_effects
+from soro_bench.randomization import load
+from soro_bench.recording.recording import Recording, Signal
+
+STEPS = 60
+FEW = ("payload", "backlash", "sensor_bias", "actuator_delay")
+KEYS = {
+    "schema",
+    "verdict",
+    "p_value",
+    "alpha",
+    "effects",
+    "credible_set",
+    "fit",
+    "parameters",
+    "detectable",
+    "seconds",
+}
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return Robot("TrunkReach-v0", threads=1)
+
+
+def recording(robot, hidden, seed, strength=1.0):
+    """What a robot with other parameters and hidden effects does under random actions, with noise."""
+    rng = np.random.default_rng(seed)
+    actions = np.repeat(rng.uniform(-1, 1, (STEPS // 5, 8)), 5, axis=0)
+    parameters = np.array([[prior.value(x) for prior, x in zip(robot.priors, (0.3, -0.4, 0.2, 0.3, 0.1), strict=True)]])
+    (values,) = robot.simulate(actions.astype(np.float32), parameters, [hidden])
+    values = values + 5e-4 * rng.standard_normal(values.shape)
+    times = 0.05 * np.arange(STEPS + 1)
+    return Recording(
+        {"action": Signal(times[:-1], actions)},
+        {"keypoints": Signal(times[1:], values, "m", "world")},
+        {},
+        {"env_id": "TrunkReach-v0", "action": "continuous", "note": "<script>alert(1)</script>"},
+    )
+
+
+def diagnosed(robot, monkeypatch, hidden):
+    few = [one for one in suspects(robot, 21) if one.name in FEW]
+    monkeypatch.setattr(pipeline, "suspects", lambda *_: few)
+    half_step = robot.refined()[:1]
+    monkeypatch.setattr(robot, "refined", lambda: half_step)
+    monkeypatch.setattr("soro_bench.diagnosis.audit._noise", lambda measured: 5e-4)
+    return pipeline.diagnose(robot, [recording(robot, hidden, 0)], [recording(robot, hidden, 1)])
+
+
+def test_a_hidden_payload_is_named_with_its_place_and_mass_and_the_held_out_fit_improves(robot, monkeypatch, tmp_path):
+    hidden = [Effect("payload", Port("body", "vertebra7"), {"mass": 0.04})]
+    found = diagnosed(robot, monkeypatch, hidden)
+    given = [recording(robot, hidden, 0)]
+    text = write_reports(found, given, tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    first = report["effects"][0]
+    assert report.keys() >= set(KEYS)
+    assert (report["verdict"], first["name"], first["where"]["name"]) == ("missing_physics", "payload", "vertebra7")
+    assert first["parameters"]["mass"]["value"] == pytest.approx(0.04, rel=0.2)
+    assert report["fit"]["heldout"]["rmse_after"] < 0.95 * report["fit"]["heldout"]["rmse_before"]
+    assert sum(e["probability"] for e in report["effects"]) >= 1 - 1e-9
+    assert "payload at body vertebra7" in text
+    (effect,) = load_effects(tmp_path / "effects.json", QUANTITIES)
+    assert effect.name == "payload"
+    assert set(load(tmp_path / "posterior.json").names) == {prior.name for prior in robot.priors}
+    page = (tmp_path / "report.html").read_text()
+    assert "<script" not in page
+    assert "vertebra7" in page
+    assert (tmp_path / "comparison.rrd").stat().st_size > 1000
+
+
+def test_where_nothing_is_missing_it_says_so_and_what_would_have_shown(robot, monkeypatch):
+    found = diagnosed(robot, monkeypatch, [])
+    report = report_of(found)
+    assert report["verdict"] == "none_detected"
+    assert report["effects"][0]["name"] == "none"
+    assert 0 < report["detectable"]["payload"]["minimum"] < 0.1
+    assert report["fit"]["patch"] == "none"
+
+
+def test_the_same_seed_gives_the_same_report(robot, monkeypatch):
+    hidden = [suspect(robot, "backlash", Port("actuator", "L2")).effect(np.array([0.3]))]
+    first, second = (report_of(diagnosed(robot, monkeypatch, hidden)) for _ in range(2))
+    assert {**first, "seconds": 0} == {**second, "seconds": 0}
