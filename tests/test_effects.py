@@ -114,6 +114,18 @@ def test_a_result_does_not_depend_on_what_else_is_simulated(elements):
         assert np.array_equal(motion(trunk([chosen[i]]), steps=10)[0], together[i])
 
 
+@pytest.mark.parametrize("name", ["actuator_delay", "backlash", "actuator_gain"])
+def test_no_magnitude_is_no_effect_with_a_refined_time_step_either(name, elements):
+    """A law that took the model's own time step would move the setpoints twice as far."""
+    runs = []
+    for effects in ((), (effect(elements, name, "actuator", 0.0),)):
+        task = trunk(None)
+        task.refine(2)
+        task.sim.assign_effects([effects])
+        runs.append(motion(task))
+    assert np.array_equal(*runs)
+
+
 def test_effects_end_with_their_assignment(elements, nominal):
     task = trunk([(effect(elements, "local_stiffness", "body"), effect(elements, "actuator_delay", "actuator"))])
     motion(task, steps=3)

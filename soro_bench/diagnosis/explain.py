@@ -12,7 +12,7 @@ import numpy as np
 from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.refit import distinct, refitted
+from soro_bench.diagnosis.refit import distinct, polished, refitted
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
 from soro_bench.diagnosis.suspects import Suspect
@@ -89,6 +89,7 @@ def explained(
         new = refitted(problem, leads, 100 * number + seed)
         problem, new = _with_own_floor(problem, refined, new, 100 * number + seed)
         new.sort(key=lambda h: -h.log_evidence(problem))
+        new[0] = polished(problem, new[0], 100 * number + seed)
         tried = new + [_again(problem, h) for h in tried]
         nominal, best = _again(problem, nominal), tried[0]
         screened = evidence(problem, best, candidates, found)

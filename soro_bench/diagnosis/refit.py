@@ -13,6 +13,7 @@ from soro_bench.diagnosis.screen import Lead
 
 SCALES, KEPT = (0.15, 0.07), (4, 3)  # of the clouds, and how many hypotheses go on after each
 _TRIED, _LENGTHS = 4, (0.5, 1.0)  # how many leads are fitted, and shares of their magnitudes at which all are tried
+_POLISH, _ROUNDS, _ENOUGH = (0.2, 0.07), 3, 0.1  # radii, repetitions, and the share of what is left that is worth one
 _PER_NAME = 2  # leads that differ in their places only
 
 
@@ -36,6 +37,18 @@ def refitted(problem: Problem, guesses: Sequence[Guess], seed: int, progress=lam
         found = sorted(found, key=lambda h: -h.log_evidence(problem))[:kept]
         guesses = [Guess(h.x, h.suspects, h.slope) for h in found]
     return found
+
+
+def polished(problem: Problem, hypothesis: Hypothesis, seed: int) -> Hypothesis:
+    """The hypothesis, fitted on as long as that helps: what a fit leaves must not look like one more effect."""
+    for k in range(_ROUNDS):
+        guess = Guess(hypothesis.x, hypothesis.suspects, hypothesis.slope)
+        (better,) = fitted(problem, [guess], _POLISH, seed + k)
+        gained, left = hypothesis.cost - better.cost, problem.excess(hypothesis.residual)
+        hypothesis = min(hypothesis, better, key=lambda h: h.cost)
+        if gained < _ENOUGH * left:
+            break
+    return hypothesis
 
 
 def _tried(problem, guesses):

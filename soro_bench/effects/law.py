@@ -42,7 +42,8 @@ class Law:
 
     @property
     def dt(self) -> float:
-        return self.model.opt.timestep
+        """s, a time step."""
+        return self.run.timestep
 
     def prepare(self, elements: Elements) -> None:
         """Look up what the ports are in the model."""

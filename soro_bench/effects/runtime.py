@@ -45,12 +45,14 @@ class ActiveEffects:
                     raise EffectError(f"{effect.name} acts on {', '.join(law.kinds)}, not on {effect.where}")
                 for port in self.elements.expand(effect.where):
                     by_law.setdefault((effect.name, self._on_neck(port)), []).append((row, port, complete))
+        refined = self.batch.expanded("opt.timestep")  # the same in all simulations
+        self.timestep = float(self._nominal.opt.timestep if refined is None else refined.flat[0])
         self._claimed: dict[tuple[int, int], str] = {}
         kinds = [(name, on_neck) for name in PHYSICS for on_neck in (False, True) if (name, on_neck) in by_law]
         self._laws = [(NECKS if on_neck and name in NECKS else PHYSICS)[name](self, by_law[name, on_neck])
                       for name, on_neck in kinds]  # fmt: skip
         self._fields |= {field for law in self._laws for field in law.fields}
-        self._filters = [law for law in self._laws if isinstance(law, SetpointLaw)]
+        self.filters = [law for law in self._laws if isinstance(law, SetpointLaw)]
         self._stepped = [law for law in self._laws if law.stepped]
         self._prepare_setpoints()
 
@@ -76,29 +78,31 @@ class ActiveEffects:
         """Change model fields of simulations ``ids``, whose parameters have just been set."""
         for law in self._laws:
             law.write(np.isin(law.rows, ids))
-        if self._filters:  # a setpoint may move faster and farther than commands may
-            rows, actuators = self._touched_in(ids)
+        if self.filters:  # a setpoint may move faster and farther than commands may
+            rows, actuators = self.touched_in(ids)
             for field in _RANGES:
                 self.batch.expand(field)[rows, actuators] = (-1e9, 1e9)
 
     def reset(self, ids: np.ndarray) -> None:
         """Begin an episode in simulations ``ids``, whose state is complete."""
-        self._setpoint[ids] = self.batch.act[ids][:, self._slot] if self.batch.model.na else 0.0
+        self.setpoint[ids] = self.batch.act[ids][:, self.slot] if self.batch.model.na else 0.0
         for law in self._laws:
             law.reset(np.isin(law.rows, ids))
-        for law in self._filters:
+        for law in self.filters:
             which = np.isin(law.rows, ids)
-            law.start(which, self._setpoint[law.rows[which], law.ids[which]])
+            law.start(which, self.setpoint[law.rows[which], law.ids[which]])
 
     def step(self, ids: np.ndarray, nstep: int, stage: int) -> None:
         """Advance simulations ``ids`` as ``Batch.step`` does."""
-        if not (self._filters or self._stepped):
+        if not (self.filters or self._stepped):
             self.batch.step(ids, nstep=nstep, stage=stage)
             return
         asked = self.batch.ctrl[ids]
-        which = {law: np.isin(law.rows, ids) for law in {*self._filters, *self._stepped}}
+        which = {law: np.isin(law.rows, ids) for law in self._stepped}
+        commands = _Commands(self, ids) if self.filters else None
         for _ in range(nstep):
-            self._command(ids, asked, which)
+            if commands:
+                commands.step()
             for law in self._stepped:
                 law.step(which[law])
             # with the forward stages at the new state, which laws read and a persistent batch reuses
@@ -107,41 +111,53 @@ class ActiveEffects:
 
     def _prepare_setpoints(self):
         model = self.batch.model
-        self._integrates = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR
-        self._early = model.actuator_actearly.astype(bool)
+        self.integrates = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR
         # where the control is a rate, the setpoint is the activation; the slot of others is not used
-        self._slot = np.maximum(model.actuator_actadr, 0)
-        self._setpoint = np.zeros((self.batch.nsim, model.nu))
-        touched = np.zeros((self.batch.nsim, model.nu), bool)
-        for law in self._filters:
-            touched[law.rows, law.ids] = True
-        self._touched = touched
-        if self._filters:
+        self.slot = np.maximum(model.actuator_actadr, 0)
+        self.setpoint = np.zeros((self.batch.nsim, model.nu))
+        self._touched = np.zeros((self.batch.nsim, model.nu), bool)
+        for law in self.filters:
+            self._touched[law.rows, law.ids] = True
+        if self.filters:
             self._fields |= set(_RANGES)
 
-    def _command(self, ids, asked, which):
-        """Pass the setpoints of a time step through the laws."""
-        if not self._filters:
-            return
-        model, dt = self.batch.model, self.batch.model.opt.timestep
-        low, high = model.actuator_ctrlrange.T
-        limited = np.where(model.actuator_ctrllimited, np.clip(asked, low, high), asked)
-        moved = self._setpoint[ids] + dt * limited
-        low, high = model.actuator_actrange.T
-        moved = np.where(model.actuator_actlimited, np.clip(moved, low, high), moved)
-        before, self._setpoint[ids] = self._setpoint.copy(), np.where(self._integrates, moved, limited)
-        # a step uses the activation at its start, or at its end if the actuator is early
-        output = np.where(self._integrates & ~self._early, before, self._setpoint)
-        for law in self._filters:
-            at = law.rows[which[law]], law.ids[which[law]]
-            output[at] = law.filter(which[law], output[at])
-        rows, actuators = self._touched_in(ids)
-        self.batch.ctrl[rows, actuators] = np.where(self._integrates[actuators], 0.0, output[rows, actuators])
-        rows, actuators = rows[self._integrates[actuators]], actuators[self._integrates[actuators]]
-        self.batch.act[rows, self._slot[actuators]] = output[rows, actuators]
-
-    def _touched_in(self, ids):
+    def touched_in(self, ids) -> tuple[np.ndarray, np.ndarray]:
         """Simulations among ``ids`` and actuators whose setpoints are changed."""
         rows, actuators = np.nonzero(self._touched)
         chosen = np.isin(rows, ids)
         return rows[chosen], actuators[chosen]
+
+
+class _Commands:
+    """The setpoints of some simulations on their way through the laws, while the control is held."""
+
+    def __init__(self, run: ActiveEffects, ids: np.ndarray):
+        self.run, model = run, run.batch.model
+        self.rows, self.actuators = run.touched_in(ids)
+        i = self.actuators
+        self.integrates, self.early = run.integrates[i], model.actuator_actearly[i].astype(bool)
+        limits = model.actuator_ctrlrange[i].T
+        asked = run.batch.ctrl[self.rows, i]
+        self.asked = np.where(model.actuator_ctrllimited[i], np.clip(asked, *limits), asked)
+        bounds = np.where(model.actuator_actlimited[i], model.actuator_actrange[i].T, [[-np.inf], [np.inf]])
+        self.low, self.high = bounds
+        place = np.zeros(run.setpoint.shape, int)
+        place[self.rows, i] = np.arange(len(i))
+        self.laws = []
+        for law in run.filters:
+            which = np.isin(law.rows, ids)
+            self.laws.append((law, which, place[law.rows[which], law.ids[which]]))
+
+    def step(self) -> None:
+        """One time step."""
+        run, at = self.run, (self.rows, self.actuators)
+        before = run.setpoint[at]
+        moved = np.clip(before + run.timestep * self.asked, self.low, self.high)
+        now = run.setpoint[at] = np.where(self.integrates, moved, self.asked)
+        # a step uses the activation at its start, or at its end if the actuator is early
+        output = np.where(self.integrates & ~self.early, before, now)
+        for law, which, places in self.laws:
+            output[places] = law.filter(which, output[places])
+        run.batch.ctrl[at] = np.where(self.integrates, 0.0, output)
+        own = self.integrates
+        run.batch.act[self.rows[own], run.slot[self.actuators[own]]] = output[own]
