@@ -11,7 +11,7 @@ from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import ParameterSet
-from soro_bench.proof import neck_laws
+from soro_bench.proof import cable_laws, neck_laws
 from soro_bench.proof.robot import simulate
 from soro_bench.registration import make_task
 
@@ -186,6 +186,17 @@ def test_the_bending_stiffness_of_a_neck_is_that_of_its_flex():
     assert law._stiffness == pytest.approx(geo.BEND[1], rel=0.01)
 
 
+def moved(model, effects, actions):
+    """(T, 21, 3) m, keypoints under actions (T, 8)."""
+    task = make_task("TrunkReach-v0", 1, 1, model, action="continuous", effects=effects)
+    task.reset(np.arange(1), [np.random.default_rng(0)], [{}])
+    rows = []
+    for action in actions:
+        task.step(np.arange(1), action[None])
+        rows.append(task.keypoints(np.arange(1))[0].copy())
+    return np.array(rows)
+
+
 MATERIAL = {
     "stiffening": ({"beta": 3.0}, [neck_laws.Stiffening(3.0)]),
     "mullins_softening": ({"softening": 0.5, "strain": 0.05}, [neck_laws.Mullins(0.5, 0.05)]),
@@ -202,20 +213,28 @@ def test_a_law_of_the_material_does_what_it_does_in_another_code(name, model, ki
     parameters, laws = MATERIAL[name]
     actions = np.zeros((60, 8), np.float32)
     actions[:15, [0, 4]], actions[15:30, [0, 4]], actions[35:45, [1, 5]] = 1.0, -1.0, 1.0
-    ours = []
-    for effects in ((), [Effect(name, Port("body", "*"), parameters)]):
-        task = make_task("TrunkReach-v0", 1, 1, model, action="continuous", effects=effects)
-        task.reset(np.arange(1), [np.random.default_rng(0)], [{}])
-        for action in actions:
-            task.step(np.arange(1), action[None])
-            ours.append(task.keypoints(np.arange(1))[0].copy())
-    ours = np.array(ours[60:]) - ours[:60]
+    hidden = Effect(name, Port("body", "*"), parameters)
+    ours = np.subtract(*(moved(model, effects, actions) for effects in ([hidden], ())))
     nominal = {p.name: p.nominal for p in trunk.PARAMETERS}
     times = 0.05 * np.arange(1, 61)
     theirs = np.subtract(*(simulate(kind, nominal, each, actions, (1, 2)).at(times) for each in (laws, [])))
     assert np.abs(theirs).max() > 1e-3
     assert np.linalg.norm(ours) == pytest.approx(np.linalg.norm(theirs), rel=0.05)
     assert (ours * theirs).sum() > 0.94 * np.linalg.norm(ours) * np.linalg.norm(theirs)
+
+
+@pytest.mark.parametrize("force", [0.3, 2.5])
+def test_friction_of_a_cable_does_what_it_does_in_another_code(force):
+    """Pulled, held and released; the other code's time step is a quarter of ours."""
+    actions = np.zeros((45, 8), np.float32)
+    actions[:6, 4], actions[20:26, 4] = 1.0, -1.0
+    friction = Effect("coulomb_friction", Port("tendon", "S0"), {"friction": force})
+    ours = np.subtract(*(moved("cable", effects, actions) for effects in ([friction], ())))
+    nominal, times = {p.name: p.nominal for p in trunk.PARAMETERS}, 0.05 * np.arange(1, 46)
+    laws = ([cable_laws.Friction(4, force)], [])
+    theirs = np.subtract(*(simulate("fine", nominal, each, actions, (1, 2)).at(times) for each in laws))
+    assert np.linalg.norm(ours) == pytest.approx(np.linalg.norm(theirs), rel=0.2)
+    assert (ours * theirs).sum() > 0.85 * np.linalg.norm(ours) * np.linalg.norm(theirs)
 
 
 @pytest.mark.parametrize("name", MATERIAL)

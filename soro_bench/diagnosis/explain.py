@@ -89,7 +89,9 @@ def explained(
         new = refitted(problem, leads, 100 * number + seed)
         problem, new = _with_own_floor(problem, refined, new, 100 * number + seed)
         new.sort(key=lambda h: -h.log_evidence(problem))
-        new[0] = polished(problem, new[0], 100 * number + seed)
+        problem, new[:1] = _with_own_floor(problem, refined, [polished(problem, new[0], 100 * number + seed)],
+                                           100 * number + 50 + seed)  # fmt: skip
+        new[1:] = [_again(problem, h) for h in new[1:]]
         tried = new + [_again(problem, h) for h in tried]
         nominal, best = _again(problem, nominal), tried[0]
         screened = evidence(problem, best, candidates, found)

@@ -1,8 +1,12 @@
 """Laws of springs that yield or creep: friction that sticks, hysteresis, memory of the material.
 
 MuJoCo's springs with a yield threshold are ideal elasto-plastic elements, integrated implicitly: they stick, slip at
-stiffness times threshold, and never add energy. Friction is such a spring, soft enough to be resolved: it slips after a
-short way (``PRESLIDING``). Prandtl 1928; for friction: Dahl, "A solid friction model", 1968.
+stiffness times threshold, and never add energy. Friction is such a spring that slips after a short way
+(``PRESLIDING``). Prandtl 1928; for friction: Dahl, "A solid friction model", 1968.
+
+The integrator takes every spring for elastic during a time step: one that slips resists like a damper of stiffness
+times time step, 50 N s/m on a cable with 1 N of friction. While it slides, friction is therefore a soft spring with the
+same force.
 """
 
 from typing import ClassVar
@@ -14,6 +18,8 @@ from soro_bench.effects.elements import NEVER
 from soro_bench.effects.law import Law, OnJoints, tension
 
 PRESLIDING = {"tendon": 2e-4, "joint": 2e-3}  # m or rad; LuGre bristles deflect by 1e-5 to 1e-3 m
+_SOFTER = 100.0  # a spring that slides, than one that sticks
+_AT_LIMIT = 0.999  # of the force, at which it slides
 INFINITE = (0.0, np.inf)
 _FORCE = "N or N m"
 
@@ -24,7 +30,8 @@ class _Friction(Law):
     category = "dry_loss"
     kinds = ("tendon", "joint")
     fields = ("tendon_stiffness", "tendon_springyield")
-    outputs = ("ten_length",)
+    outputs = ("ten_length", "ten_velocity")
+    stepped = True
 
     def prepare(self, elements):
         super().prepare(elements)
@@ -41,25 +48,36 @@ class _Friction(Law):
             self.actuators[i, : len(each)] = each
 
     def write(self, which):
-        self._set(which, self.level(which))
-        at = self.rows[which], self.springs[which]
-        self.field("tendon_springyield")[at] = self.reach[which]
+        self._set(which, self.level(which), self.reach[which])
 
     def reset(self, which):
         """An episode begins without friction, wherever the spring is then."""
-        rows, springs = self.rows[which], self.springs[which]
-        slots, length = self.model.tendon_plasticadr[springs], self.batch.ten_length[rows, springs]
-        self.batch.plastic[rows, slots] = self.batch.plastic[rows, slots + 1] = length
+        self._set_rest(which, self.batch.ten_length[self.rows[which], self.springs[which]])
 
     def step(self, which):
-        self._set(which, self.level(which))
+        rows, springs = self.rows[which], self.springs[which]
+        length, velocity = self.batch.ten_length[rows, springs], self.batch.ten_velocity[rows, springs]
+        rest = self.batch.plastic[rows, self.model.tendon_plasticadr[springs]]
+        force = self.field("tendon_stiffness")[rows, springs] * (length - rest)
+        level = self.level(which)
+        slides = (np.abs(force) >= _AT_LIMIT * level) & (force * velocity > 0)
+        force = np.where(slides, np.sign(force) * level, np.clip(force, -level, level))
+        reach = self.reach[which] * np.where(slides, _SOFTER, 1.0)
+        self._set(which, level, reach)
+        self._set_rest(which, length - reach * force / np.maximum(level, 1e-12))
 
     def level(self, which):
         """(n,) the force at which it slips."""
         raise NotImplementedError
 
-    def _set(self, which, level):
-        self.field("tendon_stiffness")[self.rows[which], self.springs[which]] = level / self.reach[which]
+    def _set(self, which, level, reach):
+        at = self.rows[which], self.springs[which]
+        self.field("tendon_stiffness")[at] = level / reach
+        self.field("tendon_springyield")[at] = reach
+
+    def _set_rest(self, which, rest):
+        rows, slots = self.rows[which], self.model.tendon_plasticadr[self.springs[which]]
+        self.batch.plastic[rows, slots] = self.batch.plastic[rows, slots + 1] = rest
 
 
 class CoulombFriction(_Friction):
@@ -81,8 +99,6 @@ class StribeckFriction(_Friction):
         Quantity("static_ratio", "1", 2.0, (1.0, 10.0)),
         Quantity("stribeck_velocity", "m/s or rad/s", 0.02, (1e-4, 100.0)),
     )
-    outputs = ("ten_length", "ten_velocity")
-    stepped = True
 
     def level(self, which):
         velocity = self.batch.ten_velocity[self.rows[which], self.springs[which]]
@@ -97,8 +113,7 @@ class LoadFriction(_Friction):
 
     name = "load_friction"
     quantities = (Quantity("mu", "1", 0.1, (0.0, 10.0)),)
-    outputs = ("ten_length", "actuator_force", "qfrc_actuator", "site_xpos")
-    stepped = True
+    outputs = ("ten_length", "ten_velocity", "actuator_force", "qfrc_actuator", "site_xpos")
 
     def prepare(self, elements):
         super().prepare(elements)

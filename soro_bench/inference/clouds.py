@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import qmc
 
 LENGTHS = (0.5, 1.0, 1.5)  # of a step, tried
-RIDGE = 1.0  # observations that a slope known beforehand is worth
+RIDGE, FREE = 1.0, 0.05  # observations that a slope is worth which is known beforehand, or not
 
 
 class LowRank:
@@ -55,14 +55,14 @@ def linearised(x: np.ndarray, points: np.ndarray, residuals: np.ndarray, slope: 
     """The linear regression of residuals (N, M) at points (N, n) around x.
 
     A ``slope`` (n, M) that is known beforehand is changed only as far as the points speak against it (ridge
-    regression), and there may be fewer of them than unknowns.
+    regression), and there may be fewer of them than unknowns. A null row of it stands for one that is not known.
     """
     scale = np.sqrt(((points - x) ** 2).mean())
     design, ridge = np.column_stack([np.ones(len(points)), (points - x) / scale]), np.zeros(1 + len(x))
     if slope is None:
         slope = np.zeros((len(x), residuals.shape[1]))
     else:
-        ridge[1:] = RIDGE
+        ridge[1:] = np.where(slope.any(axis=1), RIDGE, FREE)
     rest = residuals - (points - x) @ slope
     hat = np.linalg.solve(design.T @ design + np.diag(ridge), design.T)
     coefficients = hat @ rest

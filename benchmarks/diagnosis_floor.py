@@ -1,0 +1,72 @@
+"""How much of the accurate trunk the numerical floor explains, with and without a hidden effect, and how fits converge.
+
+    python benchmarks/diagnosis_floor.py
+
+Prints the first tables of docs/diagnosis.md. The recorded robots are those of soro_bench.proof, 30 s of excitation.
+"""
+
+import numpy as np
+from gymnasium import spaces
+
+from soro_bench.diagnosis.fit import Guess, fitted
+from soro_bench.diagnosis.floor import numerical_floor
+from soro_bench.diagnosis.problem import Problem
+from soro_bench.diagnosis.robot import Measured, Robot
+from soro_bench.diagnosis.suspects import suspect
+from soro_bench.effects.effect import EVERY, Port
+from soro_bench.inference.clouds import LowRank
+from soro_bench.recording.excitation import excitation
+
+NOISE, TRUTH = 5e-4, np.array([0.5, -0.4, -0.6, 0.3, 0.2])  # m; standard deviations of the priors
+FAR, NEAR = 0.7, 0.15  # of draws, in standard deviations of the priors
+
+
+def problem(robot: Robot, recorded: Robot, effects=(), noise=0.0) -> Problem:
+    """A recording of another robot with parameters at TRUTH."""
+    actions = excitation(spaces.Box(-1, 1, (8,), np.float32), 0.05).astype(np.float32)
+    parameters = np.array([[prior.value(x) for prior, x in zip(robot.priors, TRUTH, strict=True)]])
+    (values,) = recorded.simulate(actions, parameters, [effects])
+    values = values + noise * np.random.default_rng(1).standard_normal(values.shape)
+    measured = Measured(actions, 0.05 * np.arange(1, len(actions) + 1), values, "keypoints", "m")
+    return Problem(robot, (measured,), NOISE, np.ones(values.size), LowRank(np.zeros((0, values.size))))
+
+
+def left(given: Problem) -> float:
+    """mm, rms of a coordinate at the truth that the floor does not explain."""
+    residual = given.residuals([(TRUTH, ())])[0]
+    return 1e3 * NOISE * float(np.sqrt((given.floor.without(residual) ** 2).mean()))
+
+
+def main() -> None:
+    robot = Robot("TrunkReach-v0")
+    half, accurate = robot.refined()
+    rng = np.random.default_rng(0)
+    given = problem(robot, accurate)
+    print("| differences at | number | left [mm] |\n|---|---|---|")
+    print(f"| none | | {left(given):.2f} |")
+    for name, count, centre, spread in (("the prior", 5, np.zeros(5), FAR), ("around the truth", 3, TRUTH, NEAR)):
+        points = [(centre + spread * rng.standard_normal(5), ()) for _ in range(count)]
+        floor = numerical_floor(given, [half, accurate], points)
+        print(f"| draws from {name} | {count} | {left(given.with_floor(floor)):.2f} |", flush=True)
+
+    print("\n| hidden | without | with it |\n|---|---|---|")
+    for name, port in (("actuator_delay", Port("actuator", EVERY)), ("stiffening", Port("body", EVERY))):
+        one = suspect(robot, name, port)
+        x = np.append(TRUTH, 0.15)
+        given = problem(robot, accurate, (one.effect(x[5:]),), NOISE)
+        near = [(TRUTH + NEAR * rng.standard_normal(5), ()) for _ in range(3)]
+        plain = given.with_floor(numerical_floor(given, [half, accurate], near))
+        both = plain.with_floor(numerical_floor(given, [half, accurate], [(x, (one,))]))
+        residual = given.residuals([(x, (one,))])[0]
+        print(f"| {name} | {plain.excess(residual):.0f} | {both.excess(residual):.0f} |", flush=True)
+
+    given = problem(robot, robot, noise=NOISE)
+    print("\n| radii of the clouds | chi2 per sample |\n|---|---|")
+    for count in range(1, 5):
+        scales = (0.7, 0.4, 0.2, 0.1)[:count]
+        (found,) = fitted(given, [Guess(np.zeros(5))], scales, seed=0)
+        print(f"| {', '.join(map(str, scales))} | {2 * found.cost / found.residual.size:.3f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
