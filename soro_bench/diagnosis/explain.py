@@ -17,9 +17,11 @@ from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
 from soro_bench.diagnosis.suspects import Suspect
 
-WIDE, NARROW, LAST = (0.7, 0.4, 0.2), (0.1, 0.05), 0.07  # radii of clouds, in standard deviations of the priors
-FAR_DRAWS, NEAR_DRAWS = 3, 2  # replays of each refined robot, at first and again near the fit
-FAR, NEAR = 0.7, 0.15  # their standard deviations, in those of the priors
+# radii of the clouds of the nominal fit after each numerical floor, and of the last fit of a hypothesis, in standard
+# deviations of the priors
+RADII, LAST = ((0.7, 0.4, 0.2), (0.2, 0.1), (0.1, 0.05)), 0.07
+FAR_DRAWS, FAR = 3, 0.7  # replays of each refined robot at first, and their standard deviation
+NEAR = (0.15, 0.05, 0.0)  # of the one near each fit
 MOST = 3  # effects
 LEADS = 6
 # natural logarithm of the evidence that a lead has to promise (of nulls the best promise 30 to 120), and the share of
@@ -53,19 +55,18 @@ class Explanation:
 
 
 def nominal_fit(problem: Problem, refined: Sequence[Robot], seed: int, progress=lambda *_: None):
-    """The problem with its numerical floor, and the nominal robot fitted."""
-    rng = np.random.default_rng(seed)
-    draws = FAR * rng.standard_normal((FAR_DRAWS, problem.parameters))
+    """The problem with its numerical floor, and the nominal robot fitted: floor and fit in turns, ever closer."""
+    rng, d = np.random.default_rng(seed), problem.parameters
+    draws = FAR * rng.standard_normal((FAR_DRAWS, d))
     draws[0] = 0.0
-    progress("numerical floor")
-    problem = problem.with_floor(numerical_floor(problem, refined, [(x, ()) for x in draws]))
-    progress("joint fit of the parameters")
-    (fit,) = fitted(problem, [Guess(np.zeros(problem.parameters))], WIDE, seed)
-    progress("numerical floor near the fit")
-    near = np.clip(fit.x + NEAR * rng.standard_normal((NEAR_DRAWS, problem.parameters)), -2, 2)
-    problem = problem.with_floor(numerical_floor(problem, refined, [(x, ()) for x in near]))
-    progress("joint fit of the parameters")
-    (fit,) = fitted(problem, [Guess(fit.x, slope=fit.slope)], NARROW, seed + 1)
+    guess = Guess(np.zeros(d))
+    for k, radii in enumerate(RADII):
+        progress("numerical floor")
+        problem = problem.with_floor(numerical_floor(problem, refined, [(x, ()) for x in draws]))
+        progress("joint fit of the parameters")
+        (fit,) = fitted(problem, [guess], radii, seed + k)
+        guess = Guess(fit.x, slope=fit.slope)
+        draws = np.clip(fit.x + NEAR[k] * rng.standard_normal((1, d)), -2, 2)
     return problem, fit
 
 

@@ -3,8 +3,7 @@
 Unknowns are in standard deviations of their priors. What is left is white noise plus a numerical error of low rank,
 ``floor``, whose coefficients are unknowns too, with standard normal priors (floor.py).
 
-Slopes are regressions over clouds of points (inference/clouds.py). On TrunkReach 57 replays end closer to the truth
-than 120 with finite differences.
+Slopes are regressions over clouds of points (inference/clouds.py).
 """
 
 from collections.abc import Sequence
