@@ -246,10 +246,12 @@ def test_what_is_no_file(tmp_path):
 
 
 WRITER = """
-import sys, time
+import signal, sys, time
 import pyarrow.parquet as pq
 from soro_bench.recording.parquet import save
 from tests.recordings import example
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which who starts the tests may have ignored
 
 def slow(table, path, **options):
     path.write_bytes(b"half")

@@ -20,9 +20,10 @@ from soro_bench.diagnosis.robot import Robot
 
 # evidence that the best lead promises where nothing is missing, 42 to 255 in five cases: a Gumbel distribution
 GUMBEL_LOCATION, GUMBEL_SCALE = 64.0, 67.0
+EFFECT = 200.0  # nats, what a rugged fit gains by chance from one more effect
 TEMPER = (100.0, 0.1)  # nats, and share of the excess
 UNKNOWN = (0.25, 0.06, 400.0)  # share of the excess that is left where it is as likely as not, width, least excess left
-COMPARED = 4  # hypotheses that are simulated on held-out recordings
+COMPARED = 5  # hypotheses that are simulated on held-out recordings
 CREDIBLE = 0.9
 
 
@@ -74,7 +75,7 @@ def compared(found: Explanation, heldout: Problem | None, refined: Sequence[Robo
     """Probabilities of the hypotheses of an explanation, and their fits."""
     problem, nominal = found.problem, found.nominal
     hypotheses = [nominal, *found.found[:COMPARED]]
-    scores = np.array([h.log_evidence(problem) for h in hypotheses])
+    scores = np.array([h.log_evidence(problem) - EFFECT * len(h.suspects) for h in hypotheses])
     train = [_rms(problem, h.residual) for h in hypotheses]
     tested = [None] * len(hypotheses)
     if heldout is not None:

@@ -12,7 +12,7 @@ import numpy as np
 from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.refit import distinct, polished, refitted
+from soro_bench.diagnosis.refit import distinct, polished, refitted, without_one
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
 from soro_bench.diagnosis.suspects import Suspect
@@ -22,6 +22,7 @@ from soro_bench.diagnosis.suspects import Suspect
 RADII, LAST = ((0.7, 0.4, 0.2), (0.2, 0.1), (0.1, 0.05)), 0.07
 FAR_DRAWS, FAR = 3, 0.7  # replays of each refined robot at first, and their standard deviation
 NEAR = (0.15, 0.05, 0.0)  # of the one near each fit
+POLISHES, ENOUGH = 4, 0.1  # at most, and the share of what is left that one more is worth
 MOST = 3  # effects
 LEADS = 6
 # natural logarithm of the evidence that a lead has to promise (of nulls the best promise 30 to 120), and the share of
@@ -90,14 +91,25 @@ def explained(
         new = refitted(problem, leads, 100 * number + seed)
         problem, new = _with_own_floor(problem, refined, new, 100 * number + seed)
         new.sort(key=lambda h: -h.log_evidence(problem))
-        problem, new[:1] = _with_own_floor(problem, refined, [polished(problem, new[0], 100 * number + seed)],
-                                           100 * number + 50 + seed)  # fmt: skip
+        problem, new[0] = _polished(problem, refined, new[0], 100 * number + seed)
         new[1:] = [_again(problem, h) for h in new[1:]]
         tried = new + [_again(problem, h) for h in tried]
+        if number > 1:
+            tried[1:1] = without_one(problem, tried[0], 100 * number + 50 + seed)
         nominal, best = _again(problem, nominal), tried[0]
         screened = evidence(problem, best, candidates, found)
         left = singles(screened)[0].gain
     return Explanation(problem, nominal, tuple(tried), promised, left, first.detectable(WORTH)), found
+
+
+def _polished(problem, refined, hypothesis, seed):
+    """Fit and numerical floor in turns as long as that helps: what a fit leaves must not look like one more effect."""
+    for k in range(POLISHES):
+        before = problem.excess(hypothesis.residual)
+        problem, (hypothesis,) = _with_own_floor(problem, refined, [polished(problem, hypothesis, seed + k)], seed + k)
+        if problem.excess(hypothesis.residual) > (1.0 - ENOUGH) * before:
+            break
+    return problem, hypothesis
 
 
 def _with_own_floor(problem, refined, hypotheses, seed):

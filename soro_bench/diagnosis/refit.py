@@ -13,7 +13,7 @@ from soro_bench.diagnosis.screen import Lead
 
 SCALES, KEPT = (0.15, 0.07), (4, 3)  # of the clouds, and how many hypotheses go on after each
 _TRIED, _LENGTHS = 4, (0.5, 1.0)  # how many leads are fitted, and shares of their magnitudes at which all are tried
-_POLISH, _ROUNDS, _ENOUGH = (0.2, 0.07), 3, 0.1  # radii, repetitions, and the share of what is left that is worth one
+_POLISH = (0.2, 0.07)  # radii
 _PER_NAME = 2  # leads that differ in their places only
 
 
@@ -35,20 +35,30 @@ def refitted(problem: Problem, guesses: Sequence[Guess], seed: int, progress=lam
     for k, (scale, kept) in enumerate(zip(SCALES, KEPT, strict=True)):
         found = fitted(problem, guesses, (scale,), seed + k, progress)
         found = sorted(found, key=lambda h: -h.log_evidence(problem))[:kept]
-        guesses = [Guess(h.x, h.suspects, h.slope) for h in found]
+        guesses = [_guess(h) for h in found]
     return found
 
 
 def polished(problem: Problem, hypothesis: Hypothesis, seed: int) -> Hypothesis:
-    """The hypothesis, fitted on as long as that helps: what a fit leaves must not look like one more effect."""
-    for k in range(_ROUNDS):
-        guess = Guess(hypothesis.x, hypothesis.suspects, hypothesis.slope)
-        (better,) = fitted(problem, [guess], _POLISH, seed + k)
-        gained, left = hypothesis.cost - better.cost, problem.excess(hypothesis.residual)
-        hypothesis = min(hypothesis, better, key=lambda h: h.cost)
-        if gained < _ENOUGH * left:
-            break
-    return hypothesis
+    """The hypothesis, fitted on; never worse."""
+    (better,) = fitted(problem, [_guess(hypothesis)], _POLISH, seed)
+    return min(hypothesis, better, key=lambda h: h.cost)
+
+
+def without_one(problem: Problem, hypothesis: Hypothesis, seed: int) -> list[Hypothesis]:
+    """The hypotheses that have one effect less, fitted from where this one is."""
+    guesses, first = [], problem.parameters
+    for i, suspect in enumerate(hypothesis.suspects):
+        kept = np.ones(len(hypothesis.x), bool)
+        kept[first : first + suspect.size] = False
+        first += suspect.size
+        rest = hypothesis.suspects[:i] + hypothesis.suspects[i + 1 :]
+        guesses.append(Guess(hypothesis.x[kept], rest, hypothesis.slope[kept]))
+    return fitted(problem, guesses, _POLISH, seed)
+
+
+def _guess(hypothesis):
+    return Guess(hypothesis.x, hypothesis.suspects, hypothesis.slope)
 
 
 def _tried(problem, guesses):
