@@ -22,9 +22,9 @@ from soro_bench.diagnosis.robot import Robot
 GUMBEL_LOCATION, GUMBEL_SCALE = 64.0, 67.0
 EFFECT = 200.0  # nats, what a rugged fit gains by chance from one more effect
 TEMPER = (100.0, 0.1)  # nats, and share of the excess
-UNKNOWN = (0.25, 0.06, 400.0)  # share of the excess that is left where it is as likely as not, width, least excess left
+# share of the excess left where the physics is as likely unknown as not, width, and what nulls leave (600 to 2,500)
+UNKNOWN = (0.25, 0.06, 2500.0)
 COMPARED = 5  # hypotheses that are simulated on held-out recordings
-CREDIBLE = 0.9
 
 
 @dataclass(frozen=True)
