@@ -7,22 +7,14 @@ from typing import Annotated, Literal
 
 try:
     import tyro
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
     from rich.table import Table
+
+    from soro_bench.progress import InferenceBar, StageBars, TrainingBars, console
 except ImportError as error:
     sys.exit(f"soro-bench needs more than the core install: pip install soro_bench[all] ({error})")
 
 from soro_bench.registration import ENV_IDS, task_type
 
-_console = Console()
 EnvId = Annotated[str, tyro.conf.Positional]
 
 
@@ -41,8 +33,8 @@ class List:
                 name = f"[bold]{p.name} *[/bold]" if p.name in {q.name for q in task.randomized} else p.name
                 bounds, search = ("{:g} .. {:g}".format(*pair) for pair in (p.bounds, p.search))
                 table.add_row(name, f"{p.nominal:g}", p.unit, bounds, search, p.meaning)
-            _console.print(table)
-        _console.print("* what the published study randomises")
+            console.print(table)
+        console.print("* what the published study randomises")
 
 
 @dataclass
@@ -89,9 +81,9 @@ class Train:
         config = default_config(self.env, self.steps, method=self.method, seed=self.seed, **changes)
         box = METHODS[self.method].distribution(self.env, self.seed, self.out)
         distribution = load(self.randomization) if self.randomization else box
-        with _Bar() as bar:
+        with TrainingBars() as bar:
             train(config, self.out, distribution, lambda *progress: bar(f"{self.method} seed {self.seed}", *progress))
-        _console.print(f"policy in {self.out}")
+        console.print(f"policy in {self.out}")
 
 
 @dataclass
@@ -113,7 +105,7 @@ class Evaluate:
         policy = Policy.load(self.policy)
         model = self.model or task_type(policy.card.env_id).accurate
         result = write_evaluation(policy, model, self.out or self.policy)
-        _console.print(markdown_table(table_rows([result])), soft_wrap=True, markup=False, highlight=False)
+        console.print(markdown_table(table_rows([result])), soft_wrap=True, markup=False, highlight=False)
 
 
 @dataclass
@@ -191,10 +183,10 @@ class Infer:
         if self.method == "bayes-sim":
             settings = {"features": self.features, "simulations": self.simulations}
         work = self.out.with_suffix(".log.jsonl")
-        with _Steps(self.method) as steps:
+        with InferenceBar(self.method) as steps:
             posterior = infer(self.method, replay, work, self.seed, steps, **settings)
         posterior.save(self.out)
-        _console.print(write_report(posterior, replay, self.out), soft_wrap=True, markup=False, highlight=False)
+        console.print(write_report(posterior, replay, self.out), soft_wrap=True, markup=False, highlight=False)
 
 
 @dataclass
@@ -241,7 +233,7 @@ class View:
 
             path = self.out or path.with_suffix(".rrd")
             write_comparison(load(self.recording), path, self.recording.stem)
-            _console.print(f"{path}", soft_wrap=True, markup=False, highlight=False)
+            console.print(f"{path}", soft_wrap=True, markup=False, highlight=False)
         if self.open:
             open_viewer(path)
 
@@ -263,7 +255,7 @@ class Excite:
         task = make_task(self.env, 1, 1, action="continuous")
         actions = excitation(task.single_action_space, task.control_timestep, self.duration, self.seed)
         write_actions(self.out, task.control_timestep, actions)
-        _console.print(f"{self.out}: replay it on the robot, record what it does, and: soro-bench diagnose RECORDING")
+        console.print(f"{self.out}: replay it on the robot, record what it does, and: soro-bench diagnose RECORDING")
 
 
 @dataclass
@@ -290,12 +282,12 @@ class Diagnose:
 
         robot = Robot(self.env, self.model)
         recordings, heldout = ([load(path) for path in paths] for paths in (self.recordings, self.heldout))
-        with _console.status("") as status:
+        with console.status("") as status:
             found = diagnose(robot, recordings, heldout, self.seed, lambda stage: status.update(f"{stage} ..."))
             status.update("report ...")
             text = write_reports(found, recordings, self.out)
-        _console.print(text, soft_wrap=True, markup=False, highlight=False)
-        _console.print(f"{self.out / 'report.html'}, {self.out / 'report.json'}; {found.seconds:.0f} s", soft_wrap=True)
+        console.print(text, soft_wrap=True, markup=False, highlight=False)
+        console.print(f"{self.out / 'report.html'}, {self.out / 'report.json'}; {found.seconds:.0f} s", soft_wrap=True)
 
 
 @dataclass
@@ -313,9 +305,9 @@ class Prove:
     def run(self) -> None:
         from soro_bench.proof.prove import prove
 
-        with _Progress() as bar:
+        with StageBars() as bar:
             text = prove(self.out, self.count, self.seed, self.nulls, bar)
-        _console.print(text, soft_wrap=True, markup=False, highlight=False)
+        console.print(text, soft_wrap=True, markup=False, highlight=False)
 
 
 @dataclass
@@ -375,10 +367,10 @@ def _run_plan(plan, out: Path) -> None:
     for part in plan:
         for method in part.methods:
             seeds, folder = part.seeds[method.name], out / part.config.env_id
-            with _Bar() as bar:
+            with TrainingBars() as bar:
                 run_method(method, part.config, seeds, part.eval_models, folder, bar)
-    _console.print(write_report(out), soft_wrap=True, markup=False, highlight=False)
-    _console.print(f"results, plots and recordings in {out}; watch one with: soro-bench view FILE.rrd")
+    console.print(write_report(out), soft_wrap=True, markup=False, highlight=False)
+    console.print(f"results, plots and recordings in {out}; watch one with: soro-bench view FILE.rrd")
 
 
 def _describe(recording, path: Path) -> None:
@@ -386,74 +378,7 @@ def _describe(recording, path: Path) -> None:
     for name, signal in (*recording.commands.items(), *sorted(recording.signals.items())):
         shape = " x ".join(map(str, signal.values.shape[1:]))
         table.add_row(name, str(len(signal.time)), shape, signal.unit, signal.frame)
-    _console.print(table)
-
-
-class _Progress:
-    """Progress bars of stages that follow one another."""
-
-    def __enter__(self):
-        self._progress = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-                                  TimeElapsedColumn(), TimeRemainingColumn(), console=_console)  # fmt: skip
-        self._progress.start()
-        self._tasks: dict[str, int] = {}
-        return self
-
-    def __call__(self, stage: str, done: int, total: int) -> None:
-        if stage not in self._tasks:
-            self._tasks[stage] = self._progress.add_task(stage, total=total)
-        self._progress.update(self._tasks[stage], completed=done)
-
-    def __exit__(self, *_):
-        self._progress.stop()
-
-
-class _Steps:
-    """A progress bar for an inference."""
-
-    def __init__(self, label: str):
-        self._progress = Progress(TextColumn(label), BarColumn(), MofNCompleteColumn(),
-                                  TextColumn("{task.fields[note]}"), TimeElapsedColumn(), TimeRemainingColumn(),
-                                  console=_console)  # fmt: skip
-
-    def __enter__(self):
-        self._progress.start()
-        self._task = self._progress.add_task("", total=None, note="")
-        return self
-
-    def __call__(self, done: int, total: int, cost: float) -> None:
-        note = "" if cost != cost else f"cost {cost:.4g}"
-        self._progress.update(self._task, completed=done, total=total, note=note)
-
-    def __exit__(self, *_):
-        self._progress.stop()
-
-
-class _Bar:
-    """A progress bar per training run."""
-
-    def __enter__(self):
-        self._progress = Progress(
-            TextColumn("{task.description:14}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[note]}"),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
-            console=_console,
-        )
-        self._progress.start()
-        self._tasks: dict[str, int] = {}
-        return self
-
-    def __call__(self, label: str, steps: int, total: int, row: dict) -> None:
-        if label not in self._tasks:
-            self._tasks[label] = self._progress.add_task(label, total=total, note="")
-        note = "{:.1f} mm".format(next(value for key, value in row.items() if key.startswith("final_")))
-        self._progress.update(self._tasks[label], completed=steps, note=note)
-
-    def __exit__(self, *_):
-        self._progress.stop()
+    console.print(table)
 
 
 COMMANDS = {

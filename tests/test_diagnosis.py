@@ -1,12 +1,15 @@
 """Parts of the diagnosis, on short recordings of the cheap trunk."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-import soro_bench  # noqa: F401
+from soro_bench.diagnosis import compare
 from soro_bench.diagnosis.audit import audit, outliers
-from soro_bench.diagnosis.fit import Guess, fitted
+from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.floor import numerical_floor
+from soro_bench.diagnosis.localise import intervals, places, regimes
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Measured, Robot
 from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
@@ -105,10 +108,15 @@ def test_a_recording_of_something_else_is_refused(robot):
     metadata = {"env_id": "TrunkReach-v0", "action": "continuous"}
     commands = {"action": Signal(0.05 * np.arange(5), np.zeros((5, 8)), "1")}
     times = 0.05 * np.arange(6)
+    millimetres = Signal(times, np.zeros((6, 21, 3)), "mm", "world")
+    with pytest.raises(RecordingError, match="'mm'"):
+        robot.measured(Recording(commands, {"keypoints": millimetres}, {}, metadata))
     with pytest.raises(RecordingError, match="no keypoints"):
         robot.measured(Recording(commands, {"tip": Signal(times, np.zeros((6, 3)), "m")}, {}, metadata))
     with pytest.raises(RecordingError, match="shape"):
-        robot.measured(Recording(commands, {"keypoints": Signal(times, np.zeros((6, 5, 3)), "m")}, {}, metadata))
+        robot.measured(
+            Recording(commands, {"keypoints": Signal(times, np.zeros((6, 5, 3)), "m", "world")}, {}, metadata)
+        )
 
 
 def test_a_suspect_without_magnitude_is_no_effect():
@@ -135,6 +143,71 @@ def test_an_audit_finds_what_is_alone_and_far_off():
     assert np.array_equal(outliers(residual), truth)
 
 
-def test_too_few_samples_are_refused():
-    with pytest.raises(RecordingError, match="too few"):
-        audit(Measured(np.zeros((1, 8)), np.array([0.05]), np.zeros((1, 21, 3)), "keypoints", "m"))
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (np.zeros((1, 21, 3)), "too few"),
+        (np.full((100, 21, 3), np.nan), "too few"),
+        (np.ones((100, 21, 3)), "constant"),
+        (1e300 * np.random.default_rng(0).standard_normal((100, 21, 3)), "beyond"),
+        (
+            np.where(np.arange(100)[:, None, None] % 2, np.nan, np.arange(100.0)[:, None, None]) * np.ones(3),
+            "successive",
+        ),
+    ],
+)
+def test_what_is_no_recording_of_a_robot_is_refused_in_words(values, message):
+    measured = Measured(np.zeros((len(values), 8)), 0.05 * np.arange(1, len(values) + 1), values, "keypoints", "m")
+    with pytest.raises(RecordingError, match=message):
+        audit(measured)
+
+
+def test_a_jump_of_all_points_together_is_motion_and_no_outlier():
+    residual = np.random.default_rng(0).standard_normal((300, 21, 3))
+    residual[150] += 40
+    assert not outliers(residual).any()
+
+
+def test_intervals_are_the_windows_in_which_most_is_gained():
+    time = 0.05 * np.arange(1, 201)
+    gain = np.where((time > 2) & (time <= 4), 10.0, 0.1) + np.where((time > 7) & (time <= 8), 10.0, 0.0)
+    assert intervals(time, gain) == [(2.0, 4.0), (7.0, 8.0)]
+
+
+def test_regimes_tell_reversals_from_motion_and_rest():
+    actions = np.zeros((100, 8))
+    actions[20:40, 2], actions[40:60, 2] = 1.0, -1.0
+    measured = Measured(actions, 0.05 * np.arange(1, 101), np.zeros((100, 21, 3)), "keypoints", "m")
+    gain = np.zeros(100)
+    gain[40:45] = 1.0
+    found = {r.condition: r for r in regimes(measured, gain, 2)}
+    assert found["just after reversals"].explained == 1.0
+    assert found["just after reversals"].time == 0.05
+    assert found["while it rests"].time == 0.6
+
+
+def test_a_force_without_a_name_is_found_at_its_place(robot, actions, monkeypatch):
+    """A cable whose length wanders, which no effect of the catalogue does."""
+    monkeypatch.setattr("soro_bench.diagnosis.localise.FREE_WINDOW", 0.25)
+    given = problem(robot, actions)
+    (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
+    candidates = [suspect(robot, "pretension", Port("actuator", name)) for name in CABLE_NAMES]
+    found = responses(given, base, candidates)
+    wandering = np.sin(np.arange(base.residual.size) / 63 / 10)
+    base = replace(base, residual=base.residual + 0.5 * found[2][0] * wandering)
+    assert places(given, base, candidates, found)[0].where == Port("tendon", "L2")
+
+
+def test_what_nothing_explains_is_unknown_and_what_something_explains_is_not(robot, actions):
+    given = problem(robot, actions)
+    residual = np.random.default_rng(0).standard_normal(given.weight.size)
+    slope, error = np.zeros((5, residual.size)), np.zeros((0, residual.size))
+    poor, good = (Hypothesis((), np.zeros(5), scale * residual, 0.0, slope, error) for scale in (5.0, 1.0))
+    assert compare._unknown(given, [poor]) > 0.95
+    assert compare._unknown(given, [poor, poor]) > 0.95
+    assert compare._unknown(given, [poor, good]) < 0.05
+
+
+def test_a_lead_like_those_of_nulls_is_no_detection():
+    assert compare.p_value(100.0) > 0.1
+    assert compare.p_value(1000.0) < 1e-4

@@ -17,7 +17,7 @@ from soro_bench.diagnosis.suspects import suspect, suspects
 from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Effect, Port, load_effects
 from soro_bench.randomization import load
-from soro_bench.recording.recording import Recording, Signal
+from soro_bench.recording.recording import Recording, RecordingError, Signal
 
 STEPS = 60
 FEW = ("payload", "backlash", "sensor_bias", "actuator_delay")
@@ -95,6 +95,25 @@ def test_where_nothing_is_missing_it_says_so_and_what_would_have_shown(robot, mo
     assert report["effects"][0]["name"] == "none"
     assert 0 < report["detectable"]["payload"]["minimum"] < 0.1
     assert report["fit"]["patch"] == "none"
+
+
+def test_recordings_that_are_too_long_are_refused(robot, monkeypatch):
+    monkeypatch.setattr(pipeline, "MOST_NUMBERS", 1000)
+    with pytest.raises(RecordingError, match="at most 1000"):
+        pipeline.diagnose(robot, [recording(robot, [], 0)])
+
+
+def test_outliers_alone_are_a_fault_of_the_measurement(robot, monkeypatch):
+    def with_outliers(robot, hidden, seed, own=recording):
+        given = own(robot, hidden, seed)
+        given.signals["keypoints"].values[[10, 30, 50], [3, 12, 20]] += 0.05
+        return given
+
+    monkeypatch.setattr(f"{__name__}.recording", with_outliers)
+    report = report_of(diagnosed(robot, monkeypatch, []))
+    assert report["verdict"] == "measurement_fault"
+    assert report["effects"][0]["name"] == "outliers"
+    assert report["effects"][0]["parameters"]["share"]["value"] == pytest.approx(3 / (60 * 21))
 
 
 def test_the_same_seed_gives_the_same_report(robot, monkeypatch):

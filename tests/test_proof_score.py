@@ -5,6 +5,7 @@ import hashlib
 import pytest
 
 from soro_bench.files import write_json
+from soro_bench.proof import prove
 from soro_bench.proof.score import markdown, opened_labels, scored
 
 
@@ -77,3 +78,22 @@ def test_labels_that_were_changed_after_the_commitment_are_refused(tmp_path):
     write_json(path, {"cases": [label(1)]})
     with pytest.raises(ValueError, match="commitment"):
         opened_labels(tmp_path)
+
+
+def test_labels_are_opened_only_when_every_case_has_its_report(tmp_path, monkeypatch):
+    """And a case that has one is not diagnosed again."""
+    done = []
+    monkeypatch.setattr(
+        prove, "write_cases", lambda folder, *_: [(folder / f"case_{i:03d}").mkdir(parents=True) for i in (0, 1)]
+    )
+    monkeypatch.setattr(prove, "Robot", lambda env_id: None)
+    monkeypatch.setattr(prove, "load", lambda path: path)
+    monkeypatch.setattr(prove, "diagnose", lambda robot, train, heldout: done.append(train[0].parent.name))
+    monkeypatch.setattr(prove, "report_of", lambda found: report())
+    monkeypatch.setattr(prove, "opened_labels", lambda folder: [label(i) for i in range(len(done))])
+    (tmp_path / "reports").mkdir()
+    text = prove.prove(tmp_path, 2, 0)
+    assert done == ["case_000", "case_001"]
+    assert "| first answer right | 2 | 1 |" in text
+    prove.diagnosed(None, tmp_path / "cases" / "case_000", tmp_path / "reports" / "case_000.json")
+    assert len(done) == 2

@@ -8,7 +8,7 @@ import pytest
 from gymnasium import spaces
 
 from soro_bench.recording import comparison
-from soro_bench.recording.excitation import excitation, shortest
+from soro_bench.recording.excitation import excitation, shortest, write_actions
 from soro_bench.recording.recording import Signal
 from soro_bench.recording.simulated import parse_params, record, replay
 from soro_bench.registration import ENV_IDS, make_task, task_type
@@ -191,3 +191,13 @@ def test_comparison_shows_the_measured_points_at_their_times(tmp_path):
     np.testing.assert_allclose(positions[1], keypoints.values[1], atol=1e-6)
     assert any(c.entity_path == "/episode_01/world/backbone" for c in chunks)
     assert comparison.measured_points(recording).keys() == {"keypoints", "link_position"}
+
+
+def test_actions_for_a_controller_are_a_table_in_si_units(tmp_path):
+    actions = excitation(spaces.Box(-1, 1, (2,), np.float32), 0.05, 20.0)
+    write_actions(tmp_path / "a.csv", 0.05, actions)
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    assert lines[0] == "time,action.0,action.1"
+    table = np.array([line.split(",") for line in lines[1:]], float)
+    assert table[:, 0] == pytest.approx(0.05 * np.arange(len(actions)))
+    assert table[:, 1:] == pytest.approx(actions, abs=1e-8)

@@ -2,7 +2,7 @@
 
 Evidence is a sum over thousands of samples, and a simulation is never right to the last of them: taken at its word it
 would call everything certain. It is tempered by what the best hypothesis leaves unexplained (``TEMPER``), which is how
-wrong the models are at any rate. The constants are calibrated on simulated cases (docs/diagnosis.md).
+wrong the models are at any rate. The constants are set by hand on a few development cases and not calibrated yet.
 """
 
 import math
@@ -18,7 +18,7 @@ from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Robot
 
-# evidence that the best lead promises where nothing is missing, 42 to 255 in five cases: a Gumbel distribution
+# evidence that the best lead promises where nothing is missing (42 to 255 in five cases): a Gumbel distribution
 GUMBEL_LOCATION, GUMBEL_SCALE = 64.0, 67.0
 EFFECT = 200.0  # nats, what a rugged fit gains by chance from one more effect
 TEMPER = (100.0, 0.1)  # nats, and share of the excess
@@ -90,7 +90,7 @@ def compared(found: Explanation, heldout: Problem | None, refined: Sequence[Robo
         Answer(h, p, Fit(train[0], a, problem.sigma), None if b is None else Fit(tested[0], b, heldout.sigma))
         for h, p, a, b in zip(hypotheses, chances, train, tested, strict=True)
     ]
-    unknown = _unknown(problem, nominal, answers[1:]) if detected < 0.5 else 0.0
+    unknown = (1.0 - detected) * _unknown(problem, hypotheses)
     answers = [replace(a, probability=a.probability * (1.0 - unknown)) for a in answers]
     return Comparison(tuple(sorted(answers, key=lambda a: -a.probability)), unknown, detected)
 
@@ -104,14 +104,11 @@ def _chances(scores, detected, excess):
     return np.concatenate([[detected], (1.0 - detected) * others / others.sum()])
 
 
-def _unknown(problem, nominal, answers) -> float:
-    """Probability that the physics has no name: much of what the nominal robot leaves is left by all."""
-    if not answers:
-        return 0.0
-    before = problem.excess(nominal.residual)
-    left = min(problem.excess(a.hypothesis.residual) for a in answers)
+def _unknown(problem, hypotheses) -> float:
+    """Probability that the physics has no name: of what the nominal robot leaves, the first, all leave much."""
+    left = [problem.excess(h.residual) for h in hypotheses]
     share, width, least = UNKNOWN
-    return float(expit(((left - least) / max(before - least, 1.0) - share) / width))
+    return float(expit(((min(left) - least) / max(left[0] - least, 1.0) - share) / width))
 
 
 def _rms(problem, residual) -> float:

@@ -25,8 +25,8 @@ NEAR = (0.15, 0.05, 0.0)  # of the one near each fit
 POLISHES, ENOUGH = 4, 0.1  # at most, and the share of what is left that one more is worth
 MOST = 3  # effects
 LEADS = 6
-# natural logarithm of the evidence that a lead has to promise (of nulls the best promise 30 to 120), and the share of
-# what is left: where physics has no name in the catalogue, one effect after the other would explain a little of it
+# natural logarithm of the evidence that a lead has to promise (of five nulls the best promise 42 to 255), and the share
+# of what is left: where physics has no name in the catalogue, one effect after the other would explain a little of it
 WORTH, WORTH_SHARE = 400.0, 0.05
 
 
@@ -49,10 +49,6 @@ class Explanation:
     promised: float
     left: float
     minimum: tuple[tuple[Suspect, float], ...]
-
-    @property
-    def best(self) -> Hypothesis:
-        return self.found[0] if self.found else self.nominal
 
 
 def nominal_fit(problem: Problem, refined: Sequence[Robot], seed: int, progress=lambda *_: None):

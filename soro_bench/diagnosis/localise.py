@@ -23,7 +23,7 @@ _AFTER_REVERSAL = 0.25  # s
 
 @dataclass(frozen=True)
 class Place:
-    """A place, and the evidence (natural logarithm) that any force there gains, with its strength in every window."""
+    """A place, and the evidence (natural logarithm) that any force there gains."""
 
     where: Port
     gain: float

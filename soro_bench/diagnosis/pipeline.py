@@ -14,8 +14,9 @@ from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Measured, Robot
 from soro_bench.diagnosis.suspects import suspects
 from soro_bench.inference.clouds import LowRank
-from soro_bench.recording.recording import Recording
+from soro_bench.recording.recording import Recording, RecordingError
 
+MOST_NUMBERS = 300_000  # of all samples: four minutes of a trunk, of which every suspect is one more
 ALPHA = 0.01  # a mismatch is one where nothing missing would look like it less often
 
 
@@ -37,7 +38,6 @@ class Diagnosis:
     explanation: Explanation
     comparison: Comparison
     places: tuple[Place, ...]
-    heldout: Problem | None
     seconds: float
 
     @property
@@ -54,11 +54,8 @@ class Diagnosis:
             return "unknown_physics"
         if not best.names:
             return "none_detected"
-        return (
-            "measurement_fault"
-            if all(s.where.kind == "sensor" for s in best.hypothesis.suspects)
-            else "missing_physics"
-        )
+        faults = all(s.where.kind == "sensor" for s in best.hypothesis.suspects)
+        return "measurement_fault" if faults else "missing_physics"
 
 
 def diagnose(
@@ -83,6 +80,8 @@ def diagnose(
     refined = robot.refined()
     measured = tuple(robot.measured(each) for each in recordings)
     tested = tuple(robot.measured(each) for each in heldout)
+    if (size := sum(each.values.size for each in measured + tested)) > MOST_NUMBERS:
+        raise RecordingError(f"{size} numbers to explain; at most {MOST_NUMBERS}, so cut the recordings")
     audits = tuple(audit(each) for each in (*measured, *tested))
     sigma = min(a.sigma for a in audits)  # of one sensor: motion only adds to it
     problem, nominal = nominal_fit(_problem(robot, measured, sigma), refined, seed, progress)
@@ -92,9 +91,9 @@ def diagnose(
     progress("comparison")
     tested_problem = _problem(robot, tested, sigma) if tested else None
     comparison = compared(explanation, tested_problem, refined)
-    where = places(explanation.problem, explanation.nominal, candidates, responses) if explanation.found else []
-    return Diagnosis(robot, audits, found_outliers, explanation, comparison, tuple(where), tested_problem,
-                     time.perf_counter() - start)  # fmt: skip
+    where = places(explanation.problem, explanation.nominal, candidates, responses)
+    seconds = time.perf_counter() - start
+    return Diagnosis(robot, audits, found_outliers, explanation, comparison, tuple(where), seconds)
 
 
 def _problem(robot: Robot, measured: tuple[Measured, ...], sigma: float) -> Problem:

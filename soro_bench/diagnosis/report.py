@@ -79,6 +79,8 @@ def report_of(diagnosis: Diagnosis) -> dict:
     comparison, best = diagnosis.comparison, diagnosis.comparison.answers[0]
     ranked = [_effect(diagnosis, finding) for finding in findings(diagnosis)]
     nothing = next((a.probability for a in comparison.answers if not a.names), 0.0)
+    if diagnosis.outliers.share and not diagnosis.detected:
+        nothing = 0.0  # nothing but outliers
     ranked.append(_nameless("none", nothing))
     ranked.append(_nameless("unknown", comparison.unknown, diagnosis))
     if diagnosis.outliers.share:
@@ -89,6 +91,7 @@ def report_of(diagnosis: Diagnosis) -> dict:
         "verdict": diagnosis.verdict,
         "p_value": comparison.p_value,
         "alpha": ALPHA,
+        "promised": diagnosis.explanation.promised,
         "effects": ranked,
         "hypotheses": [{"names": list(a.names), "probability": a.probability} for a in comparison.answers],
         "credible_set": _credible(ranked),
@@ -293,7 +296,7 @@ def verdict(diagnosis: Diagnosis) -> str:
     said = []
     if diagnosis.outliers.share:
         said.append(f"{100 * diagnosis.outliers.share:.2g} % of the points are outliers; they are left out.")
-    if not diagnosis.detected:
+    if not best.names and diagnosis.verdict != "unknown_physics":
         said.append(f"Nothing is missing that this recording shows (p = {diagnosis.comparison.p_value:.2g}).")
         shown = sorted(_detectable(diagnosis).items())
         seen = ", ".join(f"{name} of {d['minimum']:.2g} {d['unit']}" for name, d in shown)

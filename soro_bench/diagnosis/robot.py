@@ -112,7 +112,10 @@ class Robot:
         times = recording.start + self._task.control_timestep * np.arange(1, len(actions) + 1)
         if self.signal not in recording.signals:
             raise RecordingError(f"the recording has no {self.signal}; it has {', '.join(recording.names)}")
-        signal = resampled(recording.signals[self.signal], times)
+        given = recording.signals[self.signal]
+        if (given.unit, given.frame) != (own := task_type(self.env_id).signal_units[self.signal]):
+            raise RecordingError(f"{self.signal} is in {given.unit!r}, frame {given.frame!r}; expected are {own}")
+        signal = resampled(given, times)
         shape = self._task.signals(np.arange(1))[self.signal].shape[1:]
         if signal.values.shape[1:] != shape:
             raise RecordingError(
