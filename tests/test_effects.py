@@ -196,7 +196,7 @@ def test_dry_friction_sticks_below_its_force_and_slips_above():
 
 
 def test_dry_friction_stops_what_is_moving_without_adding_energy():
-    sim = flat(servo([on_hinge("coulomb_friction", friction=0.05)]))
+    sim = flat(servo([on_hinge("coulomb_friction", friction=0.05, presliding=2e-3)]))
     way = turn(sim, velocity=2.0, steps=1500)
     speed = np.abs(np.diff(way)) / 0.002
     inertia = 0.1 * 0.2**2 / 3  # of the arm about the hinge, nearly

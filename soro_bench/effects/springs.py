@@ -1,12 +1,12 @@
 """Laws of springs that yield or creep: friction that sticks, hysteresis, memory of the material.
 
 MuJoCo's springs with a yield threshold are ideal elasto-plastic elements, integrated implicitly: they stick, slip at
-stiffness times threshold, and never add energy. Friction is such a spring that slips after a short way
-(``PRESLIDING``). Prandtl 1928; for friction: Dahl, "A solid friction model", 1968.
+stiffness times threshold, and never add energy. Friction is such a spring that slips after a short way, the presliding.
+Prandtl 1928; for friction: Dahl, "A solid friction model", 1968.
 
 The integrator takes every spring for elastic during a time step: one that slips resists like a damper of stiffness
-times time step, 50 N s/m on a cable with 1 N of friction. While it slides, friction is therefore a soft spring with the
-same force.
+times time step, 20 N s/m on a cable with 1 N of friction and 0.5 mm of presliding. While it slides, friction is
+therefore a soft spring with the same force.
 """
 
 from typing import ClassVar
@@ -17,11 +17,11 @@ from soro_bench.effects.effect import EffectError, Quantity
 from soro_bench.effects.elements import NEVER
 from soro_bench.effects.law import Law, OnJoints, tension
 
-PRESLIDING = {"tendon": 2e-4, "joint": 2e-3}  # m or rad; LuGre bristles deflect by 1e-5 to 1e-3 m
 _SOFTER = 100.0  # a spring that slides, than one that sticks
 _AT_LIMIT = 0.999  # of the force, at which it slides
 INFINITE = (0.0, np.inf)
 _FORCE = "N or N m"
+_PRESLIDING = Quantity("presliding", "m or rad", 5e-4, (1e-6, 0.1))  # LuGre bristles deflect by 1e-5 to 1e-3 m
 
 
 class _Friction(Law):
@@ -40,7 +40,6 @@ class _Friction(Law):
         self.springs = np.array([elements.spring_of(i) if j else i for i, j in zip(self.ids, on_joint, strict=True)])
         if (self.model.tendon_plasticadr[self.springs] < 0).any():
             raise EffectError(f"{self.name} needs tendons without a spring of their own; see instrument()")
-        self.reach = np.array([PRESLIDING[port.kind] for port in self.ports])
         self.run.claim(self, self.rows, self.springs)
         actuators = [elements.actuators_on(port) for port in self.ports]
         self.actuators = np.full((len(actuators), max(map(len, actuators), default=0)), -1)
@@ -48,7 +47,7 @@ class _Friction(Law):
             self.actuators[i, : len(each)] = each
 
     def write(self, which):
-        self._set(which, self.level(which), self.reach[which])
+        self._set(which, self.level(which), self.values["presliding"][which])
 
     def reset(self, which):
         """An episode begins without friction, wherever the spring is then."""
@@ -62,7 +61,7 @@ class _Friction(Law):
         level = self.level(which)
         slides = (np.abs(force) >= _AT_LIMIT * level) & (force * velocity > 0)
         force = np.where(slides, np.sign(force) * level, np.clip(force, -level, level))
-        reach = self.reach[which] * np.where(slides, _SOFTER, 1.0)
+        reach = self.values["presliding"][which] * np.where(slides, _SOFTER, 1.0)
         self._set(which, level, reach)
         self._set_rest(which, length - reach * force / np.maximum(level, 1e-12))
 
@@ -84,7 +83,7 @@ class CoulombFriction(_Friction):
     """Dry friction of a constant force."""
 
     name = "coulomb_friction"
-    quantities = (Quantity("friction", _FORCE, 1.0, INFINITE, of="force"),)
+    quantities = (Quantity("friction", _FORCE, 1.0, INFINITE, of="force"), _PRESLIDING)
 
     def level(self, which):
         return self.values["friction"][which]
@@ -98,6 +97,7 @@ class StribeckFriction(_Friction):
         Quantity("friction", _FORCE, 1.0, INFINITE, of="force"),
         Quantity("static_ratio", "1", 2.0, (1.0, 10.0)),
         Quantity("stribeck_velocity", "m/s or rad/s", 0.02, (1e-4, 100.0)),
+        _PRESLIDING,
     )
 
     def level(self, which):
@@ -112,7 +112,7 @@ class LoadFriction(_Friction):
     tension (Euler, Eytelwein), on a joint mu times the torque of all actuators."""
 
     name = "load_friction"
-    quantities = (Quantity("mu", "1", 0.1, (0.0, 10.0)),)
+    quantities = (Quantity("mu", "1", 0.1, (0.0, 10.0)), _PRESLIDING)
     outputs = ("ten_length", "ten_velocity", "actuator_force", "qfrc_actuator", "site_xpos")
 
     def prepare(self, elements):
