@@ -4,6 +4,7 @@ Each round screens every suspect on top of the best hypothesis so far (and, once
 nominal robot), refits the leads, and computes the numerical floor of the best anew with their effects.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -19,7 +20,7 @@ from soro_bench.diagnosis.suspects import Suspect
 
 # radii of the clouds of the nominal fit after each numerical floor, and of the last fit of a hypothesis, in standard
 # deviations of the priors
-RADII, LAST = ((0.7, 0.4, 0.2), (0.2, 0.1), (0.1, 0.05)), 0.07
+RADII, LAST = ((0.7, 0.3), (0.15,), (0.05,)), 0.07
 FAR_DRAWS, FAR = 3, 0.7  # replays of each refined robot at first, and their standard deviation
 NEAR = (0.15, 0.05, 0.0)  # of the one near each fit
 POLISHES, ENOUGH = 4, 0.1  # at most, and the share of what is left that one more is worth
@@ -74,38 +75,43 @@ def explained(
     """One effect further as long as a lead promises enough; and the response of every candidate, (k, M) each."""
     progress("screening")
     found = responses(problem, nominal, candidates)
-    first = evidence(problem, nominal, candidates, found)
-    screened, best, tried = first, nominal, []
+    first = screened = evidence(problem, nominal, candidates, found)
+    best, tried, seeds = nominal, [], itertools.count(10 * seed, 10)
     promised = left = singles(first)[0].gain
     for number in range(1, MOST + 1):
-        if left < max(WORTH, WORTH_SHARE * problem.excess(best.residual)):
+        if left < _worth(problem, best):
             break
         progress(f"refits with {number} effect{'s' * (number > 1)}")
         leads = [screened.guess(lead) for lead in distinct(singles(screened), LEADS, problem.robot)]
         if number == 2:
             leads += [first.guess(lead) for lead in distinct(pairs(first), LEADS, problem.robot)]
-        new = refitted(problem, leads, 100 * number + seed)
-        problem, new = _with_own_floor(problem, refined, new, 100 * number + seed)
+        new = refitted(problem, leads, next(seeds))
+        problem, new = _with_own_floor(problem, refined, new, next(seeds))
         new.sort(key=lambda h: -h.log_evidence(problem))
-        problem, new[0] = _polished(problem, refined, new[0], 100 * number + seed)
-        new[1:] = [_again(problem, h) for h in new[1:]]
-        tried = new + [_again(problem, h) for h in tried]
-        if number > 1:
-            tried[1:1] = without_one(problem, tried[0], 100 * number + 50 + seed)
-        nominal, best = _again(problem, nominal), tried[0]
-        screened = evidence(problem, best, candidates, found)
+        problem, new[0], screened = _polished(problem, refined, new[0], candidates, found, seeds)
         left = singles(screened)[0].gain
+        tried = [_again(problem, h) for h in new + tried]
+        if number > 1:
+            tried[1:1] = without_one(problem, tried[0], next(seeds))
+        nominal, best = _again(problem, nominal), tried[0]
     return Explanation(problem, nominal, tuple(tried), promised, left, first.detectable(WORTH)), found
 
 
-def _polished(problem, refined, hypothesis, seed):
-    """Fit and numerical floor in turns as long as that helps: what a fit leaves must not look like one more effect."""
-    for k in range(POLISHES):
-        before = problem.excess(hypothesis.residual)
-        problem, (hypothesis,) = _with_own_floor(problem, refined, [polished(problem, hypothesis, seed + k)], seed + k)
+def _polished(problem, refined, hypothesis, candidates, found, seeds):
+    """Fit and numerical floor in turns, as long as what is left looks like one more effect and that helps."""
+    for _ in range(POLISHES):
+        screened, before = evidence(problem, hypothesis, candidates, found), problem.excess(hypothesis.residual)
+        if singles(screened)[0].gain < _worth(problem, hypothesis):
+            return problem, hypothesis, screened
+        better = polished(problem, hypothesis, next(seeds))
+        problem, (hypothesis,) = _with_own_floor(problem, refined, [better], next(seeds))
         if problem.excess(hypothesis.residual) > (1.0 - ENOUGH) * before:
             break
-    return problem, hypothesis
+    return problem, hypothesis, evidence(problem, hypothesis, candidates, found)
+
+
+def _worth(problem, hypothesis):
+    return max(WORTH, WORTH_SHARE * problem.excess(hypothesis.residual))
 
 
 def _with_own_floor(problem, refined, hypotheses, seed):
