@@ -12,6 +12,7 @@ from soro_bench.diagnosis.fit import Guess, fitted
 from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Measured, Robot
+from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import suspect
 from soro_bench.effects.effect import EVERY, Port
 from soro_bench.inference.clouds import LowRank
@@ -38,7 +39,7 @@ def left(given: Problem) -> float:
 
 
 def main() -> None:
-    robot = Robot("TrunkReach-v0")
+    robot = SuiteRobot("TrunkReach-v0")
     half, accurate = robot.refined()
     rng = np.random.default_rng(0)
     given = problem(robot, accurate)

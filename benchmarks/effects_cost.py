@@ -34,7 +34,7 @@ def main() -> None:
     robot = Robot("TrunkReach-v0", options.model, threads=1)
     task = make_task("TrunkReach-v0", SIMULATIONS, 1, options.model, action="continuous", effects=())
     actions = np.repeat(np.random.default_rng(0).uniform(-1, 1, (STEPS // 5, 8)), 5, axis=0).astype(np.float32)
-    first = {one.name: one for one in reversed(suspects(robot, 21)) if one.where.kind != "sensor"}
+    first = {one.name: one for one in reversed(suspects(robot)) if one.where.kind != "sensor"}
     print("| effect | place | cost / without |\n|---|---|---|")
     for name in sorted(first):
         x = np.zeros(first[name].size)

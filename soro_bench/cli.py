@@ -264,23 +264,24 @@ class Diagnose:
 
     recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """.parquet; `soro-bench excite` writes the actions for a good one."""
-    env: str
-    """Environment whose robot was recorded."""
     out: Path
     """Folder for report.html, report.json, effects.json, posterior.json and comparison.rrd."""
+    env: str | None = None
+    """Environment whose robot was recorded."""
+    model: str | None = None
+    """MJCF file of another robot; with --env the model to simulate, the cheap one by default."""
+    map: Path | None = None
+    """TOML file that says how recordings and parameters belong to the MJCF file; see docs/diagnosis.md."""
     heldout: tuple[Path, ...] = ()
     """Recordings of another motion, to test what is found."""
-    model: str | None = None
-    """Model to simulate; the cheap one by default."""
     seed: int = 0
 
     def run(self) -> None:
         from soro_bench.diagnosis.page import write_reports
         from soro_bench.diagnosis.pipeline import diagnose
-        from soro_bench.diagnosis.robot import Robot
         from soro_bench.recording.parquet import load
 
-        robot = Robot(self.env, self.model)
+        robot = self._robot()
         recordings, heldout = ([load(path) for path in paths] for paths in (self.recordings, self.heldout))
         with console.status("") as status:
             found = diagnose(robot, recordings, heldout, self.seed, lambda stage: status.update(f"{stage} ..."))
@@ -288,6 +289,16 @@ class Diagnose:
             text = write_reports(found, recordings, self.out)
         console.print(text, soft_wrap=True, markup=False, highlight=False)
         console.print(f"{self.out / 'report.html'}, {self.out / 'report.json'}; {found.seconds:.0f} s", soft_wrap=True)
+
+    def _robot(self):
+        from soro_bench.diagnosis.model_robot import ModelRobot
+        from soro_bench.diagnosis.suite_robot import SuiteRobot
+
+        if self.env and not self.map:
+            return SuiteRobot(self.env, self.model)
+        if self.model and self.map and not self.env:
+            return ModelRobot(self.model, self.map)
+        raise ValueError("say which robot was recorded: --env ENV, or --model ROBOT.xml --map MAP.toml")
 
 
 @dataclass

@@ -11,8 +11,9 @@ from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.localise import intervals, places, regimes
 from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.robot import Measured, Robot
+from soro_bench.diagnosis.robot import Measured
 from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
+from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import Suspect, suspect, suspects
 from soro_bench.effects.effect import EVERY, Port
 from soro_bench.inference.clouds import LowRank
@@ -25,7 +26,7 @@ TRUTH = np.array([0.5, -0.4, -0.6, 0.3, 0.2])
 
 @pytest.fixture(scope="module")
 def robot():
-    return Robot("TrunkReach-v0", threads=1)
+    return SuiteRobot("TrunkReach-v0", threads=1)
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +59,7 @@ def test_screening_puts_a_hidden_effect_first(robot, actions, name, port, coordi
     hidden = suspect(robot, name, port)
     given = problem(robot, actions, [hidden.effect(np.array([coordinate]))])
     (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
-    candidates = [one for one in suspects(robot, 21) if one.where.kind in ("body", "actuator")]
+    candidates = [one for one in suspects(robot) if one.where.kind in ("body", "actuator")]
     found = evidence(given, base, candidates, responses(given, base, candidates))
     (first,) = singles(found)[0].suspects
     assert (first.name, first.where) == (name, port)
@@ -68,13 +69,13 @@ def test_screening_finds_a_pair_of_hidden_effects(robot, actions):
     hidden = [suspect(robot, "payload", Port("body", "vertebra8")), suspect(robot, "backlash", Port("actuator", "L2"))]
     given = problem(robot, actions, [one.effect(np.array([0.2])) for one in hidden])
     (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
-    candidates = [one for one in suspects(robot, 21) if one.name in ("payload", "backlash", "actuator_gain")]
+    candidates = [one for one in suspects(robot) if one.name in ("payload", "backlash", "actuator_gain")]
     lead = pairs(evidence(given, base, candidates, responses(given, base, candidates)))[0]
     assert {(s.name, s.where) for s in lead.suspects} == {(s.name, s.where) for s in hidden}
 
 
 def test_there_is_a_suspect_for_every_place_and_none_without_a_magnitude(robot):
-    found = suspects(robot, 21)
+    found = suspects(robot)
     assert len(found) > 150
     assert {s.where.name for s in found if s.name == "coulomb_friction"} == set(CABLE_NAMES)
     assert all(any(s.magnitudes) for s in found)

@@ -12,7 +12,7 @@ pytest.importorskip("matplotlib")
 from soro_bench.diagnosis import pipeline
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.report import report_of
-from soro_bench.diagnosis.robot import Robot
+from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import suspect, suspects
 from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Effect, Port, load_effects
@@ -37,7 +37,7 @@ KEYS = {
 
 @pytest.fixture(scope="module")
 def robot():
-    return Robot("TrunkReach-v0", threads=1)
+    return SuiteRobot("TrunkReach-v0", threads=1)
 
 
 def recording(robot, hidden, seed, strength=1.0):
@@ -57,11 +57,11 @@ def recording(robot, hidden, seed, strength=1.0):
 
 
 def diagnosed(robot, monkeypatch, hidden):
-    few = [one for one in suspects(robot, 21) if one.name in FEW]
+    few = [one for one in suspects(robot) if one.name in FEW]
     monkeypatch.setattr(pipeline, "suspects", lambda *_: few)
     half_step = robot.refined()[:1]
     monkeypatch.setattr(robot, "refined", lambda: half_step)
-    monkeypatch.setattr("soro_bench.diagnosis.audit._noise", lambda measured: 5e-4)
+    monkeypatch.setattr("soro_bench.diagnosis.audit.noise", lambda values: 5e-4)
     return pipeline.diagnose(robot, [recording(robot, hidden, 0)], [recording(robot, hidden, 1)])
 
 

@@ -86,7 +86,7 @@ def test_labels_are_opened_only_when_every_case_has_its_report(tmp_path, monkeyp
     monkeypatch.setattr(
         prove, "write_cases", lambda folder, *_: [(folder / f"case_{i:03d}").mkdir(parents=True) for i in (0, 1)]
     )
-    monkeypatch.setattr(prove, "Robot", lambda env_id: None)
+    monkeypatch.setattr(prove, "SuiteRobot", lambda env_id: None)
     monkeypatch.setattr(prove, "load", lambda path: path)
     monkeypatch.setattr(prove, "diagnose", lambda robot, train, heldout: done.append(train[0].parent.name))
     monkeypatch.setattr(prove, "report_of", lambda found: report())

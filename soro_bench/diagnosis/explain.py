@@ -17,6 +17,7 @@ from soro_bench.diagnosis.refit import distinct, polished, refitted, without_one
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
 from soro_bench.diagnosis.suspects import Suspect
+from soro_bench.effects.catalogue import CATEGORIES
 
 # radii of the clouds of the nominal fit after each numerical floor, and of the last fit of a hypothesis, in standard
 # deviations of the priors
@@ -25,7 +26,7 @@ FAR_DRAWS, FAR = 3, 0.7  # replays of each refined robot at first, and their sta
 NEAR = (0.15, 0.05, 0.0)  # of the one near each fit
 POLISHES, ENOUGH = 4, 0.1  # at most, and the share of what is left that one more is worth
 MOST = 3  # effects
-LEADS = 6
+LEADS, FLOORS = 6, 2  # leads that are tried, and hypotheses of a round with floors of their own
 # natural logarithm of the evidence that a lead has to promise (of five nulls the best promise 42 to 255), and the share
 # of what is left: where physics has no name in the catalogue, one effect after the other would explain a little of it
 WORTH, WORTH_SHARE = 400.0, 0.05
@@ -115,9 +116,12 @@ def _worth(problem, hypothesis):
 
 
 def _with_own_floor(problem, refined, hypotheses, seed):
-    """Numerical error with the effects of the hypotheses, under which they are fitted once more."""
-    points = [(h.x, h.suspects) for h in hypotheses]
-    problem = problem.with_floor(numerical_floor(problem, refined, points))
+    """Numerical error with the effects of the hypotheses, under which they are fitted once more. It is the same for
+    laws of one class at one place."""
+    points: dict[tuple, tuple] = {}
+    for h in hypotheses:
+        points.setdefault(tuple((CATEGORIES[s.name], s.where) for s in h.suspects), (h.x, h.suspects))
+    problem = problem.with_floor(numerical_floor(problem, refined, list(points.values())[:FLOORS]))
     again = fitted(problem, [Guess(h.x, h.suspects, h.slope) for h in hypotheses], (LAST,), seed)
     before = [_again(problem, h) for h in hypotheses]
     return problem, [min(pair, key=lambda h: h.cost) for pair in zip(before, again, strict=True)]

@@ -13,10 +13,12 @@ from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.localise import explained_over_time, residual_map
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.report import findings, patch, verdict, write_json_report
+from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.files import replacing
 from soro_bench.recording.comparison import measured_points
 from soro_bench.recording.recording import Recording
 from soro_bench.recording.rerun_log import write_recording
+from soro_bench.recording.rerun_signals import write_signals
 from soro_bench.recording.simulated import replay
 from soro_bench.report import pyplot
 
@@ -25,7 +27,6 @@ img { width: 100% } table { border-collapse: collapse; font-size: 90% } td, th {
 text-align: left; vertical-align: top; border-bottom: 1px solid #ddd } .verdict { background: #f3f6fa; padding: 1rem;
 white-space: pre-line } figcaption { color: #555; margin-bottom: 1.5rem }"""
 _RANKED = 10  # effects in the table
-_MM = 1e3
 
 
 def write_reports(diagnosis: Diagnosis, recordings: Sequence[Recording], folder: str | Path) -> str:
@@ -41,6 +42,9 @@ def write_reports(diagnosis: Diagnosis, recordings: Sequence[Recording], folder:
 
 def _write_comparison(diagnosis, recording, path) -> None:
     """Measured points beside the simulated robot, before (with fitted parameters) and after (with the patch)."""
+    if not isinstance(diagnosis.robot, SuiteRobot):
+        _write_curves(diagnosis, path)
+        return
     explanation, model = diagnosis.explanation, diagnosis.robot.model_name
     best, episodes = diagnosis.comparison.answers[0].hypothesis, []
     for hypothesis, effects in ((explanation.nominal, []), (best, patch(diagnosis))):
@@ -48,6 +52,15 @@ def _write_comparison(diagnosis, recording, path) -> None:
         fitted = replace(recording, parameters=diagnosis.robot.parameters(hypothesis.x))
         episodes.append(replay(fitted, model, effects=physics))
     write_recording(path, episodes, "before, and after the diagnosis", measured_points(recording))
+
+
+def _write_curves(diagnosis, path) -> None:
+    problem, measured = diagnosis.explanation.problem, diagnosis.explanation.problem.recordings[0]
+    best, runs = diagnosis.comparison.answers[0].hypothesis, {"measured": measured.values}
+    for name, hypothesis in (("before", diagnosis.explanation.nominal), ("after", best)):
+        left = problem.sigma * hypothesis.residual[: measured.values.size].reshape(measured.values.shape)
+        runs[name] = measured.values - left
+    write_signals(path, f"diagnosis of {diagnosis.robot.name}", measured.time, runs)
 
 
 def _page(diagnosis: Diagnosis, report: dict, text: str) -> str:
@@ -66,7 +79,7 @@ def _page(diagnosis: Diagnosis, report: dict, text: str) -> str:
     )
     return (
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Diagnosis</title><style>{_STYLE}</style>"
-        f"<h1>Diagnosis of {html.escape(diagnosis.robot.env_id)}</h1><p class='verdict'>{html.escape(text)}</p>"
+        f"<h1>Diagnosis of {html.escape(diagnosis.robot.name)}</h1><p class='verdict'>{html.escape(text)}</p>"
         f"{_effects_table(report)}{figures}{_parameters_table(report)}{_detectable_table(report)}</html>\n"
     )
 
@@ -121,11 +134,12 @@ def _ranking(diagnosis) -> str:
 
 
 def _heat(diagnosis) -> str:
-    shown = _MM * residual_map(diagnosis.explanation.problem, diagnosis.explanation.nominal.residual)
+    scale, unit = _scale(diagnosis)
+    shown = scale * residual_map(diagnosis.explanation.problem, diagnosis.explanation.nominal.residual)
     figure, axes = pyplot().subplots(figsize=(9, 3.6), layout="constrained")
     mesh = axes.pcolormesh(np.arange(len(shown) + 1), np.arange(shown.shape[1] + 1), shown.T, cmap="magma_r")
-    axes.set(xlabel="time [s]", ylabel="point, from the clamp to the tip")
-    figure.colorbar(mesh, label="rms left [mm]")
+    axes.set(xlabel="time [s]", ylabel="point of the signal")
+    figure.colorbar(mesh, label=f"rms left [{unit}]")
     return _image(figure)
 
 
@@ -135,12 +149,14 @@ def _overlay(diagnosis) -> str:
     measured = problem.recordings[0]
     before, after = (_left(problem, h) for h in (explanation.nominal, best))
     point = int((before**2).sum(axis=(0, 2)).argmax())
-    figure, axes = pyplot().subplots(3, 1, figsize=(9, 5.5), sharex=True, layout="constrained")
+    (scale, unit), rows = _scale(diagnosis), before.shape[2]
+    figure, axes = pyplot().subplots(rows, 1, figsize=(9, 1 + 1.5 * rows), sharex=True, layout="constrained")
+    axes = np.atleast_1d(axes)
     for axis, ax in enumerate(axes):
-        ax.axhspan(-2 * _MM * problem.sigma, 2 * _MM * problem.sigma, color="0.85", lw=0)
-        ax.plot(measured.time, _MM * before[:, point, axis], color="C3", lw=0.8, label="parameters fitted")
-        ax.plot(measured.time, _MM * after[:, point, axis], color="C0", lw=0.8, label="best hypothesis")
-        ax.set_ylabel(f"{'xyz'[axis]} [mm]")
+        ax.axhspan(-2 * scale * problem.sigma, 2 * scale * problem.sigma, color="0.85", lw=0)
+        ax.plot(measured.time, scale * before[:, point, axis], color="C3", lw=0.8, label="parameters fitted")
+        ax.plot(measured.time, scale * after[:, point, axis], color="C0", lw=0.8, label="best hypothesis")
+        ax.set_ylabel(f"{'xyz'[axis]} [{unit}]" if rows == 3 else f"[{unit}]")
     axes[0].legend(loc="upper right", ncols=2, frameon=False)
     axes[0].set_title(f"point {point}")
     axes[-1].set_xlabel("time [s]")
@@ -163,6 +179,12 @@ def _left(problem, hypothesis: Hypothesis) -> np.ndarray:
     first = problem.recordings[0]
     left = problem.sigma * problem.floor.without(hypothesis.residual)
     return left[: first.values.size].reshape(first.values.shape)
+
+
+def _scale(diagnosis) -> tuple[float, str]:
+    """What lengths and others are shown in."""
+    unit = diagnosis.robot.unit
+    return (1e3, "mm") if unit == "m" else (1.0, unit)
 
 
 def _image(figure) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soro_bench.diagnosis.audit import Audit, audit, outliers
+from soro_bench.diagnosis.audit import Audit, audit, noise, outliers
 from soro_bench.diagnosis.compare import Comparison, compared
 from soro_bench.diagnosis.explain import Explanation, explained, nominal_fit
 from soro_bench.diagnosis.localise import Place, places
@@ -86,10 +86,11 @@ def diagnose(
     sigma = min(a.sigma for a in audits)  # of one sensor: motion only adds to it
     problem, nominal = nominal_fit(_problem(robot, measured, sigma), refined, seed, progress)
     problem, nominal, found_outliers = _without_outliers(problem, nominal)
-    candidates = suspects(robot, measured[0].values.shape[1])
+    problem, nominal = _with_noise(problem, nominal, max(a.least for a in audits))
+    candidates = suspects(robot)
     explanation, responses = explained(problem, nominal, refined, candidates, seed, progress)
     progress("comparison")
-    tested_problem = _problem(robot, tested, sigma) if tested else None
+    tested_problem = _problem(robot, tested, problem.sigma) if tested else None
     comparison = compared(explanation, tested_problem, refined)
     where = places(explanation.problem, explanation.nominal, candidates, responses)
     seconds = time.perf_counter() - start
@@ -105,7 +106,7 @@ def _without_outliers(problem, nominal):
     """The problem and its nominal fit without the samples that are alone and far off."""
     ends = np.cumsum([each.values.size for each in problem.recordings])[:-1]
     weight, squares, hits, points = problem.weight.copy(), 0.0, 0, 0
-    left = np.split(np.where(weight > 0, nominal.residual, np.nan), ends)
+    left = np.split(np.where(weight > 0, problem.floor.without(nominal.residual), np.nan), ends)
     for each, residual, mask in zip(problem.recordings, left, np.split(weight, ends), strict=True):
         shape = each.values.shape
         far = outliers(residual.reshape(shape))
@@ -120,3 +121,14 @@ def _without_outliers(problem, nominal):
     nominal = replace(nominal, cost=problem.cost(nominal.residual, nominal.x))
     size = problem.sigma * float(np.sqrt(squares / (hits * problem.recordings[0].values.shape[2])))
     return problem, nominal, Outliers(hits / points, size)
+
+
+def _with_noise(problem, nominal, least):
+    """The same with the noise of what the nominal fit leaves: little of the motion is in it, so it shows better."""
+    ends = np.cumsum([each.values.size for each in problem.recordings])[:-1]
+    left = np.split(np.where(problem.weight > 0, problem.floor.without(nominal.residual), np.nan), ends)
+    rows = [part.reshape(len(each.values), -1) for part, each in zip(left, problem.recordings, strict=True)]
+    factor = 1.0 / min(1.0, max(least / problem.sigma, *(noise(each) for each in rows)))
+    problem = replace(problem, sigma=problem.sigma / factor, floor=LowRank(problem.floor.basis * factor))
+    nominal = replace(nominal, **{n: getattr(nominal, n) * factor for n in ("residual", "slope", "error")})
+    return problem, replace(nominal, cost=problem.cost(nominal.residual, nominal.x))

@@ -35,7 +35,7 @@ class Problem:
         values = np.array([x[:d] for x, _ in points])
         parameters = np.stack([prior.value(values[:, i]) for i, prior in enumerate(self.robot.priors)], axis=1)
         effects = [effects_at(x[d:], suspects) for x, suspects in points]
-        parts = [robot.simulate(each.actions, parameters, effects) for each in self.recordings]
+        parts = [robot.simulate(each.actions, parameters, effects, each.start) for each in self.recordings]
         return np.concatenate([part.reshape(len(points), -1) for part in parts], axis=1)
 
     def residuals(self, points: Sequence[tuple[np.ndarray, Sequence[Suspect]]]) -> np.ndarray:

@@ -10,6 +10,7 @@ from soro_bench.diagnosis.compare import Answer, Fit
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.localise import Regime, explained_over_time, intervals, regimes
 from soro_bench.diagnosis.pipeline import ALPHA, Diagnosis
+from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import Suspect
 from soro_bench.effects.catalogue import CATEGORIES, QUANTITIES
 from soro_bench.effects.effect import Effect, Port, save_effects
@@ -50,7 +51,8 @@ def write_json_report(diagnosis: Diagnosis, folder: str | Path) -> dict:
     report = report_of(diagnosis)
     write_json(folder / "report.json", report)
     save_effects(patch(diagnosis), folder / "effects.json")
-    write_json(folder / "posterior.json", posterior(diagnosis).to_dict())
+    if isinstance(diagnosis.robot, SuiteRobot):  # the others are not trained on
+        write_json(folder / "posterior.json", posterior(diagnosis).to_dict())
     return report
 
 
@@ -138,14 +140,14 @@ def _nameless(name: str, probability: float, diagnosis: Diagnosis | None = None)
 
 def _outliers(diagnosis: Diagnosis) -> dict:
     """They were left out, so they compete with nothing; they are the answer where nothing else is."""
-    found, signal = diagnosis.outliers, diagnosis.robot.signal
-    parameters = {"share": {"value": found.share, "unit": "1"}, "size": {"value": found.size, "unit": "m"}}
+    found, signal, unit = diagnosis.outliers, diagnosis.robot.signal, diagnosis.robot.unit
+    parameters = {"share": {"value": found.share, "unit": "1"}, "size": {"value": found.size, "unit": unit}}
     return {
         **_nameless("outliers", 0.0 if diagnosis.detected else 1.0),
         "class": "measurement",
         "where": {"kind": "sensor", "name": signal},
         "parameters": parameters,
-        "evidence": [f"{100 * found.share:.2g} % of the points are alone {1e3 * found.size:.3g} mm off; left out"],
+        "evidence": [f"{100 * found.share:.2g} % of the points are alone {_length(found.size, unit)} off; left out"],
     }
 
 
@@ -236,8 +238,8 @@ def _against(diagnosis: Diagnosis, answer: Answer) -> list[str]:
     if answer.heldout is not None and answer.heldout.after > answer.heldout.before:
         said.append("makes held-out recordings worse")
     if answer is not best:
-        said.append(f"{' with '.join(best.names) or 'nothing missing'} leaves {_length(best.train.after, 'm')}, "
-                    f"this {_length(answer.train.after, 'm')}")  # fmt: skip
+        best_left, left = (_length(a.train.after, diagnosis.robot.unit) for a in (best, answer))
+        said.append(f"{' with '.join(best.names) or 'nothing missing'} leaves {best_left}, this {left}")
     return said
 
 

@@ -1,5 +1,6 @@
 """The robot of a diagnosis: a simulation that replays a recording under parameters and effects."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,9 +10,8 @@ from soro_bench.effects.catalogue import MEASUREMENT
 from soro_bench.effects.effect import Effect, EffectError, Port
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.measurement import distorted
+from soro_bench.models.simulation import Simulation
 from soro_bench.recording.recording import Recording, RecordingError, resampled
-from soro_bench.recording.simulated import recorded_actions
-from soro_bench.registration import make_task, task_type
 
 SIMULATIONS = 64  # at a time
 
@@ -21,7 +21,8 @@ class Measured:
     """What a diagnosis sees of a recording.
 
     actions: (T, ...) one per control step. time: (T,) s, the ends of the control steps. values: (T, P, D) samples of
-    one signal at these times, P points of D coordinates; NaN where missing.
+    one signal at these times, P points of D coordinates; NaN where missing. start: (P, D) the first sample of the
+    signal, before the first step.
     """
 
     actions: np.ndarray
@@ -29,6 +30,7 @@ class Measured:
     values: np.ndarray
     signal: str
     unit: str
+    start: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -48,40 +50,56 @@ class Prior:
         return np.clip(value, *self.bounds)
 
 
-# how far a calibrated robot may be from its nominal parameters: a third for what scales, 0.03 for Poisson's ratio
-_SCALE_DEVIATION = 0.25
-_RATIO_DEVIATION = 0.03
+class Robot(ABC):
+    """A robot with ``SIMULATIONS`` simulations. Subclasses set the attributes and implement the hooks below.
 
-
-class Robot:
-    """The trunk of TrunkReach.
-
-    Args:
-        env_id: the environment; the others of the suite, and models of other robots, are to come.
-        model: its model or mesh; the cheap one by default.
-        threads: 0 for all processors; results do not depend on it.
+    Attributes:
+        name: of the robot, for people.
+        simulation: N simulations of it.
+        control_timestep: s, between commands.
+        signal: what is explained: the name of a signal of recordings, with its unit, frame and shape (P, D).
+        kinds: the kinds of ports at which something may be missing.
+        priors: of its parameters.
     """
 
-    def __init__(self, env_id: str, model: str | None = None, threads: int = 0):
-        if env_id != "TrunkReach-v0":
-            raise ValueError(f"{env_id!r} cannot be diagnosed yet; allowed is TrunkReach-v0")
-        kind = task_type(env_id)
-        self.env_id, self.threads = env_id, threads
-        self.model_name = model or kind.cheap
-        self._task = make_task(env_id, SIMULATIONS, threads, self.model_name, action="continuous", effects=())
-        self.signal = kind.inferred_from[0]
-        self.elements = Elements(self._task.model)
-        self.priors = tuple(_prior(p) for p in kind.parameters.parameters.values())
+    name: str
+    simulation: Simulation
+    control_timestep: float
+    signal: str
+    unit: str
+    frame: str
+    shape: tuple[int, int]
+    kinds: tuple[str, ...]
+    priors: tuple[Prior, ...]
 
+    @property
+    def elements(self) -> Elements:
+        """The elements of its model."""
+        return Elements(self.simulation.model)
+
+    @abstractmethod
     def refined(self) -> "list[Robot]":
-        """The same robot simulated more accurately: with half the time step, and with the accurate model."""
-        finer = Robot(self.env_id, self.model_name, self.threads)
-        finer._task.refine(2)
-        return [finer, Robot(self.env_id, task_type(self.env_id).accurate, self.threads)]
+        """The same robot simulated more accurately."""
+
+    @abstractmethod
+    def actions(self, recording: Recording) -> np.ndarray:
+        """(T, ...) checked commands of a recording, one per control step; RecordingError says what it lacks."""
+
+    @abstractmethod
+    def _begin(self, parameters: np.ndarray, start: np.ndarray | None) -> None:
+        """Start simulations 0 .. n - 1 with parameters (n, d), from where the signal is ``start``."""
+
+    @abstractmethod
+    def _step(self, count: int, action: np.ndarray) -> np.ndarray:
+        """Advance the first ``count`` simulations by a control step; (count,) whether each diverged."""
+
+    @abstractmethod
+    def _read(self, count: int) -> np.ndarray:
+        """(count, P, D) the signal now."""
 
     def ports(self, kind: str) -> list[Port]:
         """The ports of a kind at which something may be missing."""
-        return self.elements.ports(kind) if kind in _KINDS else []
+        return self.elements.ports(kind) if kind in self.kinds else []
 
     def parameters(self, x: np.ndarray) -> dict[str, float]:
         """Values by name of the first unknowns in ``x``."""
@@ -92,44 +110,43 @@ class Robot:
         if len({(e.name, e.where) for e in effects}) < len(effects):
             return False
         try:
-            self._task.sim.assign_effects([[e for e in effects if e.where.kind != "sensor"]] * SIMULATIONS)
+            self.simulation.assign_effects([[e for e in effects if e.where.kind != "sensor"]] * SIMULATIONS)
         except EffectError:
             return False
         return True
 
     def measured(self, recording: Recording) -> Measured:
         """The part of a recording that a diagnosis uses; RecordingError says what it lacks."""
-        env_id, actions = recorded_actions(recording)
-        if env_id != self.env_id or recording.metadata["action"] != "continuous":
-            raise RecordingError(
-                f"a recording of {env_id} with {recording.metadata['action']} actions; "
-                f"this robot is {self.env_id} with continuous ones"
-            )
-        try:
-            self._task.check_actions(actions, len(actions))
-        except ValueError as error:
-            raise RecordingError(str(error)) from error
-        times = recording.start + self._task.control_timestep * np.arange(1, len(actions) + 1)
+        actions = self.actions(recording)
         if self.signal not in recording.signals:
             raise RecordingError(f"the recording has no {self.signal}; it has {', '.join(recording.names)}")
         given = recording.signals[self.signal]
-        if (given.unit, given.frame) != (own := task_type(self.env_id).signal_units[self.signal]):
-            raise RecordingError(f"{self.signal} is in {given.unit!r}, frame {given.frame!r}; expected are {own}")
-        signal = resampled(given, times)
-        shape = self._task.signals(np.arange(1))[self.signal].shape[1:]
-        if signal.values.shape[1:] != shape:
+        if (given.unit, given.frame) != (self.unit, self.frame):
             raise RecordingError(
-                f"{self.signal} has samples of shape {signal.values.shape[1:]}; those of this robot have {shape}"
+                f"{self.signal} is in {given.unit!r}, frame {given.frame!r}; expected are {self.unit!r}, {self.frame!r}"
             )
-        return Measured(actions, times - recording.start, signal.values, self.signal, signal.unit)
+        if given.values[0].size != np.prod(self.shape):
+            shapes = f"{given.values.shape[1:]}; those of this robot have {self.shape}"
+            raise RecordingError(f"{self.signal} has samples of shape {shapes}")
+        times = recording.start + self.control_timestep * np.arange(1, len(actions) + 1)
+        values = resampled(given, times).values.reshape(-1, *self.shape)
+        first = given.values[0].reshape(self.shape)
+        return Measured(actions, times - recording.start, values, self.signal, self.unit, first)
 
-    def simulate(self, actions: np.ndarray, parameters: np.ndarray, effects: Sequence[Sequence[Effect]]) -> np.ndarray:
+    def simulate(
+        self,
+        actions: np.ndarray,
+        parameters: np.ndarray,
+        effects: Sequence[Sequence[Effect]],
+        start: np.ndarray | None = None,
+    ) -> np.ndarray:
         """What the sensor would have recorded.
 
         Args:
             actions: (T, ...) one per control step.
             parameters: (N, d) values in the order of ``priors``.
             effects: of each of the N replays, physics and faults of measurement.
+            start: (P, D) the signal before the first step, for robots that begin where it does.
 
         Returns:
             (N, T, P, D), NaN from where a simulation diverged.
@@ -140,36 +157,24 @@ class Robot:
         first = {key: i for i, key in reversed(list(enumerate(keys)))}
         unique = sorted(first.values())
         parts = []
-        for start in range(0, len(unique), SIMULATIONS):
-            rows = unique[start : start + SIMULATIONS]
-            parts.append(self._roll_out(actions, parameters[rows], [physics[i] for i in rows]))
+        for begin in range(0, len(unique), SIMULATIONS):
+            rows = unique[begin : begin + SIMULATIONS]
+            parts.append(self._roll_out(actions, start, parameters[rows], [physics[i] for i in rows]))
         values, place = np.concatenate(parts), {i: k for k, i in enumerate(unique)}
-        time = self._task.control_timestep * np.arange(1, len(actions) + 1)
+        time = self.control_timestep * np.arange(1, len(actions) + 1)
         return np.stack([
             distorted(MEASUREMENT, each, time, values[place[first[key]]], self.signal)
             for key, each in zip(keys, effects, strict=True)
         ])
 
-    def _roll_out(self, actions, parameters, physics):
-        task, ids, n = self._task, np.arange(len(parameters)), len(parameters)
-        task.sim.assign_effects([*physics, *[()] * (SIMULATIONS - n)])
-        names = [prior.name for prior in self.priors]
-        options = [{"params": dict(zip(names, row, strict=True))} for row in parameters.tolist()]
-        task.reset(ids, [np.random.default_rng(0)] * n, options)
+    def _roll_out(self, actions, start, parameters, physics):
+        n = len(parameters)
+        self.simulation.assign_effects([*physics, *[()] * (SIMULATIONS - n)])
+        self._begin(parameters, start)
         lost, rows = np.zeros(n, bool), []
         for action in actions:
-            lost |= task.step(ids, np.repeat(action[None], n, axis=0)).diverged
-            row = task.signals(ids)[self.signal].copy()
+            lost |= self._step(n, action)
+            row = self._read(n).copy()
             row[lost] = np.nan
             rows.append(row)
         return np.stack(rows, axis=1)
-
-
-# a trunk's necks have no friction of their own, and TrunkReach no contacts
-_KINDS = ("tendon", "actuator", "body", "model")
-
-
-def _prior(parameter) -> Prior:
-    logarithmic = parameter.name != "poisson_ratio"
-    deviation = _SCALE_DEVIATION if logarithmic else _RATIO_DEVIATION
-    return Prior(parameter.name, parameter.unit, parameter.nominal, deviation, logarithmic, parameter.bounds)

@@ -59,8 +59,9 @@ def effects_at(x: np.ndarray, suspects: Sequence[Suspect]) -> list[Effect]:
     return found
 
 
-def suspects(robot: Robot, points: int) -> list[Suspect]:
-    """Every effect at every port of the robot, and every fault of its sensor, which has that many points."""
+def suspects(robot: Robot) -> list[Suspect]:
+    """Every effect at every port of the robot, and every fault of its sensor."""
+    points, coordinates = robot.shape
     found = []
     for name, law in PHYSICS.items():
         if name in PNEUMATIC:
@@ -71,7 +72,7 @@ def suspects(robot: Robot, points: int) -> list[Suspect]:
             for port in every if law.only_shared else every + ports:
                 found += variants(suspect(robot, name, port))
     for name, fault in ALL.items():
-        if name not in PHYSICS and name != "outliers":
+        if name not in PHYSICS and name != "outliers" and (coordinates == 3 or name != "frame_misalignment"):
             indices = range(points) if fault.local else [None]
             found += [suspect(robot, name, Port("sensor", robot.signal, i)) for i in indices]
     return found

@@ -22,14 +22,6 @@ from soro_bench.randomization import Distribution
 
 ACTION_MODES = ("discrete", "continuous")
 STATE = ("qpos", "qvel", "act", "qacc_warmstart")  # what a simulation goes on from; MuJoCo's names
-_BAD_STATE = [
-    int(warning)
-    for warning in (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-    )
-]
 
 
 def effects_of(effects: Sequence[Effect] | str | Path | None) -> tuple[Effect, ...] | None:
@@ -108,7 +100,7 @@ class Task(ABC):
         batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._place(ids, starts)
         self.sim.begin(ids)
-        self._bad_states[ids] = self._count_bad_states(ids)
+        self._bad_states[ids] = self.sim.bad_states(ids)
         self._begin(ids)
         return self._observe(ids), self._info(ids)
 
@@ -117,7 +109,7 @@ class Task(ABC):
         batch = self.sim.batch
         batch.ctrl[ids] = self._controls(actions)
         self._advance(ids)
-        bad = self._count_bad_states(ids)
+        bad = self.sim.bad_states(ids)
         diverged = bad > self._bad_states[ids]
         self._bad_states[ids] = bad
         observation, space = self._observe(ids), self.single_observation_space
@@ -178,10 +170,6 @@ class Task(ABC):
     def _sample_params(self, rng, options) -> np.ndarray:
         drawn = self._distribution.sample(rng) if self._distribution else {}
         return self.parameters.to_array({**drawn, **options["params"]})
-
-    def _count_bad_states(self, ids) -> np.ndarray:
-        """(n,) how often MuJoCo found a state to be NaN or huge and reset it."""
-        return self.sim.batch.warning[ids][:, _BAD_STATE, 1].sum(axis=1)
 
     def _advance(self, ids) -> None:
         """Simulate ``control_timestep``."""

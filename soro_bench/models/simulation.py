@@ -12,6 +12,15 @@ from soro_bench.effects.effect import Effect
 from soro_bench.effects.runtime import ActiveEffects
 from soro_bench.parameters import ParameterSet
 
+_BAD_STATE = [
+    int(warning)
+    for warning in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+]
+
 
 @dataclass(frozen=True)
 class FieldWrite:
@@ -86,6 +95,10 @@ class Simulation:
         self.batch.forward(ids, stage=mujoco.mjtStage.mjSTAGE_VEL)
         if self._effects:
             self._effects.reset(ids)
+
+    def bad_states(self, ids: np.ndarray) -> np.ndarray:
+        """(n,) how often MuJoCo found a state to be NaN or huge and reset it."""
+        return self.batch.warning[ids][:, _BAD_STATE, 1].sum(axis=1)
 
     def step(self, ids: np.ndarray, nstep: int, stage: int = mujoco.mjtStage.mjSTAGE_VEL) -> None:
         """Advance by ``nstep`` time steps and compute the stages up to ``stage`` at the new state, which a persistent

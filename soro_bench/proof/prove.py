@@ -6,6 +6,7 @@ from pathlib import Path
 from soro_bench.diagnosis.pipeline import diagnose
 from soro_bench.diagnosis.report import report_of
 from soro_bench.diagnosis.robot import Robot
+from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.proof.cases import write_cases
 from soro_bench.proof.score import markdown, opened_labels, scored
@@ -26,7 +27,7 @@ def prove(
     cases, reports = folder / "cases", folder / "reports"
     write_cases(cases, count, seed, nulls, lambda done, total: progress("cases written", done, total))
     names = sorted(path.name for path in cases.glob("case_*"))
-    robot = Robot(ENV_ID)
+    robot = SuiteRobot(ENV_ID)
     for i, name in enumerate(names):
         diagnosed(robot, cases / name, reports / f"{name}.json")
         progress("cases diagnosed", i + 1, len(names))

@@ -1,0 +1,73 @@
+"""The robots of the suite: what is known of them for a diagnosis."""
+
+import numpy as np
+
+from soro_bench.diagnosis.robot import SIMULATIONS, Prior, Robot
+from soro_bench.recording.recording import Recording, RecordingError
+from soro_bench.recording.simulated import recorded_actions
+from soro_bench.registration import make_task, task_type
+
+# how far a calibrated robot may be from its nominal parameters: a third for what scales, 0.03 for Poisson's ratio
+_SCALE_DEVIATION = 0.25
+_RATIO_DEVIATION = 0.03
+
+
+class SuiteRobot(Robot):
+    """The trunk of TrunkReach.
+
+    Args:
+        env_id: the environment; the others of the suite are to come.
+        model: its model or mesh; the cheap one by default.
+        threads: 0 for all processors; results do not depend on it.
+    """
+
+    kinds = ("tendon", "actuator", "body", "model")  # its necks have no friction of their own, and it touches nothing
+
+    def __init__(self, env_id: str, model: str | None = None, threads: int = 0):
+        if env_id != "TrunkReach-v0":
+            raise ValueError(f"{env_id!r} cannot be diagnosed yet; allowed is TrunkReach-v0")
+        kind = task_type(env_id)
+        self.name = self.env_id = env_id
+        self.threads, self.model_name = threads, model or kind.cheap
+        self._task = make_task(env_id, SIMULATIONS, threads, self.model_name, action="continuous", effects=())
+        self.simulation, self.control_timestep = self._task.sim, self._task.control_timestep
+        self.signal = kind.inferred_from[0]
+        self.unit, self.frame = kind.signal_units[self.signal]
+        self.shape = self._task.signals(np.arange(1))[self.signal].shape[1:]
+        self.priors = tuple(_prior(p) for p in kind.parameters.parameters.values())
+
+    def refined(self) -> list[Robot]:
+        """With half the time step, and with the accurate model."""
+        finer = SuiteRobot(self.env_id, self.model_name, self.threads)
+        finer._task.refine(2)
+        return [finer, SuiteRobot(self.env_id, task_type(self.env_id).accurate, self.threads)]
+
+    def actions(self, recording: Recording) -> np.ndarray:
+        """Rates of the cables, as the environment takes them."""
+        env_id, actions = recorded_actions(recording)
+        if env_id != self.env_id or recording.metadata["action"] != "continuous":
+            raise RecordingError(
+                f"a recording of {env_id} with {recording.metadata['action']} actions; "
+                f"this robot is {self.env_id} with continuous ones"
+            )
+        try:
+            return self._task.check_actions(actions, len(actions))
+        except ValueError as error:
+            raise RecordingError(str(error)) from error
+
+    def _begin(self, parameters, start):
+        n, names = len(parameters), [prior.name for prior in self.priors]
+        options = [{"params": dict(zip(names, row, strict=True))} for row in parameters.tolist()]
+        self._task.reset(np.arange(n), [np.random.default_rng(0)] * n, options)
+
+    def _step(self, count, action):
+        return self._task.step(np.arange(count), np.repeat(action[None], count, axis=0)).diverged
+
+    def _read(self, count):
+        return self._task.signals(np.arange(count))[self.signal]
+
+
+def _prior(parameter) -> Prior:
+    logarithmic = parameter.name != "poisson_ratio"
+    deviation = _SCALE_DEVIATION if logarithmic else _RATIO_DEVIATION
+    return Prior(parameter.name, parameter.unit, parameter.nominal, deviation, logarithmic, parameter.bounds)

@@ -1,0 +1,142 @@
+"""The diagnosis of a robot that is given by its MuJoCo model."""
+
+import json
+
+import numpy as np
+import pytest
+
+from soro_bench.diagnosis.model_robot import ModelError, ModelRobot
+from soro_bench.diagnosis.page import write_reports
+from soro_bench.diagnosis.pipeline import diagnose
+from soro_bench.effects.effect import Effect, Port
+from soro_bench.recording.recording import Recording, RecordingError, Signal
+
+ARM = """<mujoco><option timestep="0.01" integrator="implicitfast"/>
+<worldbody><body name="arm"><joint name="hinge" axis="0 1 0" damping="0.02"/>
+<geom type="capsule" size="0.01" fromto="0 0 0 0.2 0 0" mass="0.1" contype="0" conaffinity="0"/>
+<site name="tip" pos="0.2 0 0"/></body></worldbody>
+<actuator><position name="motor" joint="hinge" kp="2" kv="0.05" forcerange="-1 1"/></actuator></mujoco>"""
+MAP = """
+[robot]
+control_timestep = 0.02
+[commands.goal]
+actuators = ["motor"]
+[signal]
+name = "angle"
+joints = ["hinge"]
+unit = "rad"
+[initial]
+joints = ["hinge"]
+[parameters.inertia]
+fields = ["body_mass:arm", "body_inertia:arm"]
+deviation = 0.2
+[parameters.damping]
+fields = ["dof_damping:hinge"]
+deviation = 0.3
+[parameters.zero]
+fields = ["actuator_biasprm[0]:motor"]
+add = true
+unit = "N m"
+deviation = 0.02
+"""
+TRUTH = np.array([[1.2, 0.8, 0.01]])
+
+
+@pytest.fixture
+def paths(tmp_path):
+    (tmp_path / "arm.xml").write_text(ARM)
+    (tmp_path / "map.toml").write_text(MAP)
+    return tmp_path / "arm.xml", tmp_path / "map.toml"
+
+
+def recording(paths, hidden, seed, noise=5e-4):
+    """Of an arm with other parameters, half the time step and hidden effects."""
+    rng = np.random.default_rng(seed)
+    goals = np.repeat(rng.uniform(-0.6, 0.6, 15), 15)[:, None]
+    start = np.full((1, 1), 0.2)
+    (values,) = ModelRobot(*paths, threads=1, shorter=2).simulate(goals, TRUTH, [hidden], start)
+    values = np.concatenate([start[None], values]) + noise * rng.standard_normal((len(goals) + 1, 1, 1))
+    times = 0.02 * np.arange(len(values))
+    return Recording({"goal": Signal(times[:-1], goals)}, {"angle": Signal(times, values[:, 0, 0], "rad")})
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [("coulomb_friction", {"friction": 0.05}), ("actuator_delay", {"delay": 0.03})],
+)
+def test_a_hidden_effect_of_any_model_is_named_at_its_place(paths, tmp_path, name, parameters):
+    where = Port("joint", "hinge") if name == "coulomb_friction" else Port("actuator", "motor")
+    hidden = [Effect(name, where, parameters)]
+    given = [recording(paths, hidden, 0)]
+    found = diagnose(ModelRobot(*paths, threads=1), given, [recording(paths, hidden, 1)])
+    write_reports(found, given, tmp_path / "report")
+    report = json.loads((tmp_path / "report" / "report.json").read_text())
+    assert report["verdict"] == "missing_physics"
+    first, (quantity, truth) = report["effects"][0], next(iter(parameters.items()))
+    assert (first["name"], first["where"]) == (name, {"kind": where.kind, "name": where.name})
+    assert first["parameters"][quantity]["value"] == pytest.approx(truth, rel=0.1)
+    assert report["fit"]["fve_heldout"] > 0.9
+    assert (tmp_path / "report" / "comparison.rrd").stat().st_size > 0
+
+
+def test_an_arm_without_hidden_effects_lacks_nothing_and_its_parameters_are_found(paths):
+    found = diagnose(ModelRobot(*paths, threads=1), [recording(paths, [], 0)])
+    assert found.verdict == "none_detected"
+    values = found.robot.parameters(found.comparison.answers[0].hypothesis.x)
+    assert list(values.values()) == pytest.approx(TRUTH[0], rel=0.05)
+
+
+def test_parameters_change_the_fields_they_name(paths):
+    robot = ModelRobot(*paths, threads=1)
+    robot.simulation.set_params(np.arange(64), np.tile([2.0, 3.0, 0.5], (64, 1)))
+    batch, model = robot.simulation.batch, robot.simulation.model
+    arm = model.body("arm").id
+    assert batch.expand("body_mass")[0, arm] == 2 * model.body_mass[arm]
+    assert np.array_equal(batch.expand("body_inertia")[0, arm], 2 * model.body_inertia[arm])
+    assert batch.expand("dof_damping")[0].ravel()[0] == 3 * model.dof_damping.ravel()[0]
+    assert batch.expand("actuator_biasprm")[0, 0, 0] == 0.5
+    assert batch.expand("actuator_biasprm")[0, 0, 1] == model.actuator_biasprm[0, 1]
+
+
+def test_a_robot_settles_under_its_first_command(paths):
+    model, mapping = paths
+    mapping.write_text(MAP.replace("control_timestep = 0.02", "control_timestep = 0.02\nsettle = 5.0"))
+    robot = ModelRobot(model, mapping, threads=1)
+    (values,) = robot.simulate(np.full((10, 1), 0.3), np.array([[1.0, 1.0, 0.0]]), [()])
+    assert np.ptp(values) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('actuators = ["motor"]', 'actuators = ["engine"]', "no actuator 'engine'"),
+        ('joints = ["hinge"]\nunit', 'joints = ["elbow"]\nunit', "no joint 'elbow'"),
+        ('unit = "rad"', "", "needs a name, a unit"),
+        ("control_timestep = 0.02", "control_timestep = 0.003", "no multiple"),
+        ("control_timestep = 0.02", "timestep = 0.02", "unknown entry 'timestep'"),
+        ("body_mass:arm", "body_weight:arm", "expected field:element"),
+        ("actuator_biasprm[0]:motor", "actuator_biasprm[99]:motor", "no column 99"),
+        ("deviation = 0.2", 'deviation = "large"', "expected a number"),
+        ("[robot]", "[robot", "no TOML file"),
+    ],
+)
+def test_a_mapping_that_does_not_fit_is_refused_in_words(paths, old, new, message):
+    model, mapping = paths
+    mapping.write_text(MAP.replace(old, new, 1))
+    with pytest.raises(ModelError, match=message.replace("[", r"\[")):
+        ModelRobot(model, mapping)
+
+
+def test_a_file_that_is_no_model_is_refused(paths):
+    model, mapping = paths
+    model.write_text("<mujoco><worldbody><bdy/></worldbody></mujoco>")
+    with pytest.raises(ModelError, match="no MuJoCo model"):
+        ModelRobot(model, mapping)
+    with pytest.raises(ModelError, match="no model"):
+        ModelRobot(model.with_name("other.xml"), mapping)
+
+
+def test_a_recording_without_a_command_of_the_mapping_is_refused(paths):
+    given = Recording({}, {"angle": Signal(np.arange(5.0), np.zeros(5), "rad")})
+    with pytest.raises(RecordingError, match="no command 'goal'"):
+        ModelRobot(*paths, threads=1).measured(given)
