@@ -23,6 +23,7 @@ def report(name="payload", category="inertia", kind="body", place="vertebra4", c
     rest = {"name": "unknown", "class": "unknown", "probability": 1 - chance, "where": None}
     fit = {"rmse_before": 6e-4, "rmse_after": 5e-4, "noise_floor": 5e-4}
     return {"effects": [first, rest], "verdict": verdict, "credible_set": [name],
+            "classes": [{"class": category, "probability": chance}, {"class": "unknown", "probability": 1 - chance}],
             "fit": {"train": fit, "heldout": fit, "fve_heldout": 0.95}, "seconds": 50.0}  # fmt: skip
 
 

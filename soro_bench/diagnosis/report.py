@@ -95,6 +95,7 @@ def report_of(diagnosis: Diagnosis) -> dict:
         "alpha": ALPHA,
         "promised": diagnosis.explanation.promised,
         "effects": ranked,
+        "classes": _classes(diagnosis, ranked),
         "hypotheses": [{"names": list(a.names), "probability": a.probability} for a in comparison.answers],
         "credible_set": _credible(ranked),
         "fit": {
@@ -276,6 +277,15 @@ def _credible(ranked: list[dict]) -> list[str]:
         if effect["name"] not in chosen:
             chosen.append(effect["name"])
     return chosen
+
+
+def _classes(diagnosis: Diagnosis, ranked: list[dict]) -> list[dict]:
+    """Classes of effects, the most probable first: laws of one class that look alike count together."""
+    chances = {e["class"]: e["probability"] for e in ranked if e["name"] in ("none", "unknown", "outliers")}
+    for answer in diagnosis.comparison.answers:
+        for name in {CATEGORIES[each] for each in answer.names}:
+            chances[name] = chances.get(name, 0.0) + answer.probability
+    return [{"class": n, "probability": p} for n, p in sorted(chances.items(), key=lambda pair: (-pair[1], pair[0]))]
 
 
 def _detectable(diagnosis: Diagnosis) -> dict:

@@ -62,7 +62,7 @@ def _row(label, report) -> dict:
         "alarm": report["verdict"] != "none_detected",
         "first": first["name"] in (truth or ["none"]),
         "first_three": bool(set(said[:3]) & set(truth)),
-        "right_class": first["class"] in [e["class"] for e in label["effects"]],
+        "right_class": report["classes"][0]["class"] in [e["class"] for e in label["effects"]],
         "place": bool(named) and _same_place(named["where"], first["where"]),
         "covered": bool(set(report["credible_set"]) & set(truth or ["none"])),
         "said_measurement": first["class"] == "measurement",
