@@ -69,8 +69,10 @@ def run(case: str, number: int, seed: int, work: Path, model: str, threads: int)
         restart=method == "dropo", threads=threads,
     )  # fmt: skip
     start = time.process_time()
-    posterior = infer(method, replay, path.with_suffix(".log.jsonl"), seed, **change.get("settings", {}))
+    work = path.with_suffix(".log.jsonl")
+    posterior = infer(method, replay, work, seed, **change.get("settings", {}))
     posterior.save(path)
+    work.unlink()
     write_json(path, {**read_json(path), "cpu_s": round(time.process_time() - start, 1)})
     return read_json(path)
 

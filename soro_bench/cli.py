@@ -186,6 +186,7 @@ class Infer:
         with InferenceBar(self.method) as steps:
             posterior = infer(self.method, replay, work, self.seed, steps, **settings)
         posterior.save(self.out)
+        work.unlink()  # up to 180 MB, and only an interrupted inference needs it
         console.print(write_report(posterior, replay, self.out), soft_wrap=True, markup=False, highlight=False)
 
 

@@ -32,7 +32,9 @@ def inferred(
             if (recorded := measured.metadata.get("env_id")) != env_id:
                 raise ValueError(f"{recording} is a recording of {recorded}, not of {env_id}")
             replay = Replay(measured, known=known, model=model, noise=noise)
-            infer(method, replay, path.with_suffix(".log.jsonl"), seed).save(path)
+            work = path.with_suffix(".log.jsonl")
+            infer(method, replay, work, seed).save(path)
+            work.unlink()  # up to 180 MB, and only an interrupted inference needs it
         return load(path)
 
     return Method(method.replace("-", "_"), distribution)
