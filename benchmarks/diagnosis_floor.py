@@ -40,14 +40,14 @@ def left(given: Problem) -> float:
 
 def main() -> None:
     robot = SuiteRobot("TrunkReach-v0")
-    half, accurate = robot.refined()
+    finer, accurate = robot.refined()
     rng = np.random.default_rng(0)
     given = problem(robot, accurate)
     print("| differences at | number | left [mm] |\n|---|---|---|")
     print(f"| none | | {left(given):.2f} |")
     for name, count, centre, spread in (("the prior", 5, np.zeros(5), FAR), ("around the truth", 3, TRUTH, NEAR)):
         points = [(centre + spread * rng.standard_normal(5), ()) for _ in range(count)]
-        floor = numerical_floor(given, [half, accurate], points)
+        floor = numerical_floor(given, [finer, accurate], points)
         print(f"| draws from {name} | {count} | {left(given.with_floor(floor)):.2f} |", flush=True)
 
     print("\n| hidden | without | with it |\n|---|---|---|")
@@ -56,8 +56,8 @@ def main() -> None:
         x = np.append(TRUTH, 0.15)
         given = problem(robot, accurate, (one.effect(x[5:]),), NOISE)
         near = [(TRUTH + NEAR * rng.standard_normal(5), ()) for _ in range(3)]
-        plain = given.with_floor(numerical_floor(given, [half, accurate], near))
-        both = plain.with_floor(numerical_floor(given, [half, accurate], [(x, (one,))]))
+        plain = given.with_floor(numerical_floor(given, [finer, accurate], near))
+        both = plain.with_floor(numerical_floor(given, [finer, accurate], [(x, (one,))]))
         residual = given.residuals([(x, (one,))])[0]
         print(f"| {name} | {plain.excess(residual):.0f} | {both.excess(residual):.0f} |", flush=True)
 

@@ -47,7 +47,7 @@ def short(monkeypatch):
 
 def test_without_effects_it_is_the_plain_trunk(base):
     spec = trunk.build_spec("reach.xml", "cable")
-    spec.option.timestep = 0.0025
+    spec.option.timestep = 0.00125
     model = spec.compile()
     for write in trunk.TrunkParameters(model).writes({name: np.array([value]) for name, value in NOMINAL.items()}):
         getattr(model, write.field)[write.rows] = write.values[0]
@@ -59,10 +59,10 @@ def test_without_effects_it_is_the_plain_trunk(base):
     expected = [data.site_xpos[sites].copy()]
     for action in rates(16):
         data.ctrl[:] = geo.CABLE_RATE * action
-        mujoco.mj_step(model, data, 20)
+        mujoco.mj_step(model, data, 40)
         mujoco.mj_kinematics(model, data)
         expected.append(data.site_xpos[sites].copy())
-    assert np.array_equal(base.points[::20], expected)
+    assert np.array_equal(base.points[::40], expected)
     assert np.allclose(base.at(CONTROL_TIMESTEP * np.arange(17)), expected, rtol=0, atol=1e-12)
 
 

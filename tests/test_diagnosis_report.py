@@ -59,8 +59,8 @@ def recording(robot, hidden, seed, strength=1.0):
 def diagnosed(robot, monkeypatch, hidden):
     few = [one for one in suspects(robot) if one.name in FEW]
     monkeypatch.setattr(pipeline, "suspects", lambda *_: few)
-    half_step = robot.refined()[:1]
-    monkeypatch.setattr(robot, "refined", lambda: half_step)
+    finer = robot.refined()[:1]
+    monkeypatch.setattr(robot, "refined", lambda: finer)
     monkeypatch.setattr("soro_bench.diagnosis.audit.noise", lambda values: 5e-4)
     return pipeline.diagnose(robot, [recording(robot, hidden, 0)], [recording(robot, hidden, 1)])
 

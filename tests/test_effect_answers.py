@@ -225,7 +225,7 @@ def test_a_law_of_the_material_does_what_it_does_in_another_code(name, model, ki
 
 @pytest.mark.parametrize("force", [0.3, 2.5])
 def test_friction_of_a_cable_does_what_it_does_in_another_code(force):
-    """Pulled, held and released; the other code's time step is a quarter of ours."""
+    """Pulled, held and released; the other code's time step is an eighth of ours."""
     actions = np.zeros((45, 8), np.float32)
     actions[:6, 4], actions[20:26, 4] = 1.0, -1.0
     friction = Effect("coulomb_friction", Port("tendon", "S0"), {"friction": force, "presliding": force / 3000})

@@ -21,7 +21,7 @@ from soro_bench.effects.catalogue import CATEGORIES
 
 # radii of the clouds of the nominal fit after each numerical floor, and of the last fit of a hypothesis, in standard
 # deviations of the priors
-RADII, LAST = ((0.7, 0.3), (0.15,), (0.05,)), 0.07
+RADII, LAST = ((0.7, 0.3), (0.15,), (0.05, 0.05)), 0.07
 FAR_DRAWS, FAR = 3, 0.7  # replays of each refined robot at first, and their standard deviation
 NEAR = (0.15, 0.05, 0.0)  # of the one near each fit
 POLISHES, ENOUGH = 4, 0.1  # at most, and the share of what is left that one more is worth

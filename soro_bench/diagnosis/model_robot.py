@@ -30,7 +30,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from soro_bench.diagnosis.robot import SIMULATIONS, Prior, Robot
+from soro_bench.diagnosis.robot import SHORTER, SIMULATIONS, Prior, Robot
 from soro_bench.effects.elements import instrument
 from soro_bench.models.simulation import FieldWrite, Simulation
 from soro_bench.parameters import Parameter, ParameterSet
@@ -138,10 +138,10 @@ class ModelRobot(Robot):
         self._bad = np.zeros(SIMULATIONS, int)
 
     def refined(self) -> list[Robot]:
-        """With half the time step, and with the accurate model if there is one."""
+        """With a quarter of the time step, and with the accurate model if there is one."""
         model, mapping = self._paths
         accurate = [] if self._accurate is None else [mapping.parent / self._accurate]
-        return [ModelRobot(model, mapping, self.threads, 2), *(ModelRobot(a, mapping, self.threads) for a in accurate)]
+        return [ModelRobot(model, mapping, self.threads, SHORTER), *(ModelRobot(a, mapping, self.threads) for a in accurate)]
 
     def actions(self, recording: Recording) -> np.ndarray:
         """(T, nu) setpoints of all actuators; those that no command names are zero."""

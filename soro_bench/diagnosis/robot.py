@@ -14,6 +14,7 @@ from soro_bench.models.simulation import Simulation
 from soro_bench.recording.recording import Recording, RecordingError, resampled
 
 SIMULATIONS = 64  # at a time
+SHORTER = 4  # time steps of the refined robot in one of the plain one
 
 
 @dataclass(frozen=True)

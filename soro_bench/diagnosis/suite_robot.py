@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from soro_bench.diagnosis.robot import SIMULATIONS, Prior, Robot
+from soro_bench.diagnosis.robot import SHORTER, SIMULATIONS, Prior, Robot
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.simulated import recorded_actions
 from soro_bench.registration import make_task, task_type
@@ -37,9 +37,9 @@ class SuiteRobot(Robot):
         self.priors = tuple(_prior(p) for p in kind.parameters.parameters.values())
 
     def refined(self) -> list[Robot]:
-        """With half the time step, and with the accurate model."""
+        """With a quarter of the time step, and with the accurate model."""
         finer = SuiteRobot(self.env_id, self.model_name, self.threads)
-        finer._task.refine(2)
+        finer._task.refine(SHORTER)
         return [finer, SuiteRobot(self.env_id, task_type(self.env_id).accurate, self.threads)]
 
     def actions(self, recording: Recording) -> np.ndarray:
