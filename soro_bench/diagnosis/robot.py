@@ -72,6 +72,7 @@ class Robot:
         self.signal = kind.inferred_from[0]
         self.elements = Elements(self._task.model)
         self.priors = tuple(_prior(p) for p in kind.parameters.parameters.values())
+        self.control_timestep = self._task.control_timestep  # s
 
     def refined(self) -> "list[Robot]":
         """The same robot simulated more accurately: with half the time step, and with the accurate model."""
@@ -82,6 +83,25 @@ class Robot:
     def ports(self, kind: str) -> list[Port]:
         """The ports of a kind at which something may be missing."""
         return self.elements.ports(kind) if kind in _KINDS else []
+
+    @property
+    def pulls_cables(self) -> bool:
+        """Whether all its actuators pull tendons."""
+        return {port.name for port in self.ports("tendon")} >= {port.name for port in self.ports("actuator")}
+
+    @property
+    def channels(self) -> list[str]:
+        """What each number of an action moves, such as "cable L0"."""
+        names, count = self.ports("actuator"), self._task.single_action_space.shape[0]
+        if len(names) != count:
+            return [f"channel {i}" for i in range(count)]
+        return [f"{'cable' if self.pulls_cables else 'actuator'} {port.name}" for port in names]
+
+    def channel(self, where: Port) -> int | None:
+        """The number of an action that moves a cable or actuator; None for what no single one moves."""
+        names = [port.name for port in self.ports("actuator")]
+        known = where.kind in ("tendon", "actuator") and where.name in names and len(names) == len(self.channels)
+        return names.index(where.name) if known else None
 
     def parameters(self, x: np.ndarray) -> dict[str, float]:
         """Values by name of the first unknowns in ``x``."""

@@ -6,6 +6,7 @@ rate, and each part ends where it began.
 """
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -48,12 +49,12 @@ def excitation(space: spaces.Box, timestep: float, duration: float = 30.0, seed:
     stroke = max(1, int(room / _triangles_length(1, channels)))
     parts = [
         np.zeros((_REST, channels)),
-        _alone(_triangles(stroke), channels),
-        _alone(_loops(), channels),
-        _holds(channels),
+        in_turn(triangles(stroke), np.eye(channels)),
+        in_turn(loops(), np.eye(channels)),
+        in_turn(step_and_hold(_HOLD), _pairs(channels)),
     ]
     remaining = steps - sum(map(len, parts)) - _REST
-    parts += [_multisine(remaining, channels, timestep, seed), np.zeros((_REST, channels))]
+    parts += [multisine(remaining, channels, timestep, seed), np.zeros((_REST, channels))]
     return np.concatenate(parts)
 
 
@@ -65,30 +66,31 @@ def write_actions(path: str | Path, timestep: float, actions: np.ndarray) -> Non
         table.writerows([f"{step * timestep:.6g}", *(f"{a:.9g}" for a in row)] for step, row in enumerate(actions))
 
 
-def _triangles(stroke: int) -> np.ndarray:
-    """Rates of one channel: out and back by the same way at every speed."""
-    return np.concatenate([np.repeat([1 / slow, -1 / slow], stroke * slow) for slow in SLOWNESS])
+def triangles(stroke: int, slowness: Sequence[int] = SLOWNESS) -> np.ndarray:
+    """(n,) rates of one channel: out and back by the same way, ``stroke`` time steps of full rate, at every speed."""
+    return np.concatenate([np.repeat([1 / slow, -1 / slow], stroke * slow) for slow in slowness])
 
 
-def _loops() -> np.ndarray:
-    """Rates of one channel: loops within loops."""
+def loops() -> np.ndarray:
+    """(n,) rates of one channel: loops within loops."""
     return np.concatenate([np.full(abs(stroke), np.sign(stroke)) for stroke in _LOOPS])
 
 
-def _alone(rates, channels) -> np.ndarray:
-    """(channels * n, channels) the same rates for one channel after the other."""
-    return np.kron(np.eye(channels), rates[:, None])
+def step_and_hold(hold: int) -> np.ndarray:
+    """(n,) rates of one channel: a step, a hold, a release and a rest; hold and rest of ``hold`` time steps."""
+    return np.concatenate([np.ones(_STEP), np.zeros(hold), -np.ones(_STEP), np.zeros(hold)])
 
 
-def _holds(channels) -> np.ndarray:
-    """Neighbouring channels together: a step, a hold, a release and a rest."""
-    rates = np.concatenate([np.ones(_STEP), np.zeros(_HOLD), -np.ones(_STEP), np.zeros(_HOLD)])
-    pairs = np.eye(channels) + np.roll(np.eye(channels), 1, axis=1)
-    return np.kron(np.minimum(pairs[::2], 1), rates[:, None])
+def in_turn(rates: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """(K * n, nu) the same rates (n,) for one group of channels after the other; groups (K, nu) are ones and zeros."""
+    return np.kron(groups, rates[:, None])
 
 
-def _multisine(steps, channels, timestep, seed) -> np.ndarray:
-    """Odd harmonics of equal displacement and random phases; whole periods, so that it ends where it began."""
+def multisine(steps: int, channels: int, timestep: float, seed: int) -> np.ndarray:
+    """(steps, channels) rates: odd harmonics of equal displacement and random phases.
+
+    They are whole periods, so that it ends where it began.
+    """
     periods = max(1, round(FREQUENCIES[0] * steps * timestep))
     base = periods / steps  # cycles per time step
     highest = min(FREQUENCIES[1] * timestep, _HIGHEST)
@@ -99,9 +101,14 @@ def _multisine(steps, channels, timestep, seed) -> np.ndarray:
     return rates / np.maximum(np.abs(rates).max(axis=0), 1e-9)
 
 
+def _pairs(channels) -> np.ndarray:
+    """(K, channels) neighbouring channels together."""
+    return np.minimum((np.eye(channels) + np.roll(np.eye(channels), 1, axis=1))[::2], 1)
+
+
 def _triangles_length(stroke, channels) -> int:
-    return channels * len(_triangles(stroke))
+    return channels * len(triangles(stroke))
 
 
 def _fixed(channels) -> int:
-    return 2 * _REST + channels * len(_loops()) + len(_holds(channels))
+    return 2 * _REST + channels * len(loops()) + len(_pairs(channels)) * len(step_and_hold(_HOLD))
