@@ -266,7 +266,7 @@ class Diagnose:
     recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """.parquet; `soro-bench excite` writes the actions for a good one."""
     out: Path
-    """Folder for report.html, report.json, effects.json, posterior.json and comparison.rrd."""
+    """Folder for report.html, report.json, effects.json, posterior.json, comparison.rrd and next_actions.csv."""
     env: str | None = None
     """Environment whose robot was recorded."""
     model: str | None = None

@@ -1,6 +1,7 @@
 """A whole diagnosis, on a short recording and a few suspects: what it says and what it writes."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ pytest.importorskip("matplotlib")
 
 from soro_bench.diagnosis import pipeline
 from soro_bench.diagnosis.page import write_reports
-from soro_bench.diagnosis.report import report_of
+from soro_bench.diagnosis.propose import Proposal, motions
+from soro_bench.diagnosis.report import report_of, write_json_report
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import suspect, suspects
 from soro_bench.effects.catalogue import QUANTITIES
@@ -31,6 +33,7 @@ KEYS = {
     "fit",
     "parameters",
     "detectable",
+    "next_recording",
     "seconds",
 }
 
@@ -65,10 +68,16 @@ def diagnosed(robot, monkeypatch, hidden):
     return pipeline.diagnose(robot, [recording(robot, hidden, 0)], [recording(robot, hidden, 1)])
 
 
-def test_a_hidden_payload_is_named_with_its_place_and_mass_and_the_held_out_fit_improves(robot, monkeypatch, tmp_path):
+@pytest.fixture(scope="module")
+def payload(robot):
+    """A diagnosis of a trunk that carries something, and its recording."""
     hidden = [Effect("payload", Port("body", "vertebra7"), {"mass": 0.04})]
-    found = diagnosed(robot, monkeypatch, hidden)
-    given = [recording(robot, hidden, 0)]
+    with pytest.MonkeyPatch.context() as patch:
+        return diagnosed(robot, patch, hidden), [recording(robot, hidden, 0)]
+
+
+def test_a_hidden_payload_is_named_with_its_place_and_mass_and_the_held_out_fit_improves(robot, payload, tmp_path):
+    found, given = payload
     text = write_reports(found, given, tmp_path)
     report = json.loads((tmp_path / "report.json").read_text())
     first = report["effects"][0]
@@ -86,6 +95,29 @@ def test_a_hidden_payload_is_named_with_its_place_and_mass_and_the_held_out_fit_
     assert "<script" not in page
     assert "vertebra7" in page
     assert (tmp_path / "comparison.rrd").stat().st_size > 1000
+    assert report["next_recording"] is None
+    assert not (tmp_path / "next_actions.csv").exists()
+
+
+def test_what_to_record_next_is_in_every_report_and_in_a_file_for_the_controller(robot, payload, tmp_path):
+    motion = motions((2,), robot.channels, robot.control_timestep)[1]
+    proposal = Proposal(motion, ("payload", "backlash"), (("payload", "backlash"),), 500.0)
+    found, given = payload
+    text = write_reports(replace(found, proposal=proposal), given, tmp_path)
+    assert json.loads((tmp_path / "report.json").read_text())["next_recording"] == {
+        "file": "next_actions.csv",
+        "motion": "slow triangles of cable L2",
+        "duration_s": 10.0,
+        "separates": [["payload", "backlash"]],
+        "evidence_nats": 500.0,
+    }
+    table = np.loadtxt(tmp_path / "next_actions.csv", delimiter=",", skiprows=1)
+    assert table[:, 1:] == pytest.approx(motion.actions)
+    assert table[:, 0] == pytest.approx(0.05 * np.arange(200))
+    assert "record next_actions.csv (slow triangles of cable L2) to separate them" in text
+    assert "slow triangles of cable L2" in (tmp_path / "report.html").read_text().split("What to record next")[1]
+    write_json_report(found, tmp_path)
+    assert not (tmp_path / "next_actions.csv").exists()
 
 
 def test_where_nothing_is_missing_it_says_so_and_what_would_have_shown(robot, monkeypatch):

@@ -71,6 +71,11 @@ def p_value(promised: float) -> float:
     return float(-np.expm1(-np.exp(-(promised - GUMBEL_LOCATION) / GUMBEL_SCALE)))
 
 
+def temperature(excess: float) -> float:
+    """By which evidence is divided where the best hypothesis leaves that excess."""
+    return TEMPER[0] + TEMPER[1] * max(excess, 0.0)
+
+
 def compared(found: Explanation, heldout: Problem | None, refined: Sequence[Robot]) -> Comparison:
     """Probabilities of the hypotheses of an explanation, and their fits."""
     problem, nominal = found.problem, found.nominal
@@ -99,7 +104,7 @@ def _chances(scores, detected, excess):
     """Tempered probabilities; the first is that of nothing missing, which the detection decides."""
     if len(scores) == 1:
         return np.ones(1)
-    tempered = scores[1:] / (TEMPER[0] + TEMPER[1] * max(excess, 0.0))
+    tempered = scores[1:] / temperature(excess)
     others = np.exp(tempered - tempered.max())
     return np.concatenate([[detected], (1.0 - detected) * others / others.sum()])
 

@@ -59,6 +59,7 @@ _OBJECTS = {
     "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
 }
 _WIDTH = {"mjJNT_FREE": 6, "mjJNT_BALL": 3}  # degrees of freedom of a joint; others have one
+_SHARE = 0.3  # of an actuator's range, how far a proposed motion goes
 _FAR = 100.0  # deviations, the bounds of a parameter that is added
 
 
@@ -140,8 +141,10 @@ class ModelRobot(Robot):
     def refined(self) -> list[Robot]:
         """With a quarter of the time step, and with the accurate model if there is one."""
         model, mapping = self._paths
-        accurate = [] if self._accurate is None else [mapping.parent / self._accurate]
-        return [ModelRobot(model, mapping, self.threads, SHORTER), *(ModelRobot(a, mapping, self.threads) for a in accurate)]
+        finer = [ModelRobot(model, mapping, self.threads, SHORTER)]
+        if self._accurate is not None:
+            finer.append(ModelRobot(mapping.parent / self._accurate, mapping, self.threads))
+        return finer
 
     def actions(self, recording: Recording) -> np.ndarray:
         """(T, nu) setpoints of all actuators; those that no command names are zero."""
@@ -162,6 +165,12 @@ class ModelRobot(Robot):
                 raise RecordingError(f"the command {name!r} has missing numbers")
             actions[:, actuators] = held
         return actions
+
+    def commanded(self, rates: np.ndarray) -> np.ndarray:
+        """(T, nu) setpoints that go the way of rates (T, nu), within a share of each actuator's range."""
+        way, model = np.cumsum(rates, axis=0), self._model
+        low, high = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, (-1.0, 1.0)).T
+        return np.clip(way / max(np.abs(way).max(), 1e-9) * _SHARE * (high - low), low, high)
 
     def _set_signal(self, table):
         model, places = self._model, [key for key in ("sites", "joints", "sensors") if key in table]

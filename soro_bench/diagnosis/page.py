@@ -80,7 +80,7 @@ def _page(diagnosis: Diagnosis, report: dict, text: str) -> str:
     return (
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Diagnosis</title><style>{_STYLE}</style>"
         f"<h1>Diagnosis of {html.escape(diagnosis.robot.name)}</h1><p class='verdict'>{html.escape(text)}</p>"
-        f"{_effects_table(report)}{figures}{_parameters_table(report)}{_detectable_table(report)}</html>\n"
+        f"{_effects_table(report)}{_next_table(report)}{figures}{_parameters_table(report)}{_detectable_table(report)}</html>\n"
     )
 
 
@@ -99,6 +99,14 @@ def _effects_table(report) -> str:
         said = "; ".join([*effect["evidence"], *(f"but {each}" for each in effect["against"])])
         rows.append([f"{effect['probability']:.2f}", effect["name"], place, values, said])
     return _table("Effects", ["probability", "effect", "place", "parameters", "evidence"], rows)
+
+
+def _next_table(report) -> str:
+    if (proposed := report["next_recording"]) is None:
+        return ""
+    pairs = "; ".join(" from ".join(pair) for pair in proposed["separates"]) or "-"
+    row = [proposed["file"], proposed["motion"], pairs, f"{proposed['evidence_nats']:.0f}"]
+    return _table("What to record next", ["actions", "motion", "would tell apart", "evidence [nats]"], [row])
 
 
 def _value(name, q) -> str:

@@ -11,6 +11,7 @@ from soro_bench.diagnosis.compare import Comparison, compared
 from soro_bench.diagnosis.explain import Explanation, explained, nominal_fit
 from soro_bench.diagnosis.localise import Place, places
 from soro_bench.diagnosis.problem import Problem
+from soro_bench.diagnosis.propose import Proposal, proposed
 from soro_bench.diagnosis.robot import Measured, Robot
 from soro_bench.diagnosis.suspects import suspects
 from soro_bench.inference.clouds import LowRank
@@ -30,7 +31,10 @@ class Outliers:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found; times are in seconds, everything else in the units of the robot and its signal."""
+    """What was found; times are in seconds, everything else in the units of the robot and its signal.
+
+    proposal: what to record next; None where nothing is left to be told apart.
+    """
 
     robot: Robot
     audits: tuple[Audit, ...]
@@ -38,6 +42,7 @@ class Diagnosis:
     explanation: Explanation
     comparison: Comparison
     places: tuple[Place, ...]
+    proposal: Proposal | None
     seconds: float
 
     @property
@@ -93,8 +98,17 @@ def diagnose(
     tested_problem = _problem(robot, tested, problem.sigma) if tested else None
     comparison = compared(explanation, tested_problem, refined)
     where = places(explanation.problem, explanation.nominal, candidates, responses)
-    seconds = time.perf_counter() - start
-    return Diagnosis(robot, audits, found_outliers, explanation, comparison, tuple(where), seconds)
+    found = Diagnosis(robot, audits, found_outliers, explanation, comparison, tuple(where), None, 0.0)
+    progress("next recording")
+    proposal = _proposal(found, seed)
+    return replace(found, proposal=proposal, seconds=time.perf_counter() - start)
+
+
+def _proposal(found: Diagnosis, seed: int) -> Proposal | None:
+    if not found.detected:
+        return None
+    unknown = found.places[0].where if found.verdict == "unknown_physics" else None
+    return proposed(found.explanation.problem, found.comparison, unknown, seed)
 
 
 def _problem(robot: Robot, measured: tuple[Measured, ...], sigma: float) -> Problem:

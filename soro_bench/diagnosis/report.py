@@ -10,15 +10,18 @@ from soro_bench.diagnosis.compare import Answer, Fit
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.localise import Regime, explained_over_time, intervals, regimes
 from soro_bench.diagnosis.pipeline import ALPHA, Diagnosis
+from soro_bench.diagnosis.propose import DURATION, Proposal
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import Suspect
 from soro_bench.effects.catalogue import CATEGORIES, QUANTITIES
 from soro_bench.effects.effect import Effect, Port, save_effects
 from soro_bench.files import write_json
 from soro_bench.randomization import TruncatedNormal
+from soro_bench.recording.excitation import write_actions
 
 SCHEMA = "soro-bench/diagnosis/1"
 CREDIBLE = 0.9
+NEXT_ACTIONS = "next_actions.csv"
 NINETY = 1.645  # standard deviations on either side of the middle 90 %
 
 
@@ -46,13 +49,18 @@ def findings(diagnosis: Diagnosis) -> list[Finding]:
 
 
 def write_json_report(diagnosis: Diagnosis, folder: str | Path) -> dict:
-    """report.json, effects.json and posterior.json in a folder; returns the report."""
+    """report.json, effects.json, posterior.json and any actions to record next in a folder; returns the report."""
     folder = Path(folder)
     report = report_of(diagnosis)
     write_json(folder / "report.json", report)
     save_effects(patch(diagnosis), folder / "effects.json")
     if isinstance(diagnosis.robot, SuiteRobot):  # the others are not trained on
         write_json(folder / "posterior.json", posterior(diagnosis).to_dict())
+    if diagnosis.proposal:
+        actions = diagnosis.robot.commanded(diagnosis.proposal.motion.actions)
+        write_actions(folder / NEXT_ACTIONS, diagnosis.robot.control_timestep, actions)
+    else:
+        (folder / NEXT_ACTIONS).unlink(missing_ok=True)  # of an earlier diagnosis
     return report
 
 
@@ -108,6 +116,7 @@ def report_of(diagnosis: Diagnosis) -> dict:
         "parameters": _parameters(diagnosis, best.hypothesis),
         "places": [{"where": _where(p.where), "gain": p.gain} for p in diagnosis.places[:10]],
         "detectable": _detectable(diagnosis),
+        "next_recording": _next_recording(diagnosis.proposal),
         "audit": [{"noise": a.sigma, "missing": a.missing} for a in diagnosis.audits],
         "seconds": round(diagnosis.seconds, 1),
     }
@@ -118,7 +127,7 @@ def _effect(diagnosis: Diagnosis, finding: Finding) -> dict:
     hypothesis = finding.answer.hypothesis
     gain = explained_over_time(problem, nominal, hypothesis)
     measured = problem.recordings[0]
-    shares = regimes(measured, gain, _channel(diagnosis, finding.effect.where))
+    shares = regimes(measured, gain, diagnosis.robot.channel(finding.effect.where))
     return {
         "name": finding.effect.name,
         "class": CATEGORIES[finding.effect.name],
@@ -150,14 +159,6 @@ def _outliers(diagnosis: Diagnosis) -> dict:
         "parameters": parameters,
         "evidence": [f"{100 * found.share:.2g} % of the points are alone {_length(found.size, unit)} off; left out"],
     }
-
-
-def _channel(diagnosis: Diagnosis, where: Port) -> int | None:
-    """The command that moves a cable."""
-    names = [port.name for port in diagnosis.robot.ports("actuator")]
-    channels = diagnosis.explanation.problem.recordings[0].actions.shape[1]
-    known = where.kind in ("tendon", "actuator") and where.name in names and len(names) == channels
-    return names.index(where.name) if known else None
 
 
 def _condition(effect: Effect, shares: list[Regime]) -> str:
@@ -197,10 +198,8 @@ def _unit(unit: str, where: Port, signal: str, setpoint: str = "setpoint") -> st
 
 def _own_units(diagnosis: Diagnosis) -> tuple[str, str]:
     """Units of the signal, and of the actuators' setpoints: lengths where they pull tendons."""
-    pulls = {port.name for port in diagnosis.robot.ports("tendon")} >= {
-        p.name for p in diagnosis.robot.ports("actuator")
-    }
-    return diagnosis.explanation.problem.recordings[0].unit, "m" if pulls else "setpoint"
+    setpoint = "m" if diagnosis.robot.pulls_cables else "setpoint"
+    return diagnosis.explanation.problem.recordings[0].unit, setpoint
 
 
 def _deviations(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:
@@ -329,7 +328,35 @@ def verdict(diagnosis: Diagnosis) -> str:
     if others:
         names = ", or ".join(f"{' with '.join(a.names) or 'nothing'} ({a.probability:.2f})" for a in others)
         said.append(f"It may also be {names}.")
+    if diagnosis.proposal:
+        said.append(_what_next(diagnosis.proposal, diagnosis.verdict == "unknown_physics"))
     return "\n".join(said)
+
+
+def _next_recording(proposal: Proposal | None) -> dict | None:
+    if proposal is None:
+        return None
+    return {
+        "file": NEXT_ACTIONS,
+        "motion": proposal.motion.words,
+        "duration_s": DURATION,
+        "separates": [list(pair) for pair in proposal.separates],
+        "evidence_nats": proposal.evidence,
+    }
+
+
+def _what_next(proposal: Proposal, unknown: bool) -> str:
+    """What to record, and what for, in a sentence."""
+    file = f"{NEXT_ACTIONS} ({proposal.motion.words})"
+    if unknown:
+        return f"Record {file} to see more of it."
+    best, *others = proposal.rivals
+    said = f"{best} cannot be told from {' or '.join(others)} with this recording"
+    if not proposal.separates:
+        return f"{said}, nor by any motion of {DURATION:g} s that was tried; {file} comes nearest."
+    pairs = ", and ".join(f"{a} from {b}" for a, b in proposal.separates)
+    every = len(proposal.separates) == math.comb(len(proposal.rivals), 2)
+    return f"{said}: record {file} to separate {'them' if every else pairs}."
 
 
 def _sentence(diagnosis: Diagnosis, finding: Finding) -> str:

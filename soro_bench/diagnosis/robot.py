@@ -102,6 +102,27 @@ class Robot(ABC):
         """The ports of a kind at which something may be missing."""
         return self.elements.ports(kind) if kind in self.kinds else []
 
+    @property
+    def pulls_cables(self) -> bool:
+        """Whether all its actuators pull tendons."""
+        return {port.name for port in self.ports("tendon")} >= {port.name for port in self.ports("actuator")}
+
+    @property
+    def channels(self) -> list[str]:
+        """What each number of an action moves, such as "cable L0"."""
+        names = self.ports("actuator")
+        return [f"{'cable' if self.pulls_cables else 'actuator'} {port.name}" for port in names]
+
+    def channel(self, where: Port) -> int | None:
+        """The number of an action that moves a cable or actuator; None for what no single one moves."""
+        names = [port.name for port in self.ports("actuator")]
+        known = where.kind in ("tendon", "actuator") and where.name in names
+        return names.index(where.name) if known else None
+
+    def commanded(self, rates: np.ndarray) -> np.ndarray:
+        """(T, nu) actions that move as rates (T, nu) from -1 to 1 do, one column per actuator."""
+        return rates
+
     def parameters(self, x: np.ndarray) -> dict[str, float]:
         """Values by name of the first unknowns in ``x``."""
         return {prior.name: float(prior.value(value)) for prior, value in zip(self.priors, x, strict=False)}

@@ -1,11 +1,13 @@
 """A sequence of actions that shows what a robot does: the input of an identification experiment.
 
-The parts, one after the other: rest; each channel alone in triangles at three speeds; each channel alone in nested
-loops; pairs of channels pulled, held and released; all channels at once in sums of odd harmonics; rest. An action is a
-rate, and each part ends where it began.
+The parts, one after the other: rest; each channel alone in triangles at three speeds; each channel in nested loops, the
+first half of them alone and the others with all pulled a little; pairs of channels pulled, held and released, the
+first pair for seconds; all channels at once in sums of odd harmonics; rest. An action is a rate, and each part ends
+where it began.
 """
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +16,11 @@ from gymnasium import spaces
 from soro_bench.files import replacing
 
 SLOWNESS = (1, 2, 3)  # of the triangles: full rate, half of it, a third of it
-FREQUENCIES = (0.2, 2.0)  # Hz, of the harmonics
-_SHARE_OF_TRIANGLES = 0.5
+FREQUENCIES = (0.2, 6.0)  # Hz, of the harmonics
+_SHARE_OF_TRIANGLES = 0.35
 _LOOPS = (3, -1, 1, -2, 2, -3)  # strokes of full rate
-_REST, _STEP, _HOLD = 16, 3, 8  # time steps
+_REST, _STEP, _HOLD = 16, 3, 4  # time steps
+_LONG_HOLD, _LONG_REST = 40, 20  # time steps
 _MULTISINE = 16  # time steps at least
 _HIGHEST = 0.4  # of a sampled frequency, in cycles per time step
 
@@ -48,12 +51,13 @@ def excitation(space: spaces.Box, timestep: float, duration: float = 30.0, seed:
     stroke = max(1, int(room / _triangles_length(1, channels)))
     parts = [
         np.zeros((_REST, channels)),
-        _alone(_triangles(stroke), channels),
-        _alone(_loops(), channels),
-        _holds(channels),
+        in_turn(triangles(stroke), np.eye(channels)),
+        _loops_of_all(channels),
+        in_turn(step_and_hold(_LONG_HOLD, _LONG_REST), _pairs(channels)[:1]),
+        in_turn(step_and_hold(_HOLD), _pairs(channels)),
     ]
     remaining = steps - sum(map(len, parts)) - _REST
-    parts += [_multisine(remaining, channels, timestep, seed), np.zeros((_REST, channels))]
+    parts += [multisine(remaining, channels, timestep, seed), np.zeros((_REST, channels))]
     return np.concatenate(parts)
 
 
@@ -65,30 +69,31 @@ def write_actions(path: str | Path, timestep: float, actions: np.ndarray) -> Non
         table.writerows([f"{step * timestep:.6g}", *(f"{a:.9g}" for a in row)] for step, row in enumerate(actions))
 
 
-def _triangles(stroke: int) -> np.ndarray:
-    """Rates of one channel: out and back by the same way at every speed."""
-    return np.concatenate([np.repeat([1 / slow, -1 / slow], stroke * slow) for slow in SLOWNESS])
+def triangles(stroke: int, slowness: Sequence[int] = SLOWNESS) -> np.ndarray:
+    """(n,) rates of one channel: out and back by the same way, ``stroke`` time steps of full rate, at every speed."""
+    return np.concatenate([np.repeat([1 / slow, -1 / slow], stroke * slow) for slow in slowness])
 
 
-def _loops() -> np.ndarray:
-    """Rates of one channel: loops within loops."""
+def loops() -> np.ndarray:
+    """(n,) rates of one channel: loops within loops."""
     return np.concatenate([np.full(abs(stroke), np.sign(stroke)) for stroke in _LOOPS])
 
 
-def _alone(rates, channels) -> np.ndarray:
-    """(channels * n, channels) the same rates for one channel after the other."""
-    return np.kron(np.eye(channels), rates[:, None])
+def step_and_hold(hold: int, rest: int | None = None) -> np.ndarray:
+    """(n,) rates of one channel: a step, a hold, a release and a rest; ``hold`` and ``rest`` are time steps."""
+    return np.concatenate([np.ones(_STEP), np.zeros(hold), -np.ones(_STEP), np.zeros(hold if rest is None else rest)])
 
 
-def _holds(channels) -> np.ndarray:
-    """Neighbouring channels together: a step, a hold, a release and a rest."""
-    rates = np.concatenate([np.ones(_STEP), np.zeros(_HOLD), -np.ones(_STEP), np.zeros(_HOLD)])
-    pairs = np.eye(channels) + np.roll(np.eye(channels), 1, axis=1)
-    return np.kron(np.minimum(pairs[::2], 1), rates[:, None])
+def in_turn(rates: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """(K * n, nu) the same rates (n,) for one group of channels after the other; groups (K, nu) are ones and zeros."""
+    return np.kron(groups, rates[:, None])
 
 
-def _multisine(steps, channels, timestep, seed) -> np.ndarray:
-    """Odd harmonics of equal displacement and random phases; whole periods, so that it ends where it began."""
+def multisine(steps: int, channels: int, timestep: float, seed: int) -> np.ndarray:
+    """(steps, channels) rates: odd harmonics of equal displacement and random phases.
+
+    They are whole periods, so that it ends where it began.
+    """
     periods = max(1, round(FREQUENCIES[0] * steps * timestep))
     base = periods / steps  # cycles per time step
     highest = min(FREQUENCIES[1] * timestep, _HIGHEST)
@@ -99,9 +104,22 @@ def _multisine(steps, channels, timestep, seed) -> np.ndarray:
     return rates / np.maximum(np.abs(rates).max(axis=0), 1e-9)
 
 
+def _loops_of_all(channels) -> np.ndarray:
+    """(n, channels) loops of one channel after the other, of the second half with all of them pulled a little."""
+    alone, pulled = np.array_split(np.eye(channels), 2)
+    little = np.ones((1, channels))
+    return np.concatenate([in_turn(loops(), alone), little, in_turn(loops(), pulled), -little])
+
+
+def _pairs(channels) -> np.ndarray:
+    """(K, channels) neighbouring channels together."""
+    return np.minimum((np.eye(channels) + np.roll(np.eye(channels), 1, axis=1))[::2], 1)
+
+
 def _triangles_length(stroke, channels) -> int:
-    return channels * len(_triangles(stroke))
+    return channels * len(triangles(stroke))
 
 
 def _fixed(channels) -> int:
-    return 2 * _REST + channels * len(_loops()) + len(_holds(channels))
+    holds = len(_pairs(channels)) * len(step_and_hold(_HOLD)) + len(step_and_hold(_LONG_HOLD, _LONG_REST))
+    return 2 * _REST + len(_loops_of_all(channels)) + holds

@@ -1,0 +1,172 @@
+"""What to record next, so that the answers that are left can be told apart."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from soro_bench.diagnosis import propose
+from soro_bench.diagnosis.compare import Answer, Comparison, Fit
+from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
+from soro_bench.diagnosis.problem import Problem
+from soro_bench.diagnosis.propose import Proposal, competing, motions, predictions, proposed, separations
+from soro_bench.diagnosis.report import _what_next
+from soro_bench.diagnosis.robot import Measured
+from soro_bench.diagnosis.suite_robot import SuiteRobot
+from soro_bench.diagnosis.suspects import Suspect, suspect
+from soro_bench.effects.effect import Port
+from soro_bench.inference.clouds import LowRank
+
+SIGMA, STEPS, L2 = 5e-4, 40, Port("tendon", "L2")
+NAMES = [f"cable {i}" for i in range(8)]
+FIT = Fit(1.0, 1.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return SuiteRobot("TrunkReach-v0", threads=1)
+
+
+@pytest.fixture(scope="module")
+def left(robot):
+    """A recording of a trunk whose cable L2 has dry friction, and two answers: that, and viscous friction there."""
+    actions = np.repeat(np.random.default_rng(0).uniform(-1, 1, (STEPS // 5, 8)), 5, axis=0)
+    suspects = [suspect(robot, name, L2) for name in ("coulomb_friction", "viscous_friction")]
+    guesses = [Guess(np.array([0.0] * 5 + [0.2] + [0.0] * (s.size - 1)), (s,)) for s in suspects]
+    parameters = np.array([[prior.nominal for prior in robot.priors]])
+    (values,) = robot.simulate(actions, parameters, [[suspects[0].effect(guesses[0].x[5:])]])
+    values = values + SIGMA * np.random.default_rng(1).standard_normal(values.shape)
+    measured = Measured(actions, 0.05 * np.arange(1, STEPS + 1), values, "keypoints", "m")
+    problem = Problem(robot, (measured,), SIGMA, np.ones(values.size), LowRank(np.zeros((0, values.size))))
+    found = fitted(problem, guesses, (0.1,), seed=0)
+    answers = tuple(Answer(h, p, FIT, None) for h, p in zip(found, (0.6, 0.4), strict=True))
+    return problem, Comparison(answers, 0.0, 1e-6)
+
+
+def answers(*probabilities, residual=(0.0, 0.0)):
+    """Answers of one effect each, at cables L0, L1, ..."""
+    found = []
+    for i, p in enumerate(probabilities):
+        one = Suspect("coulomb_friction", Port("tendon", f"L{i}"), (1.0, 5e-4), (True, False))
+        residuals = i * np.array(residual)
+        found.append(Answer(Hypothesis((one,), np.zeros(2), residuals, 0.0, None, None), p, FIT, None))
+    return found
+
+
+def floorless(size=2):
+    return SimpleNamespace(floor=LowRank(np.zeros((0, size))))
+
+
+def test_viscous_and_dry_friction_of_a_cable_are_told_apart_by_moving_it(left, monkeypatch):
+    monkeypatch.setattr(propose, "DURATION", 4.0)
+    problem, comparison = left
+    found = proposed(problem, comparison)
+    assert found.motion.actions[:, 2].any()
+    assert "cable L2" in found.motion.words
+    assert found.separates == (("coulomb_friction", "viscous_friction"),)
+    points = [(a.hypothesis.x, a.hypothesis.suspects) for a in comparison.answers]
+    (resting,) = separations(problem, comparison.answers, predictions(problem, np.zeros((80, 8)), points))
+    assert found.evidence > 10 * resting
+
+
+def test_the_same_seed_proposes_the_same_bytes(left, monkeypatch):
+    monkeypatch.setattr(propose, "DURATION", 1.5)
+    first, second = (proposed(*left, seed=3) for _ in range(2))
+    assert first.motion.actions.tobytes() == second.motion.actions.tobytes()
+    assert replace(first, motion=second.motion) == second
+
+
+def test_where_physics_has_no_name_the_channel_moves_at_the_place_where_it_acts(left, monkeypatch):
+    monkeypatch.setattr(propose, "DURATION", 1.5)
+    problem, comparison = left
+    found = proposed(problem, comparison, unknown=Port("tendon", "S1"))
+    assert "cable S1" in found.motion.words
+    alone = replace(comparison, answers=comparison.answers[:1])
+    assert proposed(problem, alone, unknown=Port("tendon", "S1")).separates == ()
+
+
+@pytest.mark.parametrize("channels", [(2,), (1, 6), tuple(range(8))])
+@pytest.mark.parametrize("timestep", [0.05, 0.6])
+def test_motions_stay_in_the_action_space_and_end_where_they_began(channels, timestep):
+    found = motions(channels, NAMES, timestep)
+    assert len({m.words for m in found}) == len(found) >= 2
+    for motion in found:
+        assert motion.actions.shape == (round(10.0 / timestep), 8)
+        assert all(row in spaces.Box(-1, 1, (8,)) for row in motion.actions.astype(np.float32))
+        assert motion.actions.sum(axis=0) == pytest.approx(np.zeros(8), abs=1e-9)
+        assert all(motion.actions[:, list(channels)].any(axis=0))
+        others = np.setdiff1d(range(8), channels)
+        assert motion.actions[:, others].any() == ("others" in motion.words)
+
+
+def test_motions_have_holds_slow_parts_and_fast_parts():
+    words = " ".join(m.words for m in motions((2,), NAMES, 0.05))
+    for part in ("fast triangles", "slow triangles", "nested loops", "holds of 4 s", "others pulled", "sums of sines"):
+        assert part in words
+    slow = next(m for m in motions((2,), NAMES, 0.05) if m.words.startswith("slow triangles"))
+    assert np.abs(slow.actions).max() == pytest.approx(0.1)
+
+
+def test_motions_have_another_phase_for_another_seed():
+    first, second = (motions((2,), NAMES, 0.05, seed)[-1].actions for seed in (0, 1))
+    assert not np.array_equal(first, second)
+
+
+def test_the_evidence_is_half_the_squared_distance_in_units_of_the_noise():
+    predicted = np.array([[0.0, 0.0], [3.0, 4.0]])
+    assert separations(floorless(), answers(0.5, 0.5), predicted) == pytest.approx([12.5])
+
+
+def test_what_other_parameters_could_do_is_no_evidence():
+    predicted, other = np.array([[0.0, 0.0], [3.0, 4.0]]), [np.array([[30.0, 0.0]]), np.zeros((0, 2))]
+    (found,) = separations(floorless(), answers(0.5, 0.5), predicted, other)
+    assert found == pytest.approx(0.5 * (9 / 901 + 16))
+
+
+def test_numerical_error_takes_the_share_that_it_takes_in_the_recordings_at_hand():
+    problem = SimpleNamespace(floor=LowRank(np.array([[3.0, 0.0]])))
+    found = separations(problem, answers(0.5, 0.5, residual=(1.0, 0.0)), np.array([[0.0, 0.0], [3.0, 4.0]]))
+    assert found == pytest.approx([1.25])
+
+
+def test_a_prediction_that_diverges_is_no_evidence():
+    predicted = np.array([[0.0, 0.0], [3.0, np.nan]])
+    assert separations(floorless(), answers(0.5, 0.5), predicted) == pytest.approx([4.5])
+
+
+def test_nothing_is_proposed_where_one_answer_stands_alone():
+    assert proposed(None, Comparison(tuple(answers(0.95, 0.03, 0.02)), 0.0, 1e-6)) is None
+    assert proposed(None, Comparison(tuple(answers(1.0)), 0.0, 0.5)) is None
+
+
+@pytest.mark.parametrize(
+    ("probabilities", "count"), [((0.6, 0.3, 0.01), 2), ((0.93, 0.06), 2), ((0.6, 0.01, 0.01, 0.01), 3)]
+)
+def test_close_answers_compete_and_where_none_is_the_next_ones(probabilities, count):
+    assert len(competing(Comparison(tuple(answers(*probabilities)), 0.0, 1e-6))) == count
+
+
+def test_fits_that_began_elsewhere_are_one_answer():
+    one, two = answers(0.5, 0.45)
+    again = replace(two, hypothesis=one.hypothesis)
+    (found,) = competing(Comparison((one, again), 0.0, 1e-6))
+    assert found.probability == pytest.approx(0.95)
+
+
+def test_a_pair_of_improbable_answers_decides_less():
+    rivals = answers(0.6, 0.35, 0.05)
+    probable, improbable = (propose._rated(rivals, e, 100.0) for e in ([10, 900, 900], [900, 900, 10]))
+    assert probable < improbable
+
+
+def test_a_sentence_says_what_to_record_and_what_for():
+    motion = motions((2,), NAMES, 0.05)[0]
+    both, one = (("a", "b"), ("a", "c"), ("b", "c")), (("a", "c"),)
+    said = _what_next(Proposal(motion, ("a", "b", "c"), both, 400.0), unknown=False)
+    assert said == ("a cannot be told from b or c with this recording: "
+                    "record next_actions.csv (fast triangles of cable 2) to separate them.")  # fmt: skip
+    assert "to separate a from c." in _what_next(Proposal(motion, ("a", "b", "c"), one, 400.0), unknown=False)
+    assert "nor by any motion of 10 s" in _what_next(Proposal(motion, ("a", "b"), (), 4.0), unknown=False)
+    assert "to see more of it" in _what_next(Proposal(motion, ("a", "b"), (), 4.0), unknown=True)
