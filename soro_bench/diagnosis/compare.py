@@ -20,7 +20,7 @@ from soro_bench.diagnosis.robot import Robot
 
 # evidence that the best lead promises where nothing is missing (42 to 255 in five cases): a Gumbel distribution
 GUMBEL_LOCATION, GUMBEL_SCALE = 64.0, 67.0
-EFFECT = 200.0  # nats, what a rugged fit gains by chance from one more effect
+EFFECT, UNKNOWNS = 100.0, 50.0  # nats that a rugged fit gains by chance from one more effect, from each unknown of it
 TEMPER = (100.0, 0.1)  # nats, and share of the excess
 # share of the excess left where the physics is as likely unknown as not, width, and what nulls leave (600 to 2,500)
 UNKNOWN = (0.25, 0.06, 2500.0)
@@ -80,7 +80,7 @@ def compared(found: Explanation, heldout: Problem | None, refined: Sequence[Robo
     """Probabilities of the hypotheses of an explanation, and their fits."""
     problem, nominal = found.problem, found.nominal
     hypotheses = [nominal, *found.found[:COMPARED]]
-    scores = np.array([h.log_evidence(problem) - EFFECT * len(h.suspects) for h in hypotheses])
+    scores = np.array([h.log_evidence(problem) - _chance(h) for h in hypotheses])
     train = [_rms(problem, h.residual) for h in hypotheses]
     tested = [None] * len(hypotheses)
     if heldout is not None:
@@ -98,6 +98,10 @@ def compared(found: Explanation, heldout: Problem | None, refined: Sequence[Robo
     unknown = (1.0 - detected) * _unknown(problem, hypotheses)
     answers = [replace(a, probability=a.probability * (1.0 - unknown)) for a in answers]
     return Comparison(tuple(sorted(answers, key=lambda a: -a.probability)), unknown, detected)
+
+
+def _chance(hypothesis) -> float:
+    return sum(EFFECT + UNKNOWNS * suspect.size for suspect in hypothesis.suspects)
 
 
 def _chances(scores, detected, excess):

@@ -104,7 +104,7 @@ def report_of(diagnosis: Diagnosis) -> dict:
         "promised": diagnosis.explanation.promised,
         "effects": ranked,
         "classes": _classes(diagnosis, ranked),
-        "hypotheses": [{"names": list(a.names), "probability": a.probability} for a in comparison.answers],
+        "hypotheses": [_hypothesis(diagnosis, answer) for answer in comparison.answers],
         "credible_set": _credible(ranked),
         "fit": {
             "train": _fit(best.train),
@@ -139,6 +139,20 @@ def _effect(diagnosis: Diagnosis, finding: Finding) -> dict:
         "evidence": _evidence(diagnosis, finding.answer),
         "against": _against(diagnosis, finding.answer),
         "together_with": [s.name for s in hypothesis.suspects if s is not finding.suspect],
+    }
+
+
+def _hypothesis(diagnosis: Diagnosis, answer: Answer) -> dict:
+    """What there is to compare hypotheses by: unknowns, and the excess over white noise [nats] that is left."""
+    problem, hypothesis = diagnosis.explanation.problem, answer.hypothesis
+    return {
+        "names": list(answer.names),
+        "where": [_where(s.where) for s in hypothesis.suspects],
+        "probability": answer.probability,
+        "unknowns": len(hypothesis.x),
+        "excess": problem.excess(hypothesis.residual),
+        "log_evidence": hypothesis.log_evidence(problem),
+        "samples": int(problem.weight.sum()),
     }
 
 
