@@ -61,6 +61,8 @@ class Train:
     """oracle: nominal parameters. udr: a random box of the search space, drawn from the seed."""
     randomization: Path | None = None
     """JSON file of a distribution to train on instead of the method's."""
+    effects: Path | None = None
+    """JSON file of physics that the model leaves out, such as `soro-bench diagnose` writes."""
     seed: int = 0
     steps: int | None = None
     """Environment steps; what the environment needs by default."""
@@ -76,7 +78,7 @@ class Train:
         from soro_bench.training.ppo import default_config, train
 
         task_type(self.env)
-        given = {"model": self.model, "action": self.action}
+        given = {"model": self.model, "action": self.action, "effects": self.effects and str(self.effects)}
         changes = {name: value for name, value in given.items() if value is not None}
         config = default_config(self.env, self.steps, method=self.method, seed=self.seed, **changes)
         box = METHODS[self.method].distribution(self.env, self.seed, self.out)

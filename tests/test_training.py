@@ -14,6 +14,7 @@ pytest.importorskip("stable_baselines3", reason="needs the train extra")
 
 from safetensors.numpy import load_file, save_file
 
+from soro_bench.effects.effect import Effect, Port, save_effects
 from soro_bench.evaluation import evaluate
 from soro_bench.randomization import Uniform
 from soro_bench.training.policy import Policy
@@ -57,6 +58,16 @@ def test_two_threads_train_the_same_policy(trained, tmp_path):
     """The number of simulation threads does not change a byte."""
     train(PPOConfig(**{**CONFIG.__dict__, "num_threads": 2}), tmp_path)
     assert _bytes(tmp_path) == _bytes(trained)
+
+
+def test_a_policy_is_trained_with_the_physics_of_an_effects_file(trained, tmp_path):
+    path = tmp_path / "effects.json"
+    save_effects([Effect("actuator_delay", Port("actuator", "*"), {"delay": 0.1})], path)
+    train(PPOConfig(**{**CONFIG.__dict__, "effects": str(path)}), tmp_path / "run")
+    assert _bytes(tmp_path / "run") != _bytes(trained)
+    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    assert config["effects"][0]["parameters"] == {"delay": 0.1}
+    assert "effects" not in json.loads((trained / "config.json").read_text())
 
 
 def test_killed_training_loses_at_most_one_segment(trained, tmp_path):

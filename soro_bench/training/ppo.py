@@ -21,6 +21,7 @@ from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecNormalize
 
 from soro_bench.envs.sb3 import SB3VecEnv
+from soro_bench.envs.task import effects_of
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.randomization import Distribution
 from soro_bench.registration import task_type
@@ -53,6 +54,7 @@ class PPOConfig:
     finite_horizon: bool = False  # what comes after the last step does not count
     hidden: tuple[int, ...] = (128, 128)
     num_threads: int = 0
+    effects: str | None = None  # an effects file: physics that the model leaves out
 
     @property
     def segment_steps(self) -> int:
@@ -127,6 +129,8 @@ def train(
 def _claim(folder: Path, config: PPOConfig, distribution) -> None:
     described = asdict(config) | {"distribution": distribution.to_dict() if distribution else None}
     described["hidden"] = list(config.hidden)
+    if described.pop("effects"):
+        described["effects"] = [effect.to_json() for effect in effects_of(config.effects)]
     described.pop("num_threads")  # does not change the result
     for added in ("episode_steps", "final_log_std", "finite_horizon"):  # older runs do not name what is at its default
         if described[added] == getattr(PPOConfig, added):
@@ -140,6 +144,7 @@ def _claim(folder: Path, config: PPOConfig, distribution) -> None:
 
 def _make_env(config: PPOConfig, distribution) -> VecNormalize:
     steps = {} if config.episode_steps is None else {"max_episode_steps": config.episode_steps}
+    missing = {} if config.effects is None else {"effects": config.effects}
     envs = gymnasium.make_vec(
         config.env_id,
         num_envs=config.num_envs,
@@ -148,6 +153,7 @@ def _make_env(config: PPOConfig, distribution) -> VecNormalize:
         autoreset_mode="SameStep",
         **{task_type(config.env_id).variant_name: config.model},
         **steps,
+        **missing,
     )
     if distribution is not None:
         envs.unwrapped.task.randomize(distribution)
