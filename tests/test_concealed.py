@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections import Counter
 
+import gymnasium
 import mujoco
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
-from soro_bench.proof import body_laws, cable_laws, command_laws, neck_laws
+from soro_bench.proof import body_laws, cable_laws, closed_loop, command_laws, neck_laws
 from soro_bench.proof.hidden import ALL, MEASUREMENT, PHYSICS, UNKNOWN
 from soro_bench.proof.manoeuvre import manoeuvre
 from soro_bench.proof.robot import CONTROL_TIMESTEP, Diverged, Robot, simulate
@@ -252,3 +253,20 @@ def test_both_sides_mean_the_same_classes():
     """Labels and diagnosis name the same class for the same effect."""
     for name, (category, _) in (PHYSICS | MEASUREMENT).items():
         assert CATEGORIES[name] == category, name
+
+
+def test_a_policy_sees_on_a_concealed_robot_what_the_environment_shows(monkeypatch):
+    monkeypatch.setattr(closed_loop, "EVALUATION_GOALS", [np.array([0.0, -0.015, 0.12])])
+    monkeypatch.setattr(closed_loop, "STEPS", 3)
+    env, seen = gymnasium.make("soro_bench:TrunkReach-v0", model="cable", action="continuous"), []
+
+    def act(observation):
+        seen.append(observation[0])
+        return np.full((1, 8), 0.5)
+
+    (distance,) = closed_loop.final_distances(act, Robot("fine", NOMINAL))
+    shown, _ = env.reset(options={"goal": [0.0, -0.015, 0.12]})
+    for one in seen:
+        assert np.allclose(one, shown, atol=1e-3)
+        shown, _, _, _, info = env.step(np.full(8, 0.5, np.float32))
+    assert distance == pytest.approx(info["distance"], abs=1e-3)

@@ -128,7 +128,7 @@ def build(case: Case, durations: dict[str, float] = DURATIONS) -> tuple[dict[str
     effects, points = bench.realised(np.random.default_rng(streams["drawing"]))
     changes = {role: change(points[role], bench.points(role, [])) for role in _ROLES}
     recordings = {
-        role: _recording(actions[role], points[role], np.random.default_rng([*streams[role], 1])) for role in _ROLES
+        role: recording(actions[role], points[role], np.random.default_rng([*streams[role], 1])) for role in _ROLES
     }
     label = {
         "id": case.id,
@@ -330,7 +330,8 @@ def _number(stream) -> int:
     return int(np.random.SeedSequence(stream).generate_state(1)[0])
 
 
-def _recording(actions, points, rng) -> Recording:
+def recording(actions: np.ndarray, points: np.ndarray, rng: np.random.Generator) -> Recording:
+    """What is recorded of actions (T, 8) and keypoints (T + 1, 21, 3) [m], with noise."""
     stamps = CONTROL_TIMESTEP * np.arange(len(points))
     measured = points + NOISE * rng.standard_normal(points.shape)
     metadata = {"env_id": "TrunkReach-v0", "action": "continuous", "noise": repr(NOISE)}

@@ -111,26 +111,43 @@ class Robot:
 
     def run(self, actions: np.ndarray, seed: Sequence[int] = (0,)) -> Trace:
         """Simulate (T, 8) actions from the reset state; see ``simulate``."""
-        model, data = self.model, self.data
-        substeps = round(CONTROL_TIMESTEP / self.timestep)
-        self.duration = len(actions) * CONTROL_TIMESTEP
-        mujoco.mj_resetData(model, data)
-        mujoco.mj_step1(model, data)
+        self.begin(len(actions), seed)
+        points, rows = [], []
+        for action in actions:
+            rows.append(self._row())
+            points.append(self.advance(action))
+        points = np.concatenate([*points, self.keypoints()[None]])
+        rows.append(self._row())
+        self.check(points)
+        return Trace(self.timestep, points, *map(np.array, zip(*rows, strict=True)))
+
+    def begin(self, steps: int, seed: Sequence[int] = (0,)) -> None:
+        """The reset state, for a run of so many control steps at most."""
+        self.duration = steps * CONTROL_TIMESTEP
+        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_step1(self.model, self.data)
+        self._pull = np.zeros(len(self.cables))
         for i, law in enumerate(self.laws):
             law.begin(self, np.random.default_rng([*seed, _FIRST_LAW + i]))
-        points = np.empty((len(actions) * substeps + 1, len(self._keypoints), 3))
-        rows, pull = [], np.zeros(len(self.cables))
-        for t, action in enumerate(actions):
-            rows.append(self._row())
-            for i in range(substeps):
-                points[t * substeps + i] = data.site_xpos[self._keypoints]
-                pull = np.clip(pull + geo.CABLE_RATE * action * self.timestep, -geo.CABLE_LIMITS, geo.CABLE_LIMITS)
-                self._step(pull)
-        points[-1] = data.site_xpos[self._keypoints]
-        rows.append(self._row())
-        if any(warning.number for warning in data.warning) or not np.abs(points).max() < _REACH:
+
+    def advance(self, action: np.ndarray) -> np.ndarray:
+        """Apply (8,) an action for a control step; (n, 21, 3) m, keypoints before each of its engine steps."""
+        points = []
+        for _ in range(round(CONTROL_TIMESTEP / self.timestep)):
+            points.append(self.keypoints())
+            way = self._pull + geo.CABLE_RATE * action * self.timestep
+            self._pull = np.clip(way, -geo.CABLE_LIMITS, geo.CABLE_LIMITS)
+            self._step(self._pull)
+        return np.array(points)
+
+    def keypoints(self) -> np.ndarray:
+        """(21, 3) m, now."""
+        return self.data.site_xpos[self._keypoints].copy()
+
+    def check(self, points: np.ndarray) -> None:
+        """Raise Diverged unless a run that went through points (..., 3) was sound."""
+        if any(warning.number for warning in self.data.warning) or not np.abs(points).max() < _REACH:
             raise Diverged("the simulation diverged")
-        return Trace(self.timestep, points, *map(np.array, zip(*rows, strict=True)))
 
     def bend(self) -> np.ndarray:
         """(10, 3) rotation vector [rad] across each neck without its twist, in the frame of the link before it."""

@@ -1,0 +1,31 @@
+"""A policy on a robot with concealed physics: TrunkReach in closed loop."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from soro_bench.envs.trunk import SUCCESS_DISTANCE
+from soro_bench.envs.trunk_reach import EVALUATION_GOALS
+from soro_bench.proof.robot import Robot
+
+STEPS = 100  # of an episode, as registered
+
+
+def final_distances(act: Callable[[np.ndarray], np.ndarray], robot: Robot) -> np.ndarray:
+    """(27,) m, from the tip to each of the fixed goals when the episode ends: at 1 mm, or after 100 steps.
+
+    Args:
+        act: observations (1, 66) as TrunkReach gives them to actions (1, 8).
+    """
+    return np.array([_final_distance(act, robot, goal) for goal in EVALUATION_GOALS])
+
+
+def _final_distance(act, robot, goal) -> float:
+    robot.begin(STEPS)
+    for _ in range(STEPS):
+        points = robot.keypoints()
+        if np.linalg.norm(points[-1] - goal) <= SUCCESS_DISTANCE:
+            break
+        robot.advance(act(np.append(points.ravel(), goal)[None])[0])
+    robot.check(points := robot.keypoints())
+    return float(np.linalg.norm(points[-1] - goal))
