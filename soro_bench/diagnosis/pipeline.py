@@ -95,8 +95,7 @@ def diagnose(
     candidates = suspects(robot)
     explanation, responses = explained(problem, nominal, refined, candidates, seed, progress)
     progress("comparison")
-    tested_problem = _problem(robot, tested, problem.sigma) if tested else None
-    comparison = compared(explanation, tested_problem, refined)
+    comparison = compared(explanation, _tested(robot, tested, problem.sigma, nominal), refined)
     where = places(explanation.problem, explanation.nominal, candidates, responses)
     found = Diagnosis(robot, audits, found_outliers, explanation, comparison, tuple(where), None, 0.0)
     progress("next recording")
@@ -116,25 +115,37 @@ def _problem(robot: Robot, measured: tuple[Measured, ...], sigma: float) -> Prob
     return Problem(robot, measured, sigma, weight, LowRank(np.zeros((0, weight.size))))
 
 
+def _tested(robot, measured, sigma, nominal) -> Problem | None:
+    """The held-out recordings without their outliers; None if there are none."""
+    if not measured:
+        return None
+    problem = _problem(robot, measured, sigma)
+    return _masked(problem, _outliers(problem, problem.residuals([(nominal.x, ())])[0]))
+
+
+def _outliers(problem: Problem, residual: np.ndarray) -> np.ndarray:
+    """(M,) whether a sample belongs to a point that is alone and far off."""
+    left, found, first = np.where(problem.weight > 0, problem.floor.without(residual), np.nan), [], 0
+    for each in problem.recordings:
+        part, first = left[first : first + each.values.size].reshape(each.values.shape), first + each.values.size
+        found.append(np.repeat(outliers(part).ravel(), part.shape[2]))
+    return np.concatenate(found)
+
+
 def _without_outliers(problem, nominal):
     """The problem and its nominal fit without the samples that are alone and far off."""
-    ends = np.cumsum([each.values.size for each in problem.recordings])[:-1]
-    weight, squares, hits, points = problem.weight.copy(), 0.0, 0, 0
-    left = np.split(np.where(weight > 0, problem.floor.without(nominal.residual), np.nan), ends)
-    for each, residual, mask in zip(problem.recordings, left, np.split(weight, ends), strict=True):
-        shape = each.values.shape
-        far = outliers(residual.reshape(shape))
-        mask.reshape(shape)[far] = 0.0  # a view of weight
-        squares += float((residual.reshape(shape)[far] ** 2).sum())
-        hits, points = hits + int(far.sum()), points + far.size
-    if not hits:
+    far = _outliers(problem, nominal.residual)
+    if not far.any():
         return problem, nominal, Outliers(0.0, 0.0)
-    problem = replace(problem, weight=weight, floor=LowRank(problem.floor.basis * weight))
-    masked = {name: getattr(nominal, name) * weight for name in ("residual", "slope", "error")}
-    nominal = replace(nominal, **masked)
+    size = problem.sigma * float(np.sqrt((problem.floor.without(nominal.residual)[far] ** 2).mean()))
+    problem = _masked(problem, far)
+    nominal = replace(nominal, **{n: getattr(nominal, n) * ~far for n in ("residual", "slope", "error")})
     nominal = replace(nominal, cost=problem.cost(nominal.residual, nominal.x))
-    size = problem.sigma * float(np.sqrt(squares / (hits * problem.recordings[0].values.shape[2])))
-    return problem, nominal, Outliers(hits / points, size)
+    return problem, nominal, Outliers(float(far.mean()), size)
+
+
+def _masked(problem: Problem, far: np.ndarray) -> Problem:
+    return replace(problem, weight=problem.weight * ~far, floor=LowRank(problem.floor.basis * ~far))
 
 
 def _with_noise(problem, nominal, least):
