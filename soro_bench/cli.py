@@ -315,12 +315,14 @@ class Prove:
     """Of the cases; one that has been used to develop the method proves nothing."""
     nulls: int | None = None
     """Cases without any effect; a fifth by default."""
+    ablations: int = 0
+    """Of so many cases, what each part of the method is worth: five more diagnoses each."""
 
     def run(self) -> None:
         from soro_bench.proof.prove import prove
 
         with StageBars() as bar:
-            text = prove(self.out, self.count, self.seed, self.nulls, bar)
+            text = prove(self.out, self.count, self.seed, self.nulls, self.ablations, bar)
         console.print(text, soft_wrap=True, markup=False, highlight=False)
 
 

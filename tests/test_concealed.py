@@ -23,7 +23,7 @@ from soro_bench.proof import cases
 from soro_bench.recording.parquet import load
 
 NOMINAL = {p.name: p.nominal for p in trunk.PARAMETERS}
-DURATIONS = {"train": 1.0, "heldout": 0.5}
+DURATIONS = {"train": 1.0, "heldout": 0.5, "task": 0.5}
 
 
 def rates(steps, seed=0):
@@ -231,7 +231,7 @@ def test_effects_are_scaled(short):
     case = cases.Case(
         "case_000", "two", "fine", NOMINAL, ("payload", "actuator_delay"), (1.0, 2.0), (0, 0)
     )  # fmt: skip
-    recordings, label = cases.build(case, {"train": 3.0, "heldout": 1.0})
+    recordings, label = cases.build(case, {"train": 3.0, "heldout": 1.0, "task": 1.0})
     for effect, target in zip(label["effects"], case.targets, strict=True):
         assert effect["target_mm"] == target
         assert abs(np.log(effect["change_mm"] / target)) < 0.1

@@ -6,6 +6,7 @@ import pytest
 
 from soro_bench.files import write_json
 from soro_bench.proof import prove
+from soro_bench.proof.ablation_score import ablation_rows, by_bic
 from soro_bench.proof.score import markdown, opened_labels, scored
 
 
@@ -17,6 +18,10 @@ def label(number, group="one", name="payload", category="inertia", kind="body", 
             "noise": {"value": 5e-4, "unit": "m"}}  # fmt: skip
 
 
+def hypothesis(names, where, excess, unknowns):
+    return {"names": names, "where": [where] * len(names), "excess": excess, "unknowns": unknowns, "samples": 1000}
+
+
 def report(name="payload", category="inertia", kind="body", place="vertebra4", chance=0.9, verdict="missing_physics"):
     where = None if name == "none" else {"kind": kind, "name": place}
     first = {"name": name, "class": category, "probability": chance, "where": where}
@@ -24,6 +29,7 @@ def report(name="payload", category="inertia", kind="body", place="vertebra4", c
     fit = {"rmse_before": 6e-4, "rmse_after": 5e-4, "noise_floor": 5e-4}
     return {"effects": [first, rest], "verdict": verdict, "credible_set": [name],
             "classes": [{"class": category, "probability": chance}, {"class": "unknown", "probability": 1 - chance}],
+            "hypotheses": [hypothesis([], None, 100.0, 5), hypothesis([name], where, 10.0, 6)],
             "fit": {"train": fit, "heldout": fit, "fve_heldout": 0.95}, "seconds": 50.0}  # fmt: skip
 
 
@@ -98,3 +104,26 @@ def test_labels_are_opened_only_when_every_case_has_its_report(tmp_path, monkeyp
     assert "| first answer right | 2 | 1 |" in text
     prove.diagnosed(None, tmp_path / "cases" / "case_000", tmp_path / "reports" / "case_000.json")
     assert len(done) == 2
+
+
+def test_ablations_are_scored_on_the_cases_that_all_have():
+    labels = [label(0), label(1), label(2, "none")]
+    whole = {"case_000": report(), "case_001": report(), "case_002": report("none", "none", verdict="none_detected")}
+    wrong = report("base_tilt", "static_one_sided", "model", "gravity")
+    fit = {"rmse_before": 9e-4, "rmse_after": 8e-4, "noise_floor": 5e-4}
+    others = {"no_floor": {**whole, "case_000": wrong}, "network_only": dict.fromkeys(whole, fit)}
+    rows = {row["variant"]: row for row in ablation_rows(labels, whole, others)}
+    assert rows["the whole method"]["first answer right"] == 1.0
+    assert rows["no_floor"]["first answer right"] == 0.5
+    assert rows["network_only"]["first answer right"] is None
+    assert rows["network_only"]["held-out rms [mm]"] == pytest.approx(0.8)
+    assert rows["network_only"]["held-out variance explained"] == pytest.approx(1 - 39 / 56)
+
+
+def test_the_information_criterion_takes_what_fits_better_for_its_unknowns():
+    found = by_bic(report("none", "none", verdict="none_detected"))
+    assert found["verdict"] == "missing_physics"  # 90 nats for one more unknown
+    small = report()
+    small["hypotheses"][0]["excess"] = 11.0
+    assert by_bic(small)["verdict"] == "none_detected"
+    assert by_bic(report())["effects"][0]["probability"] == pytest.approx(1.0)

@@ -24,7 +24,8 @@ from soro_bench.effects.catalogue import CATEGORIES
 RADII, LAST = ((0.7, 0.3), (0.15,), (0.05, 0.05)), 0.07
 FAR_DRAWS, FAR = 3, 0.7  # replays of each refined robot at first, and their standard deviation
 NEAR = (0.15, 0.05, 0.0)  # of the one near each fit
-POLISHES, ENOUGH = 4, 0.1  # at most, and the share of what is left that one more is worth
+# polishes at most, the excess below which none is needed (nulls leave as much), the share that one more has to take off
+POLISHES, CLEAN, ENOUGH = 4, 2000.0, 0.1
 MOST = 3  # effects
 LEADS, FLOORS = 6, 2  # leads that are tried, and hypotheses of a round with floors of their own
 # natural logarithm of the evidence that a lead has to promise (of five nulls the best promise 42 to 255), and the share
@@ -99,11 +100,10 @@ def explained(
 
 
 def _polished(problem, refined, hypothesis, candidates, found, seeds):
-    """Fit and numerical floor in turns, as long as what is left looks like one more effect and that helps."""
+    """Fit and numerical floor in turns, as long as more is left than nulls leave and that helps."""
     for _ in range(POLISHES):
-        screened, before = evidence(problem, hypothesis, candidates, found), problem.excess(hypothesis.residual)
-        if singles(screened)[0].gain < _worth(problem, hypothesis):
-            return problem, hypothesis, screened
+        if (before := problem.excess(hypothesis.residual)) < CLEAN:
+            break
         better = polished(problem, hypothesis, next(seeds))
         problem, (hypothesis,) = _with_own_floor(problem, refined, [better], next(seeds))
         if problem.excess(hypothesis.residual) > (1.0 - ENOUGH) * before:

@@ -20,7 +20,7 @@ def numerical_floor(problem: Problem, refined: Sequence[Robot], points: Sequence
 
     The accurate model has other parts: an effect that has no place in it is left out on both sides.
     """
-    columns = []
+    columns = [np.zeros((0, problem.weight.size))]
     for finer in refined:
         common = [_common(problem, finer, *point) for point in points]
         columns.append(problem.simulated(finer, common) - problem.simulated(problem.robot, common))

@@ -89,7 +89,7 @@ def diagnose(
         raise RecordingError(f"{size} numbers to explain; at most {MOST_NUMBERS}, so cut the recordings")
     audits = tuple(audit(each) for each in (*measured, *tested))
     sigma = min(a.sigma for a in audits)  # of one sensor: motion only adds to it
-    problem, nominal = nominal_fit(_problem(robot, measured, sigma), refined, seed, progress)
+    problem, nominal = nominal_fit(unexplained(robot, measured, sigma), refined, seed, progress)
     problem, nominal, found_outliers = _without_outliers(problem, nominal)
     problem, nominal = _with_noise(problem, nominal, max(a.least for a in audits))
     candidates = suspects(robot)
@@ -110,7 +110,8 @@ def _proposal(found: Diagnosis, seed: int) -> Proposal | None:
     return proposed(found.explanation.problem, found.comparison, unknown, seed)
 
 
-def _problem(robot: Robot, measured: tuple[Measured, ...], sigma: float) -> Problem:
+def unexplained(robot: Robot, measured: tuple[Measured, ...], sigma: float) -> Problem:
+    """Recordings of which nothing is explained yet, with noise ``sigma`` and no numerical floor."""
     weight = np.concatenate([np.isfinite(each.values).ravel().astype(float) for each in measured])
     return Problem(robot, measured, sigma, weight, LowRank(np.zeros((0, weight.size))))
 
@@ -119,7 +120,7 @@ def _tested(robot, measured, sigma, nominal) -> Problem | None:
     """The held-out recordings without their outliers; None if there are none."""
     if not measured:
         return None
-    problem = _problem(robot, measured, sigma)
+    problem = unexplained(robot, measured, sigma)
     return _masked(problem, _outliers(problem, problem.residuals([(nominal.x, ())])[0]))
 
 

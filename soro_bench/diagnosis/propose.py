@@ -22,7 +22,7 @@ from soro_bench.inference.clouds import LowRank
 from soro_bench.recording.excitation import in_turn, loops, multisine, step_and_hold, triangles
 
 DURATION, HOLD = 10.0, 4.0  # s
-CLOSE, ALONE = 0.05, 0.9  # probability of an answer that is left, and of one beside which there is none
+CLOSE = 0.05  # probability of an answer that is left
 RIVALS = 3  # answers that are told apart, at most
 FINALISTS, DIRECTIONS = 2, 2  # motions, and combinations of unknowns for which they are simulated again
 APART = math.log(20.0)  # tempered evidence that tells two answers apart
@@ -75,16 +75,14 @@ def proposed(problem: Problem, comparison: Comparison, unknown: Port | None = No
 
 
 def competing(comparison: Comparison) -> list[Answer]:
-    """The answers that are left: those close to the best; where none is, and it is not sure, the next ones."""
+    """The answers that are left."""
     merged: dict[frozenset, Answer] = {}  # those that differ in where their fits began are one
     for answer in comparison.answers:
         first = merged.get(_places(answer))
         chance = answer.probability + (first.probability if first else 0.0)
         merged[_places(answer)] = replace(first or answer, probability=chance)
     answers = sorted(merged.values(), key=lambda a: -a.probability)
-    close = [a for a in answers if a.probability >= CLOSE]
-    alone = len(close) == 1 and close[0].probability >= ALONE
-    return (close if len(close) > 1 or alone else answers)[:RIVALS]
+    return [a for a in answers if a.probability >= CLOSE][:RIVALS]
 
 
 def motions(channels: Sequence[int], names: Sequence[str], timestep: float, seed: int = 0) -> list[Motion]:

@@ -13,7 +13,7 @@ from soro_bench.diagnosis.screen import Lead
 
 SCALES, KEPT = (0.15, 0.07), (4, 3)  # of the clouds, and how many hypotheses go on after each
 _TRIED, _LENGTHS = 4, (0.5, 1.0)  # how many leads are fitted, and shares of their magnitudes at which all are tried
-_POLISH = (0.15, 0.05)  # radii
+_POLISH = (0.3, 0.1)  # radii
 _PER_NAME = 2  # leads that differ in their places only
 
 

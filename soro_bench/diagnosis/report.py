@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from soro_bench.diagnosis.compare import Answer, Fit
+from soro_bench.diagnosis.compare import Answer, Fit, temperature
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.localise import Regime, explained_over_time, intervals, regimes
 from soro_bench.diagnosis.pipeline import ALPHA, Diagnosis
@@ -217,8 +217,10 @@ def _own_units(diagnosis: Diagnosis) -> tuple[str, str]:
 
 
 def _deviations(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:
-    """(n,) of x."""
-    return np.sqrt(np.diag(hypothesis.covariance(diagnosis.explanation.problem)))
+    """(n,) of x, under evidence tempered as in the comparison: a model that is wrong knows less than it seems."""
+    problem = diagnosis.explanation.problem
+    heat = temperature(problem.excess(hypothesis.residual))
+    return np.minimum(np.sqrt(heat * np.diag(hypothesis.covariance(problem))), 1.0)
 
 
 def _values(priors, x) -> np.ndarray:

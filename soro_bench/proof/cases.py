@@ -31,7 +31,7 @@ from soro_bench.recording.simulated import COMMAND
 NOISE = 0.0005  # m, standard deviation of each coordinate
 TARGETS = (0.7, 4.0)  # mm, rms change of the keypoints by one effect
 GROUPS = ("none", "one", "two", "measurement", "unknown")
-DURATIONS = {"train": 30.0, "heldout": 12.0}  # s
+DURATIONS = {"train": 30.0, "heldout": 12.0, "task": 30.0}  # s; "task" is to train on where excitation is to be judged
 _NULL_SHARE = 0.2
 _SHARES = np.array([45, 15, 10, 10]) / 80  # of the rest, in the order of the other groups
 _SPREAD = math.log(1.3)  # of every parameter but Poisson's ratio, about its nominal value
@@ -42,7 +42,7 @@ _ACCEPTED = (0.85 * TARGETS[0], 1.15 * TARGETS[1])  # mm; else place and shape a
 _DRAWS = 5
 _TAIL = 0.6  # s after a recording, which a slow clock sees
 _DATE = 946684800  # s, the 1st of January 2000: when a file was made would tell how long its case took
-_ROLES = ("train", "heldout")
+_ROLES = ("train", "heldout", "task")
 
 
 @dataclass(frozen=True)
@@ -123,6 +123,7 @@ def build(case: Case, durations: dict[str, float] = DURATIONS) -> tuple[dict[str
     actions = {
         "train": excitation(_action_space(), CONTROL_TIMESTEP, durations["train"], _number(streams["train"])),
         "heldout": manoeuvre(durations["heldout"], streams["heldout"]),
+        "task": manoeuvre(durations["task"], streams["task"]),
     }
     bench = _Bench(case, actions, streams)
     effects, points = bench.realised(np.random.default_rng(streams["drawing"]))
@@ -158,8 +159,8 @@ def write_cases(
 ) -> None:
     """Write the recordings of ``count`` cases, the sealed labels and the commitment to them.
 
-    In ``folder``: case_000/train.parquet and heldout.parquet and so on; sealed/labels.json; commitment.txt, the
-    SHA-256 of the labels. Called again, it goes on where it stopped.
+    In ``folder``: case_000/train.parquet, heldout.parquet, task.parquet and so on; sealed/labels.json; commitment.txt,
+    the SHA-256 of the labels. Called again, it goes on where it stopped.
 
     Args:
         progress: is told how many of the cases are done.

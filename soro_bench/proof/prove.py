@@ -1,6 +1,7 @@
 """The blinded challenge: cases with concealed physics are written and committed to, diagnosed, and only then scored."""
 
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 
 from soro_bench.diagnosis.pipeline import diagnose
@@ -8,6 +9,9 @@ from soro_bench.diagnosis.report import report_of
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.files import read_json, replacing, write_json
+from soro_bench.proof import ablation_score
+from soro_bench.proof.ablation_score import ablation_rows
+from soro_bench.proof.ablations import ABLATIONS, ablated
 from soro_bench.proof.cases import write_cases
 from soro_bench.proof.score import markdown, opened_labels, scored
 from soro_bench.recording.parquet import load
@@ -17,11 +21,15 @@ Progress = Callable[[str, int, int], None]
 
 
 def prove(
-    folder: str | Path, count: int, seed: int, nulls: int | None = None, progress: Progress = lambda *_: None
-) -> str:
+    folder: str | Path, count: int, seed: int, nulls: int | None = None, ablations: int = 0,
+    progress: Progress = lambda *_: None,
+) -> str:  # fmt: skip
     """Write what is missing of cases, reports and scorecard in a folder; returns the scorecard, Markdown.
 
     The diagnosis sees recordings only; the labels are opened when every case has its report.
+
+    Args:
+        ablations: how many of the cases, the first ones, are also diagnosed without each part of the method.
     """
     folder = Path(folder)
     cases, reports = folder / "cases", folder / "reports"
@@ -31,12 +39,22 @@ def prove(
     for i, name in enumerate(names):
         diagnosed(robot, cases / name, reports / f"{name}.json")
         progress("cases diagnosed", i + 1, len(names))
-    card = scored(opened_labels(cases), {path.stem: read_json(path) for path in sorted(reports.glob("case_*.json"))})
+    for i, (ablation, name) in enumerate(jobs := list(product(ABLATIONS if ablations else (), names[:ablations]))):
+        ablated(robot, ablation, cases / name, folder / ablation / f"{name}.json")
+        progress("ablations", i + 1, len(jobs))
+    labels, found = opened_labels(cases), _read_all(reports)
+    card = scored(labels, found)
+    others = {ablation: _read_all(folder / ablation) for ablation in (ABLATIONS if ablations else ())}
+    card["ablations"] = ablation_rows(labels, found, others)
     write_json(folder / "scorecard.json", card)
-    text = markdown(card)
+    text = f"{markdown(card)}\n\n{ablation_score.markdown(card['ablations'])}"
     with replacing(folder / "scorecard.md") as temporary:
         temporary.write_text(text + "\n")
     return text
+
+
+def _read_all(folder) -> dict[str, dict]:
+    return {path.stem: read_json(path) for path in sorted(folder.glob("case_*.json"))}
 
 
 def diagnosed(robot: Robot, case: Path, path: Path) -> dict:

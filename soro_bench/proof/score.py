@@ -31,7 +31,7 @@ def scored(labels: Sequence[dict], reports: dict[str, dict], seed: int = 0) -> d
     Returns:
         {"cases": a row per case, "gates": a row per gate, "confusion": (truth, said, count), "calibration": bins}.
     """
-    rows = [_row(label, reports[label["id"]]) for label in labels if label["id"] in reports]
+    rows = [case_row(label, reports[label["id"]]) for label in labels if label["id"] in reports]
     rng = np.random.default_rng(seed)
     return {
         "cases": rows,
@@ -41,7 +41,8 @@ def scored(labels: Sequence[dict], reports: dict[str, dict], seed: int = 0) -> d
     }
 
 
-def _row(label, report) -> dict:
+def case_row(label: dict, report: dict) -> dict:
+    """What a report found of what a label says."""
     effects = [e for e in report["effects"] if e["name"] != "none"]
     first = report["effects"][0]
     truth, said = [e["name"] for e in label["effects"]], [e["name"] for e in effects]

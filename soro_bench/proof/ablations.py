@@ -1,0 +1,110 @@
+"""What each part of the diagnosis is worth: the same cases without it, and what others would do instead."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.diagnosis.audit import audit
+from soro_bench.diagnosis.explain import nominal_fit
+from soro_bench.diagnosis.pipeline import diagnose, unexplained
+from soro_bench.diagnosis.report import report_of
+from soro_bench.diagnosis.robot import Robot
+from soro_bench.diagnosis.suite_robot import SuiteRobot
+from soro_bench.files import read_json, write_json
+from soro_bench.proof.residual_network import residual_rms
+from soro_bench.recording.parquet import load
+
+FROZEN = 1e-6  # of a parameter's prior standard deviation, where it is not fitted
+
+
+class Unrefined(SuiteRobot):
+    """A robot of which no more accurate simulation is known: there is no numerical floor."""
+
+    def refined(self) -> list[Robot]:
+        """None."""
+        return []
+
+
+class Calibrated(SuiteRobot):
+    """A robot whose parameters have been fitted before anything else is looked at, and stay.
+
+    Args:
+        x: (d,) where they stay, in standard deviations of their priors.
+    """
+
+    def __init__(self, env_id: str, x: np.ndarray, threads: int = 0):
+        super().__init__(env_id, threads=threads)
+        self.priors = tuple(
+            replace(prior, nominal=float(prior.value(value)), deviation=FROZEN * prior.deviation)
+            for prior, value in zip(self.priors, x, strict=True)
+        )
+
+    def refined(self) -> list[Robot]:
+        """As the robot's, with the same parameters."""
+        finer = super().refined()
+        for each in finer:
+            each.priors = self.priors
+        return finer
+
+
+def without_floor(robot: SuiteRobot, case: Path) -> dict:
+    """No numerical floor."""
+    return _report(Unrefined(robot.env_id, threads=robot.threads), case)
+
+
+def without_joint_fit(robot: SuiteRobot, case: Path) -> dict:
+    """Parameters fitted first, effects looked for in what that leaves."""
+    measured = robot.measured(load(case / "train.parquet"))
+    problem = unexplained(robot, (measured,), audit(measured).sigma)
+    _, nominal = nominal_fit(problem, robot.refined(), 0)
+    return _report(Calibrated(robot.env_id, nominal.x, robot.threads), case)
+
+
+def on_task_motion(robot: SuiteRobot, case: Path) -> dict:
+    """Recordings of smooth motion like that of a task, instead of an excitation."""
+    return _report(robot, case, "task")
+
+
+def network_only(robot: SuiteRobot, case: Path) -> dict:
+    """Parameters fitted, and a network for what they leave: held-out rms [m] before and after; it names nothing."""
+    train, heldout = (robot.measured(load(case / f"{role}.parquet")) for role in ("train", "heldout"))
+    problem = unexplained(robot, (train,), audit(train).sigma)
+    _, nominal = nominal_fit(problem, robot.refined(), 0)
+    before, after = residual_rms(robot, nominal.x, train, heldout)
+    return {"rmse_before": before, "rmse_after": after, "noise_floor": problem.sigma}
+
+
+def parameters_only(robot: SuiteRobot, case: Path) -> dict:
+    """Parameters fitted by mujoco.sysid, from the nominal values: held-out rms [m] before and after."""
+    from soro_bench.inference.methods import infer
+    from soro_bench.inference.replay import Replay
+
+    names = [prior.name for prior in robot.priors]
+    recording, heldout = load(case / "train.parquet"), robot.measured(load(case / "heldout.parquet"))
+    found = infer("sysid", Replay(recording, names, model=robot.model_name, noise=5e-4, threads=robot.threads))
+    rows = np.array([[prior.nominal for prior in robot.priors], [found.estimate[name] for name in names]])
+    simulated = robot.simulate(heldout.actions, rows, [(), ()])
+    before, after = np.sqrt(np.nanmean((heldout.values - simulated) ** 2, axis=(1, 2, 3)))
+    return {"rmse_before": float(before), "rmse_after": float(after), "noise_floor": audit(heldout).sigma}
+
+
+ABLATIONS: dict[str, Callable[[SuiteRobot, Path], dict]] = {
+    "no_floor": without_floor,
+    "no_joint_fit": without_joint_fit,
+    "task_motion": on_task_motion,
+    "parameters_only": parameters_only,
+    "network_only": network_only,
+}
+
+
+def ablated(robot: SuiteRobot, name: str, case: Path, path: Path) -> dict:
+    """What an ablation says of a case, from its file if it has been made."""
+    if not path.exists():
+        write_json(path, ABLATIONS[name](robot, case))
+    return read_json(path)
+
+
+def _report(robot, case, role="train"):
+    return report_of(diagnose(robot, [load(case / f"{role}.parquet")], [load(case / "heldout.parquet")]))
