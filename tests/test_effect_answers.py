@@ -244,6 +244,24 @@ def test_a_material_without_magnitude_moves_the_flex_model_bit_for_bit_as_before
     assert sag([Effect(name, Port("body", "*"), none)], "flex") == sag((), "flex")
 
 
+def test_a_neck_at_rest_elsewhere_bends_by_that_angle_on_either_model():
+    """Unloaded and with slack cables, the trunk turns beyond the neck by what it is bent there."""
+    ends = []
+    for model in ("cable", "flex"):
+        task = make_task("TrunkReach-v0", 1, 1, model, action="continuous", effects=())
+        turned = Effect("rest_bend", Port("body", "vertebra4"), {"angle_x": 0.0, "angle_y": 0.1})
+        task.sim.assign_effects([[turned]])
+        task.reset(np.arange(1), [np.random.default_rng(0)], [{}])
+        task.sim.batch.expand("opt.gravity")[:] = 0
+        for _ in range(40):
+            task.step(np.arange(1), np.full((1, 8), -0.2, np.float32))
+        points = task.keypoints(np.arange(1))[0]
+        way = points[-1] - points[-4]
+        ends.append(np.arctan2(way[0], way[2]))
+    assert ends[0] == pytest.approx(0.1, rel=0.1)  # between keypoints that lie on the neck's side too
+    assert ends[1] == pytest.approx(ends[0], rel=0.01)
+
+
 # --- energy ---
 
 PENDULUM = """<mujoco><option timestep="0.002" integrator="implicitfast"/>

@@ -19,7 +19,10 @@ from soro_bench.registration import make_task
 PLACES = {"tendon": "L1", "actuator": "L1", "body": "vertebra4", "joint": "bend_x3", "model": "gravity",
           "geom": "object"}  # fmt: skip
 CASES = [(name, kind) for name, law in PHYSICS.items() for kind in law.kinds if kind != "flex"]
-SEVERAL = ("base_tilt",)  # whose quantities are all magnitudes
+SEVERAL = (
+    "base_tilt",
+    "rest_bend",
+)  # whose quantities are all magnitudes
 
 SERVO = """<mujoco><option timestep="0.002" integrator="implicitfast"/>
 <worldbody><body name="arm"><joint name="hinge" axis="0 1 0" damping="0.01"/>

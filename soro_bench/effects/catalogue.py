@@ -13,6 +13,7 @@ PHYSICS = {
         stiffness.Stiffening,
         stiffness.ViscousFriction,
         springs.PlasticSet,
+        springs.RestBend,
         springs.Hysteresis,
         springs.ViscoelasticCreep,
         springs.CoulombFriction,

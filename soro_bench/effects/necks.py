@@ -11,7 +11,7 @@ import numpy as np
 
 from soro_bench.effects.effect import EffectError
 from soro_bench.effects.law import Law
-from soro_bench.effects.springs import Hysteresis, PlasticSet, ViscoelasticCreep
+from soro_bench.effects.springs import Hysteresis, PlasticSet, RestBend, ViscoelasticCreep
 from soro_bench.effects.stiffness import MullinsSoftening, Stiffening
 
 _CELL = 24  # numbers that place the eight nodes of a flex's cell
@@ -137,7 +137,19 @@ class NeckPlasticSet(AcrossNeck):
         return self.value("share", which) * self.memory[which]
 
 
-NECKS = {law.name: law for law in (NeckStiffening, NeckMullins, NeckHysteresis, NeckCreep, NeckPlasticSet)}
+class NeckRestBend(AcrossNeck):
+    """At rest elsewhere."""
+
+    twin = RestBend
+
+    def strain(self, which, bend):
+        x, y = self.values["angle_x"][which], self.values["angle_y"][which]
+        return np.stack([x, y, np.zeros(len(x))], axis=1)
+
+
+NECKS = {
+    law.name: law for law in (NeckStiffening, NeckMullins, NeckHysteresis, NeckCreep, NeckPlasticSet, NeckRestBend)
+}
 
 
 class _Modes:

@@ -227,3 +227,24 @@ def _sites(model, tendon) -> np.ndarray:
     """Sites along a spatial tendon."""
     wraps = np.arange(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
     return model.wrap_objid[wraps][model.wrap_type[wraps] == 3]  # mjWRAP_SITE
+
+
+class RestBend(OnJoints):
+    """Springs that are at rest elsewhere: a part that was moulded, mounted or stored bent."""
+
+    name, category, bending_only = "rest_bend", "static_one_sided", True
+    quantities = (
+        Quantity("angle_x", "rad or m", 0.02, (-3.0, 3.0)),  # of the first joint, or of the only one
+        Quantity("angle_y", "rad or m", 0.02, (-3.0, 3.0)),  # of the second one
+    )
+    fields = ("qpos_spring",)
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        self.first = np.searchsorted(self.place, self.place)
+
+    def write(self, which):
+        number = (np.arange(len(self.place)) - self.first)[which]
+        angles = np.stack([self.values["angle_x"][which], self.values["angle_y"][which]])
+        angle = np.where(number < 2, angles[np.minimum(number, 1), np.arange(len(number))], 0.0)
+        self.field("qpos_spring")[self.rows[which], self.qpos[which]] += angle
