@@ -267,7 +267,7 @@ class Diagnose:
     env: str
     """Environment whose robot was recorded."""
     out: Path
-    """Folder for report.html, report.json, effects.json, posterior.json and comparison.rrd."""
+    """Folder for report.html, report.json, effects.json, posterior.json, patched_model.xml and comparison.rrd."""
     heldout: tuple[Path, ...] = ()
     """Recordings of another motion, to test what is found."""
     model: str | None = None

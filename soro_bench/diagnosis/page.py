@@ -11,8 +11,9 @@ import numpy as np
 
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.localise import explained_over_time, residual_map
+from soro_bench.diagnosis.patch import REMAINING, patch
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.report import findings, patch, verdict, write_json_report
+from soro_bench.diagnosis.report import findings, verdict, write_json_report
 from soro_bench.files import replacing
 from soro_bench.recording.comparison import measured_points
 from soro_bench.recording.recording import Recording
@@ -67,7 +68,7 @@ def _page(diagnosis: Diagnosis, report: dict, text: str) -> str:
     return (
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Diagnosis</title><style>{_STYLE}</style>"
         f"<h1>Diagnosis of {html.escape(diagnosis.robot.env_id)}</h1><p class='verdict'>{html.escape(text)}</p>"
-        f"{_effects_table(report)}{figures}{_parameters_table(report)}{_detectable_table(report)}</html>\n"
+        f"{_effects_table(report)}{_model_note(report)}{figures}{_parameters_table(report)}{_detectable_table(report)}</html>\n"
     )
 
 
@@ -86,6 +87,17 @@ def _effects_table(report) -> str:
         said = "; ".join([*effect["evidence"], *(f"but {each}" for each in effect["against"])])
         rows.append([f"{effect['probability']:.2f}", effect["name"], place, values, said])
     return _table("Effects", ["probability", "effect", "place", "parameters", "evidence"], rows)
+
+
+def _model_note(report) -> str:
+    if report["model_patch"] is None:
+        said = f"There is no patched model: {report['model_patch_obstacle']}."
+    else:
+        has = " and ".join(["the fitted parameters", *report["model_patch_effects"]])
+        said = f"{report['model_patch']} is the robot in MJCF with {has}."
+    if report["model_patch"] and report["model_patch_lacks"]:
+        said += f" It lacks {' and '.join(report['model_patch_lacks'])}, see {REMAINING}."
+    return f"<h2>Patched model</h2><p>{html.escape(said)}</p>"
 
 
 def _value(name, q) -> str:

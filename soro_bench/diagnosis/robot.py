@@ -1,14 +1,16 @@
 """The robot of a diagnosis: a simulation that replays a recording under parameters and effects."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 
 from soro_bench.effects.catalogue import MEASUREMENT
 from soro_bench.effects.effect import Effect, EffectError, Port
-from soro_bench.effects.elements import Elements
+from soro_bench.effects.elements import Elements, instrument
 from soro_bench.effects.measurement import distorted
+from soro_bench.models import trunk
 from soro_bench.recording.recording import Recording, RecordingError, resampled
 from soro_bench.recording.simulated import recorded_actions
 from soro_bench.registration import make_task, task_type
@@ -96,6 +98,24 @@ class Robot:
         except EffectError:
             return False
         return True
+
+    def native(self, effect: Effect) -> bool:
+        """Whether an effect is in the fields of the model, and nowhere else."""
+        if effect.where.kind == "sensor":
+            return False
+        self._task.sim.assign_effects([[effect]] * SIMULATIONS)
+        return self._task.sim.native
+
+    def spec(self) -> mujoco.MjSpec:
+        """What its model is compiled from."""
+        return instrument(trunk.build_spec(self._task.scene, self.model_name))
+
+    def model(self, parameters: Mapping[str, float], effects: Sequence[Effect]) -> mujoco.MjModel:
+        """Its model with parameters, and with effects that are native."""
+        sim = self._task.sim
+        sim.assign_effects([effects] * SIMULATIONS)
+        sim.set_params(np.arange(1), sim.parameters.to_array(parameters)[None])
+        return sim.batch.get_model(0)
 
     def measured(self, recording: Recording) -> Measured:
         """The part of a recording that a diagnosis uses; RecordingError says what it lacks."""
