@@ -268,7 +268,8 @@ class Diagnose:
     recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """.parquet; `soro-bench excite` writes the actions for a good one."""
     out: Path
-    """Folder for report.html, report.json, effects.json, posterior.json, comparison.rrd and next_actions.csv."""
+    """Folder for report.html, report.json, effects.json, posterior.json, patched_model.xml, comparison.rrd,
+    next_actions.csv."""
     env: str | None = None
     """Environment whose robot was recorded."""
     model: str | None = None

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -90,6 +91,9 @@ def test_a_hidden_payload_is_named_with_its_place_and_mass_and_the_held_out_fit_
     assert "payload at body vertebra7" in text
     (effect,) = load_effects(tmp_path / "effects.json", QUANTITIES)
     assert effect.name == "payload"
+    assert (report["model_patch"], report["model_patch_effects"]) == ("patched_model.xml", ["payload"])
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "patched_model.xml"))
+    assert model.body("vertebra7").mass[0] > 1.5 * model.body("vertebra6").mass[0]
     assert set(load(tmp_path / "posterior.json").names) == {prior.name for prior in robot.priors}
     page = (tmp_path / "report.html").read_text()
     assert "<script" not in page

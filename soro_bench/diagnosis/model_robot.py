@@ -146,6 +146,10 @@ class ModelRobot(Robot):
             finer.append(ModelRobot(mapping.parent / self._accurate, mapping, self.threads))
         return finer
 
+    def spec(self) -> mujoco.MjSpec:
+        """The model of the file, with what effects need."""
+        return _spec(self._paths[0])
+
     def actions(self, recording: Recording) -> np.ndarray:
         """(T, nu) setpoints of all actuators; those that no command names are zero."""
         steps = int(np.ceil(recording.duration / self.control_timestep - 1e-6))
@@ -233,12 +237,16 @@ def _table(path) -> dict:
     return table
 
 
+def _spec(path) -> mujoco.MjSpec:
+    return instrument(mujoco.MjSpec.from_file(str(path)))
+
+
 def _compiled(path) -> mujoco.MjModel:
     """The model, with what effects need."""
     if not Path(path).is_file():
         raise ModelError(f"there is no model {path}")
     try:
-        return instrument(mujoco.MjSpec.from_file(str(path))).compile()
+        return _spec(path).compile()
     except ValueError as error:
         raise ModelError(f"{path} is no MuJoCo model: {error}") from error
 

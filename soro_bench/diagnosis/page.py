@@ -11,8 +11,9 @@ import numpy as np
 
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.localise import explained_over_time, residual_map
+from soro_bench.diagnosis.patch import REMAINING, patch
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.report import findings, patch, verdict, write_json_report
+from soro_bench.diagnosis.report import findings, verdict, write_json_report
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.files import replacing
 from soro_bench.recording.comparison import measured_points
@@ -80,7 +81,8 @@ def _page(diagnosis: Diagnosis, report: dict, text: str) -> str:
     return (
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Diagnosis</title><style>{_STYLE}</style>"
         f"<h1>Diagnosis of {html.escape(diagnosis.robot.name)}</h1><p class='verdict'>{html.escape(text)}</p>"
-        f"{_effects_table(report)}{_next_table(report)}{figures}{_parameters_table(report)}{_detectable_table(report)}</html>\n"
+        f"{_effects_table(report)}{_next_table(report)}{_model_note(report)}{figures}"
+        f"{_parameters_table(report)}{_detectable_table(report)}</html>\n"
     )
 
 
@@ -107,6 +109,17 @@ def _next_table(report) -> str:
     pairs = "; ".join(" from ".join(pair) for pair in proposed["separates"]) or "-"
     row = [proposed["file"], proposed["motion"], pairs, f"{proposed['evidence_nats']:.0f}"]
     return _table("What to record next", ["actions", "motion", "would tell apart", "evidence [nats]"], [row])
+
+
+def _model_note(report) -> str:
+    if report["model_patch"] is None:
+        said = f"There is no patched model: {report['model_patch_obstacle']}."
+    else:
+        has = " and ".join(["the fitted parameters", *report["model_patch_effects"]])
+        said = f"{report['model_patch']} is the robot in MJCF with {has}."
+    if report["model_patch"] and report["model_patch_lacks"]:
+        said += f" It lacks {' and '.join(report['model_patch_lacks'])}, see {REMAINING}."
+    return f"<h2>Patched model</h2><p>{html.escape(said)}</p>"
 
 
 def _value(name, q) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from soro_bench.diagnosis.compare import Answer, Fit, temperature
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.localise import Regime, explained_over_time, intervals, regimes
+from soro_bench.diagnosis.patch import MODEL, ModelPatch, model_patch, patch, rejected, write_model_patch
 from soro_bench.diagnosis.pipeline import ALPHA, Diagnosis
 from soro_bench.diagnosis.propose import DURATION, Proposal
 from soro_bench.diagnosis.suite_robot import SuiteRobot
@@ -49,9 +50,10 @@ def findings(diagnosis: Diagnosis) -> list[Finding]:
 
 
 def write_json_report(diagnosis: Diagnosis, folder: str | Path) -> dict:
-    """report.json, effects.json, posterior.json and any actions to record next in a folder; returns the report."""
-    folder = Path(folder)
-    report = report_of(diagnosis)
+    """All files for programs: report, effects, posterior, patched model, actions to record next; returns the
+    report."""
+    folder, model = Path(folder), model_patch(diagnosis)
+    report = {**report_of(diagnosis), **_model_patch(model)}
     write_json(folder / "report.json", report)
     save_effects(patch(diagnosis), folder / "effects.json")
     if isinstance(diagnosis.robot, SuiteRobot):  # the others are not trained on
@@ -61,20 +63,17 @@ def write_json_report(diagnosis: Diagnosis, folder: str | Path) -> dict:
         write_actions(folder / NEXT_ACTIONS, diagnosis.robot.control_timestep, actions)
     else:
         (folder / NEXT_ACTIONS).unlink(missing_ok=True)  # of an earlier diagnosis
+    write_model_patch(model, folder)
     return report
 
 
-def patch(diagnosis: Diagnosis) -> list[Effect]:
-    """The physics that the simulation should have; none where nothing is missing or held-out recordings got worse."""
-    if diagnosis.verdict not in ("missing_physics", "measurement_fault") or rejected(diagnosis):
-        return []
-    return diagnosis.comparison.answers[0].hypothesis.effects(diagnosis.explanation.problem.parameters)
-
-
-def rejected(diagnosis: Diagnosis) -> bool:
-    """Whether the most probable hypothesis makes held-out recordings worse."""
-    heldout = diagnosis.comparison.answers[0].heldout
-    return heldout is not None and heldout.after > heldout.before
+def _model_patch(found: ModelPatch) -> dict:
+    return {
+        "model_patch": MODEL if found.xml else None,
+        "model_patch_effects": [effect.name for effect in found.effects],
+        "model_patch_lacks": [effect.name for effect in found.remaining],
+        "model_patch_obstacle": found.obstacle,
+    }
 
 
 def posterior(diagnosis: Diagnosis) -> TruncatedNormal:

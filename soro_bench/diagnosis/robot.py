@@ -1,9 +1,10 @@
 """The robot of a diagnosis: a simulation that replays a recording under parameters and effects."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 
 from soro_bench.effects.catalogue import MEASUREMENT
@@ -83,6 +84,10 @@ class Robot(ABC):
         """The same robot simulated more accurately."""
 
     @abstractmethod
+    def spec(self) -> mujoco.MjSpec:
+        """What its model is compiled from."""
+
+    @abstractmethod
     def actions(self, recording: Recording) -> np.ndarray:
         """(T, ...) checked commands of a recording, one per control step; RecordingError says what it lacks."""
 
@@ -136,6 +141,20 @@ class Robot(ABC):
         except EffectError:
             return False
         return True
+
+    def native(self, effect: Effect) -> bool:
+        """Whether an effect is in the fields of the model, and nowhere else."""
+        if effect.where.kind == "sensor":
+            return False
+        self.simulation.assign_effects([[effect]] * SIMULATIONS)
+        return self.simulation.native
+
+    def model(self, parameters: Mapping[str, float], effects: Sequence[Effect]) -> mujoco.MjModel:
+        """Its model with parameters, and with effects that are native."""
+        sim = self.simulation
+        sim.assign_effects([effects] * SIMULATIONS)
+        sim.set_params(np.arange(1), sim.parameters.to_array(parameters)[None])
+        return sim.batch.get_model(0)
 
     def measured(self, recording: Recording) -> Measured:
         """The part of a recording that a diagnosis uses; RecordingError says what it lacks."""

@@ -1,8 +1,11 @@
 """The robots of the suite: what is known of them for a diagnosis."""
 
+import mujoco
 import numpy as np
 
 from soro_bench.diagnosis.robot import SHORTER, SIMULATIONS, Prior, Robot
+from soro_bench.effects.elements import instrument
+from soro_bench.models import trunk
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.simulated import recorded_actions
 from soro_bench.registration import make_task, task_type
@@ -41,6 +44,10 @@ class SuiteRobot(Robot):
         finer = SuiteRobot(self.env_id, self.model_name, self.threads)
         finer._task.refine(SHORTER)
         return [finer, SuiteRobot(self.env_id, task_type(self.env_id).accurate, self.threads)]
+
+    def spec(self) -> mujoco.MjSpec:
+        """The model of the task's scene, with what effects need."""
+        return instrument(trunk.build_spec(self._task.scene, self.model_name))
 
     def actions(self, recording: Recording) -> np.ndarray:
         """Rates of the cables, as the environment takes them."""

@@ -29,6 +29,17 @@ def instrument(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     return spec
 
 
+def without_unused_springs(spec: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Take from an instrumented model the springs that no effect has given a stiffness."""
+    for tendon in list(spec.tendons):
+        if not np.any(tendon.stiffness):
+            if tendon.name.startswith(AUXILIARY):
+                spec.delete(tendon)
+            else:
+                tendon.springyield = 0.0
+    return spec
+
+
 @dataclass
 class Elements:
     """Names and sizes in a compiled model."""

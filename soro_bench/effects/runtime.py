@@ -56,6 +56,11 @@ class ActiveEffects:
         self._stepped = [law for law in self._laws if law.stepped]
         self._prepare_setpoints()
 
+    @property
+    def native(self) -> bool:
+        """Whether everything that the effects do is in model fields."""
+        return not (self.filters or self._stepped)
+
     def _on_neck(self, port) -> bool:
         """Whether a body hangs on what precedes it by a flex, not by joints that could have springs."""
         return port.kind == "body" and not len(self.elements.joints_of(self.elements.id(port)))
@@ -94,7 +99,7 @@ class ActiveEffects:
 
     def step(self, ids: np.ndarray, nstep: int, stage: int) -> None:
         """Advance simulations ``ids`` as ``Batch.step`` does."""
-        if not (self.filters or self._stepped):
+        if self.native:
             self.batch.step(ids, nstep=nstep, stage=stage)
             return
         asked = self.batch.ctrl[ids]

@@ -76,6 +76,11 @@ class Simulation:
         self._effects.assign(effects)
         self.set_params(np.arange(len(effects)), self.params)
 
+    @property
+    def native(self) -> bool:
+        """Whether the effects are in model fields and nowhere else."""
+        return self._effects is None or self._effects.native
+
     def set_params(self, ids: np.ndarray, params: np.ndarray) -> None:
         """Give simulations ``ids`` the parameters ``params`` (len(ids), d); MuJoCo's derived constants follow."""
         self.params[ids] = params

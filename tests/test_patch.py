@@ -1,0 +1,144 @@
+"""The patched model: a robot's MJCF with fitted parameters and with the effects that a model can hold."""
+
+from types import SimpleNamespace
+
+import mujoco
+import numpy as np
+import pytest
+
+from soro_bench.diagnosis.patch import (
+    MODEL,
+    REMAINING,
+    PatchError,
+    model_patch,
+    patched_spec,
+    write_model_patch,
+    written,
+)
+from soro_bench.diagnosis.suite_robot import SuiteRobot
+from soro_bench.effects.catalogue import QUANTITIES
+from soro_bench.effects.effect import EVERY, Effect, Port, load_effects
+from soro_bench.effects.elements import AUXILIARY
+from soro_bench.envs.trunk import NUM_KEYPOINTS
+from soro_bench.models.trunk_geometry import CABLE_RATE
+
+X = np.array([0.3, -0.4, 0.2, 0.3, 0.1])  # fitted parameters, in standard deviations of their priors
+PAYLOAD = Effect("payload", Port("body", "vertebra7"), {"mass": 0.04})
+DELAY = Effect("actuator_delay", Port("actuator", EVERY), {"delay": 0.01})
+NATIVE = [
+    PAYLOAD,
+    Effect("local_stiffness", Port("body", "vertebra3"), {"factor": 0.6}),
+    Effect("hysteresis", Port("body", "vertebra5"), {"ratio": 0.5, "yield_strain": 0.03}),
+    Effect("plastic_set", Port("body", "vertebra6"), {"softness": 5.0, "share": 0.5}),
+    Effect("viscous_friction", Port("tendon", "L1"), {"damping": 2.6}),
+    Effect("compliance", Port("actuator", "L2"), {"compliance": 1e-4}),
+    Effect("actuator_saturation", Port("actuator", "S2"), {"loss": 0.5}),
+    Effect("base_tilt", Port("model", "gravity"), {"about_x": 0.02, "about_y": 0.01, "about_z": -0.03}),
+]
+
+
+@pytest.fixture(scope="module")
+def robot():
+    return SuiteRobot("TrunkReach-v0", threads=1)
+
+
+def diagnosis(robot, effects, heldout=(2.0, 1.0), verdict="missing_physics"):
+    """A diagnosis with a known answer; the nominal fit is at the origin."""
+    best = SimpleNamespace(x=X, effects=lambda parameters: list(effects))
+    before, after = heldout
+    answer = SimpleNamespace(hypothesis=best, heldout=SimpleNamespace(before=before, after=after))
+    nominal = SimpleNamespace(x=np.zeros(len(X)))
+    explanation = SimpleNamespace(nominal=nominal, problem=SimpleNamespace(parameters=len(X)))
+    comparison = SimpleNamespace(answers=[answer])
+    return SimpleNamespace(robot=robot, verdict=verdict, comparison=comparison, explanation=explanation)
+
+
+def moved(model, actions):
+    """(T, 21, 3) keypoints [m] of a trunk that MuJoCo alone simulates."""
+    data, points = mujoco.MjData(model), []
+    mujoco.mj_forward(model, data)
+    sites = [model.site(f"keypoint{i}").id for i in range(NUM_KEYPOINTS)]
+    for action in actions:
+        data.ctrl[:] = CABLE_RATE * action.astype(float)
+        mujoco.mj_step(model, data, round(0.05 / model.opt.timestep))
+        mujoco.mj_forward(model, data)
+        points.append(data.site_xpos[sites].copy())
+    return np.array(points)
+
+
+@pytest.mark.parametrize("effects", [[], [PAYLOAD], NATIVE])
+def test_a_patched_model_moves_as_the_simulation_with_these_parameters_and_effects(robot, effects):
+    actions = np.repeat(np.random.default_rng(0).uniform(-1, 1, (8, 8)), 5, axis=0).astype(np.float32)
+    parameters = robot.parameters(X)
+    (expected,) = robot.simulate(actions, np.array([list(parameters.values())]), [effects])
+    spec = patched_spec(robot, parameters, effects)
+    np.testing.assert_array_equal(moved(spec.compile(), actions), expected)
+    # MuJoCo writes six digits
+    loaded = mujoco.MjModel.from_xml_string(written(spec, ""))
+    assert np.sqrt(((moved(loaded, actions) - expected) ** 2).mean()) < 2e-5
+
+
+def test_the_file_loads_from_any_folder_and_says_what_it_has(robot, tmp_path, monkeypatch):
+    write_model_patch(model_patch(diagnosis(robot, [PAYLOAD, DELAY])), tmp_path / "report")
+    monkeypatch.chdir(tmp_path)
+    model = mujoco.MjModel.from_xml_path(f"report/{MODEL}")
+    parameters = robot.parameters(X)
+    bare = robot.model(parameters, [])
+    added = model.body("vertebra7").mass[0] - bare.body("vertebra7").mass[0]
+    assert added == pytest.approx(0.04, rel=1e-4)
+    assert model.body("vertebra6").mass[0] == pytest.approx(bare.body("vertebra6").mass[0], rel=1e-5)
+    head = (tmp_path / "report" / MODEL).read_text()[:1000]
+    assert f"trunk_mass {parameters['trunk_mass']:.6g} kg" in head
+    assert "Effects in this model: payload at body vertebra7" in head
+    assert "It lacks actuator_delay at every actuator" in head
+
+
+def test_what_a_model_cannot_hold_is_in_a_file_of_its_own(robot, tmp_path):
+    found = model_patch(diagnosis(robot, [PAYLOAD, DELAY]))
+    assert (found.effects, found.remaining) == ((PAYLOAD,), (DELAY,))
+    write_model_patch(found, tmp_path)
+    assert load_effects(tmp_path / REMAINING, QUANTITIES) == (DELAY,)
+    write_model_patch(model_patch(diagnosis(robot, [PAYLOAD])), tmp_path)
+    assert not (tmp_path / REMAINING).exists()
+
+
+@pytest.mark.parametrize("case", [{"heldout": (1.0, 2.0)}, {"verdict": "unknown_physics"}])
+def test_without_a_patch_the_model_has_the_parameters_that_were_fitted_without_one(robot, case):
+    found = model_patch(diagnosis(robot, [PAYLOAD, DELAY], **case))
+    assert (found.effects, found.remaining) == ((), ())
+    model = mujoco.MjModel.from_xml_string(found.xml)
+    nominal = robot.model(robot.parameters(np.zeros(len(X))), [])
+    np.testing.assert_allclose(model.body_mass, nominal.body_mass, rtol=1e-5)
+    np.testing.assert_allclose(model.jnt_stiffness, nominal.jnt_stiffness, rtol=1e-5)
+
+
+def test_springs_are_in_the_model_only_where_an_effect_uses_them(robot):
+    for effects, count in ([PAYLOAD], 0), ([NATIVE[2]], 2):
+        names = [tendon.name for tendon in patched_spec(robot, robot.parameters(X), effects).tendons]
+        assert sum(name.startswith(AUXILIARY) for name in names) == count
+
+
+def test_a_flex_has_no_patched_model_and_the_reason_is_given(tmp_path):
+    robot = SuiteRobot("TrunkReach-v0", "flex", threads=1)
+    with pytest.raises(PatchError, match="flex_stiffness"):
+        patched_spec(robot, robot.parameters(X), [])
+    found = model_patch(diagnosis(robot, [PAYLOAD]))
+    assert found.xml is None
+    assert "flex_stiffness" in found.obstacle
+    (tmp_path / MODEL).write_text("of another diagnosis")
+    write_model_patch(found, tmp_path)
+    assert not (tmp_path / MODEL).exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "where", "native"),
+    [
+        ("hysteresis", Port("body", "vertebra4"), True),
+        ("actuator_gain", Port("actuator", "L1"), False),
+        ("coulomb_friction", Port("tendon", "L1"), False),
+        ("sensor_bias", Port("sensor", "keypoints", 3), False),
+    ],
+)
+def test_an_effect_is_native_if_the_fields_of_a_model_can_hold_it(robot, name, where, native):
+    parameters = {q.name: q.bounds[1] if np.isfinite(q.bounds[1]) else q.typical for q in QUANTITIES[name]}
+    assert robot.native(Effect(name, where, parameters)) is native
