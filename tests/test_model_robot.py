@@ -11,7 +11,7 @@ from soro_bench.diagnosis.pipeline import diagnose
 from soro_bench.effects.effect import Effect, Port
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 
-ARM = """<mujoco><option timestep="0.01" integrator="implicitfast"/>
+ARM = """<mujoco><option timestep="0.005" integrator="implicitfast"/>
 <worldbody><body name="arm"><joint name="hinge" axis="0 1 0" damping="0.02"/>
 <geom type="capsule" size="0.01" fromto="0 0 0 0.2 0 0" mass="0.1" contype="0" conaffinity="0"/>
 <site name="tip" pos="0.2 0 0"/></body></worldbody>

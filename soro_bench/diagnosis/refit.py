@@ -10,6 +10,7 @@ from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.screen import Lead
+from soro_bench.effects.catalogue import CATEGORIES
 
 SCALES, KEPT = (0.15, 0.07), (4, 3)  # of the clouds, and how many hypotheses go on after each
 _TRIED, _LENGTHS = 4, (0.5, 1.0)  # how many leads are fitted, and shares of their magnitudes at which all are tried
@@ -34,7 +35,7 @@ def refitted(problem: Problem, guesses: Sequence[Guess], seed: int, progress=lam
     guesses = _tried(problem, guesses)
     for k, (scale, kept) in enumerate(zip(SCALES, KEPT, strict=True)):
         found = fitted(problem, guesses, (scale,), seed + k, progress)
-        found = sorted(found, key=lambda h: -h.log_evidence(problem))[:kept]
+        found = _with_twins(sorted(found, key=lambda h: -h.log_evidence(problem)), kept)
         guesses = [_guess(h) for h in found]
     return found
 
@@ -67,8 +68,18 @@ def _tried(problem, guesses):
     residuals = problem.residuals([(g.x, g.suspects) for g in scaled])
     costs = np.array([problem.cost(row, g.x) for row, g in zip(residuals, scaled, strict=True)])
     best = costs.reshape(len(guesses), -1)
-    order = np.argsort(best.min(axis=1))[:_TRIED]
-    return [scaled[i * len(_LENGTHS) + int(best[i].argmin())] for i in order]
+    order = np.argsort(best.min(axis=1))
+    return _with_twins([scaled[i * len(_LENGTHS) + int(best[i].argmin())] for i in order], _TRIED)
+
+
+def _with_twins(ranked, count):
+    """The first so many, and what says nearly the same as the first: laws of its classes at its places."""
+    first = _kind(ranked[0])
+    return ranked[:count] + [each for each in ranked[count:] if _kind(each) == first]
+
+
+def _kind(one: Guess | Hypothesis):
+    return Counter((CATEGORIES[s.name], s.where) for s in one.suspects)
 
 
 def _scaled(x, parameters, length):
