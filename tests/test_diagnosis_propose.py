@@ -142,7 +142,8 @@ def test_nothing_is_proposed_where_one_answer_stands_alone():
 
 
 @pytest.mark.parametrize(
-    ("probabilities", "count"), [((0.6, 0.3, 0.01), 2), ((0.93, 0.06), 2), ((0.6, 0.01, 0.01, 0.01), 1)]
+    ("probabilities", "count"),
+    [((0.6, 0.3, 0.01), 2), ((0.93, 0.06), 2), ((0.6, 0.01, 0.01, 0.01), 1), ((0.01, 0.01), 1)],
 )
 def test_answers_compete_that_are_not_improbable(probabilities, count):
     assert len(competing(Comparison(tuple(answers(*probabilities)), 0.0, 1e-6))) == count

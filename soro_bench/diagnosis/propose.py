@@ -75,14 +75,14 @@ def proposed(problem: Problem, comparison: Comparison, unknown: Port | None = No
 
 
 def competing(comparison: Comparison) -> list[Answer]:
-    """The answers that are left."""
+    """The answers that are left, or the best of all improbable ones."""
     merged: dict[frozenset, Answer] = {}  # those that differ in where their fits began are one
     for answer in comparison.answers:
         first = merged.get(_places(answer))
         chance = answer.probability + (first.probability if first else 0.0)
         merged[_places(answer)] = replace(first or answer, probability=chance)
     answers = sorted(merged.values(), key=lambda a: -a.probability)
-    return [a for a in answers if a.probability >= CLOSE][:RIVALS]
+    return [a for a in answers if a.probability >= CLOSE][:RIVALS] or answers[:1]
 
 
 def motions(channels: Sequence[int], names: Sequence[str], timestep: float, seed: int = 0) -> list[Motion]:
