@@ -18,8 +18,8 @@ from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Robot
 
-# evidence that the best lead promises where nothing is missing (42 to 255 in five cases): a Gumbel distribution
-GUMBEL_LOCATION, GUMBEL_SCALE = 64.0, 67.0
+# evidence that the best lead promises where nothing is missing (42 to 384 in eight cases): a Gumbel distribution
+GUMBEL_LOCATION, GUMBEL_SCALE = 130.0, 100.0
 EFFECT, UNKNOWNS = 100.0, 50.0  # nats that a rugged fit gains by chance from one more effect, from each unknown of it
 TEMPER = (100.0, 0.1)  # nats, and share of the excess
 # share of the excess left where the physics is as likely unknown as not, width, and what nulls leave (600 to 2,500)
