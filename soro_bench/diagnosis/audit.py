@@ -69,7 +69,9 @@ def _step(values) -> float:
     """Between the levels of a quantised signal; 0 for another one."""
     steps = np.abs(np.diff(values, axis=0))
     steps = steps[np.isfinite(steps)]
-    return float(np.min(steps[steps > 0], initial=np.inf)) if (steps == 0).mean() > _REPEATED else 0.0
+    if not len(steps) or (steps == 0).mean() <= _REPEATED:
+        return 0.0
+    return float(steps[steps > 0].min(initial=np.inf))
 
 
 def outliers(residual: np.ndarray) -> np.ndarray:

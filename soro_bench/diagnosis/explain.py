@@ -28,7 +28,7 @@ NEAR = (0.15, 0.05, 0.0)  # of the one near each fit
 POLISHES, CLEAN, ENOUGH = 4, 2000.0, 0.1
 MOST = 3  # effects
 LEADS, FLOORS = 6, 2  # leads that are tried, and hypotheses of a round with floors of their own
-# natural logarithm of the evidence that a lead has to promise (of eight nulls the best promise 42 to 384), and the share
+# natural logarithm of the evidence that a lead has to promise (eight nulls promise 42 to 384 at most), and the share
 # of what is left: where physics has no name in the catalogue, one effect after the other would explain a little of it
 WORTH, WORTH_SHARE = 600.0, 0.05
 
