@@ -176,9 +176,14 @@ def _outliers(diagnosis: Diagnosis) -> dict:
 
 def _condition(effect: Effect, shares: list[Regime]) -> str:
     most = max(shares, key=lambda r: r.explained / max(r.time, 0.02))
-    what = f"of {effect.where}" if effect.where.kind in ("tendon", "actuator") else "of the commands"
-    explained, time = 100 * most.explained, 100 * most.time
-    return f"{explained:.0f} % of what it explains is {most.condition} {what}, {time:.0f} % of the time"
+    one = effect.where.kind in ("tendon", "actuator")
+    what, ending = (str(effect.where), "s") if one else ("the commands", "")
+    when = {
+        "just after reversals": f"just after reversals of {what}",
+        "while it moves on": f"while {what} move{ending} on",
+        "while it rests": f"while {what} rest{ending}",
+    }[most.condition]
+    return f"{100 * most.explained:.0f} % of what it explains is {when}, {100 * most.time:.0f} % of the time"
 
 
 def _quantities(diagnosis: Diagnosis, finding: Finding) -> dict:
