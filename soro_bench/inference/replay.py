@@ -26,7 +26,7 @@ class Replay:
             known ones.
         known: values of parameters that are not inferred; the others have their nominal values.
         model: the environment's model or mesh; by default what was recorded.
-        noise: standard deviation [m] of the recorded positions.
+        noise: standard deviation [m] of the recorded positions; orientations are as noisy at the corner of a 5 cm cube.
         restart: every time step starts from the recorded state, for a recording with its full state, instead of from
             what was simulated before.
         threads: 0 for all processors; results do not depend on it.
@@ -67,7 +67,9 @@ class Replay:
             signal = resampled(recording.signals[name], times)
             rows = signal.values.reshape(len(times), -1)
             measured.append(rows)
-            deviation.append(np.full_like(rows, np.hypot(RESOLUTION[signal.unit], noise if signal.unit == "m" else 0)))
+            # orientations come from the same markers: their noise grows with that of positions
+            noisier = np.hypot(1.0, noise / RESOLUTION["m"])
+            deviation.append(np.full_like(rows, RESOLUTION[signal.unit] * noisier))
             self.groups.append(slice(first, first := first + rows.shape[1]))
         self.measured = np.concatenate(measured, axis=1)  # (T, k), NaN where missing
         self.deviation = np.concatenate(deviation, axis=1)  # (T, k), of what is measured from what is simulated
