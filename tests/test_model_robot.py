@@ -77,6 +77,7 @@ def test_a_hidden_effect_of_any_model_is_named_at_its_place(paths, tmp_path, nam
     assert first["parameters"][quantity]["value"] == pytest.approx(truth, rel=0.1)
     assert report["fit"]["fve_heldout"] > 0.9
     assert (tmp_path / "report" / "comparison.rrd").stat().st_size > 0
+    assert f"What {name} does" in (tmp_path / "report" / "report.html").read_text()
 
 
 def test_an_arm_without_hidden_effects_lacks_nothing_and_its_parameters_are_found(paths):

@@ -117,10 +117,15 @@ def _place(where: Port) -> Port:
     return Port("tendon", where.name) if where.kind == "actuator" else where
 
 
-def _windowed(problem, rows):
-    """(K * windows, M) each of the rows (K, M), cut into windows."""
-    window = np.concatenate([
-        np.repeat((each.time // FREE_WINDOW).astype(int), each.values[0].size) + 1000 * i
+def windows(problem: Problem, length: float) -> np.ndarray:
+    """(M,) the number of the window of that length [s] that a sample is in, rising."""
+    return np.concatenate([
+        np.repeat((each.time // length).astype(int), each.values[0].size) + 1000 * i
         for i, each in enumerate(problem.recordings)
     ])
+
+
+def _windowed(problem, rows):
+    """(K * windows, M) each of the rows (K, M), cut into windows."""
+    window = windows(problem, FREE_WINDOW)
     return np.concatenate([rows * (window == w) for w in np.unique(window)])

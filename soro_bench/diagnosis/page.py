@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.diagnosis.fit import Hypothesis
+from soro_bench.diagnosis.force import Curve, force_against_state
 from soro_bench.diagnosis.localise import explained_over_time, residual_map
 from soro_bench.diagnosis.patch import REMAINING, patch
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.report import findings, verdict, write_json_report
+from soro_bench.diagnosis.report import NINETY, findings, verdict, write_json_report
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.files import replacing
 from soro_bench.recording.comparison import measured_points
@@ -28,6 +29,11 @@ img { width: 100% } table { border-collapse: collapse; font-size: 90% } td, th {
 text-align: left; vertical-align: top; border-bottom: 1px solid #ddd } .verdict { background: #f3f6fa; padding: 1rem;
 white-space: pre-line } figcaption { color: #555; margin-bottom: 1.5rem }"""
 _RANKED = 10  # effects in the table
+_CURVE = (
+    "Lines: what the fitted law does at {} on average, while the state falls and while it rises; they describe "
+    "{:.0f} % of it. Points: what has to act there to move the robot as in the recordings, with 90 % intervals. Points "
+    "beside the lines speak for another law. Where the recordings say little there is no point."
+)
 
 
 def write_reports(diagnosis: Diagnosis, recordings: Sequence[Recording], folder: str | Path) -> str:
@@ -73,6 +79,9 @@ def _page(diagnosis: Diagnosis, report: dict, text: str) -> str:
          "deviations of the noise.", _overlay(diagnosis)),
         ("When it is explained", "Evidence gained by the best hypothesis in every second.", _gain(diagnosis)),
     ]  # fmt: skip
+    if curve := force_against_state(diagnosis):
+        caption = _CURVE.format(curve.effect.where, 100 * curve.share)
+        plots.append((f"What {curve.effect.name} does", caption, _curve(curve)))
     figures = "".join(
         f"<h2>{title}</h2><figure><img alt='{html.escape(caption)}' src='data:image/png;base64,{image}'>"
         f"<figcaption>{html.escape(caption)}</figcaption></figure>"
@@ -192,6 +201,19 @@ def _gain(diagnosis) -> str:
     edges = np.arange(0.0, measured.time[-1] + 1.0)
     axes.stairs(np.histogram(measured.time - 1e-9, edges, weights=gain)[0], edges, fill=True)
     axes.set(xlabel="time [s]", ylabel="evidence [nats/s]")
+    return _image(figure)
+
+
+def _curve(curve: Curve) -> str:
+    figure, axes = pyplot().subplots(figsize=(9, 3.6), layout="constrained")
+    axes.axhline(0.0, color="0.85", lw=1)
+    columns = zip(("falling", "rising"), curve.state, curve.law, curve.measured, curve.deviation, strict=True)
+    for color, (direction, state, law, measured, deviation) in zip(("C0", "C1"), columns, strict=True):
+        axes.plot(state, law, color=color, label=f"fitted law, {direction}")
+        label = f"recordings, {direction}"
+        axes.errorbar(state, measured, NINETY * deviation, color=color, fmt="o", capsize=3, label=label)
+    axes.set(xlabel=curve.labels[0], ylabel=curve.labels[1])
+    axes.legend(frameon=False, ncols=2)
     return _image(figure)
 
 

@@ -1,7 +1,7 @@
 """The robot of a diagnosis: a simulation that replays a recording under parameters and effects."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -180,6 +180,7 @@ class Robot(ABC):
         parameters: np.ndarray,
         effects: Sequence[Sequence[Effect]],
         start: np.ndarray | None = None,
+        before_step: Callable[[int], None] | None = None,
     ) -> np.ndarray:
         """What the sensor would have recorded.
 
@@ -188,6 +189,8 @@ class Robot(ABC):
             parameters: (N, d) values in the order of ``priors``.
             effects: of each of the N replays, physics and faults of measurement.
             start: (P, D) the signal before the first step, for robots that begin where it does.
+            before_step: called with the number of every control step; replay i, of ``SIMULATIONS`` at most, then runs
+                in simulation i.
 
         Returns:
             (N, T, P, D), NaN from where a simulation diverged.
@@ -195,12 +198,14 @@ class Robot(ABC):
         # what differs only in the sensor is simulated once
         physics = [tuple(e for e in each if e.where.kind != "sensor") for each in effects]
         keys = [(row.tobytes(), repr(each)) for row, each in zip(parameters, physics, strict=True)]
+        if before_step:
+            keys = range(len(effects))
         first = {key: i for i, key in reversed(list(enumerate(keys)))}
         unique = sorted(first.values())
         parts = []
         for begin in range(0, len(unique), SIMULATIONS):
             rows = unique[begin : begin + SIMULATIONS]
-            parts.append(self._roll_out(actions, start, parameters[rows], [physics[i] for i in rows]))
+            parts.append(self._roll_out(actions, start, parameters[rows], [physics[i] for i in rows], before_step))
         values, place = np.concatenate(parts), {i: k for k, i in enumerate(unique)}
         time = self.control_timestep * np.arange(1, len(actions) + 1)
         return np.stack([
@@ -208,12 +213,14 @@ class Robot(ABC):
             for key, each in zip(keys, effects, strict=True)
         ])
 
-    def _roll_out(self, actions, start, parameters, physics):
+    def _roll_out(self, actions, start, parameters, physics, before_step):
         n = len(parameters)
         self.simulation.assign_effects([*physics, *[()] * (SIMULATIONS - n)])
         self._begin(parameters, start)
         lost, rows = np.zeros(n, bool), []
-        for action in actions:
+        for step, action in enumerate(actions):
+            if before_step:
+                before_step(step)
             lost |= self._step(n, action)
             row = self._read(n).copy()
             row[lost] = np.nan

@@ -91,6 +91,7 @@ class ActiveEffects:
     def reset(self, ids: np.ndarray) -> None:
         """Begin an episode in simulations ``ids``, whose state is complete."""
         self.setpoint[ids] = self.batch.act[ids][:, self.slot] if self.batch.model.na else 0.0
+        self.added[ids] = 0.0
         for law in self._laws:
             law.reset(np.isin(law.rows, ids))
         for law in self.filters:
@@ -119,7 +120,8 @@ class ActiveEffects:
         self.integrates = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR
         # where the control is a rate, the setpoint is the activation; the slot of others is not used
         self.slot = np.maximum(model.actuator_actadr, 0)
-        self.setpoint = np.zeros((self.batch.nsim, model.nu))
+        # asked for; and what the laws have added to it, summed over time [s] since the reset
+        self.setpoint, self.added = np.zeros((2, self.batch.nsim, model.nu))
         self._touched = np.zeros((self.batch.nsim, model.nu), bool)
         for law in self.filters:
             self._touched[law.rows, law.ids] = True
@@ -161,8 +163,10 @@ class _Commands:
         now = run.setpoint[at] = np.where(self.integrates, moved, self.asked)
         # a step uses the activation at its start, or at its end if the actuator is early
         output = np.where(self.integrates & ~self.early, before, now)
+        asked = output.copy()
         for law, which, places in self.laws:
             output[places] = law.filter(which, output[places])
+        run.added[at] += run.timestep * (output - asked)
         run.batch.ctrl[at] = np.where(self.integrates, 0.0, output)
         own = self.integrates
         run.batch.act[self.rows[own], run.slot[self.actuators[own]]] = output[own]

@@ -81,6 +81,11 @@ class Simulation:
         """Whether the effects are in model fields and nowhere else."""
         return self._effects is None or self._effects.native
 
+    @property
+    def setpoints(self) -> tuple[np.ndarray, np.ndarray]:
+        """(N, nu) what actuators are asked for, where laws change it, and what they have added, summed over time."""
+        return self._effects.setpoint, self._effects.added
+
     def set_params(self, ids: np.ndarray, params: np.ndarray) -> None:
         """Give simulations ``ids`` the parameters ``params`` (len(ids), d); MuJoCo's derived constants follow."""
         self.params[ids] = params
