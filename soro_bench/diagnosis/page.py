@@ -31,8 +31,8 @@ white-space: pre-line } figcaption { color: #555; margin-bottom: 1.5rem }"""
 _RANKED = 10  # effects in the table
 _CURVE = (
     "Lines: what the fitted law does at {} on average, while the state falls and while it rises; they describe "
-    "{:.0f} % of it. Points: what has to act there to move the robot as in the recordings, with 90 % intervals. Points "
-    "beside the lines speak for another law. Where the recordings say little there is no point."
+    "{:.0f} % of it. Points: what has to act there, to first order, to move the robot as in the recordings, with 90 % "
+    "intervals. Points beside the lines speak for another law. Where the recordings say little there is no point."
 )
 
 
