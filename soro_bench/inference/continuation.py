@@ -7,7 +7,7 @@ from soro_bench.inference.clouds import LENGTHS, LowRank, cloud, linearised
 
 DIFFERENCE = 1e-3  # of the search box, step of the finite differences
 HORIZONS, STEPS_PER_HORIZON = 20, 2
-ATTEMPTS, EXPLAINED = 3, 1.1  # with other starting points, until this many standard deviations are left (noise alone: 1)
+ATTEMPTS, EXPLAINED = 3, 1.1  # with other starting points, until this many standard deviations are left (noise: 1)
 SCALES, CLOUD, PRIOR = (0.05, 0.03, 0.02, 0.012, 0.007, 0.004, 0.002), 20, 0.3  # of the search box
 DAMPINGS = (0.0, 0.01, 0.1, 1.0, 10.0)
 SHARES, DRAWS = (0.03, 0.3), 4  # of the misfit, and how many points each
