@@ -103,14 +103,16 @@ def _droid(search: Search, iterations: int = 60, popsize: int = 16):
     return TruncatedNormal(search.replay.names, values, np.zeros(search.dimension)), values, _slope(search, best)
 
 
-def _sysid(search: Search, max_iterations: int = 30):
-    """Nonlinear least squares from the nominal values, by mujoco.sysid; the normal approximation at the optimum."""
+def _sysid(search: Search, max_iterations: int = 30, start: float | None = None):
+    """Nonlinear least squares by mujoco.sysid, from the nominal values or a share of the search box in every
+    direction; the normal approximation at the optimum."""
     from mujoco import sysid
 
     replay, steps = search.replay, search.replay.steps
-    start = np.clip(search.point(np.array([p.nominal for p in replay.parameters])), 0.01, 0.99)
+    nominal = np.clip(search.point(np.array([p.nominal for p in replay.parameters])), 0.01, 0.99)
+    begin = nominal if start is None else np.full(search.dimension, start)
     params = sysid.ParameterDict({
-        name: sysid.Parameter(name, float(value), 0.0, 1.0) for name, value in zip(replay.names, start, strict=True)
+        name: sysid.Parameter(name, float(value), 0.0, 1.0) for name, value in zip(replay.names, begin, strict=True)
     })
 
     def residual(x, _params):
