@@ -318,12 +318,14 @@ class Prove:
     """Cases without any effect; a fifth by default."""
     ablations: int = 0
     """Of so many cases, what each part of the method is worth: five more diagnoses each."""
+    jobs: int = 1
+    """Cases at a time; results do not depend on it."""
 
     def run(self) -> None:
         from soro_bench.proof.prove import prove
 
         with StageBars() as bar:
-            text = prove(self.out, self.count, self.seed, self.nulls, self.ablations, bar)
+            text = prove(self.out, self.count, self.seed, self.nulls, self.ablations, self.jobs, bar)
         console.print(text, soft_wrap=True, markup=False, highlight=False)
 
 

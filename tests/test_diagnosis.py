@@ -60,7 +60,7 @@ def test_screening_puts_a_hidden_effect_first(robot, actions, name, port, coordi
     given = problem(robot, actions, [hidden.effect(np.array([coordinate]))])
     (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
     candidates = [one for one in suspects(robot) if one.where.kind in ("body", "actuator")]
-    found = evidence(given, base, candidates, responses(given, base, candidates))
+    found = evidence(given, base, candidates, responses(given, base, candidates, robot))
     (first,) = singles(found)[0].suspects
     assert (first.name, first.where) == (name, port)
 
@@ -70,7 +70,7 @@ def test_screening_finds_a_pair_of_hidden_effects(robot, actions):
     given = problem(robot, actions, [one.effect(np.array([0.2])) for one in hidden])
     (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
     candidates = [one for one in suspects(robot) if one.name in ("payload", "backlash", "actuator_gain")]
-    lead = pairs(evidence(given, base, candidates, responses(given, base, candidates)))[0]
+    lead = pairs(evidence(given, base, candidates, responses(given, base, candidates, robot)))[0]
     assert {(s.name, s.where) for s in lead.suspects} == {(s.name, s.where) for s in hidden}
 
 
@@ -193,7 +193,7 @@ def test_a_force_without_a_name_is_found_at_its_place(robot, actions, monkeypatc
     given = problem(robot, actions)
     (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
     candidates = [suspect(robot, "pretension", Port("actuator", name)) for name in CABLE_NAMES]
-    found = responses(given, base, candidates)
+    found = responses(given, base, candidates, robot)
     wandering = np.sin(np.arange(base.residual.size) / 63 / 10)
     base = replace(base, residual=base.residual + 0.5 * found[2][0] * wandering)
     assert places(given, base, candidates, found)[0].where == Port("tendon", "L2")

@@ -93,7 +93,7 @@ def test_labels_are_opened_only_when_every_case_has_its_report(tmp_path, monkeyp
     monkeypatch.setattr(
         prove, "write_cases", lambda folder, *_: [(folder / f"case_{i:03d}").mkdir(parents=True) for i in (0, 1)]
     )
-    monkeypatch.setattr(prove, "SuiteRobot", lambda env_id: None)
+    monkeypatch.setattr(prove, "SuiteRobot", lambda env_id, threads: None)
     monkeypatch.setattr(prove, "load", lambda path: path)
     monkeypatch.setattr(prove, "diagnose", lambda robot, train, heldout: done.append(train[0].parent.name))
     monkeypatch.setattr(prove, "report_of", lambda found: report())
@@ -102,7 +102,7 @@ def test_labels_are_opened_only_when_every_case_has_its_report(tmp_path, monkeyp
     text = prove.prove(tmp_path, 2, 0)
     assert done == ["case_000", "case_001"]
     assert "| first answer right | 2 | 1 |" in text
-    prove.diagnosed(None, tmp_path / "cases" / "case_000", tmp_path / "reports" / "case_000.json")
+    prove.diagnosed(tmp_path / "cases" / "case_000", tmp_path / "reports" / "case_000.json", 1)
     assert len(done) == 2
 
 

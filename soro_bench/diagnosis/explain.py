@@ -25,12 +25,15 @@ RADII, LAST = ((0.7, 0.3), (0.15,), (0.05, 0.05)), 0.07
 FAR_DRAWS, FAR = 3, 0.7  # replays of each refined robot at first, and their standard deviation
 NEAR = (0.15, 0.05, 0.0)  # of the one near each fit
 # polishes at most, the excess below which none is needed (nulls leave as much), the share that one more has to take off
-POLISHES, CLEAN, ENOUGH = 4, 2000.0, 0.1
+POLISHES, CLEAN, ENOUGH = 4, 1000.0, 0.1
 MOST = 3  # effects
-LEADS, FLOORS = 6, 2  # leads that are tried, and hypotheses of a round with floors of their own
-# natural logarithm of the evidence that a lead has to promise (eight nulls promise 42 to 384 at most), and the share
-# of what is left: where physics has no name in the catalogue, one effect after the other would explain a little of it
-WORTH, WORTH_SHARE = 600.0, 0.05
+# leads that are tried, the share of the best one's promise that they have to make, and hypotheses of a round with
+# floors of their own
+LEADS, PROMISING, FLOORS = 6, 0.3, 2
+# natural logarithm of the evidence that a lead has to promise (eight nulls promise 42 to 384 at most); the share of
+# what is left: where physics has no name in the catalogue, one effect after the other would explain a little of it; and
+# the share of what is explained: no law is right to the last per cent
+WORTH, WORTH_SHARE, LAW_SHARE = 600.0, 0.05, 0.02
 
 
 @dataclass(frozen=True)
@@ -71,22 +74,26 @@ def nominal_fit(problem: Problem, refined: Sequence[Robot], seed: int, progress=
 
 
 def explained(
-    problem: Problem, nominal: Hypothesis, refined: Sequence[Robot], candidates: Sequence[Suspect], seed: int,
-    progress=lambda *_: None,
+    problem: Problem, nominal: Hypothesis, robot: Robot, refined: Sequence[Robot], candidates: Sequence[Suspect],
+    seed: int, progress=lambda *_: None,
 ) -> tuple[Explanation, list[np.ndarray]]:  # fmt: skip
-    """One effect further as long as a lead promises enough; and the response of every candidate, (k, M) each."""
+    """One effect further as long as a lead promises enough; and the response of every candidate, (k, M) each.
+
+    Args:
+        robot: with the time steps of its model, for the responses.
+    """
     progress("screening")
-    found = responses(problem, nominal, candidates)
+    found = responses(problem, nominal, candidates, robot)
     first = screened = evidence(problem, nominal, candidates, found)
     best, tried, seeds = nominal, [], itertools.count(10 * seed, 10)
     promised = left = singles(first)[0].gain
     for number in range(1, MOST + 1):
-        if left < _worth(problem, best):
+        if left < _worth(problem, nominal, best):
             break
         progress(f"refits with {number} effect{'s' * (number > 1)}")
-        leads = [screened.guess(lead) for lead in distinct(singles(screened), LEADS, problem.robot)]
+        leads = _leads(problem, screened, singles(screened))
         if number == 2:
-            leads += [first.guess(lead) for lead in distinct(pairs(first), LEADS, problem.robot)]
+            leads += _leads(problem, first, pairs(first))
         new = refitted(problem, leads, next(seeds))
         problem, new = _with_own_floor(problem, refined, new, next(seeds))
         new.sort(key=lambda h: -h.log_evidence(problem))
@@ -111,8 +118,16 @@ def _polished(problem, refined, hypothesis, candidates, found, seeds):
     return problem, hypothesis, evidence(problem, hypothesis, candidates, found)
 
 
-def _worth(problem, hypothesis):
-    return max(WORTH, WORTH_SHARE * problem.excess(hypothesis.residual))
+def _leads(problem, screened, leads):
+    """Where to begin the fits of the best leads."""
+    best = [lead for lead in distinct(leads, LEADS, problem.robot) if lead.gain > PROMISING * leads[0].gain]
+    return [screened.guess(lead) for lead in best]
+
+
+def _worth(problem, nominal, best):
+    """What one more effect has to promise."""
+    left, all_of_it = (problem.excess(h.residual) for h in (best, nominal))
+    return max(WORTH, WORTH_SHARE * left, LAW_SHARE * (all_of_it - left))
 
 
 def _with_own_floor(problem, refined, hypotheses, seed):

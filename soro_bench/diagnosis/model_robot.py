@@ -30,7 +30,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from soro_bench.diagnosis.robot import SHORTER, SIMULATIONS, Prior, Robot
+from soro_bench.diagnosis.robot import SIMULATIONS, Prior, Robot
 from soro_bench.effects.elements import instrument
 from soro_bench.models.simulation import FieldWrite, Simulation
 from soro_bench.parameters import Parameter, ParameterSet
@@ -138,13 +138,14 @@ class ModelRobot(Robot):
         self.simulation = Simulation(compiled, parameters, [fields], SIMULATIONS, threads, ())
         self._bad = np.zeros(SIMULATIONS, int)
 
-    def refined(self) -> list[Robot]:
-        """With a quarter of the time step, and with the accurate model if there is one."""
-        model, mapping = self._paths
-        finer = [ModelRobot(model, mapping, self.threads, SHORTER)]
-        if self._accurate is not None:
-            finer.append(ModelRobot(mapping.parent / self._accurate, mapping, self.threads))
-        return finer
+    def shortened(self, factor: int) -> Robot:
+        """The same model with shorter time steps."""
+        return ModelRobot(*self._paths, self.threads, factor)
+
+    def accurate(self) -> list[Robot]:
+        """By the model that the mapping calls accurate, if it does."""
+        mapping = self._paths[1]
+        return [] if self._accurate is None else [ModelRobot(mapping.parent / self._accurate, mapping, self.threads)]
 
     def spec(self) -> mujoco.MjSpec:
         """The model of the file, with what effects need."""

@@ -12,7 +12,7 @@ from soro_bench.diagnosis.explain import Explanation, explained, nominal_fit
 from soro_bench.diagnosis.localise import Place, places
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.propose import Proposal, proposed
-from soro_bench.diagnosis.robot import Measured, Robot
+from soro_bench.diagnosis.robot import FITTED, Measured, Robot
 from soro_bench.diagnosis.suspects import suspects
 from soro_bench.inference.clouds import LowRank
 from soro_bench.recording.recording import Recording, RecordingError
@@ -82,20 +82,20 @@ def diagnose(
     """
     start = time.perf_counter()
     progress("audit")
-    refined = robot.refined()
+    fitted, refined = robot.shortened(FITTED), robot.refined()
     measured = tuple(robot.measured(each) for each in recordings)
     tested = tuple(robot.measured(each) for each in heldout)
     if (size := sum(each.values.size for each in measured + tested)) > MOST_NUMBERS:
         raise RecordingError(f"{size} numbers to explain; at most {MOST_NUMBERS}, so cut the recordings")
     audits = tuple(audit(each) for each in (*measured, *tested))
     sigma = min(a.sigma for a in audits)  # of one sensor: motion only adds to it
-    problem, nominal = nominal_fit(unexplained(robot, measured, sigma), refined, seed, progress)
+    problem, nominal = nominal_fit(unexplained(fitted, measured, sigma), refined, seed, progress)
     problem, nominal, found_outliers = _without_outliers(problem, nominal)
     problem, nominal = _with_noise(problem, nominal, max(a.least for a in audits))
     candidates = suspects(robot)
-    explanation, responses = explained(problem, nominal, refined, candidates, seed, progress)
+    explanation, responses = explained(problem, nominal, robot, refined, candidates, seed, progress)
     progress("comparison")
-    comparison = compared(explanation, _tested(robot, tested, problem.sigma, nominal), refined)
+    comparison = compared(explanation, _tested(fitted, tested, problem.sigma, nominal), refined)
     where = places(explanation.problem, explanation.nominal, candidates, responses)
     found = Diagnosis(robot, audits, found_outliers, explanation, comparison, tuple(where), None, 0.0)
     progress("next recording")

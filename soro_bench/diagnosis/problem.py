@@ -9,6 +9,8 @@ from soro_bench.diagnosis.robot import Measured, Robot
 from soro_bench.diagnosis.suspects import Suspect, effects_at
 from soro_bench.inference.clouds import LowRank
 
+DIVERGED = 1e3  # standard deviations of the noise, a residual where the simulation diverged
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -42,7 +44,7 @@ class Problem:
         """(N, M) measured less simulated, in units of sigma, of N points."""
         measured = np.concatenate([each.values.ravel() for each in self.recordings])
         residual = (np.nan_to_num(measured) - self.simulated(self.robot, points)) / self.sigma
-        return np.nan_to_num(residual, nan=1e3, posinf=1e3, neginf=-1e3) * self.weight
+        return np.nan_to_num(residual, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED) * self.weight
 
     def with_floor(self, columns: np.ndarray) -> "Problem":
         """The same with more numerical error: differences (F, M) [signal's unit]."""

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from soro_bench.diagnosis.fit import Guess, Hypothesis
-from soro_bench.diagnosis.problem import Problem
+from soro_bench.diagnosis.problem import DIVERGED, Problem
+from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.suspects import MAGNITUDE_DEVIATION, Suspect, effects_at
 from soro_bench.effects.effect import Effect
 
@@ -90,8 +91,11 @@ class Evidence:
         return tuple(zip(self.candidates, np.sqrt(2.0 * gain / information).tolist(), strict=True))
 
 
-def responses(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect]) -> list[np.ndarray]:
-    """(k, M) of each suspect: change of the residual per standard deviation of each of its k magnitudes."""
+def responses(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect], robot: Robot) -> list[np.ndarray]:
+    """(k, M) of each suspect: change of the residual of ``robot`` per standard deviation of each of its k magnitudes.
+
+    These are differences of two replays, which a simulation with longer time steps than the fitted one gives as well.
+    """
     points, shares = [], []
     for candidate in candidates:
         for column in np.flatnonzero(candidate.magnitudes):
@@ -99,7 +103,9 @@ def responses(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect])
             x[column] = 1.0 / MAGNITUDE_DEVIATION
             points.append((np.concatenate([base.x, x]), (*base.suspects, candidate)))
             shares.append(x[column])
-    found = (problem.residuals(points) - base.residual) / np.array(shares)[:, None]
+    without, *simulated = problem.simulated(robot, [(base.x, base.suspects), *points])
+    found = (without - np.array(simulated)) / problem.sigma * problem.weight / np.array(shares)[:, None]
+    found = np.nan_to_num(found, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED)
     ends = np.cumsum([sum(c.magnitudes) for c in candidates])
     return np.split(found, ends[:-1])
 

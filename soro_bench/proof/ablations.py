@@ -10,12 +10,13 @@ from soro_bench.diagnosis.audit import audit
 from soro_bench.diagnosis.explain import nominal_fit
 from soro_bench.diagnosis.pipeline import diagnose, unexplained
 from soro_bench.diagnosis.report import report_of
-from soro_bench.diagnosis.robot import Robot
+from soro_bench.diagnosis.robot import FITTED, Robot
 from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.files import read_json, write_json
+from soro_bench.files import write_json
 from soro_bench.proof.residual_network import residual_rms
 from soro_bench.recording.parquet import load
 
+ENV_ID = "TrunkReach-v0"
 FROZEN = 1e-6  # of a parameter's prior standard deviation, where it is not fitted
 
 
@@ -41,12 +42,17 @@ class Calibrated(SuiteRobot):
             for prior, value in zip(self.priors, x, strict=True)
         )
 
-    def refined(self) -> list[Robot]:
+    def shortened(self, factor: int) -> Robot:
         """As the robot's, with the same parameters."""
-        finer = super().refined()
-        for each in finer:
-            each.priors = self.priors
-        return finer
+        return self._same(super().shortened(factor))
+
+    def accurate(self) -> list[Robot]:
+        """As the robot's, with the same parameters."""
+        return [self._same(each) for each in super().accurate()]
+
+    def _same(self, robot: Robot) -> Robot:
+        robot.priors = self.priors
+        return robot
 
 
 def without_floor(robot: SuiteRobot, case: Path) -> dict:
@@ -57,7 +63,7 @@ def without_floor(robot: SuiteRobot, case: Path) -> dict:
 def without_joint_fit(robot: SuiteRobot, case: Path) -> dict:
     """Parameters fitted first, effects looked for in what that leaves."""
     measured = robot.measured(load(case / "train.parquet"))
-    problem = unexplained(robot, (measured,), audit(measured).sigma)
+    problem = unexplained(robot.shortened(FITTED), (measured,), audit(measured).sigma)
     _, nominal = nominal_fit(problem, robot.refined(), 0)
     return _report(Calibrated(robot.env_id, nominal.x, robot.threads), case)
 
@@ -70,9 +76,9 @@ def on_task_motion(robot: SuiteRobot, case: Path) -> dict:
 def network_only(robot: SuiteRobot, case: Path) -> dict:
     """Parameters fitted, and a network for what they leave: held-out rms [m] before and after; it names nothing."""
     train, heldout = (robot.measured(load(case / f"{role}.parquet")) for role in ("train", "heldout"))
-    problem = unexplained(robot, (train,), audit(train).sigma)
+    problem = unexplained(robot.shortened(FITTED), (train,), audit(train).sigma)
     _, nominal = nominal_fit(problem, robot.refined(), 0)
-    before, after = residual_rms(robot, nominal.x, train, heldout)
+    before, after = residual_rms(problem.robot, nominal.x, train, heldout)
     return {"rmse_before": before, "rmse_after": after, "noise_floor": problem.sigma}
 
 
@@ -99,11 +105,10 @@ ABLATIONS: dict[str, Callable[[SuiteRobot, Path], dict]] = {
 }
 
 
-def ablated(robot: SuiteRobot, name: str, case: Path, path: Path) -> dict:
-    """What an ablation says of a case, from its file if it has been made."""
+def ablated(name: str, case: Path, path: Path, threads: int) -> None:
+    """Write what an ablation says of a case, unless it is there."""
     if not path.exists():
-        write_json(path, ABLATIONS[name](robot, case))
-    return read_json(path)
+        write_json(path, ABLATIONS[name](SuiteRobot(ENV_ID, threads=threads), case))
 
 
 def _report(robot, case, role="train"):

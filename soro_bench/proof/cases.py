@@ -18,6 +18,7 @@ from gymnasium import spaces
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
+from soro_bench.parallel import each
 from soro_bench.proof.hidden import ALL, MEASUREMENT, PHYSICS, UNKNOWN
 from soro_bench.proof.manoeuvre import manoeuvre
 from soro_bench.proof.places import Hidden
@@ -154,6 +155,7 @@ def write_cases(
     count: int,
     seed: int,
     nulls: int | None = None,
+    jobs: int = 1,
     progress: Callable[[int, int], None] = lambda done, count: None,
     durations: dict[str, float] = DURATIONS,
 ) -> None:
@@ -163,6 +165,7 @@ def write_cases(
     the SHA-256 of the labels. Called again, it goes on where it stopped.
 
     Args:
+        jobs: how many are simulated at a time.
         progress: is told how many of the cases are done.
         durations: s, of the recordings by role; an excitation takes at least 17 s.
 
@@ -172,9 +175,7 @@ def write_cases(
     folder = Path(folder)
     cases = draw_cases(count, seed, nulls)
     _check_plan(folder, {"count": count, "seed": seed, "nulls": nulls, "durations": durations})
-    for i, case in enumerate(cases):
-        if not _is_done(folder, case):
-            _write_case(folder, case, durations)
+    for i, _ in enumerate(each(_write_case, [(folder, case, durations) for case in cases], jobs)):
         progress(i + 1, count)
     labels = {
         "salt": hashlib.sha256(f"soro-bench concealed cases {seed}".encode()).hexdigest(),
@@ -361,13 +362,11 @@ def _recording_path(folder, case, role) -> Path:
     return folder / case.id / f"{role}.parquet"
 
 
-def _is_done(folder, case) -> bool:
-    paths = [_label_path(folder, case), *(_recording_path(folder, case, role) for role in _ROLES)]
-    return all(path.is_file() for path in paths)
-
-
 def _write_case(folder, case, durations) -> None:
-    """The label, which has the hashes of the recordings, is written last."""
+    """Unless it is there. The label, which has the hashes of the recordings, is written last."""
+    paths = [_label_path(folder, case), *(_recording_path(folder, case, role) for role in _ROLES)]
+    if all(path.is_file() for path in paths):
+        return
     recordings, label = build(case, durations)
     hashes = {}
     for role in _ROLES:

@@ -1,27 +1,27 @@
 """The blinded challenge: cases with concealed physics are written and committed to, diagnosed, and only then scored."""
 
+import os
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 
 from soro_bench.diagnosis.pipeline import diagnose
 from soro_bench.diagnosis.report import report_of
-from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.files import read_json, replacing, write_json
+from soro_bench.parallel import each
 from soro_bench.proof import ablation_score
 from soro_bench.proof.ablation_score import ablation_rows
-from soro_bench.proof.ablations import ABLATIONS, ablated
+from soro_bench.proof.ablations import ABLATIONS, ENV_ID, ablated
 from soro_bench.proof.cases import write_cases
 from soro_bench.proof.score import markdown, opened_labels, scored
 from soro_bench.recording.parquet import load
 
-ENV_ID = "TrunkReach-v0"
 Progress = Callable[[str, int, int], None]
 
 
 def prove(
-    folder: str | Path, count: int, seed: int, nulls: int | None = None, ablations: int = 0,
+    folder: str | Path, count: int, seed: int, nulls: int | None = None, ablations: int = 0, jobs: int = 1,
     progress: Progress = lambda *_: None,
 ) -> str:  # fmt: skip
     """Write what is missing of cases, reports and scorecard in a folder; returns the scorecard, Markdown.
@@ -30,18 +30,21 @@ def prove(
 
     Args:
         ablations: how many of the cases, the first ones, are also diagnosed without each part of the method.
+        jobs: cases at a time, each with as many threads as that leaves it.
     """
     folder = Path(folder)
     cases, reports = folder / "cases", folder / "reports"
-    write_cases(cases, count, seed, nulls, lambda done, total: progress("cases written", done, total))
-    names = sorted(path.name for path in cases.glob("case_*"))
-    robot = SuiteRobot(ENV_ID)
-    for i, name in enumerate(names):
-        diagnosed(robot, cases / name, reports / f"{name}.json")
-        progress("cases diagnosed", i + 1, len(names))
-    for i, (ablation, name) in enumerate(jobs := list(product(ABLATIONS if ablations else (), names[:ablations]))):
-        ablated(robot, ablation, cases / name, folder / ablation / f"{name}.json")
-        progress("ablations", i + 1, len(jobs))
+    write_cases(cases, count, seed, nulls, jobs, lambda done, total: progress("cases written", done, total))
+    names, threads = sorted(path.name for path in cases.glob("case_*")), max(1, (os.cpu_count() or 1) // jobs)
+    todo = [(cases / name, reports / f"{name}.json", threads) for name in names]
+    for i, _ in enumerate(each(diagnosed, todo, jobs)):
+        progress("cases diagnosed", i + 1, len(todo))
+    todo = [
+        (ablation, cases / name, folder / ablation / f"{name}.json", threads)
+        for ablation, name in product(ABLATIONS if ablations else (), names[:ablations])
+    ]
+    for i, _ in enumerate(each(ablated, todo, jobs)):
+        progress("ablations", i + 1, len(todo))
     labels, found = opened_labels(cases), _read_all(reports)
     card = scored(labels, found)
     others = {ablation: _read_all(folder / ablation) for ablation in (ABLATIONS if ablations else ())}
@@ -57,9 +60,9 @@ def _read_all(folder) -> dict[str, dict]:
     return {path.stem: read_json(path) for path in sorted(folder.glob("case_*.json"))}
 
 
-def diagnosed(robot: Robot, case: Path, path: Path) -> dict:
-    """The report of a case, from its file if it has been made."""
+def diagnosed(case: Path, path: Path, threads: int) -> None:
+    """Write the report of a case, unless it is there."""
     if not path.exists():
+        robot = SuiteRobot(ENV_ID, threads=threads)
         found = diagnose(robot, [load(case / "train.parquet")], [load(case / "heldout.parquet")])
         write_json(path, report_of(found))
-    return read_json(path)
