@@ -348,6 +348,10 @@ def verdict(diagnosis: Diagnosis) -> str:
     if others:
         names = ", or ".join(f"{' with '.join(a.names) or 'nothing'} ({a.probability:.2f})" for a in others)
         said.append(f"It may also be {names}.")
+        kinds = {CATEGORIES[name] for name in best.names}
+        alike = sum(a.probability for a in diagnosis.comparison.answers if {CATEGORIES[n] for n in a.names} == kinds)
+        if kinds and alike > best.probability + 0.05:
+            said.append(f"The class is clearer than the law: {' with '.join(sorted(kinds))} ({alike:.2f}).")
     if diagnosis.proposal:
         said.append(_what_next(diagnosis.proposal, diagnosis.verdict == "unknown_physics"))
     return "\n".join(said)

@@ -119,24 +119,29 @@ class LoadFriction(_Friction):
         super().prepare(elements)
         self.on_joint = np.array([port.kind == "joint" for port in self.ports])
         self.dofs = np.where(self.on_joint, self.model.jnt_dofadr[np.where(self.on_joint, self.ids, 0)], 0)
-        self.paths = [_sites(self.model, i) if p.kind == "tendon" else None
-                      for i, p in zip(self.ids, self.ports, strict=True)]  # fmt: skip
+        paths = [[] if joint else _sites(self.model, i) for i, joint in zip(self.ids, self.on_joint, strict=True)]
+        # of one length, the last eyelet repeated; where the tendon can bend
+        self.paths = np.zeros((len(paths), max(3, *map(len, paths))), int)
+        self.bends = np.zeros((len(paths), self.paths.shape[1] - 2), bool)
+        for row, bends, path in zip(self.paths, self.bends, paths, strict=True):
+            row[: len(path)], row[len(path) :] = path, path[-1] if len(path) else 0
+            bends[: max(0, len(path) - 2)] = True
 
     def level(self, which):
         rows = self.rows[which]
         torque = np.abs(self.batch.qfrc_actuator[rows, self.dofs[which]])
         load = np.where(self.on_joint[which], torque, tension(self.batch, rows, self.actuators[which]))
         mu = self.values["mu"][which]
-        angle = np.array([self._angle(i) for i in np.flatnonzero(which)])
-        return load * np.where(np.isnan(angle), mu, -np.expm1(-mu * np.nan_to_num(angle)))
+        if self.on_joint.all():
+            return load * mu
+        return load * np.where(self.on_joint[which], mu, -np.expm1(-mu * self._angle(which)))
 
-    def _angle(self, entry) -> float:
-        """Sum of the angles [rad] by which a tendon bends; NaN for a joint."""
-        if self.paths[entry] is None:
-            return np.nan
-        way = np.diff(self.batch.site_xpos[self.rows[entry], self.paths[entry]], axis=0)
-        way /= np.maximum(np.sqrt((way * way).sum(axis=1)), 1e-12)[:, None]
-        return float(np.arccos(np.clip((way[1:] * way[:-1]).sum(axis=1), -1, 1)).sum())
+    def _angle(self, which) -> np.ndarray:
+        """Sums of the angles [rad] by which tendons bend."""
+        way = np.diff(self.batch.site_xpos[self.rows[which][:, None], self.paths[which]], axis=1)
+        way /= np.maximum(np.sqrt((way * way).sum(axis=2)), 1e-12)[:, :, None]
+        turned = np.arccos(np.clip((way[:, 1:] * way[:, :-1]).sum(axis=2), -1, 1))
+        return (turned * self.bends[which]).sum(axis=1)
 
 
 class Hysteresis(OnJoints):
