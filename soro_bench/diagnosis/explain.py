@@ -76,8 +76,8 @@ def nominal_fit(problem: Problem, refined: Sequence[Robot], seed: int, progress=
 def explained(
     problem: Problem, nominal: Hypothesis, robot: Robot, refined: Sequence[Robot], candidates: Sequence[Suspect],
     seed: int, progress=lambda *_: None,
-) -> tuple[Explanation, list[np.ndarray]]:  # fmt: skip
-    """One effect further as long as a lead promises enough; and the response of every candidate, (k, M) each.
+) -> Explanation:  # fmt: skip
+    """One effect further as long as a lead promises enough.
 
     Args:
         robot: with the time steps of its model, for the responses.
@@ -103,7 +103,7 @@ def explained(
         if number > 1:
             tried[1:1] = without_one(problem, tried[0], next(seeds))
         nominal, best = _again(problem, nominal), tried[0]
-    return Explanation(problem, nominal, tuple(tried), promised, left, first.detectable(WORTH)), found
+    return Explanation(problem, nominal, tuple(tried), promised, left, first.detectable(WORTH))
 
 
 def _polished(problem, refined, hypothesis, candidates, found, seeds):

@@ -1,10 +1,5 @@
-"""Localise: where on the robot, when, and under which conditions a hypothesis explains more than another one.
+"""Localise: when, and under which conditions, a hypothesis explains more than another one."""
 
-``places`` needs no name for what is missing: at every place the responses of all suspects there, free to change from
-window to window, stand for any force that acts at it.
-"""
-
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,21 +7,10 @@ import numpy as np
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Measured
-from soro_bench.diagnosis.suspects import Suspect
-from soro_bench.effects.effect import EVERY, Port
 
 WINDOW = 1.0  # s, of maps over time
-FREE_WINDOW = 3.0  # s, in which an unknown force is a fixed combination of known responses
 _WHEN = 0.8  # of what is explained lies in the intervals that are named
 _AFTER_REVERSAL = 0.25  # s
-
-
-@dataclass(frozen=True)
-class Place:
-    """A place, and the evidence (natural logarithm) that any force there gains."""
-
-    where: Port
-    gain: float
 
 
 @dataclass(frozen=True)
@@ -91,41 +75,9 @@ def regimes(measured: Measured, gain: np.ndarray, channel: int | None) -> list[R
     return [Regime(name, float(m.mean()), float(gained[m].sum()) / total) for name, m in masks.items()]
 
 
-def places(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect], responses) -> list[Place]:
-    """Where any force would explain most of what a hypothesis leaves, the best place first."""
-    groups: dict[Port, list[np.ndarray]] = {}
-    for candidate, rows in zip(candidates, responses, strict=True):
-        if candidate.where.name != EVERY:
-            groups.setdefault(_place(candidate.where), []).append(rows)
-    floor = base.floor(problem)
-    hessian = floor.product(base.slope, base.slope) + np.eye(len(base.x))
-    found = []
-    for where, rows in groups.items():
-        free = _windowed(problem, np.concatenate(rows))
-        cross = floor.product(free, base.slope)
-        reduced = np.linalg.solve(hessian, cross.T)
-        matrix = floor.product(free, free) + np.eye(len(free)) - cross @ reduced
-        gradient = floor.product(base.slope, base.residual[None])[:, 0] + base.x
-        pull = floor.product(free, base.residual[None])[:, 0] - reduced.T @ gradient
-        gain = 0.5 * float(pull @ np.linalg.solve(matrix, pull)) - 0.5 * float(np.linalg.slogdet(matrix)[1])
-        found.append(Place(where, gain))
-    return sorted(found, key=lambda place: -place.gain)
-
-
-def _place(where: Port) -> Port:
-    """A cable and the actuator that pulls it are one place."""
-    return Port("tendon", where.name) if where.kind == "actuator" else where
-
-
 def windows(problem: Problem, length: float) -> np.ndarray:
     """(M,) the number of the window of that length [s] that a sample is in, rising."""
     return np.concatenate([
         np.repeat((each.time // length).astype(int), each.values[0].size) + 1000 * i
         for i, each in enumerate(problem.recordings)
     ])
-
-
-def _windowed(problem, rows):
-    """(K * windows, M) each of the rows (K, M), cut into windows."""
-    window = windows(problem, FREE_WINDOW)
-    return np.concatenate([rows * (window == w) for w in np.unique(window)])

@@ -9,7 +9,7 @@ import numpy as np
 from soro_bench.diagnosis.audit import Audit, audit, noise, outliers
 from soro_bench.diagnosis.compare import Comparison, compared
 from soro_bench.diagnosis.explain import Explanation, explained, nominal_fit
-from soro_bench.diagnosis.localise import Place, places
+from soro_bench.diagnosis.probe import Place, places
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.propose import Proposal, proposed
 from soro_bench.diagnosis.robot import FITTED, Measured, Robot
@@ -18,6 +18,7 @@ from soro_bench.inference.clouds import LowRank
 from soro_bench.recording.recording import Recording, RecordingError
 
 MOST_NUMBERS = 300_000  # of all samples: four minutes of a trunk, of which every suspect is one more
+UNSURE = 0.1  # probability of physics without a name, above which its place is looked for
 ALPHA = 0.01  # a mismatch is one where nothing missing would look like it less often
 
 
@@ -33,6 +34,7 @@ class Outliers:
 class Diagnosis:
     """What was found; times are in seconds, everything else in the units of the robot and its signal.
 
+    places: of what has no name, the best first; none where a name explains it.
     proposal: what to record next; None where nothing is left to be told apart.
     """
 
@@ -93,11 +95,13 @@ def diagnose(
     problem, nominal, found_outliers = _without_outliers(problem, nominal)
     problem, nominal = _with_noise(problem, nominal, max(a.least for a in audits))
     candidates = suspects(robot)
-    explanation, responses = explained(problem, nominal, robot, refined, candidates, seed, progress)
+    explanation = explained(problem, nominal, robot, refined, candidates, seed, progress)
     progress("comparison")
     comparison = compared(explanation, _tested(fitted, tested, problem.sigma, nominal), refined)
-    where = places(explanation.problem, explanation.nominal, candidates, responses)
-    found = Diagnosis(robot, audits, found_outliers, explanation, comparison, tuple(where), None, 0.0)
+    found = Diagnosis(robot, audits, found_outliers, explanation, comparison, (), None, 0.0)
+    if comparison.unknown > UNSURE:
+        progress("place of what has no name")
+        found = replace(found, places=tuple(places(explanation.problem, robot, explanation.nominal)))
     progress("next recording")
     proposal = _proposal(found, seed)
     return replace(found, proposal=proposal, seconds=time.perf_counter() - start)

@@ -1,4 +1,4 @@
-"""Refits: leads become hypotheses, fitted together with all parameters, in rounds that drop those that fall behind."""
+"""Refits: leads become hypotheses, fitted together with all parameters; those that fall behind are dropped."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.screen import Lead
 from soro_bench.effects.catalogue import CATEGORIES
 
-SCALES, KEPT = (0.15, 0.07), (4, 3)  # of the clouds, and how many hypotheses go on after each
+SCALE, KEPT = 0.15, 3  # of the cloud, and how many hypotheses remain
 _TRIED, _LENGTHS = 4, (0.5, 1.0)  # how many leads are fitted, and shares of their magnitudes at which all are tried
 _POLISH = (0.3, 0.1)  # radii
 _PER_NAME = 2  # leads that differ in their places only
@@ -32,12 +32,8 @@ def distinct(leads: Sequence[Lead], count: int, robot: Robot) -> list[Lead]:
 
 def refitted(problem: Problem, guesses: Sequence[Guess], seed: int, progress=lambda: None) -> list[Hypothesis]:
     """The hypotheses that remain, the best first."""
-    guesses = _tried(problem, guesses)
-    for k, (scale, kept) in enumerate(zip(SCALES, KEPT, strict=True)):
-        found = fitted(problem, guesses, (scale,), seed + k, progress)
-        found = _with_twins(sorted(found, key=lambda h: -h.log_evidence(problem)), kept)
-        guesses = [_guess(h) for h in found]
-    return found
+    found = fitted(problem, _tried(problem, guesses), (SCALE,), seed, progress)
+    return _with_twins(sorted(found, key=lambda h: -h.log_evidence(problem)), KEPT)
 
 
 def polished(problem: Problem, hypothesis: Hypothesis, seed: int) -> Hypothesis:
