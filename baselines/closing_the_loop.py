@@ -107,13 +107,15 @@ def training(name: str, method: str, seed: int, folder: Path) -> tuple[Distribut
 
 def result(name: str, method: str, seed: int, folder: Path, steps: int, progress) -> dict:
     """Train one policy and run it on the concealed robot; what is there is read."""
-    path = folder / method / f"seed{seed}" / "concealed.json"
+    path = folder / name / method / f"seed{seed}.json"
     if not path.exists():
-        distribution, effects = training(name, method, seed, folder)
+        distribution, effects = training(name, method, seed, folder / name)
         config = default_config(ENV_ID, steps, method=method, seed=seed, effects=effects and str(effects))
-        train(config, path.parent, distribution, progress)
+        # those that know nothing of the robot serve for all of them
+        policy = folder / ("all" if effects is None else name) / "policies" / f"{method}_seed{seed}"
+        train(config, policy, distribution, progress)
         robot = Robot(KIND, CONCEALED[name].parameters, [CONCEALED[name].law()])
-        distances = final_distances(Policy.load(path.parent).act, robot)
+        distances = final_distances(Policy.load(policy).act, robot)
         write_json(path, {"robot": name, "method": method, "seed": seed, "distances_m": distances.tolist()})
     return read_json(path)
 
@@ -143,9 +145,8 @@ def main() -> None:
     results = []
     with Progress() as bars:
         for name in CONCEALED:
-            folder = options.out / name
             waiting = bars.add_task(f"{name} diagnosis", total=1)
-            diagnosed(name, folder / "report")
+            diagnosed(name, options.out / name / "report")
             bars.update(waiting, completed=1)
             for method in METHOD_NAMES:
                 for seed in options.seeds:
@@ -154,7 +155,7 @@ def main() -> None:
                     def show(done, total, row, task=task):
                         bars.update(task, completed=done, total=total)
 
-                    results.append(result(name, method, seed, folder, options.steps, show))
+                    results.append(result(name, method, seed, options.out, options.steps, show))
     write_json(options.out / "results.json", results)
     with replacing(options.out / "results.md") as temporary:
         temporary.write_text(table(results) + "\n")

@@ -1,4 +1,5 @@
-"""How much of the accurate trunk the numerical floor explains, with and without a hidden effect, and how fits converge.
+"""What time steps leave, how much of the accurate trunk the numerical floor explains, with and without a hidden effect,
+and how fits converge.
 
     python benchmarks/diagnosis_floor.py
 
@@ -11,7 +12,7 @@ from gymnasium import spaces
 from soro_bench.diagnosis.fit import Guess, fitted
 from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.robot import Measured, Robot
+from soro_bench.diagnosis.robot import FITTED, Measured, Robot
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import suspect
 from soro_bench.effects.effect import EVERY, Port
@@ -38,12 +39,24 @@ def left(given: Problem) -> float:
     return 1e3 * NOISE * float(np.sqrt((given.floor.without(residual) ** 2).mean()))
 
 
+def time_steps() -> None:
+    """What longer time steps leave of a trunk with an eighth of the model's, before and after the parameters fit."""
+    given, recorded = SuiteRobot("TrunkReach-v0"), SuiteRobot("TrunkReach-v0", shorter=8)
+    print("| time step [ms] | left at the truth [mm] | after fitting | nu off by [sd] |\n|---|---|---|---|")
+    for shorter in (1, 2, 4):
+        exact = problem(given.shortened(shorter), recorded)
+        (found,) = fitted(exact, [Guess(TRUTH)], (0.3, 0.15, 0.08), seed=0)
+        after = 1e3 * NOISE * float(np.sqrt((found.residual**2).mean()))
+        print(f"| {10 / shorter:g} | {left(exact):.2f} | {after:.2f} | {found.x[1] - TRUTH[1]:+.2f} |", flush=True)
+
+
 def main() -> None:
-    robot = SuiteRobot("TrunkReach-v0")
-    finer, accurate = robot.refined()
+    time_steps()
+    given = SuiteRobot("TrunkReach-v0")
+    robot, (finer, accurate) = given.shortened(FITTED), given.refined()
     rng = np.random.default_rng(0)
     given = problem(robot, accurate)
-    print("| differences at | number | left [mm] |\n|---|---|---|")
+    print("\n| differences at | number | left [mm] |\n|---|---|---|")
     print(f"| none | | {left(given):.2f} |")
     for name, count, centre, spread in (("the prior", 5, np.zeros(5), FAR), ("around the truth", 3, TRUTH, NEAR)):
         points = [(centre + spread * rng.standard_normal(5), ()) for _ in range(count)]
