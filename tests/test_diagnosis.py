@@ -50,6 +50,15 @@ def test_a_fit_recovers_parameters_and_leaves_the_noise(robot, actions):
     assert 2 * found.cost / found.residual.size == pytest.approx(1, abs=0.1)
 
 
+def test_half_the_time_step_leaves_half_the_error(robot, actions):
+    nominal = np.array([[prior.nominal for prior in robot.priors]])
+    motions = [robot.shortened(k).simulate(actions, nominal, [()]) for k in (1, 2, 4, 8)]
+    errors = [np.abs(motion - motions[-1]).mean() for motion in motions[:-1]]
+    # first order, the error of the last one included: 7 : 3 : 1
+    assert errors[0] / errors[1] == pytest.approx(7 / 3, rel=0.2)
+    assert errors[1] / errors[2] == pytest.approx(3, rel=0.2)
+
+
 @pytest.mark.parametrize(
     ("name", "port", "coordinate"),
     [("payload", Port("body", "vertebra7"), 0.2), ("actuator_gain", Port("actuator", "L0"), 0.3)],
