@@ -6,8 +6,9 @@ Cut into short windows, of which each may be scaled freely, these responses stan
 slowly within a window; a free offset of each measured point stands for a fault there. The place at which they explain
 most of what parameters and numerical error do not explain is where something acts. No law is assumed.
 
-A tendon pulls in one direction where a body has three, so bodies explain more even of what a tendon does. But what a
-body does is explained about as well by several tendons: one that stands out among them is the place.
+A body is pushed in three directions where a tendon pulls in one, so the windows of a tendon are a third as long: every
+place has as many free numbers. With the same windows for all, a force at the tip explained more of what the motor of
+one cable did to another than that cable.
 """
 
 from collections.abc import Sequence
@@ -21,10 +22,9 @@ from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import SIMULATIONS, Robot
 from soro_bench.effects.effect import Port
 
-WINDOW = 0.5  # s
+WINDOW = 0.15  # s, times the number of directions
 _SHARE = 0.02  # of the robot's weight, a force on a body
 _OFFSET = 2.0  # standard deviations of the noise, an offset of a measured point
-_NEXT, _FIRST = 0.75, 0.7  # shares of evidence: of the next tendon, and of the first place
 _SCALES = np.geomspace(0.03, 30.0, 13)  # of a force in a window, standard deviations of the prior in those units
 
 
@@ -49,17 +49,7 @@ def places(problem: Problem, robot: Robot, base: Hypothesis) -> list[Place]:
     best: dict[Port, float] = {}
     for (where, _), rows in [*groups.items(), *_offsets(problem)]:
         best[where] = max(_gain(problem, base, np.array(rows)), best.get(where, -np.inf))
-    found = sorted((Place(*each) for each in best.items()), key=lambda place: -place.gain)
-    return _standing_out(found)
-
-
-def _standing_out(found: list[Place]) -> list[Place]:
-    """The same with a tendon first that explains far more than any other one, and not far less than the first."""
-    tendons = [place for place in found if place.where.kind == "tendon"]
-    others = tendons[1].gain if len(tendons) > 1 else -np.inf
-    if tendons and tendons[0].gain > max(others / _NEXT, _FIRST * found[0].gain):
-        found = [tendons[0], *(place for place in found if place is not tendons[0])]
-    return found
+    return sorted((Place(*each) for each in best.items()), key=lambda place: -place.gain)
 
 
 @dataclass(frozen=True)
@@ -149,7 +139,7 @@ def _offsets(problem) -> list[tuple[tuple[Port, str], np.ndarray]]:
 
 def _gain(problem, base, rows) -> float:
     """Evidence of free combinations of rows (K, M) in every window, for the best of several sizes."""
-    window = windows(problem, WINDOW)
+    window = windows(problem, WINDOW * len(rows))
     free = np.concatenate([rows * (window == w) for w in np.unique(window)])
     floor = base.floor(problem)
     hessian = floor.product(base.slope, base.slope) + np.eye(len(base.x))

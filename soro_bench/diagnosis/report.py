@@ -338,7 +338,8 @@ def verdict(diagnosis: Diagnosis) -> str:
         nearest = " with ".join(best.names) or "nothing"
         said.append(f"Something acts at {place} that has no name in the catalogue "
                     f"(probability {diagnosis.comparison.unknown:.2f}); nearest is {nearest}.")  # fmt: skip
-    said += [_sentence(diagnosis, f) for f in findings(diagnosis) if f.answer is best]
+    else:
+        said += [_sentence(diagnosis, f) for f in findings(diagnosis) if f.answer is best]
     said.append(f"Fit: {_before_after(best.train, unit)}.")
     if best.heldout is not None:
         said.append(f"Held out: {_before_after(best.heldout, unit)} ({_percent(best.heldout)} explained).")
