@@ -24,8 +24,9 @@ from soro_bench.effects.catalogue import CATEGORIES
 RADII, LAST = ((0.7, 0.3), (0.15,), (0.05, 0.05)), 0.07
 FAR_DRAWS, FAR = 3, 0.7  # replays of each refined robot at first, and their standard deviation
 NEAR = (0.15, 0.05, 0.0)  # of the one near each fit
-# polishes at most, the excess below which none is needed (nulls leave as much), the share that one more has to take off
-POLISHES, CLEAN, ENOUGH = 4, 1000.0, 0.1
+# polishes at most, the excess below which none is needed (nulls leave as much), the share that one more has to take
+# off, and the share of what the nominal robot leaves above which an effect is missing that no polishing supplies
+POLISHES, CLEAN, ENOUGH, HOPELESS = 4, 1000.0, 0.1, 0.5
 MOST = 3  # effects
 # leads that are tried, the share of the best one's promise that they have to make, and hypotheses of a round with
 # floors of their own
@@ -97,7 +98,8 @@ def explained(
         new = refitted(problem, leads, next(seeds))
         problem, new = _with_own_floor(problem, refined, new, next(seeds))
         new.sort(key=lambda h: -h.log_evidence(problem))
-        problem, new[0], screened = _polished(problem, refined, new[0], candidates, found, seeds)
+        problem, new[0] = _polished(problem, refined, nominal, new[0], seeds)
+        screened = evidence(problem, new[0], candidates, found)
         left = singles(screened)[0].gain
         tried = [_again(problem, h) for h in new + tried]
         if number > 1:
@@ -106,16 +108,17 @@ def explained(
     return Explanation(problem, nominal, tuple(tried), promised, left, first.detectable(WORTH))
 
 
-def _polished(problem, refined, hypothesis, candidates, found, seeds):
+def _polished(problem, refined, nominal, hypothesis, seeds):
     """Fit and numerical floor in turns, as long as more is left than nulls leave and that helps."""
     for _ in range(POLISHES):
-        if (before := problem.excess(hypothesis.residual)) < CLEAN:
+        before = problem.excess(hypothesis.residual)
+        if before < CLEAN or before > HOPELESS * problem.excess(nominal.residual):
             break
         better = polished(problem, hypothesis, next(seeds))
         problem, (hypothesis,) = _with_own_floor(problem, refined, [better], next(seeds))
         if problem.excess(hypothesis.residual) > (1.0 - ENOUGH) * before:
             break
-    return problem, hypothesis, evidence(problem, hypothesis, candidates, found)
+    return problem, hypothesis
 
 
 def _leads(problem, screened, leads):

@@ -1,9 +1,10 @@
 """The blinded challenge: cases with concealed physics are written and committed to, diagnosed, and only then scored."""
 
-import os
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
+
+import joblib
 
 from soro_bench.diagnosis.pipeline import diagnose
 from soro_bench.diagnosis.report import report_of
@@ -35,7 +36,7 @@ def prove(
     folder = Path(folder)
     cases, reports = folder / "cases", folder / "reports"
     write_cases(cases, count, seed, nulls, jobs, lambda done, total: progress("cases written", done, total))
-    names, threads = sorted(path.name for path in cases.glob("case_*")), max(1, (os.cpu_count() or 1) // jobs)
+    names, threads = sorted(path.name for path in cases.glob("case_*")), max(1, joblib.cpu_count() // jobs)
     todo = [(cases / name, reports / f"{name}.json", threads) for name in names]
     for i, _ in enumerate(each(diagnosed, todo, jobs)):
         progress("cases diagnosed", i + 1, len(todo))
