@@ -66,12 +66,17 @@ def noise(values: np.ndarray) -> float:
 
 
 def _step(values) -> float:
-    """Between the levels of a quantised signal; 0 for another one."""
+    """Between the levels of a quantised signal; 0 for another one.
+
+    It is the commonest change, not the least one: where a log was resampled, samples lie between the levels.
+    """
     steps = np.abs(np.diff(values, axis=0))
     steps = steps[np.isfinite(steps)]
     if not len(steps) or (steps == 0).mean() <= _REPEATED:
         return 0.0
-    return float(steps[steps > 0].min(initial=np.inf))
+    rounding = _LEAST_NOISE * float(steps.max())
+    changes, counts = np.unique(np.round(steps[steps > 0] / rounding), return_counts=True)
+    return float(rounding * changes[counts.argmax()])
 
 
 def outliers(residual: np.ndarray) -> np.ndarray:

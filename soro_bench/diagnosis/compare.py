@@ -81,18 +81,18 @@ def compared(found: Explanation, heldout: Problem | None, refined: Sequence[Robo
     problem, nominal = found.problem, found.nominal
     hypotheses = [nominal, *found.found[:COMPARED]]
     scores = np.array([h.log_evidence(problem) - _chance(h) for h in hypotheses])
-    train = [_rms(problem, h.residual) for h in hypotheses]
+    train = [problem.left(h.residual) for h in hypotheses]
     tested = [None] * len(hypotheses)
     if heldout is not None:
         points = [(h.x, h.suspects) for h in hypotheses]
         heldout = heldout.with_floor(numerical_floor(heldout, refined, points))
         residuals = heldout.residuals(points)
         scores = scores - [heldout.excess(row) for row in residuals]
-        tested = [_rms(heldout, row) for row in residuals]
-    detected = p_value(found.promised)
+        tested = [heldout.left(row) for row in residuals]
+    detected = 0.0 if problem.rough else p_value(found.promised)  # so much is no noise
     chances = _chances(scores, detected, min(problem.excess(h.residual) for h in hypotheses))
     answers = [
-        Answer(h, p, Fit(train[0], a, problem.sigma), None if b is None else Fit(tested[0], b, heldout.sigma))
+        Answer(h, p, Fit(train[0], a, problem.sensor), None if b is None else Fit(tested[0], b, problem.sensor))
         for h, p, a, b in zip(hypotheses, chances, train, tested, strict=True)
     ]
     unknown = (1.0 - detected) * _unknown(problem, hypotheses)
@@ -115,12 +115,7 @@ def _chances(scores, detected, excess):
 
 def _unknown(problem, hypotheses) -> float:
     """Probability that the physics has no name: of what the nominal robot leaves, the first, all leave much."""
-    left = [problem.excess(h.residual) for h in hypotheses]
+    samples, more = float(problem.weight.sum()), (problem.sigma / problem.sensor) ** 2
+    left = [0.5 * ((2.0 * problem.excess(h.residual) + samples) * more - samples) for h in hypotheses]
     share, width, least = UNKNOWN
     return float(expit(((min(left) - least) / max(left[0] - least, 1.0) - share) / width))
-
-
-def _rms(problem, residual) -> float:
-    """Of what the numerical floor does not explain."""
-    left = problem.floor.without(residual)
-    return float(problem.sigma * np.sqrt((left**2).sum() / problem.weight.sum()))

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
+from soro_bench.diagnosis.fit import Guess, Hypothesis, allowing, fitted
 from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.refit import distinct, polished, refitted, without_one
+from soro_bench.diagnosis.refit import distinct, persevered, polished, refitted, without_one
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
-from soro_bench.diagnosis.suspects import Suspect
+from soro_bench.diagnosis.suspects import Suspect, typical
 from soro_bench.effects.catalogue import CATEGORIES
 
 # radii of the clouds of the nominal fit after each numerical floor, and of the last fit of a hypothesis, in standard
@@ -69,8 +69,12 @@ def nominal_fit(problem: Problem, refined: Sequence[Robot], seed: int, progress=
         problem = problem.with_floor(numerical_floor(problem, refined, [(x, ()) for x in draws]))
         progress("joint fit of the parameters")
         (fit,) = fitted(problem, [guess], radii, seed + k)
+        problem, (fit,) = allowing(problem, fit, [fit])
         guess = Guess(fit.x, slope=fit.slope)
         draws = np.clip(fit.x + NEAR[k] * rng.standard_normal((1, d)), -2, 2)
+    if problem.rough:
+        (fit,) = persevered(problem, [fit], seed)
+        problem, (fit,) = allowing(problem, fit, [fit])
     return problem, fit
 
 
@@ -93,15 +97,22 @@ def explained(
             break
         progress(f"refits with {number} effect{'s' * (number > 1)}")
         leads = _leads(problem, screened, singles(screened))
-        if number == 2:
+        if number == 2 and not problem.rough:
             leads += _leads(problem, first, pairs(first))
         new = refitted(problem, leads, next(seeds))
+        if problem.rough:
+            new = persevered(problem, new, next(seeds))
         problem, new = _with_own_floor(problem, refined, new, next(seeds))
         new.sort(key=lambda h: -h.log_evidence(problem))
-        problem, new[0] = _polished(problem, refined, nominal, new[0], seeds)
-        screened = evidence(problem, new[0], candidates, found)
+        if problem.rough:
+            problem, (nominal, *tried) = allowing(problem, new[0], [nominal, *new, *tried])
+            candidates = _compatible(robot, tried[0], candidates)
+            found = responses(problem, tried[0], candidates, robot)  # the nominal robot is far away
+        else:
+            problem, new[0] = _polished(problem, refined, nominal, new[0], seeds)
+            tried = [_again(problem, h) for h in new + tried]
+        screened = evidence(problem, tried[0], candidates, found)
         left = singles(screened)[0].gain
-        tried = [_again(problem, h) for h in new + tried]
         if number > 1:
             tried[1:1] = without_one(problem, tried[0], next(seeds))
         nominal, best = _again(problem, nominal), tried[0]
@@ -121,6 +132,12 @@ def _polished(problem, refined, nominal, hypothesis, seeds):
     return problem, hypothesis
 
 
+def _compatible(robot, hypothesis, candidates):
+    """The candidates that the robot can have besides the effects of a hypothesis."""
+    effects = hypothesis.effects(len(robot.priors))
+    return [c for c in candidates if robot.accepts([*effects, typical(c)])]
+
+
 def _leads(problem, screened, leads):
     """Where to begin the fits of the best leads."""
     best = [lead for lead in distinct(leads, LEADS, problem.robot) if lead.gain > PROMISING * leads[0].gain]
@@ -130,6 +147,8 @@ def _leads(problem, screened, leads):
 def _worth(problem, nominal, best):
     """What one more effect has to promise."""
     left, all_of_it = (problem.excess(h.residual) for h in (best, nominal))
+    if problem.rough:  # then all that is left is taken for noise
+        return max(WORTH_SHARE * 0.5 * float(problem.weight.sum()), LAW_SHARE * (all_of_it - left))
     return max(WORTH, WORTH_SHARE * left, LAW_SHARE * (all_of_it - left))
 
 

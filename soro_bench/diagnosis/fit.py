@@ -51,6 +51,16 @@ class Hypothesis:
         return effects_at(self.x[parameters:], self.suspects)
 
 
+def allowing(problem: Problem, best: Hypothesis, others: Sequence[Hypothesis]) -> tuple[Problem, list[Hypothesis]]:
+    """The problem where the best hypothesis leaves much (``Problem.allowing``), and other hypotheses about it."""
+    same = problem.allowing(problem.left(best.residual))
+    factor, found = problem.sigma / same.sigma, []
+    for each in others:
+        scaled = {name: getattr(each, name) * factor for name in ("residual", "slope", "error")}
+        found.append(replace(each, **scaled, cost=same.cost(scaled["residual"], each.x)))
+    return same, found
+
+
 @dataclass(frozen=True)
 class Guess:
     """Where a fit begins: unknowns (n,), the suspects they belong to, and slopes (n, M) if there are any."""

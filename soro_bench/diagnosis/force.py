@@ -164,7 +164,7 @@ def _replayed(problem, hypothesis, effects, before_step: Callable[[int], Callabl
     """(N, M) in units of the noise; ``before_step`` gives what to call before the steps of every recording."""
     parameters = np.tile(list(problem.robot.parameters(hypothesis.x).values()), (len(effects), 1))
     parts = [
-        problem.robot.simulate(each.actions, parameters, effects, each.start, before_step(k)).reshape(len(effects), -1)
+        problem.robot.simulate_all([each.drive], parameters, effects, before_step(k))[0].reshape(len(effects), -1)
         for k, each in enumerate(problem.recordings)
     ]
     return np.concatenate(parts, axis=1) / problem.sigma * problem.weight

@@ -17,6 +17,11 @@ frame = ""
 [initial]                         # joints that begin where the signal of this one joint does
 joints = ["hinge"]
 
+[settings.gain]                   # fields that are scaled by a number that is known of every recording,
+metadata = "gain"                 # from its metadata, or command = "..." of one column for what changes with time
+reference = 200                   # the number for which the fields are as in the model; 1 by default
+fields = ["actuator_gainprm[0]:motor"]
+
 [parameters.inertia]              # fields that are scaled together, or with add = true and a unit shifted
 fields = ["body_mass:arm", "body_inertia:arm"]
 deviation = 0.3                   # of the prior: of the logarithm, or in the unit
@@ -45,8 +50,10 @@ _SECTIONS = {
     "commands": None,
     "signal": ("name", "sites", "joints", "sensors", "unit", "frame"),
     "initial": ("joints",),
+    "settings": None,
     "parameters": None,
 }
+_SETTING = ("fields", "metadata", "command", "reference")
 _PARAMETER = ("fields", "deviation", "add", "unit")
 _FIELD = re.compile(r"(?P<field>\w+)(\[(?P<column>\d+)\])?:(?P<element>.+)")
 _OBJECTS = {
@@ -59,6 +66,9 @@ _OBJECTS = {
     "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
 }
 _WIDTH = {"mjJNT_FREE": 6, "mjJNT_BALL": 3}  # degrees of freedom of a joint; others have one
+# degrees of freedom of all simulations side by side, where these are more than SIMULATIONS then, and these at most: a
+# time step of a small model costs less than what calls it
+_FREEDOM, _MOST_SIMULATIONS = 2000, 256
 _SHARE = 0.3  # of an actuator's range, how far a proposed motion goes
 _FAR = 100.0  # deviations, the bounds of a parameter that is added
 
@@ -76,8 +86,29 @@ class _Entry:
     column: int | None
 
 
+@dataclass(frozen=True)
+class _Setting:
+    """What is known of a recording: a number of its metadata, or a command of one column. It has the value 1 where the
+    number is the reference."""
+
+    metadata: str | None
+    command: str | None
+    reference: float
+
+    def values(self, recording: Recording, times: np.ndarray) -> np.ndarray:
+        """(T,) values at times [s]; RecordingError says what the recording lacks."""
+        if self.command:
+            return _held(recording, self.command, times, 1)[:, 0] / self.reference
+        text = recording.metadata.get(self.metadata)
+        try:
+            return np.full(len(times), float(text) / self.reference)
+        except (TypeError, ValueError) as error:
+            message = f"metadata {self.metadata!r} of the recording is {text!r}; a number is needed"
+            raise RecordingError(message) from error
+
+
 class _Fields:
-    """Parameters as changes of model fields."""
+    """Parameters and settings as changes of model fields."""
 
     def __init__(self, model, entries: dict[str, list[_Entry]], added: set[str]):
         self._model, self._entries, self._added = model, entries, added
@@ -133,10 +164,13 @@ class ModelRobot(Robot):
         self._initial = [_joint(compiled, name) for name in table["initial"].get("joints", [])]
         if self._initial and len(self._initial) != self.shape[0] * self.shape[1]:
             raise ModelError(f"[initial] has {len(self._initial)} joints; the signal has samples of shape {self.shape}")
-        self.priors, fields = _parameters(compiled, table["parameters"])
-        parameters = ParameterSet(*(Parameter(p.name, p.unit, p.nominal, p.bounds, p.bounds, "") for p in self.priors))
-        self.simulation = Simulation(compiled, parameters, [fields], SIMULATIONS, threads, ())
-        self._bad = np.zeros(SIMULATIONS, int)
+        self._settings, scaled = _settings(compiled, table["settings"])
+        self.priors, fields = _parameters(compiled, table["parameters"], scaled)
+        known = [Prior(name, "1", 1.0, 1.0, True, (0.0, np.inf)) for name in scaled]
+        parameters = [Parameter(p.name, p.unit, p.nominal, p.bounds, p.bounds, "") for p in (*self.priors, *known)]
+        count = min(max(_FREEDOM // max(compiled.nv, 1), SIMULATIONS), _MOST_SIMULATIONS)
+        self.simulation = Simulation(compiled, ParameterSet(*parameters), [fields], count, threads, ())
+        self._bad = np.zeros(count, int)
 
     def shortened(self, factor: int) -> Robot:
         """The same model with shorter time steps."""
@@ -156,20 +190,19 @@ class ModelRobot(Robot):
         steps = int(np.ceil(recording.duration / self.control_timestep - 1e-6))
         if not 1 <= steps <= _MOST_STEPS:
             raise RecordingError(f"{recording.duration} s are {steps} control steps; expected 1 to {_MOST_STEPS}")
-        times = recording.start + self.control_timestep * np.arange(steps)
         actions = np.zeros((steps, self._model.nu))
         for name, actuators in self._commands:
-            if name not in recording.commands:
-                raise RecordingError(f"the recording has no command {name!r}; it has {sorted(recording.commands)}")
-            command = recording.commands[name]
-            values = command.values.reshape(len(command.time), -1)
-            if values.shape[1] != len(actuators):
-                raise RecordingError(f"command {name!r} has {values.shape[1]} columns for {len(actuators)} actuators")
-            held = values[np.maximum(np.searchsorted(command.time, times + 1e-9, side="right") - 1, 0)]
-            if np.isnan(held).any():
-                raise RecordingError(f"the command {name!r} has missing numbers")
-            actions[:, actuators] = held
+            actions[:, actuators] = _held(recording, name, self._times(recording, steps), len(actuators))
         return actions
+
+    def settings(self, recording: Recording, steps: int) -> np.ndarray | None:
+        """(steps, S) of the mapping's settings, as multiples of their references."""
+        times = self._times(recording, steps)
+        return np.stack([s.values(recording, times) for s in self._settings], axis=1) if self._settings else None
+
+    def _times(self, recording, steps):
+        """(steps,) s, the beginnings of the control steps."""
+        return recording.start + self.control_timestep * np.arange(steps)
 
     def commanded(self, rates: np.ndarray) -> np.ndarray:
         """(T, nu) setpoints that go the way of rates (T, nu), within a share of each actuator's range."""
@@ -202,16 +235,23 @@ class ModelRobot(Robot):
     def _begin(self, parameters, start):
         ids = np.arange(len(parameters))
         batch = self.simulation.batch
-        self.simulation.set_params(ids, parameters)
+        self._set_all(ids, parameters, np.ones((len(ids), len(self._settings))))
         batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         if self._initial and start is not None:
-            batch.qpos[np.ix_(ids, self._model.jnt_qposadr[self._initial])] = start.ravel()
+            batch.qpos[np.ix_(ids, self._model.jnt_qposadr[self._initial])] = start.reshape(len(ids), -1)
         self.simulation.begin(ids)
         self._bad[ids], self._settled = self.simulation.bad_states(ids), False
 
-    def _step(self, count, action):
-        ids = np.arange(count)
-        self.simulation.batch.ctrl[ids] = action
+    def _set(self, ids, settings):
+        if len(ids):
+            self._set_all(ids, self.simulation.params[ids, : len(self.priors)], settings)
+
+    def _set_all(self, ids, parameters, settings):
+        self.simulation.set_params(ids, np.hstack([parameters, settings]))
+
+    def _step(self, actions):
+        ids = np.arange(len(actions))
+        self.simulation.batch.ctrl[ids] = actions
         for _ in range(1 if self._settled else 1 + self._settle):
             self.simulation.step(ids, self._substeps)
         self._settled = True
@@ -252,14 +292,47 @@ def _compiled(path) -> mujoco.MjModel:
         raise ModelError(f"{path} is no MuJoCo model: {error}") from error
 
 
-def _parameters(model, table) -> tuple[tuple[Prior, ...], _Fields]:
-    """Priors, and what they change."""
-    priors, entries, added = [], {}, set()
+def _held(recording, name, times, columns) -> np.ndarray:
+    """(T, columns) the last numbers of a command until each of the times [s], or the first ones."""
+    if name not in recording.commands:
+        raise RecordingError(f"the recording has no command {name!r}; it has {sorted(recording.commands)}")
+    command = recording.commands[name]
+    values = command.values.reshape(len(command.time), -1)
+    if values.shape[1] != columns:
+        raise RecordingError(f"command {name!r} has {values.shape[1]} columns; expected {columns}")
+    held = values[np.maximum(np.searchsorted(command.time, times + 1e-9, side="right") - 1, 0)]
+    if np.isnan(held).any():
+        raise RecordingError(f"the command {name!r} has missing numbers")
+    return held
+
+
+def _settings(model, table) -> tuple[list[_Setting], dict[str, list[_Entry]]]:
+    """Settings, and the fields that each of them scales."""
+    settings, entries = [], {}
+    for name, entry in table.items():
+        label = f"[settings.{name}]"
+        if not isinstance(entry, dict):
+            raise ModelError(f"{label} has to be a section")
+        _check_keys(label, entry, _SETTING)
+        source = [entry[key] for key in ("metadata", "command") if key in entry]
+        if len(source) != 1 or not isinstance(source[0], str):
+            raise ModelError(f"{label} needs either metadata or command, the name of one")
+        reference = _number(f"{label} reference", entry.get("reference", 1.0), 1e-9, 1e9)
+        settings.append(_Setting(entry.get("metadata"), entry.get("command"), reference))
+        entries[name] = [_entry(model, label, text) for text in _names(f"settings.{name}", entry, "fields")]
+    return settings, entries
+
+
+def _parameters(model, table, scaled: dict[str, list[_Entry]]) -> tuple[tuple[Prior, ...], _Fields]:
+    """Priors, and what they and the settings, whose fields are ``scaled``, change."""
+    priors, entries, added = [], dict(scaled), set()
     for name, entry in table.items():
         label = f"[parameters.{name}]"
         if not isinstance(entry, dict):
             raise ModelError(f"{label} has to be a section")
         _check_keys(label, entry, _PARAMETER)
+        if name in scaled:
+            raise ModelError(f"{label} has the name of a setting")
         deviation = _number(f"{label} deviation", entry.get("deviation"), 1e-9, 1e9)
         entries[name] = [_entry(model, label, text) for text in _names(f"parameters.{name}", entry, "fields")]
         if entry.get("add", False):

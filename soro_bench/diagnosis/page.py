@@ -183,7 +183,7 @@ def _overlay(diagnosis) -> str:
     figure, axes = pyplot().subplots(rows, 1, figsize=(9, 1 + 1.5 * rows), sharex=True, layout="constrained")
     axes = np.atleast_1d(axes)
     for axis, ax in enumerate(axes):
-        ax.axhspan(-2 * scale * problem.sigma, 2 * scale * problem.sigma, color="0.85", lw=0)
+        ax.axhspan(-2 * scale * problem.sensor, 2 * scale * problem.sensor, color="0.85", lw=0)
         ax.plot(measured.time, scale * before[:, point, axis], color="C3", lw=0.8, label="parameters fitted")
         ax.plot(measured.time, scale * after[:, point, axis], color="C0", lw=0.8, label="best hypothesis")
         ax.set_ylabel(f"{'xyz'[axis]} [{unit}]" if rows == 3 else f"[{unit}]")

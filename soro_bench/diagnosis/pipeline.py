@@ -90,14 +90,16 @@ def diagnose(
     if (size := sum(each.values.size for each in measured + tested)) > MOST_NUMBERS:
         raise RecordingError(f"{size} numbers to explain; at most {MOST_NUMBERS}, so cut the recordings")
     audits = tuple(audit(each) for each in (*measured, *tested))
-    sigma = min(a.sigma for a in audits)  # of one sensor: motion only adds to it
+    # of one sensor: motion only adds to it
+    sigma = max(min(a.sigma for a in audits), max(a.least for a in audits))
     problem, nominal = nominal_fit(unexplained(fitted, measured, sigma), refined, seed, progress)
     problem, nominal, found_outliers = _without_outliers(problem, nominal)
-    problem, nominal = _with_noise(problem, nominal, max(a.least for a in audits))
+    if not problem.rough:
+        problem, nominal = _with_noise(problem, nominal, max(a.least for a in audits))
     candidates = suspects(robot)
     explanation = explained(problem, nominal, robot, refined, candidates, seed, progress)
     progress("comparison")
-    comparison = compared(explanation, _tested(fitted, tested, problem.sigma, nominal), refined)
+    comparison = compared(explanation, _tested(fitted, tested, explanation.problem.sigma, nominal), refined)
     found = Diagnosis(robot, audits, found_outliers, explanation, comparison, (), None, 0.0)
     if comparison.unknown > UNSURE:
         progress("place of what has no name")

@@ -112,7 +112,7 @@ def _responses(problem, robot, base, pushes: Sequence[_Push]) -> np.ndarray:
 
         n = len(some) + 1
         parts = [
-            robot.simulate(each.actions, np.repeat(parameters, n, axis=0), [effects] * n, each.start, push)
+            robot.simulate_all([each.drive], np.repeat(parameters, n, axis=0), [effects] * n, push)[0]
             for each in problem.recordings
         ]
         rows = np.concatenate([part.reshape(n, -1) for part in parts], axis=1)

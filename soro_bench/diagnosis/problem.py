@@ -9,6 +9,8 @@ from soro_bench.diagnosis.robot import Measured, Robot
 from soro_bench.diagnosis.suspects import Suspect, effects_at
 from soro_bench.inference.clouds import LowRank
 
+ROUGH = 10.0  # standard deviations of the sensor's noise, rms, beyond which what a fit leaves is no noise of a sensor
+NEGLIGIBLE = 0.1  # of what is taken for noise then, numerical error that explains nothing of it
 DIVERGED = 1e3  # standard deviations of the noise, a residual where the simulation diverged
 
 
@@ -17,7 +19,7 @@ class Problem:
     """Recordings to be explained together, M samples in all.
 
     sigma: standard deviation of their noise [signal's unit]. weight: (M,) 0 for what is missing or an outlier, else 1.
-    floor: numerical error in units of sigma.
+    floor: numerical error in units of sigma. noise: of the sensor, where ``sigma`` is larger (``allowing``); else 0.
     """
 
     robot: Robot
@@ -25,6 +27,17 @@ class Problem:
     sigma: float
     weight: np.ndarray
     floor: LowRank
+    noise: float = 0.0
+
+    @property
+    def sensor(self) -> float:
+        """Standard deviation of the sensor's noise [signal's unit]."""
+        return self.noise or self.sigma
+
+    @property
+    def rough(self) -> bool:
+        """Whether more is taken for noise than the sensor's."""
+        return self.noise > 0.0
 
     @property
     def parameters(self) -> int:
@@ -37,7 +50,7 @@ class Problem:
         values = np.array([x[:d] for x, _ in points])
         parameters = np.stack([prior.value(values[:, i]) for i, prior in enumerate(self.robot.priors)], axis=1)
         effects = [effects_at(x[d:], suspects) for x, suspects in points]
-        parts = [robot.simulate(each.actions, parameters, effects, each.start) for each in self.recordings]
+        parts = robot.simulate_all([each.drive for each in self.recordings], parameters, effects)
         return np.concatenate([part.reshape(len(points), -1) for part in parts], axis=1)
 
     def residuals(self, points: Sequence[tuple[np.ndarray, Sequence[Suspect]]]) -> np.ndarray:
@@ -48,12 +61,34 @@ class Problem:
 
     def with_floor(self, columns: np.ndarray) -> "Problem":
         """The same with more numerical error: differences (F, M) [signal's unit]."""
-        return replace(self, floor=LowRank(np.concatenate([self.floor.basis, columns / self.sigma * self.weight])))
+        return self._with_basis(np.concatenate([self.floor.basis, columns / self.sigma * self.weight]))
+
+    def _with_basis(self, basis: np.ndarray) -> "Problem":
+        if self.rough:
+            basis = basis[(basis**2).sum(axis=1) > NEGLIGIBLE**2 * self.weight.sum()]
+        return replace(self, floor=LowRank(basis))
 
     def excess(self, residual: np.ndarray) -> float:
         """How much less probable than white noise the residual (M,) is, as a logarithm; floor marginalised."""
         squares = float(self.floor.product(residual[None], residual[None])[0, 0])
         return 0.5 * (squares - float(self.weight.sum()))
+
+    def left(self, residual: np.ndarray) -> float:
+        """Standard deviation [signal's unit] of what numerical error does not explain of a residual (M,)."""
+        return self.sigma * float(np.sqrt((self.floor.without(residual) ** 2).sum() / self.weight.sum()))
+
+    def allowing(self, left: float) -> "Problem":
+        """The same where a simulation leaves ``left`` [signal's unit]: if that is many times the sensor's noise, it is
+        the noise.
+
+        No law is right to a thousandth of a real robot's motion. With the sensor's noise alone, the priors would not
+        count, and small numerical errors, a hundred times enlarged, would explain what physics has to; so the floor
+        loses those that are far smaller.
+        """
+        rough = left > ROUGH * self.sensor
+        sigma = left if rough else self.sensor
+        same = replace(self, sigma=sigma, noise=self.sensor if rough else 0.0)
+        return same._with_basis(self.floor.basis * (self.sigma / sigma))
 
     def cost(self, residual: np.ndarray, x: np.ndarray) -> float:
         """Minus the logarithm of likelihood times prior, but for a constant."""

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -14,11 +14,20 @@ from soro_bench.effects.measurement import distorted
 from soro_bench.models.simulation import Simulation
 from soro_bench.recording.recording import Recording, RecordingError, resampled
 
-SIMULATIONS = 64  # at a time
+SIMULATIONS = 64  # side by side, at least
 # time steps, in one of the given robot, of the one that is fitted and of the refined one: fitted to a trunk with far
 # shorter steps, one leaves 0.66 mm with the given steps of 10 ms and 0.29 mm with half of them
 # (benchmarks/diagnosis_floor.py)
 FITTED, REFINED = 2, 4
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What drives a robot: (T, ...) actions, where its signal is first (P, D), and (T, S) settings."""
+
+    actions: np.ndarray
+    start: np.ndarray | None = None
+    settings: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -27,7 +36,8 @@ class Measured:
 
     actions: (T, ...) one per control step. time: (T,) s, the ends of the control steps. values: (T, P, D) samples of
     one signal at these times, P points of D coordinates; NaN where missing. start: (P, D) the first sample of the
-    signal, before the first step.
+    signal, before the first step. settings: (T, S) what is known of the robot in each control step, for robots that
+    have such settings.
     """
 
     actions: np.ndarray
@@ -36,6 +46,17 @@ class Measured:
     signal: str
     unit: str
     start: np.ndarray | None = None
+    settings: np.ndarray | None = None
+
+    @property
+    def drive(self) -> Drive:
+        """What drove the robot."""
+        return Drive(self.actions, self.start, self.settings)
+
+    def under(self, actions: np.ndarray) -> "Measured":
+        """The same robot under other actions, with its settings as at first."""
+        settings = None if self.settings is None else np.repeat(self.settings[:1], len(actions), axis=0)
+        return replace(self, actions=actions, settings=settings)
 
 
 @dataclass(frozen=True)
@@ -56,7 +77,7 @@ class Prior:
 
 
 class Robot(ABC):
-    """A robot with ``SIMULATIONS`` simulations. Subclasses set the attributes and implement the hooks below.
+    """A robot with ``SIMULATIONS`` simulations or more. Subclasses set the attributes and implement the hooks below.
 
     Attributes:
         name: of the robot, for people.
@@ -82,6 +103,11 @@ class Robot(ABC):
         """The elements of its model."""
         return Elements(self.simulation.model)
 
+    @property
+    def _count(self) -> int:
+        """Simulations side by side."""
+        return self.simulation.batch.nsim
+
     @abstractmethod
     def shortened(self, factor: int) -> "Robot":
         """The same robot with time steps that are shorter by a factor than those of its model."""
@@ -104,15 +130,23 @@ class Robot(ABC):
 
     @abstractmethod
     def _begin(self, parameters: np.ndarray, start: np.ndarray | None) -> None:
-        """Start simulations 0 .. n - 1 with parameters (n, d), from where the signal is ``start``."""
+        """Start simulations 0 .. n - 1 with parameters (n, d), from where the signal is ``start`` (n, P, D)."""
 
     @abstractmethod
-    def _step(self, count: int, action: np.ndarray) -> np.ndarray:
-        """Advance the first ``count`` simulations by a control step; (count,) whether each diverged."""
+    def _step(self, actions: np.ndarray) -> np.ndarray:
+        """Advance simulations 0 .. n - 1 by a control step under actions (n, ...); (n,) whether each diverged."""
 
     @abstractmethod
     def _read(self, count: int) -> np.ndarray:
         """(count, P, D) the signal now."""
+
+    def settings(self, recording: Recording, steps: int) -> np.ndarray | None:
+        """(steps, S) what is known of the robot in each control step; None where it has no settings."""
+        return None
+
+    def _set(self, ids: np.ndarray, settings: np.ndarray) -> None:
+        """Give simulations ``ids`` (n,) settings (n, S); for robots that have some."""
+        raise NotImplementedError
 
     def ports(self, kind: str) -> list[Port]:
         """The ports of a kind at which something may be missing."""
@@ -148,7 +182,7 @@ class Robot(ABC):
         if len({(e.name, e.where) for e in effects}) < len(effects):
             return False
         try:
-            self.simulation.assign_effects([[e for e in effects if e.where.kind != "sensor"]] * SIMULATIONS)
+            self.simulation.assign_effects([[e for e in effects if e.where.kind != "sensor"]] * self._count)
         except EffectError:
             return False
         return True
@@ -157,13 +191,13 @@ class Robot(ABC):
         """Whether an effect is in the fields of the model, and nowhere else."""
         if effect.where.kind == "sensor":
             return False
-        self.simulation.assign_effects([[effect]] * SIMULATIONS)
+        self.simulation.assign_effects([[effect]] * self._count)
         return self.simulation.native
 
     def model(self, parameters: Mapping[str, float], effects: Sequence[Effect]) -> mujoco.MjModel:
         """Its model with parameters, and with effects that are native."""
         sim = self.simulation
-        sim.assign_effects([effects] * SIMULATIONS)
+        sim.assign_effects([effects] * self._count)
         sim.set_params(np.arange(1), sim.parameters.to_array(parameters)[None])
         return sim.batch.get_model(0)
 
@@ -183,7 +217,8 @@ class Robot(ABC):
         times = recording.start + self.control_timestep * np.arange(1, len(actions) + 1)
         values = resampled(given, times).values.reshape(-1, *self.shape)
         first = given.values[0].reshape(self.shape)
-        return Measured(actions, times - recording.start, values, self.signal, self.unit, first)
+        settings = self.settings(recording, len(actions))
+        return Measured(actions, times - recording.start, values, self.signal, self.unit, first, settings)
 
     def simulate(
         self,
@@ -192,6 +227,7 @@ class Robot(ABC):
         effects: Sequence[Sequence[Effect]],
         start: np.ndarray | None = None,
         before_step: Callable[[int], None] | None = None,
+        settings: np.ndarray | None = None,
     ) -> np.ndarray:
         """What the sensor would have recorded.
 
@@ -202,38 +238,64 @@ class Robot(ABC):
             start: (P, D) the signal before the first step, for robots that begin where it does.
             before_step: called with the number of every control step; replay i, of ``SIMULATIONS`` at most, then runs
                 in simulation i.
+            settings: (T, S) as ``Measured`` has them.
 
         Returns:
             (N, T, P, D), NaN from where a simulation diverged.
         """
+        return self.simulate_all([Drive(actions, start, settings)], parameters, effects, before_step)[0]
+
+    def simulate_all(
+        self,
+        drives: Sequence[Drive],
+        parameters: np.ndarray,
+        effects: Sequence[Sequence[Effect]],
+        before_step: Callable[[int], None] | None = None,
+    ) -> list[np.ndarray]:
+        """The same under each of several drives, side by side: (N, T, P, D) of every drive."""
         # what differs only in the sensor is simulated once
         physics = [tuple(e for e in each if e.where.kind != "sensor") for each in effects]
         keys = [(row.tobytes(), repr(each)) for row, each in zip(parameters, physics, strict=True)]
-        if before_step:
-            keys = range(len(effects))
-        first = {key: i for i, key in reversed(list(enumerate(keys)))}
-        unique = sorted(first.values())
-        parts = []
-        for begin in range(0, len(unique), SIMULATIONS):
-            rows = unique[begin : begin + SIMULATIONS]
-            parts.append(self._roll_out(actions, start, parameters[rows], [physics[i] for i in rows], before_step))
-        values, place = np.concatenate(parts), {i: k for k, i in enumerate(unique)}
-        time = self.control_timestep * np.arange(1, len(actions) + 1)
-        return np.stack([
-            distorted(MEASUREMENT, each, time, values[place[first[key]]], self.signal)
-            for key, each in zip(keys, effects, strict=True)
-        ])
+        first = range(len(keys)) if before_step else [keys.index(key) for key in keys]
+        jobs = [(k, i) for k in range(len(drives)) for i in sorted(set(first))]
+        jobs.sort(key=lambda job: len(drives[job[0]].actions))  # those that run together take about as long
+        values = {}
+        for begin in range(0, len(jobs), self._count):
+            some = jobs[begin : begin + self._count]
+            driven, rows = [drives[k] for k, _ in some], [i for _, i in some]
+            found = self._roll_out(driven, parameters[rows], [physics[i] for i in rows], before_step)
+            values |= dict(zip(some, found, strict=True))
+        times = [self.control_timestep * np.arange(1, len(drive.actions) + 1) for drive in drives]
+        return [
+            np.stack([
+                distorted(MEASUREMENT, each, time, values[k, i], self.signal)
+                for i, each in zip(first, effects, strict=True)
+            ])
+            for k, time in enumerate(times)
+        ]
 
-    def _roll_out(self, actions, start, parameters, physics, before_step):
-        n = len(parameters)
-        self.simulation.assign_effects([*physics, *[()] * (SIMULATIONS - n)])
+    def _roll_out(self, drives, parameters, physics, before_step):
+        """[(T, P, D)] of n replays, each with its own drive."""
+        n, lengths = len(drives), [len(drive.actions) for drive in drives]
+        # the shorter ones go on with their last row
+        rows = np.minimum(np.arange(max(lengths)), np.array(lengths)[:, None] - 1)
+        actions = np.stack([drive.actions[at] for drive, at in zip(drives, rows, strict=True)])
+        start, settings = drives[0].start, drives[0].settings  # all drives have them, or none
+        if start is not None:
+            start = np.stack([drive.start for drive in drives])
+        if settings is not None:
+            settings = np.stack([drive.settings[at] for drive, at in zip(drives, rows, strict=True)])
+        self.simulation.assign_effects([*physics, *[()] * (self._count - n)])
         self._begin(parameters, start)
-        lost, rows = np.zeros(n, bool), []
-        for step, action in enumerate(actions):
+        lost, values = np.zeros(n, bool), []
+        for step in range(actions.shape[1]):
+            if settings is not None:
+                before = settings[:, step - 1] if step else np.nan
+                self._set(ids := np.flatnonzero((settings[:, step] != before).any(axis=1)), settings[ids, step])
             if before_step:
                 before_step(step)
-            lost |= self._step(n, action)
-            row = self._read(n).copy()
-            row[lost] = np.nan
-            rows.append(row)
-        return np.stack(rows, axis=1)
+            lost |= self._step(actions[:, step])
+            value = self._read(n).copy()
+            value[lost] = np.nan
+            values.append(value)
+        return [value[:length] for value, length in zip(np.stack(values, axis=1), lengths, strict=True)]

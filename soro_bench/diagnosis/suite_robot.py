@@ -71,8 +71,8 @@ class SuiteRobot(Robot):
         options = [{"params": dict(zip(names, row, strict=True))} for row in parameters.tolist()]
         self._task.reset(np.arange(n), [np.random.default_rng(0)] * n, options)
 
-    def _step(self, count, action):
-        return self._task.step(np.arange(count), np.repeat(action[None], count, axis=0)).diverged
+    def _step(self, actions):
+        return self._task.step(np.arange(len(actions)), actions).diverged
 
     def _read(self, count):
         return self._task.signals(np.arange(count))[self.signal]

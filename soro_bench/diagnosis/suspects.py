@@ -70,7 +70,7 @@ def suspects(robot: Robot) -> list[Suspect]:
             ports = [] if kind == "joint" and "body" in law.kinds else robot.ports(kind)
             every = [Port(kind, EVERY)] if law.shared and len(ports) > 1 else []
             for port in every if law.only_shared else every + ports:
-                found += variants(suspect(robot, name, port))
+                found += [each for each in variants(suspect(robot, name, port)) if robot.accepts([typical(each)])]
     for name, fault in ALL.items():
         if name not in PHYSICS and name != "outliers" and (coordinates == 3 or name != "frame_misalignment"):
             indices = range(points) if fault.local else [None]
@@ -87,6 +87,11 @@ def suspect(robot: Robot, name: str, where: Port) -> Suspect:
     port = robot.ports(where.kind)[0] if where.name == EVERY else where
     typical = tuple(q.typical * (scale(port, q.of) if where.kind != "sensor" else 1.0) for q in quantities)
     return Suspect(name, where, typical, tuple(magnitudes))
+
+
+def typical(one: Suspect) -> Effect:
+    """The effect of typical magnitudes."""
+    return one.effect(np.array(one.magnitudes) / MAGNITUDE_DEVIATION)
 
 
 def variants(one: Suspect) -> list[Suspect]:

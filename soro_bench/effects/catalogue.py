@@ -19,6 +19,7 @@ PHYSICS = {
         springs.CoulombFriction,
         springs.StribeckFriction,
         springs.LoadFriction,
+        springs.GearFriction,
         commands.ActuatorDelay,
         commands.ActuatorLag,
         commands.Backlash,

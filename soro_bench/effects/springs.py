@@ -144,6 +144,45 @@ class LoadFriction(_Friction):
         return (turned * self.bends[which]).sum(axis=1)
 
 
+class GearFriction(_Friction):
+    """Dry friction of a loaded gear: in proportion to the torques on its two sides, those of the actuators and all
+    others, and to its preload, and larger near standstill.
+
+    mu (|T - backdrive L| + preload) (1 + (static_ratio - 1) exp(-(v/vs)^2)) with the actuators' torque T and the load's
+    L, which has the other sign where the actuators carry it (Duclusaud et al., "Extended friction models for the
+    physics simulation of servo actuators", 2025).
+    """
+
+    name, kinds = "gear_friction", ("joint",)
+    quantities = (
+        Quantity("mu", "1", 0.1, (0.0, 10.0)),
+        Quantity("backdrive", "1", 0.5, (0.0, 10.0)),
+        Quantity("preload", _FORCE, 1.0, INFINITE, of="force"),
+        Quantity("static_ratio", "1", 1.5, (1.0, 10.0)),
+        Quantity("stribeck_velocity", "m/s or rad/s", 0.2, (1e-4, 100.0)),
+        _PRESLIDING,
+    )
+    outputs = (
+        "ten_length", "ten_velocity", "qfrc_actuator", "qfrc_passive", "qfrc_constraint", "qfrc_applied", "qfrc_bias",
+    )  # fmt: skip
+
+    def prepare(self, elements):
+        super().prepare(elements)
+        self.dofs = self.model.jnt_dofadr[self.ids]
+
+    def level(self, which):
+        rows, dofs, springs = self.rows[which], self.dofs[which], self.springs[which]
+        data, values = self.batch, {name: each[which] for name, each in self.values.items()}
+        strain = data.ten_length[rows, springs] - data.plastic[rows, self.model.tendon_plasticadr[springs]]
+        own = -self.field("tendon_stiffness")[rows, springs] * strain
+        others = data.qfrc_passive[rows, dofs] - own + data.qfrc_applied[rows, dofs] + data.qfrc_constraint[rows, dofs]
+        load = others - data.qfrc_bias[rows, dofs]
+        torque = np.abs(data.qfrc_actuator[rows, dofs] - values["backdrive"] * load)
+        speed = data.ten_velocity[rows, springs] / values["stribeck_velocity"]
+        level = values["mu"] * (torque + values["preload"])
+        return level * (1.0 + (values["static_ratio"] - 1.0) * np.exp(-(speed**2)))
+
+
 class Hysteresis(OnJoints):
     """A Jenkins element beside the springs: stiffness ratio times theirs, slipping beyond the yield strain."""
 
