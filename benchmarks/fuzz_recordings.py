@@ -47,6 +47,18 @@ time = "stamp"
 """
 
 
+NPZ = """[time]
+array = "t"
+[signals.markers]
+arrays = ["a", "b"]
+unit = "mm"
+[commands.action]
+arrays = ["u"]
+time = "t_u"
+unit = "1"
+"""
+
+
 def example() -> Recording:
     """A small recording with several rates, missing samples and arrays."""
     rng = np.random.default_rng(0)
@@ -67,6 +79,15 @@ def write_csv(folder: Path) -> Path:
     rows = [f"{10 * i},{0.5 * i},{-i},{i * i},{i % 2}" for i in range(20)]
     (folder / "table.csv").write_text("\n".join(["t,x,y,z,u", *rows]) + "\n")
     return folder / "table.csv"
+
+
+def write_npz(folder: Path) -> Path:
+    """Five arrays and their mapping."""
+    (folder / "map.toml").write_text(NPZ)
+    rng = np.random.default_rng(0)
+    arrays = {"t": np.arange(20) / 20, "a": rng.normal(size=(20, 3)), "b": rng.normal(size=(20, 2)).astype("float32")}
+    np.savez_compressed(folder / "log.npz", u=np.arange(19), t_u=np.arange(19) / 20, **arrays)
+    return folder / "log.npz"
 
 
 def write_mcap(folder: Path, compression=CompressionType.ZSTD) -> Path:
@@ -113,12 +134,13 @@ def write_lerobot(folder: Path) -> Path:
 
 def readers(folder: Path) -> dict[str, tuple[Path, Callable[[], Recording]]]:
     """The file to damage and what reads it, by kind; everything lies in ``folder``."""
-    folders = {name: folder / name for name in ("csv", "mcap", "mcap_lz4", "lerobot")}
+    folders = {name: folder / name for name in ("csv", "npz", "mcap", "mcap_lz4", "lerobot")}
     for sub in folders.values():
         sub.mkdir(parents=True)
     native = folder / "native.parquet"
     save(example(), native)
     table, data = write_csv(folders["csv"]), write_lerobot(folders["lerobot"])
+    archive = write_npz(folders["npz"])
     log, log_lz4 = write_mcap(folders["mcap"]), write_mcap(folders["mcap_lz4"], CompressionType.LZ4)
     mapping = folders["csv"] / "map.toml"
     info = folders["lerobot"] / "meta" / "info.json"
@@ -126,6 +148,7 @@ def readers(folder: Path) -> dict[str, tuple[Path, Callable[[], Recording]]]:
         "native": (native, lambda: load(native)),
         "csv": (table, lambda: import_recording(table, mapping)),
         "mapping": (mapping, lambda: import_recording(table, mapping)),
+        "npz": (archive, lambda: import_recording(archive, folders["npz"] / "map.toml")),
         "mcap": (log, lambda: import_recording(log, folders["mcap"] / "map.toml")),
         "mcap lz4": (log_lz4, lambda: import_recording(log_lz4, folders["mcap_lz4"] / "map.toml")),
         "lerobot": (data, lambda: import_recording(folders["lerobot"], episode=1)),

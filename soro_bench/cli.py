@@ -194,10 +194,10 @@ class Infer:
 
 @dataclass
 class Import:
-    """Turn a CSV or MCAP file or a LeRobot dataset into a recording."""
+    """Turn a CSV, NPZ or MCAP file or a LeRobot dataset into a recording."""
 
     file: Annotated[Path, tyro.conf.Positional]
-    """.csv, .mcap, or the folder of a LeRobot dataset."""
+    """.csv, .npz, .mcap, or the folder of a LeRobot dataset."""
     out: Path
     """The file to write, .parquet."""
     mapping: Path | None = None

@@ -4,6 +4,7 @@ import json
 import os
 import re
 import sys
+import zipfile
 
 import lz4.frame
 import numpy as np
@@ -17,7 +18,7 @@ from hypothesis import strategies as st  # noqa: E402
 from mcap.records import Chunk  # noqa: E402
 from mcap.writer import CompressionType, Writer  # noqa: E402
 
-from benchmarks.fuzz_recordings import mutated, outcome, readers, write_lerobot, write_mcap  # noqa: E402
+from benchmarks.fuzz_recordings import mutated, outcome, readers, write_lerobot, write_mcap, write_npz  # noqa: E402
 from soro_bench.cli import main  # noqa: E402
 from soro_bench.recording.importers import import_recording, mcap_file  # noqa: E402
 from soro_bench.recording.importers.units import UNITS, si  # noqa: E402
@@ -102,6 +103,32 @@ def test_csv_without_header(csv):
     np.testing.assert_array_equal(recording.signals["f"].values, [1, 2])
 
 
+def test_csv_of_counted_rows_of_some_trials(csv):
+    """Rows are counted where there are no times, and a signal shows the end of the interval."""
+    mapping = """
+        [format]
+        label = "trial"
+        only = ["pull", "circle"]
+        [time]
+        interval = 0.5
+        until = 1.4
+        [commands.u]
+        columns = ["u"]
+        unit = "mm"
+        [signals.f]
+        columns = ["f"]
+        unit = "N"
+        shift = 0.5
+    """
+    table = "trial,u,f\npull 1,1,10\nhold,2,20\npull 2,3,30\ncircle,4,40\ncircle,5,50\n"
+    recording = csv(table, mapping)
+    u, f = recording.commands["u"], recording.signals["f"]
+    np.testing.assert_allclose(u.time, [0, 0.5, 1.0])
+    np.testing.assert_allclose(u.values, [1e-3, 3e-3, 4e-3])
+    np.testing.assert_allclose(f.time, [0.5, 1.0])
+    np.testing.assert_allclose(f.values, [10, 30])
+
+
 SIMPLE = '[time]\ncolumn = "t"\n[signals.f]\ncolumns = ["f"]\nunit = "N"\n'
 
 
@@ -138,6 +165,13 @@ SIMPLE = '[time]\ncolumn = "t"\n[signals.f]\ncolumns = ["f"]\nunit = "N"\n'
         ("t,f\n0," + "1" * 200_000 + "\n", SIMPLE, ("a.csv",)),
         ("t,f\n0,1\n", "[format]\ndelimiter = ','\ndecimal = ','\n" + SIMPLE, ("delimiter ','",)),
         ("t,f\n0,1\n", "[format]\nskip_rows = '2'\n" + SIMPLE, ("skip_rows", "'2'")),
+        ("t,f\n0,1\n", "[format]\nlabel = 't'\n" + SIMPLE, ("label", "only", "together")),
+        ("t,f\n0,1\n", "[format]\nlabel = 'x'\nonly = ['1']\n" + SIMPLE, ("0 columns are called 'x'",)),
+        ("t,f\n0,1\n", "[format]\nlabel = 't'\nonly = ['1']\n" + SIMPLE, ("no row",)),
+        ("t,f\n0,1\n", SIMPLE.replace('column = "t"', ""), ("neither", "interval")),
+        ("t,f\n0,1\n", SIMPLE.replace('column = "t"', "interval = -1"), ("[time] interval = -1", "positive")),
+        ("t,f\n0,1\n", SIMPLE.replace('"t"', '"t"\nuntil = "1"'), ("[time] until = '1'", "positive")),
+        ("t,f\n0,1\n", SIMPLE + "shift = [1]\n", ("shift = [1.0]", "one number")),
     ],
 )
 def test_bad_table_or_mapping(csv, table, mapping, parts):
@@ -159,6 +193,62 @@ def test_units():
     assert si("deg") == ("rad", pytest.approx(0.0174532925))
     assert si("bar") == ("Pa", 1e5)
     assert all(si(unit) == (unit, 1.0) for unit in {unit for unit, _ in UNITS.values()} & UNITS.keys())
+
+
+def test_npz(tmp_path):
+    """Rows of two arrays side by side, of several types, on two clocks."""
+    recording = import_recording(write_npz(tmp_path), tmp_path / "map.toml")
+    markers, action = recording.signals["markers"], recording.commands["action"]
+    arrays = np.load(tmp_path / "log.npz")
+    np.testing.assert_allclose(markers.values, 1e-3 * np.concatenate([arrays["a"], arrays["b"]], axis=1))
+    np.testing.assert_array_equal(markers.time, np.arange(20) / 20)
+    np.testing.assert_array_equal(action.values, np.arange(19))
+    np.testing.assert_array_equal(action.time, np.arange(19) / 20)
+
+
+ARRAYS = '[time]\ninterval = 0.1\n[signals.f]\narrays = ["f"]\nunit = "N"\n'
+
+
+@pytest.mark.parametrize(
+    ("arrays", "mapping", "parts"),
+    [
+        ({"g": [1.0]}, ARRAYS, ("signals.f", "0 arrays are called 'f'", "g")),
+        ({"f": ["a"]}, ARRAYS, ("f has type <U1",)),
+        ({"f": np.array([{}], object)}, ARRAYS, ("f has type object",)),
+        ({"f": 1.0}, ARRAYS, ("f has type float64 and shape ()",)),
+        ({"f": [1.0], "g": [1.0, 2.0]}, ARRAYS.replace('["f"]', '["f", "g"]'), ("arrays have [1, 2] rows",)),
+        ({"f": [1.0]}, ARRAYS.replace('["f"]', '"f"'), ("arrays is 'f'", "list of texts")),
+        ({"f": [1.0, 2.0]}, ARRAYS + 'time = "f"\nshape = [2]\n', ("shape [2] does not fit",)),
+        ({"f": [1.0, 2.0], "t": [1.0]}, ARRAYS + 'time = "t"\n', ("times 't' have shape (1,)", "(2,)")),
+        ({"f": [1.0, np.inf]}, ARRAYS, ("infinite",)),
+        ({"f": [1.0]}, ARRAYS.replace("interval = 0.1", 'unit = "mm"'), ("'mm'", "unit of time")),
+        ({"f": [1.0]}, ARRAYS.replace("interval = 0.1", ""), ("neither", "interval")),
+    ],
+)
+def test_bad_npz_or_mapping(tmp_path, arrays, mapping, parts):
+    np.savez(tmp_path / "a.npz", **{name: np.asarray(values) for name, values in arrays.items()})
+    (tmp_path / "a.toml").write_text(mapping)
+    with pytest.raises(RecordingError, match=says("a.npz", *parts)):
+        import_recording(tmp_path / "a.npz", tmp_path / "a.toml")
+
+
+def test_damaged_npz(tmp_path):
+    """A file that is none, one that says that it has more than it has, and one that would take too much memory."""
+    path, mapping = tmp_path / "a.npz", tmp_path / "a.toml"
+    mapping.write_text(ARRAYS)
+    path.write_bytes(b"PK")
+    with pytest.raises(RecordingError, match="no NPZ file"):
+        import_recording(path, mapping)
+    np.savez_compressed(path, f=np.zeros(1_000_000))
+    with pytest.raises(RecordingError, match=r"f has 8000128 bytes"):
+        import_recording(path, mapping, max_bytes=20_000)
+    np.save(tmp_path / "f.npy", np.zeros(10))
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("f.npy", (tmp_path / "f.npy").read_bytes().replace(b"(10,)", b"(99,)"))
+    with pytest.raises(RecordingError, match="f says that it has 792 bytes, and has 80"):
+        import_recording(path, mapping)
+    with pytest.raises(RecordingError, match="needs a mapping"):
+        import_recording(path)
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
@@ -343,7 +433,7 @@ def kinds(tmp_path_factory):
     return {name: (path.read_bytes(), path, read) for name, (path, read) in files.items()}
 
 
-@pytest.mark.parametrize("kind", ["native", "csv", "mapping", "mcap", "mcap lz4", "lerobot", "lerobot info"])
+@pytest.mark.parametrize("kind", ["native", "csv", "mapping", "npz", "mcap", "mcap lz4", "lerobot", "lerobot info"])
 @hypothesis.settings(max_examples=200, deadline=None, derandomize=True, database=None)
 @hypothesis.given(seed=st.integers(0, 2**32 - 1))
 def test_damaged_files(kinds, kind, seed):

@@ -16,7 +16,7 @@ from soro_bench.diagnosis.suspects import LIMIT, Suspect, effects_at
 from soro_bench.effects.effect import Effect
 from soro_bench.inference.clouds import LENGTHS, LowRank, cloud, linearised
 
-CLOUD, CLOUD_WITH_SLOPE = 16, 6  # replays per linearisation, and where slopes are known from elsewhere
+CLOUD, CLOUD_WITH_SLOPE = 16, 6  # replays per linearisation at least, and where slopes are known from elsewhere
 
 
 @dataclass(frozen=True)
@@ -117,8 +117,8 @@ def lower_bounds(problem: Problem, suspects: Sequence[Suspect]) -> np.ndarray:
 
 def _cloud(problem, guess, scale, seed):
     """(N, n) points around a guess, more of them for more unknowns."""
-    more = len(guess.x) - problem.parameters
-    count = CLOUD + 2 * more if guess.slope is None else CLOUD_WITH_SLOPE + more
+    more, known = len(guess.x) - problem.parameters, guess.slope is not None
+    count = CLOUD_WITH_SLOPE + more if known else max(CLOUD, CLOUD_WITH_SLOPE + 2 * len(guess.x))
     return np.maximum(cloud(guess.x, scale, count, seed), lower_bounds(problem, guess.suspects))
 
 

@@ -23,13 +23,14 @@ reference = 200                   # the number for which the fields are as in th
 fields = ["actuator_gainprm[0]:motor"]
 
 [parameters.inertia]              # fields that are scaled together, or with add = true and a unit shifted
-fields = ["body_mass:arm", "body_inertia:arm"]
+fields = ["body_mass:arm", "body_inertia:arm"]  # a star in a name is for any text: "site_pos[0]:hole_*"
 deviation = 0.3                   # of the prior: of the logarithm, or in the unit
 """
 
 import re
 import tomllib
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import mujoco
@@ -357,11 +358,22 @@ def _entry(model, label, text) -> _Entry:
         raise ModelError(f"{label}: {match['field']} has no column {column}; its shape is {field.shape}")
     if match["element"] == "*":
         return _Entry(match["field"], np.arange(len(field)), column)
-    number = _id(model, _OBJECTS[kind], match["element"])
-    if kind != "dof":
-        return _Entry(match["field"], np.array([number]), column)
-    width = _WIDTH.get(mujoco.mjtJoint(model.jnt_type[number]).name, 1)
-    return _Entry(match["field"], model.jnt_dofadr[number] + np.arange(width), column)
+    count = model.njnt if kind == "dof" else len(field)
+    numbers = _matching(model, kind, count, match["element"], label)
+    if kind == "dof":
+        widths = [_WIDTH.get(mujoco.mjtJoint(model.jnt_type[i]).name, 1) for i in numbers]
+        numbers = [model.jnt_dofadr[i] + k for i, width in zip(numbers, widths, strict=True) for k in range(width)]
+    return _Entry(match["field"], np.array(numbers), column)
+
+
+def _matching(model, kind, count, name, label) -> list[int]:
+    """MuJoCo's numbers of the element with a name, or of those, of ``count``, that match one with a star in it."""
+    if "*" not in name:
+        return [_id(model, _OBJECTS[kind], name)]
+    names = [mujoco.mj_id2name(model, _OBJECTS[kind], i) for i in range(count)]
+    if not (found := [i for i, each in enumerate(names) if each and fnmatchcase(each, name)]):
+        raise ModelError(f"{label}: no {kind} of the model is called {name!r}")
+    return found
 
 
 def _id(model, kind, name) -> int:

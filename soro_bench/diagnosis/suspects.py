@@ -60,7 +60,7 @@ def effects_at(x: np.ndarray, suspects: Sequence[Suspect]) -> list[Effect]:
 
 
 def suspects(robot: Robot) -> list[Suspect]:
-    """Every effect at every port of the robot, and every fault of its sensor."""
+    """Every effect at every port of the robot that can have it, and every fault of its sensor."""
     points, coordinates = robot.shape
     found = []
     for name, law in PHYSICS.items():
@@ -69,13 +69,22 @@ def suspects(robot: Robot) -> list[Suspect]:
         for kind in law.kinds:
             ports = [] if kind == "joint" and "body" in law.kinds else robot.ports(kind)
             every = [Port(kind, EVERY)] if law.shared and len(ports) > 1 else []
-            for port in every if law.only_shared else every + ports:
-                found += [each for each in variants(suspect(robot, name, port)) if robot.accepts([typical(each)])]
+            for one in _possible(robot, name, every if law.only_shared else every + ports):
+                found += variants(one)
     for name, fault in ALL.items():
         if name not in PHYSICS and name != "outliers" and (coordinates == 3 or name != "frame_misalignment"):
             indices = range(points) if fault.local else [None]
             found += [suspect(robot, name, Port("sensor", robot.signal, i)) for i in indices]
     return found
+
+
+def _possible(robot, name, ports) -> list[Suspect]:
+    """A law at those of the ports that can have it; all of them are tried at once first, which takes less time."""
+    at = [suspect(robot, name, port) for port in ports]
+    single = [one for one in at if one.where.name != EVERY] or at
+    if robot.accepts([one.effect(np.zeros(one.size)) for one in single]):
+        return at
+    return [one for one in at if robot.accepts([one.effect(np.zeros(one.size))])]
 
 
 def suspect(robot: Robot, name: str, where: Port) -> Suspect:

@@ -7,7 +7,7 @@ from soro_bench.recording.recording import Recording, RecordingError
 
 
 def import_recording(path: str | Path, mapping: str | Path | None = None, **selection) -> Recording:
-    """Read a foreign recording: .csv, .tsv or .txt, .mcap, or the folder of a LeRobot dataset.
+    """Read a foreign recording: .csv, .tsv or .txt, .npz, .mcap, or the folder of a LeRobot dataset.
 
     Args:
         mapping: TOML file that says what is what; a LeRobot dataset needs none.
@@ -29,8 +29,12 @@ def import_recording(path: str | Path, mapping: str | Path | None = None, **sele
         from soro_bench.recording.importers.mcap_file import import_mcap
 
         return import_mcap(path, mapping, **selection)
+    if path.suffix.lower() == ".npz":
+        from soro_bench.recording.importers.npz import import_npz
+
+        return import_npz(path, mapping, **selection)
     if path.suffix.lower() in (".csv", ".tsv", ".txt"):
         from soro_bench.recording.importers.csv_table import import_csv
 
         return import_csv(path, mapping, **selection)
-    raise RecordingError(f"{path}: expected .csv, .tsv, .txt, .mcap or the folder of a LeRobot dataset")
+    raise RecordingError(f"{path}: expected .csv, .tsv, .txt, .npz, .mcap or the folder of a LeRobot dataset")

@@ -15,7 +15,7 @@ from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.untrusted import MAX_BYTES, MAX_COLUMNS, MAX_ROWS, named_errors, read_bytes
 
 _PLACE = ("columns", "first", "last", "time")
-_FORMAT = ("delimiter", "decimal", "skip_rows", "header", "missing")
+_FORMAT = ("delimiter", "decimal", "skip_rows", "header", "missing", "label", "only")
 _MAX_CELLS = 50_000_000  # that a mapping asks for
 
 
@@ -23,7 +23,7 @@ def import_csv(path: str | Path, mapping: str | Path | None, max_bytes: int = MA
     """Read a CSV file with a mapping file; RecordingError says what is wrong with either."""
     if mapping is None:
         raise RecordingError(f"{path}: a CSV file needs a mapping file; docs/recordings.md has an example")
-    spec = load_mapping(mapping, _PLACE, ("column", "unit"), _FORMAT)
+    spec = load_mapping(mapping, _PLACE, ("column", "unit", "interval"), _FORMAT)
     data = read_bytes(path, max_bytes)
     with named_errors(path):
         table = _Table(data.decode("utf-8-sig"), spec.format)
@@ -34,9 +34,10 @@ def import_csv(path: str | Path, mapping: str | Path | None, max_bytes: int = MA
 
         def read(source: Source):
             column = typed("it has", source.place, "time", time_column)
+            cells, lines = table.numbers([*([column] if column else []), *table.names_of(source)])
             if not column:
-                raise RecordingError("no column of times: [time] column is missing")
-            return _samples(*table.numbers([column, *table.names_of(source)]), to_seconds)
+                cells = np.column_stack([spec.counted(len(cells)), cells])
+            return _samples(cells, lines, to_seconds if column else 1.0)
 
         table.read(_columns(table, spec, time_column))
         return spec.recording(read, Path(path).name)
@@ -74,7 +75,7 @@ class _Table:
     def __init__(self, text: str, options):
         label = "[format]"
         self._decimal = typed(label, options, "decimal", ".")
-        self._missing = {"", "nan", *(word.strip().lower() for word in _missing_words(options))}
+        self._missing = {"", "nan", *(word.strip().lower() for word in _words(options, "missing"))}
         delimiter, skip = typed(label, options, "delimiter", ","), typed(label, options, "skip_rows", 0)
         if len(delimiter) != 1 or len(self._decimal) != 1 or delimiter in (self._decimal, "\n", "\r", '"'):
             raise RecordingError(f"{label} delimiter {delimiter!r} and decimal {self._decimal!r}: one letter each")
@@ -88,6 +89,10 @@ class _Table:
             raise RecordingError(f"{len(self._first)} columns; expected 1 to {MAX_COLUMNS}")
         self._has_header = typed(label, options, "header", True)
         self.header = self._first if self._has_header else [str(i + 1) for i in range(len(self._first))]
+        label, self._only = typed(label, options, "label", ""), _words(options, "only")
+        if bool(label) != bool(self._only):
+            raise RecordingError("[format] label and only belong together: a column, and the texts to look for in it")
+        self._label = self._position(label) if label else None
         self._index: dict[str, int] = {}
         self._cells = np.empty((0, 0))
         self._lines = np.empty(0, int)
@@ -113,6 +118,8 @@ class _Table:
         for row in self._all_rows(start):
             if len(row) != len(self.header):
                 raise RecordingError(f"line {self._line} has {len(row)} cells; expected {len(self.header)}")
+            if self._label is not None and not any(text in row[self._label] for text in self._only):
+                continue
             cells.extend([self._number(row[i]) for i in positions])
             lines.append(self._line)
             if len(lines) > MAX_ROWS or len(cells) > _MAX_CELLS:
@@ -154,6 +161,6 @@ class _Table:
         return value
 
 
-def _missing_words(options) -> list[str]:
-    """What stands for a missing number besides nothing and NaN."""
-    return texts("[format] missing", options["missing"]) if "missing" in options else []
+def _words(options, key) -> list[str]:
+    """The texts of an entry of [format], none if it is missing."""
+    return texts(f"[format] {key}", options[key]) if key in options else []

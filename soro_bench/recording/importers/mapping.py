@@ -15,7 +15,7 @@ from soro_bench.recording.untrusted import named_errors, read_bytes
 
 MAX_BYTES = 1_000_000
 _SECTIONS = ("format", "time", "commands", "signals", "parameters", "metadata")
-_VALUE_KEYS = ("unit", "scale", "offset", "frame", "shape")
+_VALUE_KEYS = ("unit", "scale", "offset", "frame", "shape", "shift")
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class Source:
     offset: np.ndarray  # SI; one number, or one per number of a sample
     frame: str
     shape: tuple[int, ...] | None  # of a sample; None: as the file has it, and () for one number
+    shift: float  # s, added to its times
     place: Mapping[str, Any]  # what else the importer knows: columns, topic, ...
 
     def signal(self, time: np.ndarray, numbers: np.ndarray) -> Signal:
@@ -64,17 +65,24 @@ class FileMapping:
 
         Time is counted from the first sample of all; the metadata keep where that was, as "start_time" [s].
         """
-        found = {}
+        until, found = _positive("[time] until", self.time.get("until", math.inf)), {}
         for group, sources in (("commands", self.commands), ("signals", self.signals)):
             for name, place in sources.items():
-                found[group, name] = _named(f"{group}.{name}", read, place)
+                time, numbers = _named(f"{group}.{name}", read, place)
+                found[group, name] = _shifted(time, place.shift), numbers
         start = min((time[0] for time, _ in found.values() if len(time)), default=0)
         groups = {"commands": {}, "signals": {}}
         for (group, name), (time, numbers) in found.items():
-            build = getattr(self, group)[name].signal
-            groups[group][name] = _named(f"{group}.{name}", build, seconds(time - start), numbers)
+            build, since = getattr(self, group)[name].signal, seconds(time - start)
+            groups[group][name] = _named(f"{group}.{name}", build, since[since < until], numbers[since < until])
         metadata = {"source": source[:200], "start_time": repr(float(seconds(start))), **self.metadata}
         return Recording(**groups, parameters=self.parameters, metadata=metadata)
+
+    def counted(self, rows: int) -> np.ndarray:
+        """(rows,) times [s] of a file without any, from [time] interval."""
+        if "interval" not in self.time:
+            raise RecordingError("no times: [time] says neither where they are nor an interval between rows")
+        return _positive("[time] interval", self.time["interval"]) * np.arange(rows)
 
 
 def seconds(time):
@@ -98,7 +106,7 @@ def load_mapping(path: str | Path, place_keys: tuple[str, ...], time_keys=(), fo
         for section in table:
             if not isinstance(table[section], dict):
                 raise RecordingError(f"{section} has to be a section, [{section}]")
-        check_keys("[time]", table.get("time", {}), time_keys)
+        check_keys("[time]", table.get("time", {}), (*time_keys, "until"))
         check_keys("[format]", table.get("format", {}), format_keys)
         for group in ("commands", "signals"):
             table[group] = {
@@ -143,9 +151,22 @@ def _source(entry, place_keys) -> Source:
     shape = check_shape(entry["shape"]) if "shape" in entry else None
     place = {key: entry[key] for key in place_keys if key in entry}
     scale, offset = _numbers("scale", entry.get("scale", 1.0)), _numbers("offset", entry.get("offset", 0.0))
-    if scale.ndim:
-        raise RecordingError(f"scale = {scale.tolist()}; expected one number")
-    return Source(unit, float(scale), offset, entry.get("frame", ""), shape, place)
+    shift = _numbers("shift", entry.get("shift", 0.0))
+    for label, number in (("scale", scale), ("shift", shift)):
+        if number.ndim:
+            raise RecordingError(f"{label} = {number.tolist()}; expected one number")
+    return Source(unit, float(scale), offset, entry.get("frame", ""), shape, float(shift), place)
+
+
+def _shifted(time, shift):
+    """Times [s], or whole nanoseconds, some seconds later."""
+    return time + (round(1e9 * shift) if np.asarray(time).dtype.kind == "i" else shift)
+
+
+def _positive(label, value) -> float:
+    if type(value) not in (int, float) or not value > 0:
+        raise RecordingError(f"{label} = {ascii(value)[:80]}; expected a positive number")
+    return float(value)
 
 
 def _numbers(label, value) -> np.ndarray:
