@@ -66,9 +66,9 @@ class Comparison:
     p_value: float
 
 
-def p_value(promised: float) -> float:
-    """Probability that the best lead promises as much where nothing is missing."""
-    return float(-np.expm1(-np.exp(-(promised - GUMBEL_LOCATION) / GUMBEL_SCALE)))
+def p_value(gain: float) -> float:
+    """Probability that one more effect gains so much evidence where nothing is missing."""
+    return float(-np.expm1(-np.exp(-(gain - GUMBEL_LOCATION) / GUMBEL_SCALE)))
 
 
 def temperature(excess: float) -> float:
@@ -81,6 +81,8 @@ def compared(found: Explanation, heldout: Problem | None, refined: Sequence[Robo
     problem, nominal = found.problem, found.nominal
     hypotheses = [nominal, *found.found[:COMPARED]]
     scores = np.array([h.log_evidence(problem) - _chance(h) for h in hypotheses])
+    # what was promised, and where the simulation was too far off for a promise, what has been gained
+    detected = p_value(max(found.promised, *(scores - scores[0])))
     train = [problem.left(h.residual) for h in hypotheses]
     tested = [None] * len(hypotheses)
     if heldout is not None:
@@ -89,7 +91,6 @@ def compared(found: Explanation, heldout: Problem | None, refined: Sequence[Robo
         residuals = heldout.residuals(points)
         scores = scores - [heldout.excess(row) for row in residuals]
         tested = [heldout.left(row) for row in residuals]
-    detected = 0.0 if problem.rough else p_value(found.promised)  # so much is no noise
     chances = _chances(scores, detected, min(problem.excess(h.residual) for h in hypotheses))
     answers = [
         Answer(h, p, Fit(train[0], a, problem.sensor), None if b is None else Fit(tested[0], b, problem.sensor))
