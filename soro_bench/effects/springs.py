@@ -156,7 +156,7 @@ class GearFriction(_Friction):
     name, kinds = "gear_friction", ("joint",)
     quantities = (
         Quantity("mu", "1", 0.1, (0.0, 10.0)),
-        Quantity("backdrive", "1", 0.5, (0.0, 10.0)),
+        Quantity("backdrive", "1", 1.0, (0.0, 10.0), also=(3.0,)),
         Quantity("preload", _FORCE, 1.0, INFINITE, of="force"),
         Quantity("static_ratio", "1", 1.5, (1.0, 10.0)),
         Quantity("stribeck_velocity", "m/s or rad/s", 0.2, (1e-4, 100.0)),
