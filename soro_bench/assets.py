@@ -1,13 +1,18 @@
-"""Where the MJCF files are, in a checkout and in an installed wheel."""
+"""Where the files of ``assets`` are, in a checkout and in an installed wheel."""
 
 from pathlib import Path
 
 _PACKAGE = Path(__file__).parent
 
 
-def mjcf_path(name: str) -> Path:
-    """Path of ``assets/mjcf/<name>``: beside the package in a checkout, inside it in a wheel."""
+def asset_path(name: str) -> Path:
+    """Path of ``assets/<name>``: beside the package in a checkout, inside it in a wheel."""
     for root in (_PACKAGE / "assets", _PACKAGE.parent / "assets"):
-        if (path := root / "mjcf" / name).is_file():
+        if (path := root / name).is_file():
             return path
-    raise FileNotFoundError(f"no asset {name!r} in soro_bench's assets/mjcf")
+    raise FileNotFoundError(f"no asset {name!r} in soro_bench's assets")
+
+
+def mjcf_path(name: str) -> Path:
+    """Path of ``assets/mjcf/<name>``."""
+    return asset_path(f"mjcf/{name}")

@@ -278,6 +278,8 @@ class Diagnose:
     """TOML file that says how recordings and parameters belong to the MJCF file; see docs/diagnosis.md."""
     heldout: tuple[Path, ...] = ()
     """Recordings of another motion, to test what is found."""
+    since: Path | None = None
+    """Folder of an earlier diagnosis of the same robot: what it found is known, and what has changed is looked for."""
     seed: int = 0
 
     def run(self) -> None:
@@ -296,13 +298,42 @@ class Diagnose:
 
     def _robot(self):
         from soro_bench.diagnosis.model_robot import ModelRobot
+        from soro_bench.diagnosis.report import earlier
         from soro_bench.diagnosis.suite_robot import SuiteRobot
 
+        known = earlier(self.since) if self.since else None
         if self.env and not self.map:
-            return SuiteRobot(self.env, self.model)
+            return SuiteRobot(self.env, self.model, earlier=known)
         if self.model and self.map and not self.env:
-            return ModelRobot(self.model, self.map)
+            return ModelRobot(self.model, self.map, earlier=known)
         raise ValueError("say which robot was recorded: --env ENV, or --model ROBOT.xml --map MAP.toml")
+
+
+@dataclass
+class Study:
+    """Diagnose the recordings of a real robot; an interrupted study goes on with the parts that are missing."""
+
+    name: Annotated[str, tyro.conf.Positional]
+    """opencr_tdcr, asl_trunk, bam_servo or silicone_beam."""
+    out: Path
+    """Folder for the reports, one folder for each part, and for the row of the table, row.md."""
+    data: Path = Path("data/real")
+    """Folder with the recordings; `soro-bench data` says where they come from."""
+    seed: int = 0
+
+    def run(self) -> None:
+        from soro_bench.files import replacing
+        from soro_bench.study import load_study, row, run_study
+
+        study = load_study(self.name, self.data)
+        with console.status("") as status:
+            summaries = run_study(study, self.out, self.seed, progress=lambda stage: status.update(f"{stage} ..."))
+        with replacing(self.out / "row.md") as temporary:
+            temporary.write_text(row(summaries))
+        for summary in summaries:
+            text = f"{summary['part']} ({summary['question']})\n{summary['verdict']}\n"
+            console.print(text, soft_wrap=True, markup=False, highlight=False)
+        console.print(f"{self.out}", soft_wrap=True)
 
 
 @dataclass
@@ -411,6 +442,7 @@ COMMANDS = {
     "view": View,
     "excite": Excite,
     "diagnose": Diagnose,
+    "study": Study,
     "prove": Prove,
 }
 

@@ -36,7 +36,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from soro_bench.diagnosis.robot import SIMULATIONS, Prior, Robot
+from soro_bench.diagnosis.robot import SIMULATIONS, Earlier, Prior, Robot
 from soro_bench.effects.elements import instrument
 from soro_bench.models.simulation import FieldWrite, Simulation
 from soro_bench.parameters import Parameter, ParameterSet
@@ -135,6 +135,7 @@ class ModelRobot(Robot):
         mapping: TOML file, as this module describes it.
         threads: 0 for all processors; results do not depend on it.
         shorter: how many times shorter the model's time step is made.
+        earlier: what is known of the robot from an earlier diagnosis.
 
     Raises:
         ModelError: says what is wrong with either file.
@@ -142,8 +143,10 @@ class ModelRobot(Robot):
 
     kinds = ("tendon", "joint", "actuator", "body", "model")
 
-    def __init__(self, model: str | Path, mapping: str | Path, threads: int = 0, shorter: int = 1):
-        self._paths, self.threads = (Path(model), Path(mapping)), threads
+    def __init__(
+        self, model: str | Path, mapping: str | Path, threads: int = 0, shorter: int = 1, earlier: Earlier | None = None
+    ):
+        self._paths, self.threads, self._earlier = (Path(model), Path(mapping)), threads, earlier
         table = _table(mapping)
         self.name = self.model_name = Path(model).stem
         compiled = _compiled(model)
@@ -172,15 +175,18 @@ class ModelRobot(Robot):
         count = min(max(_FREEDOM // max(compiled.nv, 1), SIMULATIONS), _MOST_SIMULATIONS)
         self.simulation = Simulation(compiled, ParameterSet(*parameters), [fields], count, threads, ())
         self._bad = np.zeros(count, int)
+        self._remember(earlier)
 
     def shortened(self, factor: int) -> Robot:
         """The same model with shorter time steps."""
-        return ModelRobot(*self._paths, self.threads, factor)
+        return ModelRobot(*self._paths, self.threads, factor, self._earlier)
 
     def accurate(self) -> list[Robot]:
         """By the model that the mapping calls accurate, if it does."""
+        if self._accurate is None:
+            return []
         mapping = self._paths[1]
-        return [] if self._accurate is None else [ModelRobot(mapping.parent / self._accurate, mapping, self.threads)]
+        return [ModelRobot(mapping.parent / self._accurate, mapping, self.threads, earlier=self._earlier)]
 
     def spec(self) -> mujoco.MjSpec:
         """The model of the file, with what effects need."""

@@ -52,9 +52,10 @@ def rejected(diagnosis: Diagnosis) -> bool:
 
 def model_patch(diagnosis: Diagnosis) -> ModelPatch:
     """The robot's model with what was fitted: the parameters, and those effects of the patch that are native."""
-    robot, effects = diagnosis.robot, patch(diagnosis)
+    robot, new = diagnosis.robot, patch(diagnosis)
+    effects = [*robot.known, *new]
     # parameters fitted together with effects that are not there would be wrong
-    fit = diagnosis.comparison.answers[0].hypothesis if effects else diagnosis.explanation.nominal
+    fit = diagnosis.comparison.answers[0].hypothesis if new else diagnosis.explanation.nominal
     parameters = robot.parameters(fit.x)
     native = tuple(effect for effect in effects if robot.native(effect))
     remaining = tuple(effect for effect in effects if effect not in native)

@@ -12,11 +12,12 @@ from soro_bench.diagnosis.localise import Regime, explained_over_time, intervals
 from soro_bench.diagnosis.patch import MODEL, ModelPatch, model_patch, patch, rejected, write_model_patch
 from soro_bench.diagnosis.pipeline import ALPHA, Diagnosis
 from soro_bench.diagnosis.propose import DURATION, Proposal
+from soro_bench.diagnosis.robot import Earlier
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import Suspect
 from soro_bench.effects.catalogue import CATEGORIES, QUANTITIES
-from soro_bench.effects.effect import Effect, Port, save_effects
-from soro_bench.files import write_json
+from soro_bench.effects.effect import Effect, Port, load_effects, save_effects
+from soro_bench.files import read_json, write_json
 from soro_bench.randomization import TruncatedNormal
 from soro_bench.recording.excitation import write_actions
 
@@ -55,7 +56,7 @@ def write_json_report(diagnosis: Diagnosis, folder: str | Path) -> dict:
     folder, model = Path(folder), model_patch(diagnosis)
     report = {**report_of(diagnosis), **_model_patch(model)}
     write_json(folder / "report.json", report)
-    save_effects(patch(diagnosis), folder / "effects.json")
+    save_effects([*diagnosis.robot.known, *patch(diagnosis)], folder / "effects.json")
     if isinstance(diagnosis.robot, SuiteRobot):  # the others are not trained on
         write_json(folder / "posterior.json", posterior(diagnosis).to_dict())
     if diagnosis.proposal:
@@ -74,6 +75,16 @@ def _model_patch(found: ModelPatch) -> dict:
         "model_patch_lacks": [effect.name for effect in found.remaining],
         "model_patch_obstacle": found.obstacle,
     }
+
+
+def earlier(folder: str | Path) -> Earlier:
+    """What the files of a report say of a robot; ValueError for other files."""
+    path = Path(folder) / "report.json"
+    report = read_json(path)
+    if not isinstance(report, dict) or report.get("schema") != SCHEMA:
+        raise ValueError(f"{path} is no report of a diagnosis: its schema has to be {SCHEMA}")
+    values = {name: float(each["value"]) for name, each in report["parameters"].items()}
+    return Earlier(values, load_effects(Path(folder) / "effects.json", QUANTITIES))
 
 
 def posterior(diagnosis: Diagnosis) -> TruncatedNormal:

@@ -15,6 +15,7 @@ from soro_bench.models.simulation import Simulation
 from soro_bench.recording.recording import Recording, RecordingError, resampled
 
 SIMULATIONS = 64  # side by side, at least
+SAME = 0.1  # of the prior's deviation, how far a parameter of a robot may be from what was found before
 # time steps, in one of the given robot, of the one that is fitted and of the refined one: fitted to a trunk with far
 # shorter steps, one leaves 0.66 mm with the given steps of 10 ms and 0.29 mm with half of them
 # (benchmarks/diagnosis_floor.py)
@@ -75,6 +76,18 @@ class Prior:
         value = self.nominal * np.exp(self.deviation * x) if self.logarithmic else self.nominal + self.deviation * x
         return np.clip(value, *self.bounds)
 
+    def about(self, value: float) -> "Prior":
+        """Of the same robot, for which an earlier recording has shown this value."""
+        return replace(self, nominal=value, deviation=SAME * self.deviation)
+
+
+@dataclass(frozen=True)
+class Earlier:
+    """What an earlier diagnosis has found of the same robot: values of its parameters by name, and effects."""
+
+    parameters: Mapping[str, float]
+    effects: tuple[Effect, ...]
+
 
 class Robot(ABC):
     """A robot with ``SIMULATIONS`` simulations or more. Subclasses set the attributes and implement the hooks below.
@@ -86,6 +99,7 @@ class Robot(ABC):
         signal: what is explained: the name of a signal of recordings, with its unit, frame and shape (P, D).
         kinds: the kinds of ports at which something may be missing.
         priors: of its parameters.
+        known: effects that it is known to have, whatever else is missing.
     """
 
     name: str
@@ -97,6 +111,13 @@ class Robot(ABC):
     shape: tuple[int, int]
     kinds: tuple[str, ...]
     priors: tuple[Prior, ...]
+    known: tuple[Effect, ...] = ()
+
+    def _remember(self, earlier: Earlier | None) -> None:
+        """Begin where an earlier diagnosis of the robot ended."""
+        if earlier:
+            self.known = earlier.effects
+            self.priors = tuple(prior.about(earlier.parameters[prior.name]) for prior in self.priors)
 
     @property
     def elements(self) -> Elements:
@@ -179,6 +200,7 @@ class Robot(ABC):
 
     def accepts(self, effects: Sequence[Effect]) -> bool:
         """Whether the robot can have these effects at once: none twice at a place, no two on the same spring."""
+        effects = [*self.known, *effects]
         if len({(e.name, e.where) for e in effects}) < len(effects):
             return False
         try:
@@ -253,6 +275,7 @@ class Robot(ABC):
         before_step: Callable[[int], None] | None = None,
     ) -> list[np.ndarray]:
         """The same under each of several drives, side by side: (N, T, P, D) of every drive."""
+        effects = [(*self.known, *each) for each in effects]
         # what differs only in the sensor is simulated once
         physics = [tuple(e for e in each if e.where.kind != "sensor") for each in effects]
         keys = [(row.tobytes(), repr(each)) for row, each in zip(parameters, physics, strict=True)]

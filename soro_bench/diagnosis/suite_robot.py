@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from soro_bench.diagnosis.robot import SIMULATIONS, Prior, Robot
+from soro_bench.diagnosis.robot import SIMULATIONS, Earlier, Prior, Robot
 from soro_bench.effects.elements import instrument
 from soro_bench.models import trunk
 from soro_bench.recording.recording import Recording, RecordingError
@@ -23,16 +23,19 @@ class SuiteRobot(Robot):
         model: its model or mesh; the cheap one by default.
         threads: 0 for all processors; results do not depend on it.
         shorter: how many times shorter the model's time step is made.
+        earlier: what is known of the robot from an earlier diagnosis.
     """
 
     kinds = ("tendon", "actuator", "body", "model")  # its necks have no friction of their own, and it touches nothing
 
-    def __init__(self, env_id: str, model: str | None = None, threads: int = 0, shorter: int = 1):
+    def __init__(
+        self, env_id: str, model: str | None = None, threads: int = 0, shorter: int = 1, earlier: Earlier | None = None
+    ):
         if env_id != "TrunkReach-v0":
             raise ValueError(f"{env_id!r} cannot be diagnosed yet; allowed is TrunkReach-v0")
         kind = task_type(env_id)
         self.name = self.env_id = env_id
-        self.threads, self.model_name = threads, model or kind.cheap
+        self.threads, self.model_name, self._earlier = threads, model or kind.cheap, earlier
         self._task = make_task(env_id, SIMULATIONS, threads, self.model_name, action="continuous", effects=())
         self._task.refine(shorter)
         self.simulation, self.control_timestep = self._task.sim, self._task.control_timestep
@@ -40,14 +43,16 @@ class SuiteRobot(Robot):
         self.unit, self.frame = kind.signal_units[self.signal]
         self.shape = self._task.signals(np.arange(1))[self.signal].shape[1:]
         self.priors = tuple(_prior(p) for p in kind.parameters.parameters.values())
+        self._remember(earlier)
 
     def shortened(self, factor: int) -> Robot:
         """The same trunk with shorter time steps."""
-        return SuiteRobot(self.env_id, self.model_name, self.threads, factor)
+        return SuiteRobot(self.env_id, self.model_name, self.threads, factor, self._earlier)
 
     def accurate(self) -> list[Robot]:
         """By the accurate model of the suite."""
-        return [SuiteRobot(self.env_id, task_type(self.env_id).accurate, self.threads)]
+        accurate = task_type(self.env_id).accurate
+        return [SuiteRobot(self.env_id, accurate, self.threads, earlier=self._earlier)]
 
     def spec(self) -> mujoco.MjSpec:
         """The model of the task's scene, with what effects need."""

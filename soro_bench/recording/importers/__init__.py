@@ -1,16 +1,17 @@
 """Recordings from files of others; docs/recordings.md describes the mapping file."""
 
 import importlib.util
+from collections.abc import Mapping
 from pathlib import Path
 
 from soro_bench.recording.recording import Recording, RecordingError
 
 
-def import_recording(path: str | Path, mapping: str | Path | None = None, **selection) -> Recording:
+def import_recording(path: str | Path, mapping: str | Path | Mapping | None = None, **selection) -> Recording:
     """Read a foreign recording: .csv, .tsv or .txt, .npz, .mcap, or the folder of a LeRobot dataset.
 
     Args:
-        mapping: TOML file that says what is what; a LeRobot dataset needs none.
+        mapping: TOML file that says what is what, or what it says; a LeRobot dataset needs none.
         selection: ``episode`` of a LeRobot dataset, ``max_bytes`` of any file.
 
     Raises:

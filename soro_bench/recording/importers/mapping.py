@@ -90,18 +90,23 @@ def seconds(time):
     return time * 1e-9 if np.asarray(time).dtype.kind == "i" else time
 
 
-def load_mapping(path: str | Path, place_keys: tuple[str, ...], time_keys=(), format_keys=()) -> FileMapping:
+def load_mapping(
+    mapping: str | Path | Mapping, place_keys: tuple[str, ...], time_keys=(), format_keys=()
+) -> FileMapping:
     """Read a mapping file.
 
     Args:
+        mapping: the file, or what one says.
         place_keys, time_keys, format_keys: what the importer knows in a command or signal, in [time] and in [format].
 
     Raises:
         RecordingError: names what is wrong and what is allowed.
     """
-    data = read_bytes(path, MAX_BYTES)
-    with named_errors(path):
-        table = tomllib.loads(data.decode())
+    label = "the mapping" if isinstance(mapping, Mapping) else mapping
+    with named_errors(label):
+        table = (
+            dict(mapping) if isinstance(mapping, Mapping) else tomllib.loads(read_bytes(mapping, MAX_BYTES).decode())
+        )
         check_keys("the mapping", table, _SECTIONS)
         for section in table:
             if not isinstance(table[section], dict):

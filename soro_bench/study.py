@@ -1,0 +1,185 @@
+"""Studies of real robots: what a diagnosis says of their recordings, and how far simulations are off before and after.
+
+A study is a TOML file of ``assets/studies``: a model, its mapping, how its recordings are imported, and parts. A part
+names recordings to explain and held-out ones, as files with what their import adds to the mapping; one that comes
+``after`` another begins with what that has found.
+"""
+
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.assets import asset_path
+from soro_bench.diagnosis.compare import Answer
+from soro_bench.diagnosis.model_robot import ModelRobot
+from soro_bench.diagnosis.page import write_reports
+from soro_bench.diagnosis.pipeline import Diagnosis, diagnose, unexplained
+from soro_bench.diagnosis.report import earlier
+from soro_bench.diagnosis.robot import Measured
+from soro_bench.files import read_json, write_json
+from soro_bench.recording.importers import import_recording
+from soro_bench.recording.recording import Recording
+
+SUMMARY = "summary.json"
+STUDIES = ("opencr_tdcr", "asl_trunk", "bam_servo", "silicone_beam")
+
+
+@dataclass(frozen=True)
+class Part:
+    """Recordings to be explained, and those to test the explanation on."""
+
+    name: str
+    question: str
+    train: tuple[Recording, ...]
+    heldout: tuple[Recording, ...]
+    after: str | None
+
+
+@dataclass(frozen=True)
+class Study:
+    """A robot and its recordings."""
+
+    name: str
+    title: str
+    model: Path
+    map: Path
+    parts: tuple[Part, ...]
+
+
+def load_study(name: str, data: str | Path) -> Study:
+    """A study of the suite with its recordings, from a folder that ``soro-bench data`` has filled.
+
+    Raises:
+        ValueError: there is no such study.
+        FileNotFoundError: a recording is not there.
+    """
+    if name not in STUDIES:
+        raise ValueError(f"unknown study {name!r}; there are {', '.join(STUDIES)}")
+    table = tomllib.loads(asset_path(f"studies/{name}.toml").read_text())
+    folder = Path(data) / name
+    mapping = tomllib.loads(asset_path(f"mjcf/{table['import']}").read_text())
+    parts = tuple(
+        Part(
+            key,
+            part["question"],
+            _recordings(folder, mapping, part["train"]),
+            _recordings(folder, mapping, part.get("heldout", [])),
+            part.get("after"),
+        )
+        for key, part in table["parts"].items()
+    )
+    return Study(name, table["title"], *(asset_path(f"mjcf/{table[key]}") for key in ("model", "map")), parts)
+
+
+def _recordings(folder: Path, mapping: dict, entries: Sequence[dict]) -> tuple[Recording, ...]:
+    found = []
+    for entry in entries:
+        sections = {key: {**mapping.get(key, {}), **value} for key, value in entry.items() if key != "files"}
+        if not (paths := sorted(folder.glob(entry["files"]))):
+            raise FileNotFoundError(f"no {entry['files']} in {folder}; soro-bench data says where recordings are")
+        found += [import_recording(path, {**mapping, **sections}) for path in paths]
+    return tuple(found)
+
+
+def run_study(
+    study: Study, out: str | Path, seed: int = 0, threads: int = 0, progress: Callable[[str], None] = lambda _: None
+) -> list[dict]:
+    """Diagnose the parts that have no summary in the folder ``out`` yet; the summaries of all of them."""
+    summaries = []
+    for part in study.parts:
+        folder = Path(out) / part.name
+        if not (folder / SUMMARY).exists():
+            known = earlier(Path(out) / part.after) if part.after else None
+            robot = ModelRobot(study.model, study.map, threads, earlier=known)
+            found = diagnose(
+                robot, part.train, part.heldout, seed, lambda stage, p=part: progress(f"{p.name}: {stage}")
+            )
+            text = write_reports(found, part.train, folder)
+            write_json(folder / SUMMARY, _summary(study, part, found, text, seed))
+        summaries.append(read_json(folder / SUMMARY))
+    return summaries
+
+
+def _summary(study: Study, part: Part, found: Diagnosis, text: str, seed: int) -> dict:
+    robot = found.explanation.problem.robot
+    sets = {"train": part.train, "heldout": part.heldout}
+    measured = {key: tuple(robot.measured(each) for each in some) for key, some in sets.items() if some}
+    unfitted = replace(found.explanation.nominal, x=np.zeros(len(robot.priors)))
+    hypotheses = {"nominal": unfitted, "parameters": found.explanation.nominal}
+    return {
+        "study": study.name,
+        "part": part.name,
+        "question": part.question,
+        "seed": seed,
+        "verdict": text,
+        "noise": found.explanation.problem.sensor,
+        "unit": robot.unit,
+        **{key: _errors(robot, measured, h) for key, h in hypotheses.items()},
+        "answers": [
+            _answer(found, each, _errors(robot, measured, each.hypothesis)) for each in found.comparison.answers
+        ],
+        "unknown": found.comparison.unknown,
+        "seconds": round(found.seconds, 1),
+    }
+
+
+def _answer(found: Diagnosis, answer: Answer, errors: dict) -> dict:
+    problem, hypothesis = found.explanation.problem, answer.hypothesis
+    gain = hypothesis.log_evidence(problem) - found.explanation.nominal.log_evidence(problem)
+    effects = [effect.to_json() for effect in hypothesis.effects(problem.parameters)]
+    return {"effects": effects, "probability": answer.probability, "evidence": gain, **errors}
+
+
+def _errors(robot, measured: dict[str, tuple[Measured, ...]], hypothesis) -> dict:
+    """Errors of a hypothesis on each set of recordings."""
+    found = {}
+    for key, some in measured.items():
+        problem = unexplained(robot, some, 1.0)
+        residual = problem.residuals([(hypothesis.x, hypothesis.suspects)])[0]
+        found[key] = errors(residual.reshape(-1, *robot.shape), problem.weight.reshape(-1, *robot.shape) > 0)
+    return found
+
+
+def errors(residual: np.ndarray, seen: np.ndarray) -> dict[str, float]:
+    """Of residuals (T, P, D) where they were seen: the mean absolute one of all coordinates, and root mean squares of
+    the last point's distance, also without the mean of its residuals; in the unit of the signal."""
+    last = residual[:, -1][seen[:, -1].all(axis=1)]
+    return {
+        "mean_absolute": float(np.abs(residual[seen]).mean()),
+        "rms": float(np.sqrt((last**2).sum(axis=1).mean())),
+        "rms_without_mean": float(np.sqrt(((last - last.mean(axis=0)) ** 2).sum(axis=1).mean())),
+    }
+
+
+HEAD = (
+    "| robot, part | data | nominal | parameters fitted | patched | what is missing | considered too | noise |\n"
+    + "|---" * 8
+    + "|"
+)
+
+
+def row(summaries: Sequence[dict]) -> str:
+    """Rows of a Markdown table with ``HEAD``: errors of training and held-out data, three kinds of each."""
+    lines = []
+    for summary in summaries:
+        best, *others = summary["answers"]
+        for key in summary["parameters"]:
+            cells = [_three(summary["nominal"][key]), _three(summary["parameters"][key]), _three(best[key])]
+            named, lost = (_named(best), "; ".join(map(_named, others))) if key == "train" else ("", "")
+            name = f"{summary['study']}, {summary['part']}" if key == "train" else ""
+            noise = f"{summary['noise']:.2g} {summary['unit']}" if key == "train" else ""
+            lines.append(f"| {' | '.join([name, key, *cells, named, lost, noise])} |")
+    return "\n".join(lines) + "\n"
+
+
+def _three(found: dict) -> str:
+    return " / ".join(f"{found[key]:.3g}" for key in ("mean_absolute", "rms", "rms_without_mean"))
+
+
+def _named(answer: dict) -> str:
+    effects = answer["effects"]
+    names = " + ".join(f"{e['name']} at {e['where']['name']}" for e in effects) or "nothing"
+    return f"{names} ({answer['probability']:.2f})"
