@@ -216,6 +216,28 @@ class Import:
 
 
 @dataclass
+class Data:
+    """Get recordings of real robots from where they are published, and check them; docs/data.md."""
+
+    robots: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """Which; without any, all are listed, and what of them is there."""
+    out: Path = Path("data/real")
+    """Folder with a folder for each robot."""
+
+    def run(self) -> None:
+        from soro_bench.recording.published import fetch, sources, summary
+
+        known = sources()
+        if unknown := [name for name in self.robots if name not in known]:
+            raise ValueError(f"robot {unknown[0]!r} is unknown; there are {', '.join(known)}")
+        for name in self.robots or known:
+            if self.robots:
+                fetch(known[name], self.out / name)
+            text = summary(name, known[name], self.out / name)
+            console.print(text, soft_wrap=True, markup=False, highlight=False)
+
+
+@dataclass
 class View:
     """Open a recording in the rerun viewer; a .parquet one beside the simulated robot."""
 
@@ -439,6 +461,7 @@ COMMANDS = {
     "record": Record,
     "infer": Infer,
     "import": Import,
+    "data": Data,
     "view": View,
     "excite": Excite,
     "diagnose": Diagnose,

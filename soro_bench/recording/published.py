@@ -1,0 +1,139 @@
+"""Recordings of real robots: where they are published, and how to get them unchanged."""
+
+import hashlib
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass
+from http.client import HTTPException
+from pathlib import Path, PurePosixPath
+from urllib.parse import quote
+from urllib.request import urlopen
+
+from soro_bench.assets import mjcf_path
+from soro_bench.files import replacing
+from soro_bench.recording.bam_log import bam_table
+
+MAX_BYTES = 10_000_000  # of an original
+_TIMEOUT = 30.0  # s
+_CONVERSIONS = {(".json", ".csv"): bam_table}
+
+
+@dataclass(frozen=True)
+class PublishedFile:
+    """A recording.
+
+    sha256: of the file as we use it. original: its path in the repository; empty where that is not known.
+    """
+
+    name: str
+    sha256: str
+    original: str = ""
+
+    @property
+    def conversion(self) -> Callable[[bytes], bytes] | None:
+        """What makes the file from its original; None if it has to be made by hand."""
+        types = PurePosixPath(self.original).suffix, PurePosixPath(self.name).suffix
+        return bytes if types[0] == types[1] else _CONVERSIONS.get(types)
+
+    def checksum(self, folder: Path) -> str | None:
+        """SHA-256 of the file in a folder; None if it is not there."""
+        try:
+            with (folder / self.name).open("rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+        except FileNotFoundError:
+            return None
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where the recordings of a robot are published.
+
+    by_hand: what to know of files that cannot be fetched.
+    """
+
+    robot: str
+    repository: str
+    commit: str
+    licence: str
+    files: tuple[PublishedFile, ...]
+    by_hand: str = ""
+
+    @property
+    def page(self) -> str:
+        """The repository at the commit, for a browser."""
+        return f"{self.repository}/tree/{self.commit}"
+
+    def address(self, file: PublishedFile) -> str:
+        """Of the original of a file."""
+        raw = self.repository.replace("https://github.com/", "https://raw.githubusercontent.com/")
+        return f"{raw}/{self.commit}/{quote(file.original)}"
+
+
+def sources() -> dict[str, Source]:
+    """All robots by name."""
+    table = tomllib.loads(mjcf_path("real/sources.toml").read_text())
+    for entry in table.values():
+        entry["files"] = tuple(PublishedFile(name, **keys) for name, keys in entry["files"].items())
+    return {name: Source(**entry) for name, entry in table.items()}
+
+
+def summary(name: str, source: Source, folder: Path) -> str:
+    """Some lines about a robot, and which of its files are in a folder."""
+    found = [(file.name, file.sha256, file.checksum(folder)) for file in source.files]
+    good = sum(expected == checksum for _, expected, checksum in found)
+    other = [file for file, expected, checksum in found if checksum not in (expected, None)]
+    by_hand = sum(file.conversion is None for file in source.files)
+    lines = [f"{name}: {source.robot}; {source.licence}", f"    {source.page}"]
+    lines.append(f"    {folder}: {good} of {len(found)} files" + (f"; {by_hand} only by hand" if by_hand else ""))
+    return "\n".join(lines + [f"    {file} has another checksum" for file in other])
+
+
+def fetch(source: Source, folder: Path) -> None:
+    """Get the files that are not yet in a folder. ValueError: what is wrong with one, or how to get it by hand."""
+    missing = []
+    for file in source.files:
+        found = file.checksum(folder)
+        if found is None and file.conversion is None:
+            missing.append(file)
+        elif found is None:
+            _fetch_file(source, file, folder)
+        elif found != file.sha256:
+            raise ValueError(_wrong(folder / file.name, file, found) + "; move it away to get it again")
+    if missing:
+        raise ValueError(_by_hand(source, missing, folder))
+
+
+def _fetch_file(source, file, folder) -> None:
+    address = source.address(file)
+    original = _download(address)
+    try:
+        data = file.conversion(original)
+    except ValueError as error:
+        raise ValueError(f"{address}: {error}") from error
+    found = hashlib.sha256(data).hexdigest()
+    if found != file.sha256:
+        raise ValueError(_wrong(folder / file.name, file, found) + f", made from {address}; it is not kept")
+    with replacing(folder / file.name) as temporary:
+        temporary.write_bytes(data)
+
+
+def _download(address: str) -> bytes:
+    try:
+        with urlopen(address, timeout=_TIMEOUT) as response:
+            if not response.url.startswith("https://"):
+                raise OSError(f"leads to {response.url}, which is not https")
+            data = response.read(MAX_BYTES + 1)
+    except (OSError, HTTPException) as error:
+        raise OSError(f"{address}: {error}") from error
+    if len(data) > MAX_BYTES:
+        raise ValueError(f"{address} has more than {MAX_BYTES} bytes")
+    return data
+
+
+def _wrong(path, file, found) -> str:
+    return f"{path}: SHA-256 is {found}, expected {file.sha256}"
+
+
+def _by_hand(source, files, folder) -> str:
+    lines = [f"these files have to be made by hand and put into {folder}; see {source.page}", source.by_hand]
+    return "\n".join(lines + [f"{file.name}  {file.original and 'from ' + file.original}".rstrip() for file in files])
