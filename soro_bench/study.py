@@ -59,7 +59,7 @@ def load_study(name: str, data: str | Path) -> Study:
     if name not in STUDIES:
         raise ValueError(f"unknown study {name!r}; there are {', '.join(STUDIES)}")
     table = tomllib.loads(asset_path(f"studies/{name}.toml").read_text())
-    folder = Path(data) / name
+    folder = Path(data) / table["data"]
     mapping = tomllib.loads(asset_path(f"mjcf/{table['import']}").read_text())
     parts = tuple(
         Part(

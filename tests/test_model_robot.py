@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ import pytest
 from soro_bench.diagnosis.model_robot import ModelError, ModelRobot
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.pipeline import diagnose
+from soro_bench.diagnosis.report import earlier
+from soro_bench.diagnosis.robot import Earlier
 from soro_bench.diagnosis.suspects import suspects
 from soro_bench.effects.effect import Effect, Port
 from soro_bench.recording.recording import Recording, RecordingError, Signal
@@ -80,6 +83,70 @@ def test_a_hidden_effect_of_any_model_is_named_at_its_place(paths, tmp_path, nam
     assert report["fit"]["fve_heldout"] > 0.9
     assert (tmp_path / "report" / "comparison.rrd").stat().st_size > 0
     assert f"What {name} does" in (tmp_path / "report" / "report.html").read_text()
+    known = earlier(tmp_path / "report")
+    assert [(e.name, e.where) for e in known.effects] == [(name, where)]
+    assert known.parameters == {key: each["value"] for key, each in report["parameters"].items()}
+
+
+def test_what_is_known_of_a_robot_stays_and_what_has_changed_is_named(paths):
+    friction = Effect("coulomb_friction", Port("joint", "hinge"), {"friction": 0.05, "presliding": 5e-4})
+    delay = Effect("actuator_delay", Port("actuator", "motor"), {"delay": 0.03})
+    known = Earlier(dict(zip(("inertia", "damping", "zero"), TRUTH[0].tolist(), strict=True)), (friction,))
+    found = diagnose(ModelRobot(*paths, threads=1, earlier=known), [recording(paths, [friction, delay], 0)])
+    assert found.comparison.answers[0].names == ("actuator_delay",)
+    values = found.robot.parameters(found.comparison.answers[0].hypothesis.x)
+    assert list(values.values()) == pytest.approx(TRUTH[0], rel=0.05)
+
+
+def test_a_known_effect_is_simulated_and_not_possible_twice(paths):
+    friction = Effect("coulomb_friction", Port("joint", "hinge"), {"friction": 0.05})
+    knows = ModelRobot(*paths, threads=1, earlier=Earlier({"inertia": 1.0, "damping": 1.0, "zero": 0.0}, (friction,)))
+    goals = np.repeat([[0.5], [-0.5]], 10, axis=0)
+    nominal = np.array([[1.0, 1.0, 0.0]])
+    values = [r.simulate(goals, nominal, [e]) for r, e in ((knows, ()), (ModelRobot(*paths, threads=1), (friction,)))]
+    assert np.array_equal(*values)
+    assert not knows.accepts([friction])
+
+
+GAIN = """
+[settings.gain]
+SOURCE
+reference = 2
+fields = ["actuator_gainprm[0]:motor"]
+"""
+
+
+def with_gain(paths, source):
+    model, mapping = paths
+    mapping.write_text(MAP + GAIN.replace("SOURCE", source))
+    return ModelRobot(model, mapping, threads=1)
+
+
+def test_settings_of_a_recording_scale_fields(paths):
+    """Half the gain of a recording is half the gain of the model; one that changes with time does so from then on."""
+    goals = np.full((40, 1), 0.4)
+    given = recording(paths, [], 0)
+    times, steps = given.commands["goal"].time, len(goals)
+    one = with_gain(paths, 'metadata = "gain"')
+    half = one.settings(replace(given, metadata={"gain": "1"}), steps)
+    assert half.tolist() == [[0.5]] * steps
+    changing = {**given.commands, "gain": Signal(times, np.where(times < 0.4 - 1e-6, 2.0, 1.0))}
+    later = with_gain(paths, 'command = "gain"').settings(replace(given, commands=changing), steps)
+    assert later.ravel().tolist() == [1.0] * 20 + [0.5] * 20
+    nominal = np.array([[1.0, 1.0, 0.0]])
+    plain, at_half, changed = (
+        one.simulate(goals, nominal, [()], settings=s) for s in (np.ones_like(half), half, later)
+    )
+    assert np.array_equal(plain[:, :20], changed[:, :20])
+    assert (plain[:, -1] > at_half[:, -1]).all()
+    assert changed[0, -1, 0, 0] == pytest.approx(at_half[0, -1, 0, 0], rel=0.1)
+
+
+@pytest.mark.parametrize("metadata", [{}, {"gain": "large"}])
+def test_a_recording_without_a_setting_is_refused(paths, metadata):
+    given = recording(paths, [], 0)
+    with pytest.raises(RecordingError, match=r"'gain' of the recording is .*; a number is needed"):
+        with_gain(paths, 'metadata = "gain"').measured(replace(given, metadata=metadata))
 
 
 def test_an_arm_without_hidden_effects_lacks_nothing_and_its_parameters_are_found(paths):
@@ -145,6 +212,12 @@ def test_a_robot_settles_under_its_first_command(paths):
         ("body_mass:arm", "body_mass:leg*", "no body of the model is called 'leg*'"),
         ("deviation = 0.2", 'deviation = "large"', "expected a number"),
         ("[robot]", "[robot", "no TOML file"),
+        (
+            "[initial]",
+            '[settings.gain]\nfields = ["actuator_gainprm[0]:motor"]\n[initial]',
+            "either metadata or command",
+        ),
+        ("[initial]", '[settings.zero]\ncommand = "a"\nfields = ["dof_damping:*"]\n[initial]', "name of a setting"),
     ],
 )
 def test_a_mapping_that_does_not_fit_is_refused_in_words(paths, old, new, message):

@@ -1,0 +1,89 @@
+"""Studies of real robots, with an arm of one joint in their place."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pyarrow")
+
+from soro_bench import study as module
+from soro_bench.recording.recording import Recording, Signal
+from soro_bench.study import STUDIES, Part, Study, errors, load_study, row, run_study
+
+ARM = """<mujoco><option timestep="0.005" integrator="implicitfast" gravity="0 0 0"/>
+<worldbody><body name="arm"><joint name="hinge" axis="0 1 0" damping="0.02"/>
+<geom type="capsule" size="0.01" fromto="0 0 0 0.2 0 0" mass="0.1" contype="0" conaffinity="0"/></body></worldbody>
+<actuator><position name="motor" joint="hinge" kp="2" kv="0.05"/></actuator></mujoco>"""
+MAP = """
+[robot]
+control_timestep = 0.02
+[commands.goal]
+actuators = ["motor"]
+[signal]
+name = "angle"
+joints = ["hinge"]
+unit = "rad"
+[parameters.damping]
+fields = ["dof_damping:hinge"]
+deviation = 0.3
+"""
+
+
+def test_errors_of_known_residuals():
+    """3 mm and 4 mm beside, always: no error without the mean; a point that was not seen does not count."""
+    residual = np.tile([[0.003, 0.0, 0.004]], (5, 1, 1))
+    seen = np.ones((5, 1, 3), bool)
+    seen[-1] = False
+    residual[-1] = 1.0
+    found = errors(residual, seen)
+    assert found["mean_absolute"] == pytest.approx(0.007 / 3)
+    assert found["rms"] == pytest.approx(0.005)
+    assert found["rms_without_mean"] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.fixture
+def study(tmp_path):
+    (tmp_path / "arm.xml").write_text(ARM)
+    (tmp_path / "map.toml").write_text(MAP)
+    rng = np.random.default_rng(0)
+    time = 0.02 * np.arange(101)
+    angles = 5e-4 * rng.standard_normal(101)
+    still = Recording({"goal": Signal(time[:-1], np.zeros((100, 1)))}, {"angle": Signal(time, angles, "rad")})
+    parts = (Part("rest", "at rest", (still,), (still,), None), Part("again", "still at rest", (still,), (), "rest"))
+    return Study("arm", "an arm", tmp_path / "arm.xml", tmp_path / "map.toml", parts)
+
+
+def test_a_study_writes_reports_summaries_and_a_row_and_goes_on_where_it_was(study, tmp_path, monkeypatch):
+    first = run_study(study, tmp_path / "out", threads=1)
+    assert [(s["part"], s["answers"][0]["effects"]) for s in first] == [("rest", []), ("again", [])]
+    assert first[0]["parameters"]["heldout"]["mean_absolute"] == pytest.approx(4e-4, rel=0.2)
+    assert (tmp_path / "out" / "again" / "report.html").exists()
+    assert row(first).count("\n") == 3
+    asked = []
+    own = module.diagnose
+    monkeypatch.setattr(module, "diagnose", lambda *arguments: asked.append(1) or own(*arguments))
+    (tmp_path / "out" / "again" / "summary.json").unlink()
+    again = run_study(study, tmp_path / "out", threads=1)
+    assert len(asked) == 1
+    for summary in (*first, *again):
+        summary.pop("seconds")
+    assert json.dumps(again) == json.dumps(first)
+
+
+def test_an_unknown_study_and_missing_recordings_are_named(tmp_path):
+    with pytest.raises(ValueError, match="unknown study 'moon'; there are opencr_tdcr, "):
+        load_study("moon", tmp_path)
+    with pytest.raises(FileNotFoundError, match=r"no v4_train.csv in .*opencr_tdcr; soro-bench data"):
+        load_study("opencr_tdcr", tmp_path)
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_files_of_a_study_are_there(name):
+    import tomllib
+
+    from soro_bench.assets import asset_path
+
+    table = tomllib.loads(asset_path(f"studies/{name}.toml").read_text())
+    assert all(Path(asset_path(f"mjcf/{table[key]}")).is_file() for key in ("model", "map", "import"))
