@@ -99,7 +99,7 @@ def diagnose(
     candidates = suspects(robot)
     explanation = explained(problem, nominal, robot, refined, candidates, seed, progress)
     progress("comparison")
-    comparison = compared(explanation, _tested(fitted, tested, explanation.problem.sigma, nominal), refined)
+    comparison = compared(explanation, _tested(explanation, tested), refined)
     found = Diagnosis(robot, audits, found_outliers, explanation, comparison, (), None, 0.0)
     if comparison.unknown > UNSURE:
         progress("place of what has no name")
@@ -122,12 +122,13 @@ def unexplained(robot: Robot, measured: tuple[Measured, ...], sigma: float) -> P
     return Problem(robot, measured, sigma, weight, LowRank(np.zeros((0, weight.size))))
 
 
-def _tested(robot, measured, sigma, nominal) -> Problem | None:
+def _tested(found, measured) -> Problem | None:
     """The held-out recordings without their outliers; None if there are none."""
     if not measured:
         return None
-    problem = unexplained(robot, measured, sigma)
-    return _masked(problem, _outliers(problem, problem.residuals([(nominal.x, ())])[0]))
+    problem = found.problem
+    tested = replace(unexplained(problem.robot, measured, problem.sigma), noise=problem.noise)
+    return _masked(tested, _outliers(tested, tested.residuals([(found.nominal.x, ())])[0]))
 
 
 def _outliers(problem: Problem, residual: np.ndarray) -> np.ndarray:

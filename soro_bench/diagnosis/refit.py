@@ -15,7 +15,7 @@ from soro_bench.effects.catalogue import CATEGORIES
 SCALE, KEPT = 0.15, 3  # of the cloud, and how many hypotheses remain
 _TRIED, _LENGTHS = 4, (0.5, 1.0)  # how many leads are fitted, and shares of their magnitudes at which all are tried
 _POLISH = (0.3, 0.1)  # radii
-_ROUNDS, _HELPS = 5, 0.1  # of fits that go on, at most, and the share of the cost by which one helps
+_ROUNDS, _HELPS = 5, 0.1  # of fits that go on, at most, and the share of the cost by which one has to help
 _PER_NAME = 2  # leads that differ in their places only
 
 
@@ -44,19 +44,19 @@ def polished(problem: Problem, hypothesis: Hypothesis, seed: int) -> Hypothesis:
 
 
 def persevered(problem: Problem, hypotheses: Sequence[Hypothesis], seed: int) -> list[Hypothesis]:
-    """The hypotheses, fitted on as long as that helps one of them; never worse.
+    """The hypotheses, each fitted on as long as that helps it; never worse.
 
     For fits that are far from the recordings, where slopes from elsewhere mislead.
     """
+    found, going = list(hypotheses), list(range(len(hypotheses)))
     for k in range(_ROUNDS):
-        guesses = [Guess(h.x, h.suspects) for h in hypotheses]
-        better = fitted(problem, guesses, _POLISH, seed + k)
-        better = [min(pair, key=lambda h: h.cost) for pair in zip(hypotheses, better, strict=True)]
-        helps = any(b.cost < (1.0 - _HELPS) * h.cost for b, h in zip(better, hypotheses, strict=True))
-        hypotheses = better
-        if not helps:
+        better = fitted(problem, [Guess(found[i].x, found[i].suspects) for i in going], _POLISH, seed + k)
+        helped = [i for i, h in zip(going, better, strict=True) if h.cost < (1.0 - _HELPS) * found[i].cost]
+        for i, h in zip(going, better, strict=True):
+            found[i] = min(found[i], h, key=lambda h: h.cost)
+        if not (going := helped):
             break
-    return list(hypotheses)
+    return found
 
 
 def without_one(problem: Problem, hypothesis: Hypothesis, seed: int) -> list[Hypothesis]:
