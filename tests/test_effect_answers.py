@@ -262,6 +262,26 @@ def test_a_neck_at_rest_elsewhere_bends_by_that_angle_on_either_model():
     assert ends[1] == pytest.approx(ends[0], rel=0.01)
 
 
+# --- a loaded gear ---
+
+
+@pytest.mark.parametrize(("torque", "holds"), [(0.068, False), (0.075, True), (0.127, True), (0.135, False)])
+def test_a_gear_holds_a_load_longer_than_it_lifts_it(torque, holds):
+    """An arm of weight moment L rests between L (1 - mu b) / (1 + mu) and L (1 + mu b) / (1 - mu) of torque."""
+    free = PENDULUM.replace(' stiffness="0.2"', "")
+    values = {"mu": 0.1, "backdrive": 2.0, "preload": 0.0, "static_ratio": 1.0, "presliding": 1e-4}
+    effect = Effect("gear_friction", Port("joint", "hinge"), values)
+    model = instrument(mujoco.MjSpec.from_string(free)).compile()
+    load = 9.81 * model.body("arm").mass[0] * model.body("arm").ipos[0]
+    assert 0.0713 < load * 0.8 / 1.1 < 0.0714
+    sim = Simulation(model, ParameterSet(), (), 1, 1, [effect])
+    sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    sim.batch.ctrl[:] = -torque
+    sim.begin(np.arange(1))
+    sim.step(np.arange(1), 500)
+    assert (abs(sim.batch.qpos[0, 0]) < 0.01) == holds
+
+
 # --- energy ---
 
 PENDULUM = """<mujoco><option timestep="0.002" integrator="implicitfast"/>
@@ -271,6 +291,7 @@ PENDULUM = """<mujoco><option timestep="0.002" integrator="implicitfast"/>
 DISSIPATIVE = {
     "coulomb_friction": {"friction": 0.01},
     "load_friction": {"mu": 0.2},
+    "gear_friction": {"mu": 0.1, "backdrive": 2.0, "preload": 0.05},
     "stribeck_friction": {"friction": 0.005, "static_ratio": 3.0, "stribeck_velocity": 0.2},
     "viscous_friction": {"damping": 0.001},
     "hysteresis": {"ratio": 0.5, "yield_strain": 0.1},
