@@ -24,7 +24,7 @@ from soro_bench.recording.importers import import_recording
 from soro_bench.recording.recording import Recording
 
 SUMMARY = "summary.json"
-STUDIES = ("opencr_tdcr", "asl_trunk", "bam_servo", "silicone_beam")
+STUDIES = ("opencr_tdcr", "asl_trunk", "bam_servo")
 
 
 @dataclass(frozen=True)

@@ -155,7 +155,7 @@ class GearFriction(_Friction):
 
     name, kinds = "gear_friction", ("joint",)
     quantities = (
-        Quantity("mu", "1", 0.1, (0.0, 10.0)),
+        Quantity("mu", "1", 0.05, (0.0, 10.0)),
         Quantity("backdrive", "1", 1.0, (0.0, 10.0), also=(3.0,)),
         Quantity("preload", _FORCE, 1.0, INFINITE, of="force"),
         Quantity("static_ratio", "1", 1.5, (1.0, 10.0)),
