@@ -13,7 +13,7 @@ import numpy as np
 from soro_bench.diagnosis.fit import Guess, Hypothesis, allowing, fitted
 from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.refit import distinct, persevered, polished, refitted, without_one
+from soro_bench.diagnosis.refit import distinct, persevered, polished, refitted, unique, without_one
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
 from soro_bench.diagnosis.suspects import Suspect, typical
@@ -116,7 +116,7 @@ def explained(
         if number > 1:
             tried[1:1] = without_one(problem, tried[0], next(seeds))
         nominal, best = _again(problem, nominal), tried[0]
-    return Explanation(problem, nominal, tuple(tried), promised, left, first.detectable(WORTH))
+    return Explanation(problem, nominal, tuple(unique(tried)), promised, left, first.detectable(WORTH))
 
 
 def _polished(problem, refined, nominal, hypothesis, seeds):

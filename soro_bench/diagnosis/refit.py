@@ -34,7 +34,15 @@ def distinct(leads: Sequence[Lead], count: int, robot: Robot) -> list[Lead]:
 def refitted(problem: Problem, guesses: Sequence[Guess], seed: int, progress=lambda: None) -> list[Hypothesis]:
     """The hypotheses that remain, the best first."""
     found = fitted(problem, _tried(problem, guesses), (SCALE,), seed, progress)
-    return _with_twins(sorted(found, key=lambda h: -h.log_evidence(problem)), KEPT)
+    return _with_twins(unique(sorted(found, key=lambda h: -h.log_evidence(problem))), KEPT)
+
+
+def unique(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The first of those that name the same laws at the same places, which began elsewhere."""
+    first = {}
+    for h in hypotheses:
+        first.setdefault(frozenset((s.name, s.where) for s in h.suspects), h)
+    return list(first.values())
 
 
 def polished(problem: Problem, hypothesis: Hypothesis, seed: int) -> Hypothesis:
@@ -50,7 +58,9 @@ def persevered(problem: Problem, hypotheses: Sequence[Hypothesis], seed: int) ->
     """
     found, going = list(hypotheses), list(range(len(hypotheses)))
     for k in range(_ROUNDS):
-        better = fitted(problem, [Guess(found[i].x, found[i].suspects) for i in going], _POLISH, seed + k)
+        own = [found[i].slope if k else None for i in going]
+        guesses = [Guess(found[i].x, found[i].suspects, slope) for i, slope in zip(going, own, strict=True)]
+        better = fitted(problem, guesses, _POLISH, seed + k)
         helped = [i for i, h in zip(going, better, strict=True) if h.cost < (1.0 - _HELPS) * found[i].cost]
         for i, h in zip(going, better, strict=True):
             found[i] = min(found[i], h, key=lambda h: h.cost)
