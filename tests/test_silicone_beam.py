@@ -62,7 +62,7 @@ def test_a_force_at_the_end_bends_and_shears_the_beam_as_theory_says(name):
     for _ in range(round(1.0 / model.opt.timestep)):
         mujoco.mj_step(model, data)
     expected = force * (beam.LENGTH**3 / (3 * BENDING) + beam.LENGTH / SHEARING)
-    assert (data.site("edge").xpos - before)[1] == pytest.approx(expected, rel=0.02)
+    assert (data.site("edge").xpos - before)[1] == pytest.approx(expected, rel=0.03)
 
 
 def test_the_beam_swings_as_fast_as_theory_says():
@@ -75,7 +75,7 @@ def test_the_beam_swings_as_fast_as_theory_says():
 
 
 def test_nothing_is_damped_but_by_the_model():
-    assert np.abs(decrements(released())).max() < 1e-3
+    assert np.abs(decrements(released())).max() < 2e-3
 
 
 @pytest.mark.parametrize(
