@@ -64,7 +64,8 @@ def main() -> None:
         values = robot.parameters(fit.x)
         print(", ".join(f"{name} {value:.4g}" for name, value in values.items()))
         for run, recording in zip("ab", recordings, strict=True):
-            _compare(unexplained(problem.robot, (robot.measured(recording),), 1.0), fit, f"{kind} {run}", FREQUENCY[kind])
+            one = unexplained(problem.robot, (robot.measured(recording),), 1.0)
+            _compare(one, fit, f"{kind} {run}", FREQUENCY[kind])
 
 
 def _compare(problem: Problem, fit, label: str, frequency: float) -> None:
