@@ -103,6 +103,21 @@ def test_csv_without_header(csv):
     np.testing.assert_array_equal(recording.signals["f"].values, [1, 2])
 
 
+def test_a_command_is_one_until_its_numbers_leave_where_they_were(csv):
+    """The moment lies between two samples, and is shifted; the other signals keep their times."""
+    table = "t,x,y\n0,5,1\n1,5,1\n2,5,1.3\n3,2,5\n4,5,1\n"
+    held = '[commands.held]\ncolumns = ["x", "y"]\nunit = "mm"\nleaves = 0.0026\nshift = -0.25\n'
+    mapping = f'[time]\ncolumn = "t"\n{held}[signals.x]\ncolumns = ["x"]\nunit = "mm"\n'
+    recording = csv(table, mapping)
+    command, (before, after) = recording.commands["held"], (0.0003, 0.005)
+    share = (0.0026 - before) / (after - before)
+    np.testing.assert_allclose(command.time, [0, 2 + share - 0.25])
+    assert command.values.tolist() == [1, 0]
+    np.testing.assert_array_equal(recording.signals["x"].time, range(5))
+    kept = csv(table, mapping.replace("0.0026", "0.01")).commands["held"]
+    assert kept.values.tolist() == [1]
+
+
 def test_csv_of_counted_rows_of_some_trials(csv):
     """Rows are counted where there are no times, and a signal shows the end of the interval."""
     mapping = """
@@ -172,6 +187,7 @@ SIMPLE = '[time]\ncolumn = "t"\n[signals.f]\ncolumns = ["f"]\nunit = "N"\n'
         ("t,f\n0,1\n", SIMPLE.replace('column = "t"', "interval = -1"), ("[time] interval = -1", "positive")),
         ("t,f\n0,1\n", SIMPLE.replace('"t"', '"t"\nuntil = "1"'), ("[time] until = '1'", "positive")),
         ("t,f\n0,1\n", SIMPLE + "shift = [1]\n", ("shift = [1.0]", "one number")),
+        ("t,f\n0,1\n", SIMPLE + "leaves = -1\n", ("leaves = -1", "positive number")),
     ],
 )
 def test_bad_table_or_mapping(csv, table, mapping, parts):

@@ -72,7 +72,7 @@ def _everything(features: dict) -> FileMapping:
     for column, feature in features.items():
         kind, _, name = column.partition(".")
         if kind in groups and isinstance(feature, dict) and feature.get("dtype") in _NUMBERS:
-            groups[kind][name or kind] = Source("1", 1.0, np.zeros(()), "", None, 0.0, {"column": column})
+            groups[kind][name or kind] = Source("1", 1.0, np.zeros(()), "", None, 0.0, None, {"column": column})
     return FileMapping(groups["action"], groups["observation"])
 
 

@@ -15,7 +15,7 @@ from soro_bench.recording.untrusted import named_errors, read_bytes
 
 MAX_BYTES = 1_000_000
 _SECTIONS = ("format", "time", "commands", "signals", "parameters", "metadata")
-_VALUE_KEYS = ("unit", "scale", "offset", "frame", "shape", "shift")
+_VALUE_KEYS = ("unit", "scale", "offset", "frame", "shape", "shift", "leaves")
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,7 @@ class Source:
     frame: str
     shape: tuple[int, ...] | None  # of a sample; None: as the file has it, and () for one number
     shift: float  # s, added to its times
+    leaves: float | None  # SI; instead of the value: 1 until it is that far from where it was first, then 0
     place: Mapping[str, Any]  # what else the importer knows: columns, topic, ...
 
     def signal(self, time: np.ndarray, numbers: np.ndarray) -> Signal:
@@ -46,7 +47,10 @@ class Source:
             offset = np.broadcast_to(self.offset, shape)
         except ValueError as error:
             raise RecordingError(f"offset of shape {self.offset.shape} does not fit the shape {shape}") from error
-        return Signal(time, self.scale * factor * numbers.reshape(len(numbers), *shape) + offset, unit, self.frame)
+        values = self.scale * factor * numbers.reshape(len(numbers), *shape) + offset
+        if self.leaves is not None:
+            return _staying(time, values, self.leaves, self.shift)
+        return Signal(time, values, unit, self.frame)
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,7 @@ class FileMapping:
         for group, sources in (("commands", self.commands), ("signals", self.signals)):
             for name, place in sources.items():
                 time, numbers = _named(f"{group}.{name}", read, place)
-                found[group, name] = _shifted(time, place.shift), numbers
+                found[group, name] = time if place.leaves else _shifted(time, place.shift), numbers
         start = min((time[0] for time, _ in found.values() if len(time)), default=0)
         groups = {"commands": {}, "signals": {}}
         for (group, name), (time, numbers) in found.items():
@@ -160,7 +164,20 @@ def _source(entry, place_keys) -> Source:
     for label, number in (("scale", scale), ("shift", shift)):
         if number.ndim:
             raise RecordingError(f"{label} = {number.tolist()}; expected one number")
-    return Source(unit, float(scale), offset, entry.get("frame", ""), shape, float(shift), place)
+    leaves = _positive("leaves", entry["leaves"]) if "leaves" in entry else None
+    return Source(unit, float(scale), offset, entry.get("frame", ""), shape, float(shift), leaves, place)
+
+
+def _staying(time, values, distance, shift) -> Signal:
+    """1 until the values (T, ...) are further than a distance from the first ones, a time [s] after that 0."""
+    rows = values.reshape(len(values), -1)
+    away = np.linalg.norm(rows - rows[0], axis=1)
+    if not (beyond := np.flatnonzero(away > distance)).size:
+        return Signal(time[:1], np.ones(1), "1")
+    i = beyond[0]
+    share = np.nan_to_num((distance - away[i - 1]) / (away[i] - away[i - 1]))  # 0 where the sample before is missing
+    left = time[i - 1] + share * (time[i] - time[i - 1]) + shift
+    return Signal(np.array([time[0], max(left, np.nextafter(time[0], np.inf))]), np.array([1.0, 0.0]), "1")
 
 
 def _shifted(time, shift):

@@ -1,0 +1,83 @@
+"""Frequency and decay of the silicone beam, recorded and simulated with fitted parameters.
+
+    SORO_BENCH_DATA=FOLDER python benchmarks/beam_decay.py gravity
+    SORO_BENCH_DATA=FOLDER python benchmarks/beam_decay.py load52 --diagnose
+
+The parameters are fitted to the recording a, without effects; with --diagnose also with those that the diagnosis finds
+(minutes). Then what is left of the recordings a and b, and of the height of the first marker in windows of two periods
+a fit of A exp(-s t) cos(2 pi f t + p) + c + d t: amplitude A, frequency f, logarithmic decrement s / f.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from soro_bench.assets import mjcf_path
+from soro_bench.diagnosis.explain import nominal_fit
+from soro_bench.diagnosis.model_robot import ModelRobot
+from soro_bench.diagnosis.pipeline import diagnose, unexplained
+from soro_bench.diagnosis.problem import Problem
+from soro_bench.diagnosis.robot import FITTED
+from soro_bench.recording.importers import import_recording
+
+FREQUENCY = {"gravity": 7.7, "load52": 4.4}  # Hz, about
+WINDOWS, FROM = 5, 0.3  # from 0.3 s after the hand lets go: its fingers and the slack string are out of the way
+NOISE = 1e-4  # m, of a marker, more than it is: nothing in the models is as exact as motion capture
+
+
+def decay(time: np.ndarray, height: np.ndarray, frequency: float) -> np.ndarray:
+    """(WINDOWS, 3) amplitude [mm], frequency [Hz] and logarithmic decrement."""
+    found = []
+    for k in range(WINDOWS):
+        chosen = (time >= 2 * k / frequency) & (time < 2 * (k + 1) / frequency)
+        t, h = time[chosen] - time[chosen][0], 1e3 * height[chosen]
+
+        def left(q, t=t, h=h):
+            return q[0] * np.exp(-q[1] * t) * np.cos(2 * np.pi * q[2] * t + q[3]) + q[4] + q[5] * t - h
+
+        starts = [[np.ptp(h) / 2, 2.0, frequency, phase, h.mean(), 0.0] for phase in (0, 1.5, 3, 4.5)]
+        best = min((least_squares(left, start) for start in starts), key=lambda fit: fit.cost)
+        found.append([abs(best.x[0]), best.x[2], best.x[1] / best.x[2]])
+    return np.array(found)
+
+
+def main() -> None:
+    """Print the table of a kind of recordings."""
+    kind, model = sys.argv[1], mjcf_path("real/silicone_beam.xml")
+    robot = ModelRobot(model, model.with_suffix(".toml"))
+    mapping, folder = mjcf_path(f"real/silicone_beam_{kind}_import.toml"), Path(os.environ["SORO_BENCH_DATA"])
+    recordings = [import_recording(folder / f"silicone_beam_arm/beam_{kind}_V2_{run}.csv", mapping) for run in "ab"]
+    if "--diagnose" in sys.argv:
+        found = diagnose(robot, recordings[:1], recordings[1:], progress=print)
+        print(f"{found.verdict}; unknown {found.comparison.unknown:.2f}; {found.seconds:.0f} s")
+        problem = found.explanation.problem
+        fits = [found.explanation.nominal, *(answer.hypothesis for answer in found.comparison.answers)]
+    else:
+        problem = unexplained(robot.shortened(FITTED), (robot.measured(recordings[0]),), NOISE)
+        problem, nominal = nominal_fit(problem, robot.refined(), seed=0)
+        fits = [nominal]
+    for fit in fits:
+        print("\n" + ("; ".join(map(str, fit.effects(problem.parameters))) or "no effects"))
+        values = robot.parameters(fit.x)
+        print(", ".join(f"{name} {value:.4g}" for name, value in values.items()))
+        for run, recording in zip("ab", recordings, strict=True):
+            one = unexplained(problem.robot, (robot.measured(recording),), 1.0)
+            _compare(one, fit, f"{kind} {run}", FREQUENCY[kind])
+
+
+def _compare(problem: Problem, fit, label: str, frequency: float) -> None:
+    (measured,) = problem.recordings
+    simulated = problem.simulated(problem.robot, [(fit.x, fit.suspects)])[0].reshape(measured.values.shape)
+    left = 1e3 * np.sqrt(np.nanmean((measured.values - simulated) ** 2))
+    since = measured.time - measured.time[np.flatnonzero(measured.settings[:, 0] == 0)[0]] - FROM
+    rows = [decay(since, np.nan_to_num(each[:, 0, 0]), frequency) for each in (measured.values, simulated)]
+    print(f"{label}: {left:.3f} mm rms of a coordinate; recorded | simulated amplitude mm, Hz, decrement")
+    for recorded, replayed in zip(*rows, strict=True):
+        print("   " + " | ".join(f"{a:6.3f} {f:6.3f} {d:6.3f}" for a, f, d in (recorded, replayed)))
+
+
+if __name__ == "__main__":
+    main()
