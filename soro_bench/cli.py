@@ -336,7 +336,7 @@ class Study:
     """Diagnose the recordings of a real robot; an interrupted study goes on with the parts that are missing."""
 
     name: Annotated[str, tyro.conf.Positional]
-    """opencr_tdcr, asl_trunk or bam_servo."""
+    """opencr_tdcr, asl_trunk, bam_servo or silicone_beam."""
     out: Path
     """Folder for the reports, one folder for each part, and for the row of the table, row.md."""
     data: Path = Path("data/real")

@@ -24,7 +24,7 @@ from soro_bench.recording.importers import import_recording
 from soro_bench.recording.recording import Recording
 
 SUMMARY = "summary.json"
-STUDIES = ("opencr_tdcr", "asl_trunk", "bam_servo")
+STUDIES = ("opencr_tdcr", "asl_trunk", "bam_servo", "silicone_beam")
 
 
 @dataclass(frozen=True)
@@ -60,13 +60,12 @@ def load_study(name: str, data: str | Path) -> Study:
         raise ValueError(f"unknown study {name!r}; there are {', '.join(STUDIES)}")
     table = tomllib.loads(asset_path(f"studies/{name}.toml").read_text())
     folder = Path(data) / table["data"]
-    mapping = tomllib.loads(asset_path(f"mjcf/{table['import']}").read_text())
     parts = tuple(
         Part(
             key,
             part["question"],
-            _recordings(folder, mapping, part["train"]),
-            _recordings(folder, mapping, part.get("heldout", [])),
+            _recordings(folder, table["import"], part["train"]),
+            _recordings(folder, table["import"], part.get("heldout", [])),
             part.get("after"),
         )
         for key, part in table["parts"].items()
@@ -74,10 +73,13 @@ def load_study(name: str, data: str | Path) -> Study:
     return Study(name, table["title"], *(asset_path(f"mjcf/{table[key]}") for key in ("model", "map")), parts)
 
 
-def _recordings(folder: Path, mapping: dict, entries: Sequence[dict]) -> tuple[Recording, ...]:
+def _recordings(folder: Path, usual: str, entries: Sequence[dict]) -> tuple[Recording, ...]:
+    """Of each entry the files, imported by its mapping or the usual one, with the sections that the entry changes."""
     found = []
     for entry in entries:
-        sections = {key: {**mapping.get(key, {}), **value} for key, value in entry.items() if key != "files"}
+        mapping = tomllib.loads(asset_path(f"mjcf/{entry.get('import', usual)}").read_text())
+        changes = {key: value for key, value in entry.items() if isinstance(value, dict)}
+        sections = {key: {**mapping.get(key, {}), **value} for key, value in changes.items()}
         if not (paths := sorted(folder.glob(entry["files"]))):
             raise FileNotFoundError(f"no {entry['files']} in {folder}; soro-bench data says where recordings are")
         found += [import_recording(path, {**mapping, **sections}) for path in paths]
