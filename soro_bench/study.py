@@ -102,6 +102,8 @@ def run_study(
             text = write_reports(found, part.train, folder)
             write_json(folder / SUMMARY, _summary(study, part, found, text, seed))
         summaries.append(read_json(folder / SUMMARY))
+        if (found_with := summaries[-1]["seed"]) != seed:
+            raise ValueError(f"{folder} has the results of seed {found_with}, not {seed}; give another folder")
     return summaries
 
 

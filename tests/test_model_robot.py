@@ -108,6 +108,34 @@ def test_a_known_effect_is_simulated_and_not_possible_twice(paths):
     assert not knows.accepts([friction])
 
 
+@pytest.mark.parametrize(
+    ("known", "message"),
+    [
+        (Earlier({"inertia": 1.0}, ()), "the earlier diagnosis has"),
+        (Earlier({"inertia": -1.0, "damping": 1.0, "zero": 0.0}, ()), "inertia = -1.0 was found earlier"),
+        (Earlier({"inertia": np.nan, "damping": 1.0, "zero": 0.0}, ()), "inertia = nan was found earlier"),
+        (
+            Earlier(
+                {"inertia": 1.0, "damping": 1.0, "zero": 0.0},
+                (Effect("coulomb_friction", Port("joint", "elbow"), {"friction": 1.0}),),
+            ),
+            "effects that this robot cannot have",
+        ),
+    ],
+)
+def test_what_was_found_of_another_robot_is_refused(paths, known, message):
+    with pytest.raises(ValueError, match=message):
+        ModelRobot(*paths, threads=1, earlier=known)
+
+
+@pytest.mark.parametrize("text", ["[]", "{}", '{"schema": "soro-bench/diagnosis/1"}', "{",
+                                  '{"schema": "soro-bench/diagnosis/1", "parameters": {"a": 1}}'])  # fmt: skip
+def test_a_file_that_is_no_report_is_refused(tmp_path, text):
+    (tmp_path / "report.json").write_text(text)
+    with pytest.raises(ValueError, match=r"report\.json"):
+        earlier(tmp_path)
+
+
 GAIN = """
 [settings.gain]
 SOURCE

@@ -83,7 +83,10 @@ def earlier(folder: str | Path) -> Earlier:
     report = read_json(path)
     if not isinstance(report, dict) or report.get("schema") != SCHEMA:
         raise ValueError(f"{path} is no report of a diagnosis: its schema has to be {SCHEMA}")
-    values = {name: float(each["value"]) for name, each in report["parameters"].items()}
+    try:
+        values = {name: float(each["value"]) for name, each in report["parameters"].items()}
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} has no parameters with values ({error!r})") from error
     return Earlier(values, load_effects(Path(folder) / "effects.json", QUANTITIES))
 
 

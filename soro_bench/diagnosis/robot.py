@@ -77,7 +77,10 @@ class Prior:
         return np.clip(value, *self.bounds)
 
     def about(self, value: float) -> "Prior":
-        """Of the same robot, for which an earlier recording has shown this value."""
+        """Of the same robot, for which an earlier recording has shown this value; ValueError for one out of bounds."""
+        low, high = self.bounds
+        if not low <= value <= high or (self.logarithmic and value <= 0):
+            raise ValueError(f"{self.name} = {value} was found earlier; allowed is {low} to {high}")
         return replace(self, nominal=value, deviation=SAME * self.deviation)
 
 
@@ -114,10 +117,15 @@ class Robot(ABC):
     known: tuple[Effect, ...] = ()
 
     def _remember(self, earlier: Earlier | None) -> None:
-        """Begin where an earlier diagnosis of the robot ended."""
+        """Begin where an earlier diagnosis of the robot ended; ValueError if it was that of another one."""
         if earlier:
+            names = [prior.name for prior in self.priors]
+            if sorted(names) != sorted(earlier.parameters):
+                raise ValueError(f"the earlier diagnosis has {sorted(earlier.parameters)}; this robot has {names}")
             self.known = earlier.effects
             self.priors = tuple(prior.about(earlier.parameters[prior.name]) for prior in self.priors)
+            if not self.accepts([]):
+                raise ValueError("the earlier diagnosis has effects that this robot cannot have")
 
     @property
     def elements(self) -> Elements:
