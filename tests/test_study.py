@@ -9,26 +9,8 @@ import pytest
 pytest.importorskip("pyarrow")
 
 from soro_bench import study as module
-from soro_bench.recording.recording import Recording, Signal
 from soro_bench.study import STUDIES, Part, Study, errors, load_study, row, run_study
-
-ARM = """<mujoco><option timestep="0.005" integrator="implicitfast" gravity="0 0 0"/>
-<worldbody><body name="arm"><joint name="hinge" axis="0 1 0" damping="0.02"/>
-<geom type="capsule" size="0.01" fromto="0 0 0 0.2 0 0" mass="0.1" contype="0" conaffinity="0"/></body></worldbody>
-<actuator><position name="motor" joint="hinge" kp="2" kv="0.05"/></actuator></mujoco>"""
-MAP = """
-[robot]
-control_timestep = 0.02
-[commands.goal]
-actuators = ["motor"]
-[signal]
-name = "angle"
-joints = ["hinge"]
-unit = "rad"
-[parameters.damping]
-fields = ["dof_damping:hinge"]
-deviation = 0.3
-"""
+from tests.arm import ARM, MAP, recording
 
 
 def test_errors_of_known_residuals():
@@ -47,17 +29,14 @@ def test_errors_of_known_residuals():
 def study(tmp_path):
     (tmp_path / "arm.xml").write_text(ARM)
     (tmp_path / "map.toml").write_text(MAP)
-    rng = np.random.default_rng(0)
-    time = 0.02 * np.arange(101)
-    angles = 5e-4 * rng.standard_normal(101)
-    still = Recording({"goal": Signal(time[:-1], np.zeros((100, 1)))}, {"angle": Signal(time, angles, "rad")})
-    parts = (Part("rest", "at rest", (still,), (still,), None), Part("again", "still at rest", (still,), (), "rest"))
+    given, other = (recording((tmp_path / "arm.xml", tmp_path / "map.toml"), [], seed) for seed in (0, 1))
+    parts = (Part("first", "some motion", (given,), (other,), None), Part("again", "once more", (given,), (), "first"))
     return Study("arm", "an arm", tmp_path / "arm.xml", tmp_path / "map.toml", parts)
 
 
 def test_a_study_writes_reports_summaries_and_a_row_and_goes_on_where_it_was(study, tmp_path, monkeypatch):
     first = run_study(study, tmp_path / "out", threads=1)
-    assert [(s["part"], s["answers"][0]["effects"]) for s in first] == [("rest", []), ("again", [])]
+    assert [(s["part"], s["answers"][0]["effects"]) for s in first] == [("first", []), ("again", [])]
     assert first[0]["parameters"]["heldout"]["mean_absolute"] == pytest.approx(4e-4, rel=0.2)
     assert (tmp_path / "out" / "again" / "report.html").exists()
     assert row(first).count("\n") == 3

@@ -1,0 +1,47 @@
+"""An arm of one joint, and recordings of it with other parameters and hidden effects."""
+
+import numpy as np
+
+from soro_bench.diagnosis.model_robot import ModelRobot
+from soro_bench.recording.recording import Recording, Signal
+
+ARM = """<mujoco><option timestep="0.005" integrator="implicitfast"/>
+<worldbody><body name="arm"><joint name="hinge" axis="0 1 0" damping="0.02"/>
+<geom type="capsule" size="0.01" fromto="0 0 0 0.2 0 0" mass="0.1" contype="0" conaffinity="0"/>
+<site name="tip" pos="0.2 0 0"/></body></worldbody>
+<actuator><position name="motor" joint="hinge" kp="2" kv="0.05" forcerange="-1 1"/></actuator></mujoco>"""
+MAP = """
+[robot]
+control_timestep = 0.02
+[commands.goal]
+actuators = ["motor"]
+[signal]
+name = "angle"
+joints = ["hinge"]
+unit = "rad"
+[initial]
+joints = ["hinge"]
+[parameters.inertia]
+fields = ["body_mass:arm", "body_inertia:arm"]
+deviation = 0.2
+[parameters.damping]
+fields = ["dof_damping:hinge"]
+deviation = 0.3
+[parameters.zero]
+fields = ["actuator_biasprm[0]:motor"]
+add = true
+unit = "N m"
+deviation = 0.02
+"""
+TRUTH = np.array([[1.2, 0.8, 0.01]])
+
+
+def recording(paths, hidden, seed, noise=5e-4):
+    """Of an arm with other parameters, half the time step and hidden effects."""
+    rng = np.random.default_rng(seed)
+    goals = np.repeat(rng.uniform(-0.6, 0.6, 15), 15)[:, None]
+    start = np.full((1, 1), 0.2)
+    (values,) = ModelRobot(*paths, threads=1, shorter=2).simulate(goals, TRUTH, [hidden], start)
+    values = np.concatenate([start[None], values]) + noise * rng.standard_normal((len(goals) + 1, 1, 1))
+    times = 0.02 * np.arange(len(values))
+    return Recording({"goal": Signal(times[:-1], goals)}, {"angle": Signal(times, values[:, 0, 0], "rad")})
