@@ -1,0 +1,1 @@
+"""Fixed evaluations, results as files, and the page that compares them."""

@@ -1,0 +1,96 @@
+"""What is compared: fixed evaluations that every policy of a board goes through.
+
+A board is a task with its published starts; its conditions are the models that it is evaluated on, the cheap and the
+accurate one. What a policy was trained on is up to its authors.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from soro_bench.evaluation import evaluate
+from soro_bench.recording.episode import Episode
+from soro_bench.registration import task_type
+from soro_bench.training.policy import Policy
+
+NOISY_ROLLOUTS = 5  # of the walker, with observation noise; as in the paper's figure 6
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One evaluation of a policy: the robot's model, reset options of every episode, arguments of the environment."""
+
+    model: str
+    starts: tuple[Mapping[str, Any], ...]
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Board:
+    """A task with fixed evaluations.
+
+    Args:
+        env_id: environment.
+        metric: what is compared at the end of an episode [m].
+        higher: whether more of it is better.
+        conditions: evaluations by label.
+        episode_steps: length of an episode; the registered one if None.
+        fixed: parameters that the task gives, in training too.
+    """
+
+    env_id: str
+    metric: str
+    higher: bool
+    conditions: Mapping[str, Condition]
+    episode_steps: int | None = None
+    fixed: Mapping[str, float] = field(default_factory=dict)
+
+    def play(self, policy: Policy, label: str, num_threads: int = 0) -> list[Episode]:
+        """The episodes of a policy under the condition with that label."""
+        condition = self.conditions[label]
+        return evaluate(
+            policy.act, self.env_id, condition.model, policy.card.action, condition.starts, num_threads,
+            self.episode_steps, **condition.options,
+        )  # fmt: skip
+
+    def score(self, episodes: list[Episode]) -> dict:
+        """What a condition's episodes amount to: a list of values per episode, lengths in mm."""
+        if self.metric == "elevation":
+            final = [float(e.signals["elevation"][-1]) for e in episodes]
+        else:
+            final = [e.final_metric for e in episodes]
+        return {
+            "final_mm": [round(1e3 * value, 4) for value in final],
+            "return": [round(e.total_reward, 4) for e in episodes],
+            "success": [e.is_success for e in episodes],
+            "diverged": sum(e.diverged for e in episodes),
+        }
+
+
+def _trunk(env_id: str, metric: str = "distance", starts=None, fixed=None) -> Board:
+    task = task_type(env_id)
+    starts = tuple(task.evaluation if starts is None else starts)
+    conditions = {model: Condition(model, starts) for model in (task.cheap, task.accurate)}
+    return Board(env_id, metric, metric == "elevation", conditions, fixed=fixed or {})
+
+
+def _lift(mass: float) -> Board:
+    return _trunk("TrunkLift-v0", "elevation", ({"params": {"cube_mass": mass}},), {"cube_mass": mass})
+
+
+def _walker(steps: int) -> Board:
+    conditions = {}
+    for mesh in ("coarse", "fine"):
+        conditions[mesh] = Condition(mesh, ({},))
+        conditions[f"{mesh}_noise"] = Condition(mesh, ({},) * NOISY_ROLLOUTS, {"observation_noise": True})
+    return Board("MultiGait-v0", "displacement", True, conditions, episode_steps=steps)
+
+
+BOARDS = {
+    "TrunkReach-v0": _trunk("TrunkReach-v0"),
+    "TrunkPush-v0": _trunk("TrunkPush-v0"),
+    "TrunkLift-v0-50g": _lift(0.05),
+    "TrunkLift-v0-100g": _lift(0.1),
+    "MultiGait-v0-6": _walker(6),
+    "MultiGait-v0-12": _walker(12),
+}
