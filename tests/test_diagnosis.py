@@ -143,6 +143,35 @@ def test_an_audit_finds_the_noise_beside_motion():
     assert found.missing == 0
 
 
+@pytest.mark.parametrize("resampled", [False, True])
+def test_an_audit_takes_the_rounding_of_a_quantised_signal_for_noise(resampled):
+    """An encoder of 1,024 steps: rounding errors are uniform, so their deviation is the step over the root of 12."""
+    step = 2 * np.pi / 1024
+    time = 0.01 * np.arange(400)
+    angle = step * np.round(0.3 * np.sin(2 * np.pi * 0.2 * time) / step)
+    if resampled:  # a few samples lie between the levels
+        angle[7::40] += 0.3 * step
+    found = audit(Measured(np.zeros((400, 1)), time, angle[:, None, None], "angle", "rad"))
+    assert found.least == pytest.approx(step / np.sqrt(12), rel=1e-3)
+    assert found.sigma >= found.least
+
+
+def test_what_is_far_larger_than_the_sensors_noise_becomes_the_noise_and_goes_again(robot, actions):
+    """And small numerical errors no longer explain anything; residuals scale with it."""
+    given = problem(robot, actions)
+    size = given.weight.size
+    columns = SIGMA * np.array([0.2 * np.ones(size), 50 * np.ones(size)])
+    given = given.with_floor(columns)
+    assert not given.allowing(9 * SIGMA).rough
+    rough = given.allowing(20 * SIGMA)
+    assert rough.rough
+    assert (rough.sigma, rough.sensor) == (20 * SIGMA, SIGMA)
+    assert np.allclose(rough.floor.basis, [2.5 * np.ones(size)])
+    again = rough.allowing(2 * SIGMA)
+    assert not again.rough
+    assert again.sigma == SIGMA
+
+
 def test_an_audit_finds_what_is_alone_and_far_off():
     rng = np.random.default_rng(0)
     residual = rng.standard_normal((300, 21, 3)) + 5 * np.sin(np.arange(300) / 20)[:, None, None]
