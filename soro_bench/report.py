@@ -11,7 +11,6 @@ from soro_bench.files import read_json, replacing, write_json
 from soro_bench.registration import task_type
 from soro_bench.results import interval, metric_key
 
-_BINS = 20  # points of a training curve
 
 
 def write_report(folder: str | Path) -> str:
@@ -87,7 +86,7 @@ def plot_curves(files: Mapping[str, Sequence[Path]], metric: str, path: str | Pa
     plt = pyplot()
     figure, axes = plt.subplots(figsize=(6.4, 4.0), layout="constrained")
     for i, (label, runs) in enumerate(files.items()):
-        curves = [_read_curve(run, metric) for run in runs]
+        curves = [read_curve(run, metric) for run in runs]
         for steps, value in curves:
             axes.plot(steps, value, color=f"C{i}", alpha=0.3, lw=0.8)
         grid = max((steps for steps, _ in curves), key=len)
@@ -120,19 +119,19 @@ def plot_results(results: Sequence[dict], metric: str, path: str | Path) -> None
     _save(figure, path)
 
 
-def _read_curve(path: Path, metric: str) -> tuple[np.ndarray, np.ndarray]:
-    """Steps and mean final metric [mm] of the episodes in each of ``_BINS`` equal parts of a training.
+def read_curve(path: str | Path, metric: str, parts: int = 20) -> tuple[np.ndarray, np.ndarray]:
+    """Steps and mean final metric [mm] of the episodes in each of so many equal parts of a training.
 
     A part mixes whole updates: the episodes that end early in an update are the successful ones.
     """
-    with path.open() as file:
+    with Path(path).open() as file:
         rows = [tuple(float(row[name]) for name in ("steps", "episodes", metric_key(metric)))
                 for row in csv.DictReader(file)]  # fmt: skip
     steps, episodes, value = np.array(rows).T
-    part = np.minimum((_BINS * steps / steps[-1]).astype(int), _BINS - 1)
+    part = np.minimum((parts * steps / steps[-1]).astype(int), parts - 1)
     present = np.unique(part)
     means = [np.average(value[part == k], weights=episodes[part == k]) for k in present]
-    return (present + 0.5) / _BINS * steps[-1], np.array(means)
+    return (present + 0.5) / parts * steps[-1], np.array(means)
 
 
 def pyplot():

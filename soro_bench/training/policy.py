@@ -2,13 +2,14 @@
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from soro_bench.files import read_json, replacing, write_json
 
 _WEIGHTS, _CARD = "policy.safetensors", "policy.json"
-_MAX_BYTES = 100_000_000
+MAX_BYTES = 100_000_000  # of a policy file
 
 
 @dataclass(frozen=True)
@@ -31,11 +32,14 @@ class Policy:
         tensors: "mean" and "std" (k,) of the observation; "w0", "b0", ... of the layers.
     """
 
+    suffix: ClassVar[str] = ".safetensors"
     card: PolicyCard
     tensors: dict[str, np.ndarray]
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """Actions for (n, k) observations: (n,) integers if the action mode is discrete, else (n, nu) in [-1, 1]."""
+        if (given := observations.shape[1]) != (needed := len(self.tensors["mean"])):
+            raise ValueError(f"the policy takes observations of {needed} numbers; these have {given}")
         x = (observations - self.tensors["mean"]) / self.tensors["std"]
         x = np.clip(x, -OBSERVATION_CLIP, OBSERVATION_CLIP)
         layers = self.num_layers
@@ -51,40 +55,57 @@ class Policy:
         """Number of linear layers."""
         return sum(name.startswith("w") for name in self.tensors)
 
+    def to_bytes(self) -> bytes:
+        """The tensors as a safetensors file."""
+        from safetensors.numpy import save
+
+        return save({name: np.ascontiguousarray(value) for name, value in self.tensors.items()})
+
     def save(self, folder: str | Path) -> None:
         """Write policy.safetensors and policy.json into ``folder``."""
-        from safetensors.numpy import save_file
-
-        folder = Path(folder)
-        with replacing(folder / _WEIGHTS) as temporary:
-            save_file({name: np.ascontiguousarray(value) for name, value in self.tensors.items()}, str(temporary))
-        write_json(folder / _CARD, asdict(self.card))
+        with replacing(Path(folder) / _WEIGHTS) as temporary:
+            temporary.write_bytes(self.to_bytes())
+        write_json(Path(folder) / _CARD, asdict(self.card))
 
     @classmethod
-    def load(cls, folder: str | Path) -> "Policy":
-        """Read a policy; ValueError if the folder does not hold one."""
-        from safetensors import SafetensorError
-        from safetensors.numpy import load_file
+    def load(cls, path: str | Path):
+        """Read the policy of a folder, or of a leaderboard entry's file; ValueError if there is none.
 
-        folder = Path(folder)
+        An entry's policy may be an :class:`soro_bench.leaderboard.onnx_policy.OnnxPolicy`.
+        """
+        path = Path(path)
+        if path.suffix == ".json":
+            from soro_bench.leaderboard.entry import policy_of, read_entry
+
+            return policy_of(path, read_entry(path))
         for name in (_WEIGHTS, _CARD):
-            if not (folder / name).is_file():
-                raise ValueError(f"{folder} holds no policy: {name} is missing")
-        if (size := (folder / _WEIGHTS).stat().st_size) > _MAX_BYTES:
-            raise ValueError(f"{folder / _WEIGHTS} has {size} bytes; at most {_MAX_BYTES} are read")
+            if not (path / name).is_file():
+                raise ValueError(f"{path} holds no policy: {name} is missing")
+        if (size := (path / _WEIGHTS).stat().st_size) > MAX_BYTES:
+            raise ValueError(f"{path / _WEIGHTS} has {size} bytes; at most {MAX_BYTES} are read")
         try:
-            card = PolicyCard(**read_json(folder / _CARD))
-            tensors = load_file(str(folder / _WEIGHTS))
-        except (TypeError, SafetensorError) as error:
-            raise ValueError(f"{folder} holds no valid policy: {error}") from error
-        policy = cls(card, tensors)
-        policy._check_shapes(folder)
+            card = PolicyCard(**read_json(path / _CARD))
+        except TypeError as error:
+            raise ValueError(f"{path} holds no valid policy: {error}") from error
+        return cls.from_bytes(card, (path / _WEIGHTS).read_bytes(), path)
+
+    @classmethod
+    def from_bytes(cls, card: PolicyCard, data: bytes, source: str | Path) -> "Policy":
+        """The policy in the content of a safetensors file; ``source`` is what errors call it."""
+        from safetensors import SafetensorError
+        from safetensors.numpy import load
+
+        try:
+            policy = cls(card, load(data))
+        except (SafetensorError, KeyError, ValueError) as error:  # the latter two of types that numpy lacks
+            raise ValueError(f"{source} holds no valid policy: {error}") from error
+        policy._check_shapes(source)
         return policy
 
-    def _check_shapes(self, folder) -> None:
+    def _check_shapes(self, source) -> None:
         names = ["mean", "std", *(f"{kind}{i}" for i in range(self.num_layers) for kind in "wb")]
         if self.num_layers == 0 or sorted(names) != sorted(self.tensors):
-            raise ValueError(f"{folder} holds no valid policy: its tensors are {', '.join(sorted(self.tensors))}")
+            raise ValueError(f"{source} holds no valid policy: its tensors are {', '.join(sorted(self.tensors))[:200]}")
         size = self.tensors["mean"].shape
         shapes_fit = self.tensors["std"].shape == size and len(size) == 1
         for i in range(self.num_layers):
@@ -92,7 +113,7 @@ class Policy:
             shapes_fit = shapes_fit and weight.shape == (*bias.shape, *size)
             size = bias.shape
         if not shapes_fit or not all(np.isfinite(value).all() for value in self.tensors.values()):
-            raise ValueError(f"{folder} holds no valid policy: its layers do not fit together or are not finite")
+            raise ValueError(f"{source} holds no valid policy: its layers do not fit together or are not finite")
 
 
 OBSERVATION_CLIP = 10.0  # standard deviations

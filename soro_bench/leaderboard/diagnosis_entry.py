@@ -1,0 +1,62 @@
+"""Entries of the diagnosis track: the scorecard of a method on a set of robots with concealed physics.
+
+An entry is <results>/diagnosis/<name>.json (diagnosis_entry.schema.json). ``soro-bench prove`` writes one.
+"""
+
+from pathlib import Path
+
+from soro_bench.files import write_json
+from soro_bench.leaderboard.strict import REPORT_BYTES, check, read_strict
+from soro_bench.proof.score import opened_labels, scored
+from soro_bench.results import versions
+
+FORMAT, SCHEMA = "soro_bench/diagnosis/1", "diagnosis_entry.schema.json"
+PARTS = ("gates", "confusion", "calibration", "ablations")
+
+
+def read_entry(path: str | Path) -> dict:
+    """A valid entry of the diagnosis track; ValueError names the file, what is wrong and what is allowed."""
+    entry = read_strict(path)
+    check(entry, SCHEMA, path)
+    return entry
+
+
+def write_entry(path: str | Path, entry: str, method: str, cases: str | Path, card: dict) -> None:
+    """Write the entry of a scorecard.
+
+    Args:
+        entry: who, or which code base, made the diagnoses.
+        method: what it does, in a few words.
+        cases: folder of the cases, their labels and the commitment.
+        card: what :func:`soro_bench.proof.score.scored` gives, with the rows of the ablations, perhaps none.
+    """
+    about = {"format": FORMAT, "entry": entry, "method": method, "set": opened(Path(cases))}
+    written = {**about, **{part: card[part] for part in PARTS}, "versions": versions()}
+    check(written, SCHEMA, path)
+    write_json(path, written)
+
+
+def opened(cases: Path) -> dict:
+    """Which set of cases a folder holds, after its labels and the commitment to them."""
+    labels = opened_labels(cases)
+    return {
+        "seed": read_strict(cases / "sealed" / "labels.json", 100_000_000)["seed"],
+        "count": len(labels),
+        "nulls": sum(label["group"] == "none" for label in labels),
+        "commitment": (cases / "commitment.txt").read_text().strip(),
+    }
+
+
+def rescored(cases: Path, reports: Path) -> dict:
+    """The scorecard of the reports of a set; ValueError names a case whose report is missing or says too little."""
+    labels, found = opened_labels(cases), {}
+    for label in labels:
+        path = reports / f"{label['id']}.json"
+        if not path.is_file():
+            raise ValueError(f"{path} is missing; every case needs its report")
+        found[label["id"]] = read_strict(path, REPORT_BYTES)
+        try:
+            scored([label], {label["id"]: found[label["id"]]})
+        except (LookupError, TypeError, ValueError, AttributeError) as error:
+            raise ValueError(f"{path} is no report of a diagnosis: {type(error).__name__} {error}") from error
+    return scored(labels, found)

@@ -1,0 +1,134 @@
+"""Entries of the control track: a policy, what it was trained on, and what it did on a board's evaluations.
+
+An entry is <results>/<board>/<entry>/<method>/seed<k>.json (control_entry.schema.json), its policy the file
+seed<k>.safetensors or seed<k>.onnx beside it.
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from soro_bench.files import replacing, write_json
+from soro_bench.leaderboard.boards import BOARDS, Board
+from soro_bench.leaderboard.onnx_policy import OnnxPolicy
+from soro_bench.leaderboard.strict import check, read_bytes, read_strict
+from soro_bench.report import read_curve
+from soro_bench.results import versions
+from soro_bench.training.policy import MAX_BYTES, Policy, PolicyCard
+
+FORMAT, SCHEMA = "soro_bench/control/1", "control_entry.schema.json"
+CURVE_POINTS = 50
+_KINDS = {kind.suffix: kind for kind in (Policy, OnnxPolicy)}
+
+
+def read_entry(path: str | Path) -> dict:
+    """A valid entry of the control track; ValueError names the file, what is wrong and what is allowed."""
+    entry = read_strict(path)
+    check_entry(entry, path)
+    return entry
+
+
+def check_entry(entry: dict, path: str | Path) -> None:
+    """ValueError if ``entry``, of the file ``path``, breaks the schema or does not fit its board."""
+    check(entry, SCHEMA, path)
+    if (board := BOARDS.get(entry["board"])) is None:
+        raise ValueError(f"{path}: board is {entry['board']!r}; allowed: {', '.join(BOARDS)}")
+    for label, scores in entry["evaluations"].items():
+        _check_scores(board, label, scores, path)
+    curve = entry.get("training", {}).get("curve", {"steps": (), "final_mm": ()})
+    if len(curve["steps"]) != len(curve["final_mm"]):
+        raise ValueError(f"{path}: the curve has {len(curve['steps'])} steps and {len(curve['final_mm'])} lengths")
+
+
+def _check_scores(board: Board, label: str, scores: dict, path) -> None:
+    if label not in board.conditions:
+        raise ValueError(f"{path}: evaluations has {label[:80]!r}; allowed: {', '.join(board.conditions)}")
+    starts = len(board.conditions[label].starts)
+    for name in ("final_mm", "return", "success"):
+        if (found := len(scores[name])) != starts:
+            raise ValueError(f"{path}: evaluations.{label}.{name} has {found} values; allowed: {starts}, one a start")
+
+
+def card_of(entry: dict) -> PolicyCard:
+    """What the entry's policy was trained for."""
+    trained = (entry[name] for name in ("trained_on", "action", "method", "seed", "steps"))
+    return PolicyCard(BOARDS[entry["board"]].env_id, *trained)
+
+
+def policy_bytes(path: str | Path, entry: dict) -> bytes:
+    """The content of the policy file beside the entry ``path``; ValueError if it is not what was entered."""
+    file = Path(path).parent / entry["policy"]["file"]
+    data = read_bytes(file, MAX_BYTES)
+    if (found := hashlib.sha256(data).hexdigest()) != (entered := entry["policy"]["sha256"]):
+        raise ValueError(f"{file} has the SHA-256 {found}; {path} says {entered}")
+    return data
+
+
+def policy_of(path: str | Path, entry: dict) -> Policy | OnnxPolicy:
+    """The policy of the entry in the file ``path``."""
+    file = Path(path).parent / entry["policy"]["file"]
+    return _KINDS[file.suffix].from_bytes(card_of(entry), policy_bytes(path, entry), file)
+
+
+def write_entry(
+    results: str | Path,
+    board: str,
+    entry: str,
+    policy: Policy | OnnxPolicy,
+    evaluations: Mapping[str, Mapping[str, Any]],
+    distribution: Mapping[str, Any] | None = None,
+    training: Mapping[str, Any] | None = None,
+) -> Path:
+    """Write an entry and its policy where they belong under ``results``; returns the entry's file.
+
+    Args:
+        board: of BOARDS.
+        entry: who, or which code base, trained the policy; method and seed are those of the policy's card.
+        evaluations: what :meth:`Board.score` gives, by the condition's label; see :func:`evaluated`.
+        distribution: what the training parameters were drawn from; None for the nominal ones.
+        training: algorithm, seconds and curve; see :func:`thinned_curve`.
+
+    Raises:
+        ValueError: names what is wrong and what is allowed; nothing is written.
+    """
+    card, data = policy.card, policy.to_bytes()
+    file = f"seed{card.seed}{policy.suffix}"
+    written = {
+        "format": FORMAT,
+        "board": board,
+        "entry": entry,
+        "method": card.method,
+        "seed": card.seed,
+        "trained_on": card.model,
+        "steps": card.steps,
+        "action": card.action,
+        "policy": {"file": file, "sha256": hashlib.sha256(data).hexdigest()},
+        "distribution": distribution,
+        "training": dict(training or {}),
+        "evaluations": dict(evaluations),
+        "versions": versions(),
+    }
+    path = Path(results) / board / entry / card.method / f"seed{card.seed}.json"
+    written = json.loads(json.dumps(written, allow_nan=False))  # as it will be read
+    check_entry(written, path)
+    if (needed := BOARDS[board].env_id) != card.env_id:
+        raise ValueError(f"{path}: the policy is for {card.env_id}; the board needs {needed}")
+    with replacing(path.with_name(file)) as temporary:
+        temporary.write_bytes(data)
+    write_json(path, written)
+    return path
+
+
+def evaluated(
+    board: Board, policy: Policy | OnnxPolicy, labels: Sequence[str] = (), num_threads: int = 0
+) -> dict[str, dict]:
+    """The scores of a policy on a board, by the labels of the conditions (all by default)."""
+    return {label: board.score(board.play(policy, label, num_threads)) for label in labels or board.conditions}
+
+
+def thinned_curve(path: str | Path, metric: str) -> dict[str, list[float]]:
+    """A training's curve.csv as an entry has it: means of some 50 equal parts; ``metric`` is the task's."""
+    steps, final = read_curve(path, metric, CURVE_POINTS)
+    return {"steps": [round(float(s)) for s in steps], "final_mm": [round(float(value), 3) for value in final]}

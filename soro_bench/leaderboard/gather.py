@@ -1,0 +1,75 @@
+"""All entries under a folder of results; the first invalid one stops with its message."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.leaderboard import diagnosis_entry
+from soro_bench.leaderboard.boards import BOARDS
+from soro_bench.leaderboard.entry import check_entry, policy_bytes
+from soro_bench.leaderboard.strict import read_strict
+
+DIAGNOSIS = "diagnosis"  # folder of that track, beside those of the boards
+
+
+@dataclass(frozen=True)
+class Group:
+    """The policies of one method of one entry on a board, which differ by their training seed.
+
+    ``entries`` are (file, content), by seed.
+    """
+
+    board: str
+    entry: str
+    method: str
+    entries: Sequence[tuple[Path, dict]]
+
+    @property
+    def trained_on(self) -> str:
+        return self.entries[0][1]["trained_on"]
+
+    @property
+    def labels(self) -> list[str]:
+        """The conditions that all of the group's policies were evaluated on, in the board's order."""
+        return [label for label in BOARDS[self.board].conditions
+                if all(label in entry["evaluations"] for _, entry in self.entries)]  # fmt: skip
+
+    def scores(self, label: str, name: str = "final_mm") -> np.ndarray:
+        """(seeds, starts)"""
+        return np.array([entry["evaluations"][label][name] for _, entry in self.entries], float)
+
+
+def gather_control(results: str | Path) -> dict[str, list[Group]]:
+    """The groups of every board that has entries; ValueError names what is wrong with a file and what is allowed."""
+    results, found = Path(results), defaultdict(list)
+    for path in sorted(results.rglob("*.json")):
+        if path.parent != results / DIAGNOSIS:
+            entry = read_strict(path)
+            check_entry(entry, path)
+            expected = results / entry["board"] / entry["entry"] / entry["method"] / f"seed{entry['seed']}.json"
+            if path != expected:
+                raise ValueError(f"{path} holds what belongs to {expected}")
+            policy_bytes(path, entry)
+            found[entry["board"], entry["entry"], entry["method"]].append((path, entry))
+    groups = defaultdict(list)
+    for (board, entry, method), members in found.items():
+        group = Group(board, entry, method, sorted(members, key=lambda member: member[1]["seed"]))
+        _check_alike(group)
+        groups[board].append(group)
+    return {board: groups[board] for board in BOARDS if board in groups}
+
+
+def _check_alike(group: Group) -> None:
+    for key in ("trained_on", "action"):
+        (first, one), *others = group.entries
+        for path, other in others:
+            if other[key] != one[key]:
+                raise ValueError(f"{path}: {key} is {other[key]!r}; allowed: {one[key]!r}, as in {first}")
+
+
+def gather_diagnosis(results: str | Path) -> list[dict]:
+    """The entries of the diagnosis track, by the names of their files."""
+    return [diagnosis_entry.read_entry(path) for path in sorted((Path(results) / DIAGNOSIS).glob("*.json"))]

@@ -1,0 +1,128 @@
+"""Policies as ONNX files: a small, checked subset, evaluated in NumPy by the reference evaluator of ONNX.
+
+Everything that a stranger's file could misuse is refused before it is evaluated: other domains, functions, loops and
+branches, data in other files, and values that grow without bounds.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.training.policy import MAX_BYTES, PolicyCard
+
+MAX_NODES = 1000
+MAX_VALUES = 1_000_000  # numbers in the result of a node
+OPERATORS = frozenset({
+    "Add", "ArgMax", "Cast", "Clip", "Concat", "Constant", "Div", "Elu", "Flatten", "Gemm", "Identity", "LeakyRelu",
+    "MatMul", "Mul", "Relu", "Reshape", "Sigmoid", "Softmax", "Softplus", "Squeeze", "Sub", "Tanh", "Transpose",
+    "Unsqueeze",
+})  # fmt: skip
+_DOMAINS = ("", "ai.onnx")  # two names of the default one
+
+
+class OnnxPolicy:
+    """A network with one input (n, k) and one output: (n, m) floats, or n integers if it picks discrete actions itself.
+
+    The observations are raw: what normalises them is in the network.
+    """
+
+    suffix = ".onnx"
+
+    def __init__(self, card: PolicyCard, data: bytes, model, source: str | Path):
+        from onnx.reference import ReferenceEvaluator
+
+        self.card, self._data, self._source = card, data, source
+        entrance = model.graph.input[0]
+        self._name, self._size = entrance.name, entrance.type.tensor_type.shape.dim[1].dim_value
+        self._dtype = _FLOATS[entrance.type.tensor_type.elem_type]
+        self._evaluator = ReferenceEvaluator(model)
+
+    @classmethod
+    def from_bytes(cls, card: PolicyCard, data: bytes, source: str | Path) -> "OnnxPolicy":
+        """The policy in the content of an ONNX file; ``source`` is what errors call it. Nothing else is opened."""
+        onnx = _onnx()
+        if len(data) > MAX_BYTES:
+            raise ValueError(f"{source} has {len(data)} bytes; at most {MAX_BYTES} are read")
+        try:
+            model = onnx.load_model_from_string(data)
+            _check_parts(model)
+            policy = cls(card, data, _with_known_shapes(onnx, model), source)
+            policy.act(np.zeros((1, policy._size)))
+        except Exception as error:  # whatever a stranger's bytes make of a protocol buffer
+            raise ValueError(f"{source} holds no valid policy: {str(error).split(chr(10))[0][:200]}") from error
+        return policy
+
+    def to_bytes(self) -> bytes:
+        """The ONNX file."""
+        return self._data
+
+    def act(self, observations: np.ndarray) -> np.ndarray:
+        """Actions for (n, k) observations: (n,) integers if the action mode is discrete, else (n, nu) in [-1, 1]."""
+        if (given := observations.shape[1]) != self._size:
+            raise ValueError(f"the policy takes observations of {self._size} numbers; these have {given}")
+        # one row at a time, so that an action does not depend on how many are asked for at once
+        rows = [self._evaluator.run(None, {self._name: row[None].astype(self._dtype)})[0] for row in observations]
+        found = np.stack([np.ravel(row) for row in rows])
+        if not np.issubdtype(found.dtype, np.number) or not np.isfinite(found).all():
+            raise ValueError(f"{self._source} answers with {found.ravel()[:3]}; finite numbers are needed")
+        if self.card.action == "continuous":
+            return np.clip(found, -1.0, 1.0)
+        return found[:, 0] if np.issubdtype(found.dtype, np.integer) else found.argmax(axis=1)
+
+
+_FLOATS = {1: np.float32, 11: np.float64}  # by TensorProto's number
+
+
+def _check_parts(model) -> None:
+    """ValueError if a model holds anything but nodes of the allowed operators and their weights."""
+    domains = {o.domain for o in model.opset_import} | {node.domain for node in model.graph.node}
+    if foreign := sorted(domains - set(_DOMAINS)):
+        raise ValueError(f"it needs the operators of {foreign[0]!r}; only the default domain is allowed")
+    if unknown := sorted({node.op_type for node in model.graph.node} - OPERATORS):
+        raise ValueError(f"it has the operator {unknown[0]!r}; allowed: {', '.join(sorted(OPERATORS))}")
+    if len(model.graph.node) > MAX_NODES:
+        raise ValueError(f"it has {len(model.graph.node)} nodes; allowed: {MAX_NODES}")
+    if model.functions or model.training_info or model.graph.sparse_initializer:
+        raise ValueError("it has functions, training or sparse weights, which are not allowed")
+    attributes = [attribute for node in model.graph.node for attribute in node.attribute]
+    if any(a.HasField("g") or a.graphs or a.HasField("sparse_tensor") or a.sparse_tensors for a in attributes):
+        raise ValueError("it has graphs or sparse weights in a node, which are not allowed")
+    weights = [*model.graph.initializer, *(t for a in attributes for t in (a.t, *a.tensors))]
+    if any(tensor.external_data or tensor.data_location for tensor in weights):
+        raise ValueError("it has data in another file, which is not allowed")
+    names = [value.name for value in (*model.graph.input, *model.graph.initializer)]
+    names += [name for node in model.graph.node for name in node.output]
+    if len(names) > len(set(names)):
+        raise ValueError("it gives a name twice")
+
+
+def _with_known_shapes(onnx, model):
+    """The model for one row of observations, none of whose values is too large, however it is evaluated."""
+    if len(model.graph.input) != 1 or len(model.graph.output) != 1:
+        raise ValueError(f"it has {len(model.graph.input)} inputs and {len(model.graph.output)} outputs; allowed: one")
+    entrance = model.graph.input[0].type.tensor_type
+    if entrance.elem_type not in _FLOATS or len(entrance.shape.dim) != 2 or entrance.shape.dim[1].dim_value < 1:
+        raise ValueError("its input is no array (n, k) of float or double with a fixed k")
+    entrance.shape.dim[0].dim_value = 1
+    # what the file says of shapes inside may be wrong
+    del model.graph.value_info[:]
+    model.graph.output[0].type.tensor_type.ClearField("shape")
+    onnx.checker.check_model(model)
+    model = onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True, data_prop=True)
+    shapes = {v.name: v.type.tensor_type.shape.dim for v in (*model.graph.value_info, *model.graph.output)}
+    for name in (name for node in model.graph.node for name in node.output):
+        if name not in shapes or not all(dim.HasField("dim_value") for dim in shapes[name]):
+            raise ValueError(f"the size of {name[:40]!r} depends on values; fixed sizes are needed")
+        if np.prod([float(dim.dim_value) for dim in shapes[name]]) > MAX_VALUES:
+            raise ValueError(f"{name[:40]!r} has more than {MAX_VALUES} numbers")
+    return model
+
+
+def _onnx():
+    try:
+        import onnx
+        import onnx.checker
+        import onnx.shape_inference
+    except ImportError as error:
+        raise ImportError("ONNX policies need onnx: pip install soro_bench[onnx]") from error
+    return onnx

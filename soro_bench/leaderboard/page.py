@@ -1,0 +1,153 @@
+"""The leaderboard as one page, index.html, that loads nothing; beside it the entries' files and recordings."""
+
+import base64
+import hashlib
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.files import replacing
+from soro_bench.leaderboard.boards import BOARDS
+from soro_bench.leaderboard.entry import policy_bytes, policy_of
+from soro_bench.leaderboard.gather import Group, gather_control, gather_diagnosis
+from soro_bench.leaderboard.plots import color_of, curves_of, plot_calibration, plot_curves, plot_scores, title_of
+from soro_bench.leaderboard.statistics import interquartile_mean, interval, probability_of_improvement
+from soro_bench.recording.rerun_log import write_recording
+from soro_bench.registration import task_type
+
+REFERENCE = "oracle"  # the method that others are compared with
+_HERE = Path(__file__).parent
+
+
+def build(
+    results: str | Path, out: str | Path, record: bool = False, progress: Callable[[str], None] = lambda _: None
+) -> Path:
+    """Write the page of all entries under ``results`` into the folder ``out``; returns its file.
+
+    Every entry is read before anything is written: an invalid one is a ValueError that says what is wrong.
+
+    Args:
+        record: whether to write rerun recordings too, of the best policy of every method on the accurate model.
+        progress: is told what is being done.
+    """
+    out, boards, diagnoses = Path(out), gather_control(results), gather_diagnosis(results)
+    groups = [group for members in boards.values() for group in members]
+    for group in groups if record else ():
+        progress(f"recording {title_of(group)} on {group.board}")
+        _record(group, out / _recording(group))
+    progress("statistics")
+    sections = [_board_section(board, members, out) for board, members in boards.items()]
+    text = _render(boards=sections, diagnoses=[_diagnosis_section(i, entry) for i, entry in enumerate(diagnoses)])
+    for path, entry in (member for group in groups for member in group.entries):
+        _copy(path.read_bytes(), out / "results" / path.relative_to(results))
+        file = path.with_name(entry["policy"]["file"])
+        _copy(policy_bytes(path, entry), out / "results" / file.relative_to(results))
+    _copy(text.encode(), out / "index.html")
+    return out / "index.html"
+
+
+def _copy(data: bytes, path: Path) -> None:
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def _recording(group: Group) -> str:
+    return f"recordings/{group.board}/{group.entry}/{group.method}.rrd"
+
+
+def _record(group: Group, path: Path) -> None:
+    board = BOARDS[group.board]
+    label = task_type(board.env_id).accurate
+    known = group.scores(label).mean(axis=1) if label in group.labels else np.zeros(len(group.entries))
+    best = group.entries[int(known.argmax() if board.higher else known.argmin())]
+    title = f"{group.board}: {title_of(group)}, seed {best[1]['seed']}, on {label}"
+    write_recording(path, board.play(policy_of(*best), label), title)
+
+
+def _board_section(name: str, groups: Sequence[Group], out: Path) -> dict:
+    """What the template shows of a board."""
+    board = BOARDS[name]
+    rows = []
+    for label in reversed(board.conditions):  # what counts, the accurate model, comes last there and first here
+        found = [(i, group) for i, group in enumerate(groups) if label in group.labels]
+        of_label = [_row(group, label, color_of(i), out) for i, group in found]
+        of_label.sort(key=lambda row: row["iqm"], reverse=board.higher)
+        _compare(of_label, board.higher)
+        rows += of_label
+    direction = "higher" if board.higher else "lower"
+    alt = f"Interquartile mean of the final {board.metric}, with 95 % interval, of every row of the table"
+    shown = [row | {"name": f"{row['method']}, {row['entry']} on {row['evaluated_on']}"} for row in rows]
+    figures = [(alt, plot_scores(shown, f"{name}-scores", f"final {board.metric} [mm], {direction} is better"))]
+    if any(curves_of(group) for group in groups):
+        metric = task_type(board.env_id).metric
+        alt = f"Final {metric} in training, exploration included: runs, and the median of each method"
+        figures.append((alt, plot_curves(groups, f"{name}-curves", f"final {metric} in training [mm]")))
+    return {"name": name, "metric": board.metric, "direction": direction, "rows": rows, "figures": figures}
+
+
+def _row(group: Group, label: str, color: str, out: Path) -> dict:
+    values, rng = group.scores(label), np.random.default_rng(0)
+    recording = _recording(group)
+    here = label == task_type(BOARDS[group.board].env_id).accurate and (out / recording).is_file()
+    return {
+        "entry": group.entry,
+        "method": group.method,
+        "trained_on": group.trained_on,
+        "evaluated_on": label,
+        "color": color,
+        "values": values,
+        "mean": float(values.mean()),
+        "mean_interval": interval(np.mean, (values,), rng),
+        "iqm": interquartile_mean(values),
+        "interval": interval(interquartile_mean, (values,), rng),
+        "solved": float(group.scores(label, "success").mean()),
+        "diverged": sum(entry["evaluations"][label]["diverged"] for _, entry in group.entries),
+        "policies": [_links(group, path, entry) for path, entry in group.entries],
+        "recording": recording if here else None,
+    }
+
+
+def _links(group: Group, path: Path, entry: dict) -> dict:
+    folder = f"results/{group.board}/{group.entry}/{group.method}"
+    policy = f"{folder}/{entry['policy']['file']}"
+    return {"seed": entry["seed"], "policy": policy, "entry": f"{folder}/{path.name}"}
+
+
+def _compare(rows: list[dict], higher: bool) -> None:
+    """Add to rows of one condition, the best first, how probably each is better than the best reference method."""
+    reference = next((row for row in rows if row["method"] == REFERENCE), None)
+    for row in rows:
+        row["improvement"] = row["improvement_interval"] = None
+        row["is_reference"] = row is reference
+        if reference and row is not reference:
+            statistic, both = partial(probability_of_improvement, higher=higher), (row["values"], reference["values"])
+            row["improvement"] = statistic(*both)
+            row["improvement_interval"] = interval(statistic, both, np.random.default_rng(0))
+
+
+def _diagnosis_section(number: int, entry: dict) -> dict:
+    """What the template shows of a diagnosis."""
+    figures = []
+    if entry["calibration"]:
+        alt = "How often the first answer was right, against the probability that was stated; larger dots, more cases"
+        figures = [(alt, plot_calibration(entry["calibration"], f"diagnosis-{number}"))]
+    worst = sorted(entry["confusion"], key=lambda pair: -pair["cases"])
+    columns = [name for name in (entry["ablations"] or [{}])[0] if name != "variant"]
+    return entry | {"figures": figures, "worst": worst, "columns": columns}
+
+
+def _render(**content) -> str:
+    try:
+        import jinja2
+    except ImportError as error:
+        raise ImportError("the leaderboard's page needs jinja2: pip install soro_bench[board]") from error
+    style, script = ((_HERE / name).read_text() for name in ("page.css", "page.js"))
+    # the browser runs this script and no other, whatever the entries hold
+    allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_HERE), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True,
+    )  # fmt: skip
+    return environment.get_template("page.html").render(style=style, script=script, allowed=allowed, **content)

@@ -1,0 +1,91 @@
+"""Files from strangers: regular, of bounded size, and JSON that says one thing only; ValueError names what is wrong."""
+
+import json
+import math
+import os
+import reprlib
+import stat
+from functools import cache
+from pathlib import Path
+
+ENTRY_BYTES = 1_000_000
+REPORT_BYTES = 10_000_000
+
+
+def read_bytes(path: str | Path, max_bytes: int) -> bytes:
+    """The content of a regular file that is no link and has at most ``max_bytes``."""
+    if Path(path).is_symlink():
+        raise ValueError(f"{path} is a link; a regular file is needed")
+    # neither following a link that has just come nor waiting for the writer of a pipe
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+    with open(handle, "rb") as file:
+        if not stat.S_ISREG((found := os.fstat(handle)).st_mode):
+            raise ValueError(f"{path} is no regular file")
+        if found.st_size > max_bytes:
+            raise ValueError(f"{path} has {found.st_size} bytes; at most {max_bytes} are read")
+        return file.read(max_bytes)
+
+
+def read_strict(path: str | Path, max_bytes: int = ENTRY_BYTES) -> dict:
+    """A JSON object without NaN, infinity, a name that comes twice or characters that cannot be shown."""
+    data = read_bytes(path, max_bytes)
+    try:
+        found = json.loads(
+            data.decode(), object_pairs_hook=_object, parse_constant=_finite, parse_float=_finite, parse_int=_integer
+        )
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path} is no valid JSON: {str(error)[:200]}") from error
+    if not isinstance(found, dict):
+        raise ValueError(f"{path} holds {reprlib.repr(found)}; a JSON object is needed")
+    return found
+
+
+def check(data: dict, schema: str, path: str | Path) -> None:
+    """ValueError if ``data``, from the file ``path``, does not follow the schema in the file of that name here."""
+    best = _jsonschema().exceptions.best_match(_validator(schema).iter_errors(data))
+    if best is not None:
+        raise ValueError(f"{path}: {_said(best)}")
+
+
+def _said(error) -> str:
+    """What is wrong in one line: the field, its value, what is allowed."""
+    field = ".".join(map(str, error.absolute_path)) or "the entry"
+    if error.validator in ("required", "additionalProperties"):  # about the names in it, not about its value
+        return f"in {field}: {error.message[:200]}"
+    return f"{field} is {reprlib.repr(error.instance)}; allowed: {error.validator} {error.validator_value}"
+
+
+def _object(pairs) -> dict:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"the name {reprlib.repr(next(n for n in names if names.count(n) > 1))} comes twice")
+    for text in (*found, *found.values()):
+        if isinstance(text, str) and not text.isprintable():
+            raise ValueError(f"{reprlib.repr(text)} has characters that cannot be shown")
+    return found
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(number := float(text)):
+        raise ValueError(f"{text} is no finite number")
+    return number
+
+
+def _integer(text: str) -> int:
+    if len(text) > 18:
+        raise ValueError(f"the integer {text[:18]}... is too large; at most 18 digits are read")
+    return int(text)
+
+
+@cache
+def _validator(schema: str):
+    return _jsonschema().Draft202012Validator(json.loads((Path(__file__).parent / schema).read_text()))
+
+
+def _jsonschema():
+    try:
+        import jsonschema
+    except ImportError as error:
+        raise ImportError("leaderboard entries need jsonschema: pip install soro_bench[board]") from error
+    return jsonschema
