@@ -12,10 +12,10 @@ from soro_bench.diagnosis.compare import Answer, Comparison, Fit
 from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.propose import Proposal, competing, motions, predictions, proposed, separations
-from soro_bench.diagnosis.report import _what_next
 from soro_bench.diagnosis.robot import Measured
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import Suspect, suspect
+from soro_bench.diagnosis.verdict import _what_next
 from soro_bench.effects.effect import Port
 from soro_bench.inference.clouds import LowRank
 

@@ -9,13 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
+from soro_bench.diagnosis.findings import NINETY, findings
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.force import Curve, force_against_state
 from soro_bench.diagnosis.localise import explained_over_time, residual_map
 from soro_bench.diagnosis.patch import REMAINING, patch
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.report import NINETY, findings, verdict, write_json_report
+from soro_bench.diagnosis.report import write_json_report
 from soro_bench.diagnosis.suite_robot import SuiteRobot
+from soro_bench.diagnosis.verdict import verdict
 from soro_bench.files import replacing
 from soro_bench.recording.comparison import measured_points
 from soro_bench.recording.recording import Recording

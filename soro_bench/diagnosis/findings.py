@@ -1,0 +1,150 @@
+"""What a diagnosis found: effects with their probabilities, magnitudes and evidence."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from soro_bench.diagnosis.compare import Answer, Fit, temperature
+from soro_bench.diagnosis.fit import Hypothesis
+from soro_bench.diagnosis.localise import Regime, explained_over_time, intervals, regimes
+from soro_bench.diagnosis.pipeline import Diagnosis
+from soro_bench.diagnosis.suspects import Suspect
+from soro_bench.effects.catalogue import CATEGORIES, QUANTITIES
+from soro_bench.effects.effect import Effect, Port
+
+NINETY = 1.645  # standard deviations on either side of the middle 90 %
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect at a place, in the most probable hypothesis that has it, and its probability in all of them."""
+
+    suspect: Suspect
+    effect: Effect
+    answer: Answer
+    probability: float
+
+
+def findings(diagnosis: Diagnosis) -> list[Finding]:
+    """Every effect of any hypothesis, the most probable first; of those in one hypothesis that which gains most."""
+    best: dict[tuple[str, Port], Finding] = {}
+    d = diagnosis.explanation.problem.parameters
+    for answer in diagnosis.comparison.answers:
+        for suspect, effect in zip(answer.hypothesis.suspects, answer.hypothesis.effects(d), strict=True):
+            key = (effect.name, effect.where)
+            first = best.get(key)
+            chance = answer.probability + (first.probability if first else 0.0)
+            best[key] = replace(first, probability=chance) if first else Finding(suspect, effect, answer, chance)
+    return sorted(best.values(), key=lambda f: -f.probability)
+
+
+def described(diagnosis: Diagnosis, finding: Finding) -> dict:
+    problem, nominal = diagnosis.explanation.problem, diagnosis.explanation.nominal
+    hypothesis = finding.answer.hypothesis
+    gain = explained_over_time(problem, nominal, hypothesis)
+    measured = problem.recordings[0]
+    shares = regimes(measured, gain, diagnosis.robot.channel(finding.effect.where))
+    return {
+        "name": finding.effect.name,
+        "class": CATEGORIES[finding.effect.name],
+        "probability": finding.probability,
+        "where": where_of(finding.effect.where),
+        "when": [{"start_s": a, "end_s": b} for a, b in intervals(measured.time, gain)],
+        "condition": _condition(finding.effect, shares),
+        "parameters": _quantities(diagnosis, finding),
+        "evidence": _evidence(diagnosis, finding.answer),
+        "against": _against(diagnosis, finding.answer),
+        "together_with": [s.name for s in hypothesis.suspects if s is not finding.suspect],
+    }
+
+
+def _condition(effect: Effect, shares: list[Regime]) -> str:
+    most = max(shares, key=lambda r: r.explained / max(r.time, 0.02))
+    one = effect.where.kind in ("tendon", "actuator")
+    what, ending = (str(effect.where), "s") if one else ("the commands", "")
+    when = {
+        "just after reversals": f"just after reversals of {what}",
+        "while it moves on": f"while {what} move{ending} on",
+        "while it rests": f"while {what} rest{ending}",
+    }[most.condition]
+    return f"{100 * most.explained:.0f} % of what it explains is {when}, {100 * most.time:.0f} % of the time"
+
+
+def _quantities(diagnosis: Diagnosis, finding: Finding) -> dict:
+    hypothesis, at = finding.answer.hypothesis, diagnosis.explanation.problem.parameters
+    for suspect in hypothesis.suspects:
+        if suspect is finding.suspect:
+            break
+        at += suspect.size
+    x, spread = hypothesis.x, deviations(diagnosis, hypothesis)
+    part = slice(at, at + finding.suspect.size)
+    low, high = (finding.suspect.effect(x[part] + k * NINETY * spread[part]).parameters for k in (-1.0, 1.0))
+    return {
+        q.name: {
+            "value": finding.effect.parameters[q.name],
+            "unit": unit_at(q.unit, finding.effect.where, *own_units(diagnosis)),
+            "ci90": sorted((low[q.name], high[q.name])),
+        }
+        for q in QUANTITIES[finding.effect.name]
+    }
+
+
+def unit_at(unit: str, where: Port, signal: str, setpoint: str = "setpoint") -> str:
+    """Of "N or N m" and the like the one that fits the place: joints turn, cables are long."""
+    if unit in ("signal", "setpoint"):
+        return signal if unit == "signal" else setpoint
+    parts = unit.split(" or ")
+    turning = [part for part in parts if "rad" in part or "N m" in part]
+    return turning[0] if turning and where.kind in ("joint", "body") else parts[0]
+
+
+def own_units(diagnosis: Diagnosis) -> tuple[str, str]:
+    """Units of the signal, and of the actuators' setpoints: lengths where they pull tendons."""
+    setpoint = "m" if diagnosis.robot.pulls_cables else "setpoint"
+    return diagnosis.explanation.problem.recordings[0].unit, setpoint
+
+
+def deviations(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:
+    """(n,) of x, under evidence tempered as in the comparison: a model that is wrong knows less than it seems."""
+    problem = diagnosis.explanation.problem
+    heat = temperature(problem.excess(hypothesis.residual))
+    return np.minimum(np.sqrt(heat * np.diag(hypothesis.covariance(problem))), 1.0)
+
+
+def prior_values(priors, x) -> np.ndarray:
+    return np.array([float(prior.value(value)) for prior, value in zip(priors, x[: len(priors)], strict=True)])
+
+
+def _evidence(diagnosis: Diagnosis, answer: Answer) -> list[str]:
+    unit = diagnosis.explanation.problem.recordings[0].unit
+    said = [f"explains {percent(answer.train)} of the variance above the noise ({before_after(answer.train, unit)})"]
+    if answer.heldout is not None:
+        said.append(f"held out: {percent(answer.heldout)} ({before_after(answer.heldout, unit)})")
+    return said
+
+
+def _against(diagnosis: Diagnosis, answer: Answer) -> list[str]:
+    best, said = diagnosis.comparison.answers[0], []
+    if answer.heldout is not None and answer.heldout.after > answer.heldout.before:
+        said.append("makes held-out recordings worse")
+    if answer is not best:
+        best_left, left = (length(a.train.after, diagnosis.robot.unit) for a in (best, answer))
+        said.append(f"{' with '.join(best.names) or 'nothing missing'} leaves {best_left}, this {left}")
+    return said
+
+
+def percent(fit: Fit) -> str:
+    return "-" if math.isnan(fit.explained) else f"{100 * fit.explained:.0f} %"
+
+
+def before_after(fit: Fit, unit: str) -> str:
+    return f"{length(fit.before, unit)} -> {length(fit.after, unit)}, noise {length(fit.noise, unit)}"
+
+
+def length(value: float, unit: str) -> str:
+    return f"{1e3 * value:.2f} mm" if unit == "m" else f"{value:.3g} {unit}"
+
+
+def where_of(port: Port) -> dict:
+    return {"kind": port.kind, "name": port.name, **({} if port.index is None else {"index": port.index})}

@@ -1,0 +1,87 @@
+"""A diagnosis in sentences."""
+
+import math
+
+from soro_bench.diagnosis.findings import Finding, before_after, described, findings, percent
+from soro_bench.diagnosis.patch import rejected
+from soro_bench.diagnosis.pipeline import Diagnosis
+from soro_bench.diagnosis.propose import DURATION, Proposal
+from soro_bench.diagnosis.report import NEXT_ACTIONS, detectable
+from soro_bench.effects.catalogue import CATEGORIES
+from soro_bench.effects.effect import EVERY
+
+
+def verdict(diagnosis: Diagnosis) -> str:
+    """What was found, in sentences."""
+    best, unit = diagnosis.comparison.answers[0], diagnosis.explanation.problem.recordings[0].unit
+    said = []
+    if diagnosis.outliers.share:
+        said.append(f"{100 * diagnosis.outliers.share:.2g} % of the points are outliers; they are left out.")
+    if not best.names and diagnosis.verdict != "unknown_physics":
+        said.append(f"Nothing is missing that this recording shows (p = {diagnosis.comparison.p_value:.2g}).")
+        shown = sorted(detectable(diagnosis).items())
+        seen = ", ".join(f"{name} of {d['minimum']:.2g} {d['unit']}" for name, d in shown)
+        said.append(f"It would have shown: {seen}.")
+        return "\n".join(said)
+    if diagnosis.verdict == "unknown_physics":
+        place = diagnosis.places[0].where
+        nearest = " with ".join(best.names) or "nothing"
+        said.append(f"Something acts at {place} that has no name in the catalogue "
+                    f"(probability {diagnosis.comparison.unknown:.2f}); nearest is {nearest}.")  # fmt: skip
+    else:
+        said += [_sentence(diagnosis, f) + _twin(f) for f in findings(diagnosis) if f.answer is best]
+    said.append(f"Fit: {before_after(best.train, unit)}.")
+    if best.heldout is not None:
+        said.append(f"Held out: {before_after(best.heldout, unit)} ({percent(best.heldout)} explained).")
+        if rejected(diagnosis):
+            said.append("The patch is rejected: it makes the held-out recordings worse.")
+    others = [a for a in diagnosis.comparison.answers[1:4] if a.probability >= 0.05]
+    if others:
+        names = ", or ".join(f"{' with '.join(a.names) or 'nothing'} ({a.probability:.2f})" for a in others)
+        said.append(f"It may also be {names}.")
+        kinds = {CATEGORIES[name] for name in best.names}
+        alike = sum(a.probability for a in diagnosis.comparison.answers if {CATEGORIES[n] for n in a.names} == kinds)
+        if kinds and alike > best.probability + 0.05:
+            said.append(f"The class is clearer than the law: {' with '.join(sorted(kinds))} ({alike:.2f}).")
+    if diagnosis.proposal:
+        said.append(_what_next(diagnosis.proposal, diagnosis.verdict == "unknown_physics"))
+    return "\n".join(said)
+
+
+def _what_next(proposal: Proposal, unknown: bool) -> str:
+    """What to record, and what for, in a sentence."""
+    file = f"{NEXT_ACTIONS} ({proposal.motion.words})"
+    if unknown:
+        return f"Record {file} to see more of it."
+    best, *others = proposal.rivals
+    said = f"{best} cannot be told from {' or '.join(others)} with this recording"
+    if not proposal.separates:
+        return f"{said}, nor by any motion of {DURATION:g} s that was tried; {file} comes nearest."
+    pairs = ", and ".join(f"{a} from {b}" for a, b in proposal.separates)
+    every = len(proposal.separates) == math.comb(len(proposal.rivals), 2)
+    return f"{said}: record {file} to separate {'them' if every else pairs}."
+
+
+def _sentence(diagnosis: Diagnosis, finding: Finding) -> str:
+    shown = described(diagnosis, finding)
+    values = ", ".join(
+        f"{name} {q['value']:.3g} {q['unit']} [{q['ci90'][0]:.3g}, {q['ci90'][1]:.3g}]"
+        for name, q in shown["parameters"].items()
+    )
+    when = ", ".join(f"{w['start_s']:.0f}-{w['end_s']:.0f} s" for w in shown["when"][:6])
+    return (f"{finding.effect.name} at {finding.effect.where} (probability {finding.probability:.2f}): {values}; "
+            f"visible at {when}; {shown['condition']}.")  # fmt: skip
+
+
+def _twin(finding: Finding) -> str:
+    """What no recording can tell from the finding, as a sentence; nothing if there is no such thing."""
+    name, where = finding.effect.name, finding.effect.where
+    if where.name != EVERY or name not in _DELAYS:
+        return ""
+    return (
+        f" {name} at {where} is the same as {_DELAYS[name]}: only clocks tell them apart, or a sensor of another kind."
+    )
+
+
+# all commands or all measurements late: either way what is measured is late by as much
+_DELAYS = {"sensor_delay": "actuator_delay at every actuator", "actuator_delay": "sensor_delay at every sensor"}
