@@ -1,0 +1,14 @@
+"""The pages that are made from the code."""
+
+import runpy
+from pathlib import Path
+
+DOCS = Path(__file__).parents[1] / "docs"
+
+
+def test_the_page_of_every_environment_is_what_its_code_says():
+    """If not: python docs/build_environments.py."""
+    pages = runpy.run_path(str(DOCS / "build_environments.py"))["pages"]()
+    assert {path.name for path in (DOCS / "environments").glob("*.md")} == {path.name for path in pages}
+    for path, text in pages.items():
+        assert path.read_text() == text, path.name
