@@ -13,9 +13,11 @@ try:
 except ImportError as error:
     sys.exit(f"soro-bench needs more than the core install: pip install soro_bench[all] ({error})")
 
+from soro_bench.parallel import HERE, Workers
 from soro_bench.registration import ENV_IDS, task_type
 
 EnvId = Annotated[str, tyro.conf.Positional]
+Parallel = Annotated[Workers, tyro.conf.arg(name="")]  # --jobs, --backend, --scheduler
 
 
 @dataclass
@@ -169,6 +171,7 @@ class Infer:
     """bayes-sim: what its network sees."""
     simulations: int = 1000
     """bayes-sim: how many."""
+    workers: Parallel = HERE
 
     def run(self) -> None:
         from soro_bench.inference.methods import infer
@@ -186,7 +189,7 @@ class Infer:
             settings = {"features": self.features, "simulations": self.simulations}
         work = self.out.with_suffix(".log.jsonl")
         with InferenceBar(self.method) as steps:
-            posterior = infer(self.method, replay, work, self.seed, steps, **settings)
+            posterior = infer(self.method, replay, work, self.seed, steps, self.workers, **settings)
         posterior.save(self.out)
         work.unlink()  # up to 180 MB, and only an interrupted inference needs it
         console.print(write_report(posterior, replay, self.out), soft_wrap=True, markup=False, highlight=False)
@@ -371,14 +374,13 @@ class Prove:
     """Cases without any effect; a fifth by default."""
     ablations: int = 0
     """Of so many cases, what each part of the method is worth: five more diagnoses each."""
-    jobs: int = 1
-    """Cases at a time; results do not depend on it."""
+    workers: Parallel = HERE
 
     def run(self) -> None:
         from soro_bench.proof.prove import prove
 
         with StageBars() as bar:
-            text = prove(self.out, self.count, self.seed, self.nulls, self.ablations, self.jobs, bar)
+            text = prove(self.out, self.count, self.seed, self.nulls, self.ablations, self.workers, bar)
         console.print(text, soft_wrap=True, markup=False, highlight=False)
 
 
@@ -472,9 +474,8 @@ COMMANDS = {
 
 def main() -> None:
     """Entry point: one clear line for what a user can mend, no traceback."""
-    command = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="soro-bench")
     try:
-        command.run()
+        tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="soro-bench").run()
     except (ValueError, OSError, ImportError) as error:
         sys.exit(f"soro-bench: {error}")
     except KeyboardInterrupt:

@@ -1,14 +1,104 @@
-"""Independent jobs on the processors of this machine, by joblib."""
+"""Independent jobs: in this process, in several on this machine (joblib), or on a Dask cluster (docs/cluster.md)."""
 
+import os
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+TIMEOUT = 10  # s, to reach a scheduler
 
 
-def each(function: Callable, arguments: Iterable[tuple], jobs: int = 1) -> Iterator:
-    """The results of ``function`` for all arguments, in their order, computed by so many processes.
+@dataclass(frozen=True)
+class Workers:
+    """Where independent jobs run; no result depends on it."""
+
+    jobs: int = 1
+    """Jobs at a time on this machine; a cluster computes one on each of its workers."""
+    backend: Literal["loky", "dask"] = "loky"
+    """loky: processes on this machine. dask: the workers of a Dask cluster, which see the same files."""
+    scheduler: str | None = None
+    """dask: address of the scheduler, such as tcp://10.0.0.1:8786."""
+
+    def __post_init__(self):
+        if self.jobs < 1:
+            raise ValueError(f"jobs {self.jobs}: 1 or more are needed")
+        if self.backend not in ("loky", "dask"):
+            raise ValueError(f"unknown backend {self.backend!r}; there are loky and dask")
+        if self.backend == "dask" and not self.scheduler:
+            raise ValueError("backend dask needs the address of a scheduler, such as tcp://10.0.0.1:8786")
+        if self.backend == "loky" and self.scheduler:
+            raise ValueError(f"backend loky has no scheduler; for that of {self.scheduler} say backend dask")
+
+
+HERE = Workers()  # one job after the other, in this process
+
+
+def each(function: Callable, arguments: Iterable[tuple], workers: Workers = HERE) -> Iterator:
+    """The results of ``function`` for all arguments, in their order, each as soon as it and those before it are there.
 
     A job that writes its result into a file of its own can be skipped when the same command is given again, so an
-    interruption loses only what is being computed.
-    """
-    from joblib import Parallel, delayed
+    interruption loses only what is being computed. On a cluster the paths in the arguments have to be absolute, in a
+    folder that all its machines share.
 
-    return Parallel(n_jobs=jobs, return_as="generator")(delayed(function)(*given) for given in arguments)
+    Raises:
+        ValueError: no scheduler answers, or a worker of the cluster runs several jobs in one process.
+        ChildProcessError: a job of the cluster was given up because every worker that took it died.
+    """
+    if workers.backend == "dask":
+        yield from _on_cluster(function, arguments, workers.scheduler)
+    elif workers.jobs == 1:
+        for given in arguments:
+            yield function(*given)
+    else:
+        from joblib import Parallel, delayed
+
+        yield from Parallel(n_jobs=workers.jobs, return_as="generator")(delayed(function)(*a) for a in arguments)
+
+
+def processors() -> int:
+    """How many threads the job that calls this may use.
+
+    OMP_NUM_THREADS if it is set: joblib gives each of its processes a share of this machine, Dask's workers have 1 if
+    they were not started with another value. Otherwise the processors that this process may run on.
+    """
+    from joblib import cpu_count
+
+    given = os.environ.get("OMP_NUM_THREADS", "")
+    return int(given) if given.isdecimal() and int(given) else cpu_count()
+
+
+def _on_cluster(function, arguments, scheduler) -> Iterator:
+    # not joblib's Dask backend (1.6): it waits forever for a job whose workers keep dying, fails when a worker dies
+    # that held an argument of more than 1 kB, and gives a cluster 10 s to get its first worker from a queue
+    with _client(scheduler) as client:
+        from distributed import KilledWorker
+
+        futures = deque(client.submit(_alone, function, *given, pure=False) for given in arguments)
+        while futures:
+            try:
+                yield futures.popleft().result()
+            except KilledWorker as error:
+                raise ChildProcessError(str(error)) from error
+
+
+def _client(scheduler):
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise ImportError("backend dask needs distributed: pip install soro_bench[cluster]") from error
+    try:
+        return Client(scheduler, timeout=TIMEOUT, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise ValueError(f"no Dask scheduler answers at {scheduler}: {error}") from error
+
+
+def _alone(function, *given):
+    """Run a job on a worker of the cluster, unless it might run another one in the same process meanwhile."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    if (threads := worker.state.nthreads) > 1:
+        # random generators such as torch's are shared by the threads of a process
+        raise ValueError(f"worker {worker.address} runs {threads} jobs in one process; start it with --nthreads 1")
+    return function(*given)

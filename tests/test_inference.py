@@ -102,6 +102,16 @@ def test_an_inference_that_was_killed_ends_with_the_same_bytes(reach, tmp_path):
     assert (tmp_path / "cut.log").read_bytes() == log
 
 
+def test_simulations_of_a_bayes_sim_that_was_killed_are_not_repeated(reach, tmp_path):
+    replay = Replay(reach[0], names=("trunk_mass",), threads=1)
+    infer("bayes-sim", replay, tmp_path / "whole.log", simulations=70).save(tmp_path / "whole.json")
+    title, first, *_ = (tmp_path / "whole.log").read_bytes().splitlines(keepends=True)
+    (tmp_path / "cut.log").write_bytes(title + first)
+    infer("bayes-sim", replay, tmp_path / "cut.log", simulations=70).save(tmp_path / "cut.json")
+    for suffix in ("json", "log"):
+        assert (tmp_path / f"cut.{suffix}").read_bytes() == (tmp_path / f"whole.{suffix}").read_bytes()
+
+
 def test_the_log_of_another_inference_is_refused(reach, tmp_path):
     infer("sysid", Replay(reach[0], threads=1), tmp_path / "log", max_iterations=1)
     with pytest.raises(ValueError, match="log of another inference"):

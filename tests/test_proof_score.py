@@ -102,7 +102,7 @@ def test_labels_are_opened_only_when_every_case_has_its_report(tmp_path, monkeyp
     text = prove.prove(tmp_path, 2, 0)
     assert done == ["case_000", "case_001"]
     assert "| first answer right | 2 | 1 |" in text
-    prove.diagnosed(tmp_path / "cases" / "case_000", tmp_path / "reports" / "case_000.json", 1)
+    prove.diagnosed(tmp_path / "cases" / "case_000", tmp_path / "reports" / "case_000.json")
     assert len(done) == 2
 
 

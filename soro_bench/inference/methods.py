@@ -3,7 +3,7 @@
 import hashlib
 import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,8 +12,9 @@ import numpy as np
 from soro_bench.inference import rf_dropo
 from soro_bench.inference.identifiability import combinations, fisher
 from soro_bench.inference.posterior import Posterior
-from soro_bench.inference.replay import Replay
+from soro_bench.inference.replay import SIMULATIONS, Replay
 from soro_bench.inference.search import EvaluationLog, cma_search
+from soro_bench.parallel import HERE, Workers, each
 from soro_bench.randomization import Distribution, Gaussian, TruncatedNormal
 
 METHODS = ("rf-dropo", "bayes-sim", "dropo", "droid", "sysid")
@@ -28,6 +29,7 @@ class Search:
     log: EvaluationLog
     seed: int
     progress: Progress
+    workers: Workers
 
     def __post_init__(self):
         self.low, high = np.array([p.search for p in self.replay.parameters]).T
@@ -39,8 +41,18 @@ class Search:
 
     def residuals(self, points: np.ndarray, steps: int) -> np.ndarray:
         """(N, steps, k) measured less simulated at points (N, d) of the unit cube."""
-        self.log.work += len(points) * steps
-        return self.replay.residuals(self.low + self.width * points, steps)
+        return np.concatenate(list(self.parts(points, steps)))
+
+    def parts(self, points: np.ndarray, steps: int) -> Iterator[np.ndarray]:
+        """The same for SIMULATIONS points after the other, each part as soon as it is there."""
+        values = self.low + self.width * points
+        jobs = [
+            (self.replay, values[first : first + SIMULATIONS], steps) for first in range(0, len(points), SIMULATIONS)
+        ]
+        # a single part is simulated before a worker has its simulations compiled
+        for part in each(Replay.residuals, jobs, self.workers if len(jobs) > 1 else HERE):
+            self.log.work += len(part) * steps
+            yield part
 
     def point(self, values: np.ndarray) -> np.ndarray:
         """Parameter values (d,) on the unit cube."""
@@ -53,6 +65,7 @@ def infer(
     work: str | Path | None = None,
     seed: int = 0,
     progress: Progress = lambda *_: None,
+    workers: Workers = HERE,
     **settings,
 ) -> Posterior:
     """A distribution over the parameters of ``replay``.
@@ -63,11 +76,12 @@ def infer(
         work: file of the log of evaluations, from which an interrupted inference goes on; None for none.
         seed: of everything random.
         progress: called with what is done, what there is to do, and the cost so far.
+        workers: what simulates, wherever more than SIMULATIONS points are asked for at once.
     """
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; there are {', '.join(METHODS)}")
     title = json.dumps([method, seed, settings, replay.fingerprint()])
-    search = Search(replay, EvaluationLog(work, hashlib.sha256(title.encode()).hexdigest()), seed, progress)
+    search = Search(replay, EvaluationLog(work, hashlib.sha256(title.encode()).hexdigest()), seed, progress, workers)
     distribution, estimate, jacobian = _FUNCTIONS[method](search, **settings)
     return _posterior(method, search, distribution, estimate, jacobian, {"seed": seed, **settings})
 
@@ -140,14 +154,14 @@ def _bayes_sim(search: Search, features: str = "mdn", simulations: int = 1000, s
     replay = search.replay
     points = np.random.default_rng(search.seed).random((simulations, search.dimension))
     measured = np.nan_to_num(replay.measured)
+    parts = search.parts(points[search.log.known * SIMULATIONS :], replay.steps)
     summaries = []
-    for first in range(0, simulations, CHUNK):
-
-        def chunk(points):
-            return bayes_sim.summarise(measured - search.residuals(points, replay.steps), replay.actions)
-
-        summaries.append(search.log(chunk, points[first : first + CHUNK], "summary"))
-        search.progress(min(first + CHUNK, simulations), simulations, np.nan)
+    for first in range(0, simulations, SIMULATIONS):
+        summaries.append(search.log(
+            lambda _: bayes_sim.summarise(measured - next(parts), replay.actions),
+            points[first : first + SIMULATIONS], "summary",
+        ))  # fmt: skip
+        search.progress(min(first + SIMULATIONS, simulations), simulations, np.nan)
     summaries = np.concatenate(summaries)
     sane = np.isfinite(summaries).all(axis=1)
     estimator = bayes_sim.train(points[sane], summaries[sane], features, search.seed)
@@ -157,7 +171,6 @@ def _bayes_sim(search: Search, features: str = "mdn", simulations: int = 1000, s
     return distribution, values, _slope(search, drawn.mean(axis=0))
 
 
-CHUNK = 64  # simulations between checkpoints
 _FUNCTIONS = {"rf-dropo": _rf_dropo, "dropo": _rf_dropo, "droid": _droid, "sysid": _sysid, "bayes-sim": _bayes_sim}
 
 

@@ -2,9 +2,11 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 
+from soro_bench.parallel import processors
 from soro_bench.parameters import Parameter
 from soro_bench.recording.recording import Recording, RecordingError, resampled
 from soro_bench.recording.simulated import recorded_actions
@@ -18,7 +20,7 @@ SIMULATIONS = 32  # at a time
 
 
 class Replay:
-    """Open-loop replays of one recording, from its reset.
+    """Open-loop replays of one recording, from its reset; another process can be sent one (pickle).
 
     Args:
         recording: of one of the suite's environments, from its reset on. Its own parameters are not looked at.
@@ -45,7 +47,7 @@ class Replay:
         env_id, self.actions = recorded_actions(recording)
         kind, metadata = task_type(env_id), recording.metadata
         self.model = model or metadata.get("model") or kind.accurate
-        self._task = make_task(env_id, SIMULATIONS, threads, self.model, action=metadata["action"])
+        self._simulated = (env_id, self.model, metadata["action"], threads)
         self.known = self._task.parameters.check(known or {})
         if names is None:
             names = [p.name for p in kind.randomized if p.name not in self.known]
@@ -74,6 +76,10 @@ class Replay:
         self.measured = np.concatenate(measured, axis=1)  # (T, k), NaN where missing
         self.deviation = np.concatenate(deviation, axis=1)  # (T, k), of what is measured from what is simulated
         self.deviation[np.isnan(self.measured)] = MISSING
+
+    @property
+    def _task(self):
+        return _simulations(*self._simulated)
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -134,6 +140,12 @@ class Replay:
     def _measure(self, ids):
         signals = self._task.signals(ids)
         return np.concatenate([signals[name].reshape(len(ids), -1) for name in self.signal_names], axis=1)
+
+
+@lru_cache(4)
+def _simulations(env_id, model, action, threads):
+    """Once in every process, not a part of the replay: they cannot be pickled, and compiling them takes a while."""
+    return make_task(env_id, SIMULATIONS, threads or processors(), model, action=action)
 
 
 def _states(recording, steps, timestep) -> dict[str, np.ndarray]:

@@ -22,7 +22,7 @@ class EvaluationLog:
 
     def __init__(self, path: str | Path | None, title: str):
         self._path = None if path is None else Path(path)
-        self._known: list[dict] = []
+        self._entries: list[dict] = []
         self.work = 0  # counted up by the functions, and from the log for what they need not do again
         if self._path is None:
             return
@@ -31,8 +31,8 @@ class EvaluationLog:
             self._append({"title": title})
         lines = [line for line in self._path.read_bytes().split(b"\n")[:-1]]  # what has no end of line was cut off
         try:
-            header, *self._known = [json.loads(line) for line in lines]
-            if any(set(entry) != {"call", "work", "shape", "values"} for entry in self._known):
+            header, *self._entries = [json.loads(line) for line in lines]
+            if any(set(entry) != {"call", "work", "shape", "values"} for entry in self._entries):
                 raise ValueError("a line has other entries")
         except (ValueError, TypeError) as error:
             raise ValueError(f"{path} is no log of evaluations ({error}); remove it, or choose another file") from error
@@ -40,11 +40,16 @@ class EvaluationLog:
             raise ValueError(f"{path} is the log of another inference; remove it, or choose another file")
         self._path.write_bytes(b"".join(line + b"\n" for line in lines))
 
+    @property
+    def known(self) -> int:
+        """How many of the next results are in the file already."""
+        return len(self._entries)
+
     def __call__(self, function: Callable[[np.ndarray], np.ndarray], points: np.ndarray, label: str) -> np.ndarray:
         """``function(points)``, an array of floats; ``label`` tells apart calls with the same points."""
         digest = hashlib.sha256(label.encode() + np.ascontiguousarray(points, float).tobytes()).hexdigest()[:16]
-        if self._known:
-            entry = self._known.pop(0)
+        if self._entries:
+            entry = self._entries.pop(0)
             if entry["call"] != digest:
                 raise ValueError(f"{self._path} does not continue this inference; remove it to start anew")
             self.work += entry["work"]

@@ -13,6 +13,7 @@ from soro_bench.diagnosis.report import report_of
 from soro_bench.diagnosis.robot import FITTED, Robot
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.files import write_json
+from soro_bench.parallel import processors
 from soro_bench.proof.residual_network import residual_rms
 from soro_bench.recording.parquet import load
 
@@ -105,10 +106,10 @@ ABLATIONS: dict[str, Callable[[SuiteRobot, Path], dict]] = {
 }
 
 
-def ablated(name: str, case: Path, path: Path, threads: int) -> None:
+def ablated(name: str, case: Path, path: Path) -> None:
     """Write what an ablation says of a case, unless it is there."""
     if not path.exists():
-        write_json(path, ABLATIONS[name](SuiteRobot(ENV_ID, threads=threads), case))
+        write_json(path, ABLATIONS[name](SuiteRobot(ENV_ID, threads=processors()), case))
 
 
 def _report(robot, case, role="train"):

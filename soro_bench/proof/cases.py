@@ -18,7 +18,7 @@ from gymnasium import spaces
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
-from soro_bench.parallel import each
+from soro_bench.parallel import HERE, Workers, each
 from soro_bench.proof.hidden import ALL, MEASUREMENT, PHYSICS, UNKNOWN
 from soro_bench.proof.manoeuvre import manoeuvre
 from soro_bench.proof.places import Hidden
@@ -155,7 +155,7 @@ def write_cases(
     count: int,
     seed: int,
     nulls: int | None = None,
-    jobs: int = 1,
+    workers: Workers = HERE,
     progress: Callable[[int, int], None] = lambda done, count: None,
     durations: dict[str, float] = DURATIONS,
 ) -> None:
@@ -165,17 +165,17 @@ def write_cases(
     the SHA-256 of the labels. Called again, it goes on where it stopped.
 
     Args:
-        jobs: how many are simulated at a time.
+        workers: what simulates them; those of a cluster see the same folder.
         progress: is told how many of the cases are done.
         durations: s, of the recordings by role; an excitation takes at least 17 s.
 
     Raises:
         ValueError: the folder has other cases.
     """
-    folder = Path(folder)
+    folder = Path(folder).resolve()  # workers of a cluster start elsewhere
     cases = draw_cases(count, seed, nulls)
     _check_plan(folder, {"count": count, "seed": seed, "nulls": nulls, "durations": durations})
-    for i, _ in enumerate(each(_write_case, [(folder, case, durations) for case in cases], jobs)):
+    for i, _ in enumerate(each(_write_case, [(folder, case, durations) for case in cases], workers)):
         progress(i + 1, count)
     labels = {
         "salt": hashlib.sha256(f"soro-bench concealed cases {seed}".encode()).hexdigest(),

@@ -4,13 +4,11 @@ from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 
-import joblib
-
 from soro_bench.diagnosis.pipeline import diagnose
 from soro_bench.diagnosis.report import report_of
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.files import read_json, replacing, write_json
-from soro_bench.parallel import each
+from soro_bench.parallel import HERE, Workers, each, processors
 from soro_bench.proof import ablation_score
 from soro_bench.proof.ablation_score import ablation_rows
 from soro_bench.proof.ablations import ABLATIONS, ENV_ID, ablated
@@ -22,7 +20,7 @@ Progress = Callable[[str, int, int], None]
 
 
 def prove(
-    folder: str | Path, count: int, seed: int, nulls: int | None = None, ablations: int = 0, jobs: int = 1,
+    folder: str | Path, count: int, seed: int, nulls: int | None = None, ablations: int = 0, workers: Workers = HERE,
     progress: Progress = lambda *_: None,
 ) -> str:  # fmt: skip
     """Write what is missing of cases, reports and scorecard in a folder; returns the scorecard, Markdown.
@@ -31,20 +29,20 @@ def prove(
 
     Args:
         ablations: how many of the cases, the first ones, are also diagnosed without each part of the method.
-        jobs: cases at a time, each with as many threads as that leaves it.
+        workers: what computes the cases; those of a cluster see the same folder.
     """
-    folder = Path(folder)
+    folder = Path(folder).resolve()  # workers of a cluster start elsewhere
     cases, reports = folder / "cases", folder / "reports"
-    write_cases(cases, count, seed, nulls, jobs, lambda done, total: progress("cases written", done, total))
-    names, threads = sorted(path.name for path in cases.glob("case_*")), max(1, joblib.cpu_count() // jobs)
-    todo = [(cases / name, reports / f"{name}.json", threads) for name in names]
-    for i, _ in enumerate(each(diagnosed, todo, jobs)):
+    write_cases(cases, count, seed, nulls, workers, lambda done, total: progress("cases written", done, total))
+    names = sorted(path.name for path in cases.glob("case_*"))
+    todo = [(cases / name, reports / f"{name}.json") for name in names]
+    for i, _ in enumerate(each(diagnosed, todo, workers)):
         progress("cases diagnosed", i + 1, len(todo))
     todo = [
-        (ablation, cases / name, folder / ablation / f"{name}.json", threads)
+        (ablation, cases / name, folder / ablation / f"{name}.json")
         for ablation, name in product(ABLATIONS if ablations else (), names[:ablations])
     ]
-    for i, _ in enumerate(each(ablated, todo, jobs)):
+    for i, _ in enumerate(each(ablated, todo, workers)):
         progress("ablations", i + 1, len(todo))
     labels, found = opened_labels(cases), _read_all(reports)
     card = scored(labels, found)
@@ -61,9 +59,9 @@ def _read_all(folder) -> dict[str, dict]:
     return {path.stem: read_json(path) for path in sorted(folder.glob("case_*.json"))}
 
 
-def diagnosed(case: Path, path: Path, threads: int) -> None:
+def diagnosed(case: Path, path: Path) -> None:
     """Write the report of a case, unless it is there."""
     if not path.exists():
-        robot = SuiteRobot(ENV_ID, threads=threads)
+        robot = SuiteRobot(ENV_ID, threads=processors())
         found = diagnose(robot, [load(case / "train.parquet")], [load(case / "heldout.parquet")])
         write_json(path, report_of(found))
