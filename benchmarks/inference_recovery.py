@@ -21,7 +21,7 @@ from soro_bench.recording.simulated import record
 from soro_bench.registration import task_type
 
 ROOT = Path(__file__).parents[1]
-POLICIES = ROOT / "leaderboard" / "entries" / "ppo" / "TrunkPush-v0" / "oracle"
+POLICIES = ROOT / "leaderboard" / "results" / "TrunkPush-v0" / "ppo" / "oracle"
 REACH, PUSH = "TrunkReach-v0", "TrunkPush-v0"
 E_WRONG = {"young_modulus": 0.8 * ALL_PARAMETERS["young_modulus"].nominal}
 # name: environment, method, what differs
@@ -53,7 +53,7 @@ def recording_of(env_id: str, number: int, noise: float, model: str):
     """The recording of that number, with its full state."""
     if env_id == REACH:
         return record(env_id, "random", model, "discrete", seed=number, noise=noise, full_state=True)
-    return record(env_id, str(POLICIES / f"seed{number}"), model, seed=number, noise=noise, full_state=True)
+    return record(env_id, str(POLICIES / f"seed{number}.json"), model, seed=number, noise=noise, full_state=True)
 
 
 def run(case: str, number: int, seed: int, work: Path, model: str, threads: int) -> dict:

@@ -9,6 +9,7 @@ try:
     import tyro
     from rich.table import Table
 
+    from soro_bench.leaderboard.commands import Leaderboard
     from soro_bench.progress import InferenceBar, StageBars, TrainingBars, console
 except ImportError as error:
     sys.exit(f"soro-bench needs more than the core install: pip install soro_bench[all] ({error})")
@@ -95,20 +96,22 @@ class Evaluate:
     """Run a policy on the fixed evaluation episodes and record them."""
 
     policy: Annotated[Path, tyro.conf.Positional]
-    """Folder with policy.json and policy.safetensors."""
+    """Folder with policy.json and policy.safetensors, or the .json of a leaderboard entry."""
     model: str | None = None
     """The environment's model or mesh; the accurate one by default."""
     out: Path | None = None
-    """Folder for the results; the policy's own by default."""
+    """Folder for the results; the policy's own by default, which an entry needs to be told."""
 
     def run(self) -> None:
         from soro_bench.experiment import write_evaluation
         from soro_bench.report import markdown_table, table_rows
         from soro_bench.training.policy import Policy
 
-        policy = Policy.load(self.policy)
+        policy, out = Policy.load(self.policy), self.out or self.policy
+        if out.suffix == ".json":
+            raise ValueError(f"{out} is an entry: say with --out where its results go")
         model = self.model or task_type(policy.card.env_id).accurate
-        result = write_evaluation(policy, model, self.out or self.policy)
+        result = write_evaluation(policy, model, out)
         console.print(markdown_table(table_rows([result])), soft_wrap=True, markup=False, highlight=False)
 
 
@@ -120,7 +123,8 @@ class Record:
     out: Path
     """The file to write, .parquet."""
     policy: str = "random"
-    """random, excitation (rest, triangles, loops, holds, sums of sines), or the folder of a trained policy."""
+    """random, excitation (rest, triangles, loops, holds, sums of sines), the folder of a trained policy, or the .json
+    of a leaderboard entry."""
     params: tuple[str, ...] = ()
     """Physical parameters such as trunk_mass=0.3; the others are nominal."""
     model: str | None = None
@@ -469,6 +473,7 @@ COMMANDS = {
     "diagnose": Diagnose,
     "study": Study,
     "prove": Prove,
+    "leaderboard": Leaderboard,
 }
 
 

@@ -12,7 +12,6 @@ from soro_bench.registration import task_type
 from soro_bench.results import interval, metric_key
 
 
-
 def write_report(folder: str | Path) -> str:
     """Gather every evaluation under ``folder`` into results.json, results.md and a plot each per environment.
 

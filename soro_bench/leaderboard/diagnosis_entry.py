@@ -3,11 +3,13 @@
 An entry is <results>/diagnosis/<name>.json (diagnosis_entry.schema.json). ``soro-bench prove`` writes one.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from soro_bench.files import write_json
 from soro_bench.leaderboard.strict import REPORT_BYTES, check, read_strict
-from soro_bench.proof.score import opened_labels, scored
+from soro_bench.proof.score import case_row, opened_labels, scored
 from soro_bench.results import versions
 
 FORMAT, SCHEMA = "soro_bench/diagnosis/1", "diagnosis_entry.schema.json"
@@ -55,8 +57,16 @@ def rescored(cases: Path, reports: Path) -> dict:
         if not path.is_file():
             raise ValueError(f"{path} is missing; every case needs its report")
         found[label["id"]] = read_strict(path, REPORT_BYTES)
-        try:
-            scored([label], {label["id"]: found[label["id"]]})
-        except (LookupError, TypeError, ValueError, AttributeError) as error:
-            raise ValueError(f"{path} is no report of a diagnosis: {type(error).__name__} {error}") from error
-    return scored(labels, found)
+        with _called(path):
+            case_row(label, found[label["id"]])
+    with _called(reports):
+        return scored(labels, found)
+
+
+@contextmanager
+def _called(path: Path) -> Iterator[None]:
+    """Name the file in whatever goes wrong with a stranger's report."""
+    try:
+        yield
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        raise ValueError(f"{path} is no report of a diagnosis: {type(error).__name__} {str(error)[:200]}") from error

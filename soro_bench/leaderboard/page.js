@@ -29,6 +29,7 @@ function sortBy(table, column) {
 
 for (const table of document.querySelectorAll("table.sortable")) {
   Array.from(table.tHead.rows[0].cells).forEach((header, column) => {
+    if ("fixed" in header.dataset) return;
     const button = document.createElement("button");
     button.type = "button";
     button.append(...header.childNodes);

@@ -68,23 +68,27 @@ def _record(group: Group, path: Path) -> None:
 
 def _board_section(name: str, groups: Sequence[Group], out: Path) -> dict:
     """What the template shows of a board."""
-    board = BOARDS[name]
-    rows = []
-    for label in reversed(board.conditions):  # what counts, the accurate model, comes last there and first here
-        found = [(i, group) for i, group in enumerate(groups) if label in group.labels]
-        of_label = [_row(group, label, color_of(i), out) for i, group in found]
-        of_label.sort(key=lambda row: row["iqm"], reverse=board.higher)
-        _compare(of_label, board.higher)
-        rows += of_label
+    board, rows = BOARDS[name], {}
+    accurate = task_type(board.env_id).accurate
+    for label in sorted(board.conditions, key=lambda label: board.conditions[label].model != accurate):
+        if found := [(i, group) for i, group in enumerate(groups) if label in group.labels]:
+            rows[label] = [_row(group, label, color_of(i), out) for i, group in found]
+            rows[label].sort(key=lambda row: row["iqm"], reverse=board.higher)
+            _compare(rows[label], board.higher)
     direction = "higher" if board.higher else "lower"
     alt = f"Interquartile mean of the final {board.metric}, with 95 % interval, of every row of the table"
-    shown = [row | {"name": f"{row['method']}, {row['entry']} on {row['evaluated_on']}"} for row in rows]
-    figures = [(alt, plot_scores(shown, f"{name}-scores", f"final {board.metric} [mm], {direction} is better"))]
+    figures = [(alt, plot_scores(rows, f"{name}-scores", f"final {board.metric} [mm], {direction} is better"))]
     if any(curves_of(group) for group in groups):
         metric = task_type(board.env_id).metric
         alt = f"Final {metric} in training, exploration included: runs, and the median of each method"
         figures.append((alt, plot_curves(groups, f"{name}-curves", f"final {metric} in training [mm]")))
-    return {"name": name, "metric": board.metric, "direction": direction, "rows": rows, "figures": figures}
+    return {
+        "name": name,
+        "metric": board.metric,
+        "direction": direction,
+        "rows": [row for members in rows.values() for row in members],
+        "figures": figures,
+    }
 
 
 def _row(group: Group, label: str, color: str, out: Path) -> dict:
@@ -92,9 +96,7 @@ def _row(group: Group, label: str, color: str, out: Path) -> dict:
     recording = _recording(group)
     here = label == task_type(BOARDS[group.board].env_id).accurate and (out / recording).is_file()
     return {
-        "entry": group.entry,
-        "method": group.method,
-        "trained_on": group.trained_on,
+        "group": group,
         "evaluated_on": label,
         "color": color,
         "values": values,
@@ -104,7 +106,7 @@ def _row(group: Group, label: str, color: str, out: Path) -> dict:
         "interval": interval(interquartile_mean, (values,), rng),
         "solved": float(group.scores(label, "success").mean()),
         "diverged": sum(entry["evaluations"][label]["diverged"] for _, entry in group.entries),
-        "policies": [_links(group, path, entry) for path, entry in group.entries],
+        "files": [_links(group, path, entry) for path, entry in group.entries],
         "recording": recording if here else None,
     }
 
@@ -117,7 +119,7 @@ def _links(group: Group, path: Path, entry: dict) -> dict:
 
 def _compare(rows: list[dict], higher: bool) -> None:
     """Add to rows of one condition, the best first, how probably each is better than the best reference method."""
-    reference = next((row for row in rows if row["method"] == REFERENCE), None)
+    reference = next((row for row in rows if row["group"].method == REFERENCE), None)
     for row in rows:
         row["improvement"] = row["improvement_interval"] = None
         row["is_reference"] = row is reference

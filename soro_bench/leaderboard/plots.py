@@ -2,14 +2,16 @@
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+
 from soro_bench.leaderboard.gather import Group
 from soro_bench.report import pyplot
 
 _INK = "#010203"  # stands for the page's own colour
 _WIDTH = 5.2  # inches: the text stays readable where a phone shrinks the plot
+_LETTERS = 28  # of a name
 _COLORS = ("#3b82c4", "#d9822b", "#4a9c5d", "#c8504b", "#8f6bb8", "#94745f", "#cc6fa8", "#808080", "#a3a02c", "#2ca3ad")
 _SETTINGS = {
     "svg.fonttype": "none", "svg.hashsalt": "soro_bench", "text.parse_math": False, "font.size": 9,
@@ -25,43 +27,50 @@ def color_of(number: int) -> str:
     return _COLORS[number % len(_COLORS)]
 
 
-def plot_scores(rows: Sequence[dict], name: str, label: str) -> str:
-    """Interquartile mean and its interval of every row, a line each.
+def plot_scores(rows: Mapping[str, Sequence[dict]], name: str, label: str) -> str:
+    """Interquartile mean and its interval of every row, a line each, under the condition that it is of.
 
     Args:
-        rows: with "name", "color", "iqm" and "interval" [mm], the best first.
+        rows: by the condition's label; with "group", "color", "iqm" and "interval" [mm], the best first.
         name: of the plot, unlike others on the page.
         label: of the axis.
     """
+    sizes = [len(members) for members in rows.values()]
     with pyplot().rc_context(_SETTINGS):
-        figure, axes = pyplot().subplots(figsize=(_WIDTH, 0.8 + 0.24 * len(rows)), layout="constrained")
-        for i, row in enumerate(rows):
-            if row["interval"]:
-                axes.plot(row["interval"], (i, i), color=row["color"], lw=2)
-            axes.plot(row["iqm"], i, "o", color=row["color"], ms=5)
-        axes.set_yticks(range(len(rows)), [row["name"] for row in rows])
-        axes.set(xlabel=label, ylim=(len(rows) - 0.5, -0.5))
+        figure, all_axes = pyplot().subplots(
+            len(rows), 1, squeeze=False, sharex=True, layout="constrained", height_ratios=sizes,
+            figsize=(_WIDTH, 0.5 + 0.4 * len(sizes) + 0.2 * sum(sizes)),
+        )  # fmt: skip
+        for axes, (condition, members) in zip(all_axes[:, 0], rows.items(), strict=True):
+            for i, row in enumerate(members):
+                if row["interval"]:
+                    axes.plot(row["interval"], (i, i), color=row["color"], lw=2)
+                axes.plot(row["iqm"], i, "o", color=row["color"], ms=5)
+            axes.set_yticks(range(len(members)), [title_of(row["group"]) for row in members])
+            axes.set(ylim=(len(members) - 0.5, -0.5))
+            axes.set_title(f"on {condition}", fontsize=9, loc="left")
+            axes.tick_params(axis="y", length=0)
+        axes.set(xlabel=label)
         axes.set_xlim(left=min(0.0, axes.get_xlim()[0]))
-        axes.tick_params(axis="y", length=0)
         return _svg(figure, name)
 
 
 def plot_curves(groups: Sequence[Group], name: str, label: str) -> str:
     """Training curves: thin lines of single runs, and their medians; a group without curves is left out."""
     with pyplot().rc_context(_SETTINGS):
-        figure, axes = pyplot().subplots(figsize=(_WIDTH, 3.0), layout="constrained")
+        figure, axes = pyplot().subplots(figsize=(_WIDTH, 2.9 + 0.1 * len(groups)), layout="constrained")
         for i, group in enumerate(groups):
             if curves := curves_of(group):
+                look = {"color": color_of(i), "ls": "-" if i < len(_COLORS) else "--"}
                 for steps, final in curves:
-                    axes.plot(steps, final, color=color_of(i), alpha=0.3, lw=0.8)
+                    axes.plot(steps, final, **look, alpha=0.3, lw=0.7)
                 grid = max((steps for steps, _ in curves), key=len)
                 median = np.median([np.interp(grid, *curve) for curve in curves], axis=0)
-                axes.plot(grid, median, color=color_of(i), lw=1.8, label=title_of(group))
+                axes.plot(grid, median, **look, lw=1.8, label=title_of(group))
         axes.set(xlabel="environment steps", ylabel=label)
-        axes.ticklabel_format(axis="x", style="plain")
         axes.xaxis.set_major_formatter(lambda steps, _: f"{steps:,.0f}")
         axes.locator_params(axis="x", nbins=5)
-        axes.legend(fontsize=8)
+        figure.legend(loc="outside lower center", ncols=2)
         return _svg(figure, name)
 
 
@@ -84,8 +93,9 @@ def curves_of(group: Group) -> list[tuple[list[float], list[float]]]:
 
 
 def title_of(group: Group) -> str:
-    """What a group is called in plots."""
-    return f"{group.method}, {group.entry}"
+    """What a group is called in plots; a long name is cut."""
+    title = f"{group.method}, {group.entry}"
+    return title if len(title) <= _LETTERS else f"{title[: _LETTERS - 1]}…"
 
 
 def _svg(figure, name: str) -> str:

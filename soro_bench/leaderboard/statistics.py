@@ -1,6 +1,6 @@
-"""Figures of merit with bootstrap intervals (Agarwal et al., "Deep reinforcement learning at the edge of the statistical
-precipice", NeurIPS 2021).
+"""Figures of merit with bootstrap intervals.
 
+After Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021.
 Values are arrays (seeds, starts): a row is what one policy does. There, every task has trainings of its own, and runs
 are resampled for every task by itself. Here one policy goes through all starts, so rows are resampled as a whole: what
 a training was unlucky in, it is at all starts, and to resample these apart would make intervals too narrow.

@@ -29,7 +29,7 @@ def _compared(entered: dict, found: dict) -> str:
     differences = []
     for name, unit in (("final_mm", " mm"), ("return", "")):
         largest = float(np.abs(np.subtract(entered[name], found[name])).max())
-        if not largest == 0.0:
+        if largest != 0.0:
             differences.append(f"{name} by up to {largest:.4g}{unit}")
     if entered["success"] != found["success"]:
         wrong = sum(a != b for a, b in zip(entered["success"], found["success"], strict=True))

@@ -8,6 +8,7 @@ from soro_bench.diagnosis.pipeline import diagnose
 from soro_bench.diagnosis.report import report_of
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.files import read_json, replacing, write_json
+from soro_bench.leaderboard.diagnosis_entry import write_entry
 from soro_bench.parallel import HERE, Workers, each, processors
 from soro_bench.proof import ablation_score
 from soro_bench.proof.ablation_score import ablation_rows
@@ -24,6 +25,8 @@ def prove(
     progress: Progress = lambda *_: None,
 ) -> str:  # fmt: skip
     """Write what is missing of cases, reports and scorecard in a folder; returns the scorecard, Markdown.
+
+    Beside the scorecard comes entry.json, the same for the leaderboard.
 
     The diagnosis sees recordings only; the labels are opened when every case has its report.
 
@@ -49,6 +52,7 @@ def prove(
     others = {ablation: _read_all(folder / ablation) for ablation in (ABLATIONS if ablations else ())}
     card["ablations"] = ablation_rows(labels, found, others)
     write_json(folder / "scorecard.json", card)
+    write_entry(folder / "entry.json", "soro_bench", "soro-bench diagnose", cases, card)
     text = f"{markdown(card)}\n\n{ablation_score.markdown(card['ablations'])}"
     with replacing(folder / "scorecard.md") as temporary:
         temporary.write_text(text + "\n")

@@ -19,7 +19,7 @@ from soro_bench.recording.recording import Recording, RecordingError, Signal
 from soro_bench.registration import ENV_IDS, make_task, task_type
 from soro_bench.training.policy import Policy
 
-POLICIES = ("random", "excitation")  # and the folder of a trained one
+POLICIES = ("random", "excitation")  # and the folder or leaderboard entry of a trained one
 COMMAND = "action"  # the command that an episode is driven by
 MAX_STEPS = 100_000  # of a replay
 _DURATION = 30.0  # s, of an excitation
@@ -39,7 +39,7 @@ def record(
     """Simulate an episode and record what there is to measure.
 
     Args:
-        policy: "random" (uniform actions), "excitation", or the folder of a trained policy.
+        policy: "random" (uniform actions), "excitation", or the folder or leaderboard entry of a trained policy.
         model: the environment's model or mesh; the accurate one by default.
         action: "discrete" or "continuous"; by default continuous, or what the trained policy needs.
         params: physical parameters; nominal where none is given.
@@ -149,12 +149,12 @@ def _recording(episode, action, noise, seed, metadata) -> Recording:
     return Recording(commands, signals, episode.params, metadata)
 
 
-def _trained(folder, env_id, action) -> Policy:
-    if not Path(folder).is_dir():
-        raise ValueError(f"policy {folder!r} is neither {', '.join(POLICIES)} nor a folder")
-    policy = Policy.load(folder)
+def _trained(path, env_id, action):
+    if not Path(path).exists():
+        raise ValueError(f"policy {path!r} is neither {', '.join(POLICIES)} nor a folder or entry")
+    policy = Policy.load(path)
     if policy.card.env_id != env_id or action not in (None, policy.card.action):
-        raise ValueError(f"the policy in {folder} is for {policy.card.env_id} with {policy.card.action} actions")
+        raise ValueError(f"the policy in {path} is for {policy.card.env_id} with {policy.card.action} actions")
     return policy
 
 

@@ -1,0 +1,79 @@
+"""``soro-bench leaderboard``: build the page, verify entries."""
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from soro_bench.progress import console
+
+
+@dataclass
+class Build:
+    """Write the page of all entries, index.html; an invalid entry stops it before anything is written."""
+
+    out: Path
+    """Folder for the page, the entries' files and recordings."""
+    results: Path = Path("leaderboard", "results")
+    """Folder of the entries."""
+    record: bool = False
+    """Also record the best policy of every method on the accurate model, for the Rerun viewer."""
+
+    def run(self) -> None:
+        from soro_bench.leaderboard.page import build
+
+        if not self.results.is_dir():
+            raise ValueError(f"{self.results} is no folder; --results says where the entries are")
+        with console.status("entries ...") as status:
+            page = build(self.results, self.out, self.record, lambda stage: status.update(f"{stage} ..."))
+        console.print(f"{page}", soft_wrap=True, markup=False, highlight=False)
+
+
+@dataclass
+class Verify:
+    """Compute the figures of entries again and compare them exactly; exit status 1 if one differs."""
+
+    entries: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """.json files; what they hold is never executed."""
+    labels: tuple[str, ...] = ()
+    """Control: which conditions, such as cable; by default all that were entered."""
+    cases: Path | None = None
+    """Diagnosis: folder with the sealed labels and the commitment to them."""
+    reports: Path | None = None
+    """Diagnosis: folder with the report of every case."""
+
+    def run(self) -> None:
+        if not self.entries:
+            raise ValueError("say which entries to verify: soro-bench leaderboard verify ENTRY.json ...")
+        differs = False
+        for path in self.entries:
+            for part, found in self._verified(path).items():
+                console.print(f"{path}: {part}: {found}", soft_wrap=True, markup=False, highlight=False)
+                differs = differs or found != "same"
+        if differs:
+            sys.exit(1)
+
+    def _verified(self, path: Path) -> dict[str, str]:
+        from soro_bench.leaderboard import diagnosis_entry
+        from soro_bench.leaderboard.strict import read_strict
+        from soro_bench.leaderboard.verify import verify_control, verify_diagnosis
+
+        if read_strict(path).get("format") != diagnosis_entry.FORMAT:
+            return verify_control(path, self.labels)
+        if not self.cases or not self.reports:
+            raise ValueError(f"{path} is an entry of the diagnosis: --cases and --reports say what to score again")
+        return verify_diagnosis(path, self.cases, self.reports)
+
+
+@dataclass
+class Leaderboard:
+    """The leaderboard: its page, and whether its entries reproduce."""
+
+    command: tyro.conf.OmitSubcommandPrefixes[
+        Annotated[Build, tyro.conf.subcommand("build")] | Annotated[Verify, tyro.conf.subcommand("verify")]
+    ]
+
+    def run(self) -> None:
+        self.command.run()

@@ -1,0 +1,56 @@
+"""A small board with a small policy, and entries of it."""
+
+import hashlib
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.files import write_json
+from soro_bench.leaderboard.boards import BOARDS, Condition
+from soro_bench.leaderboard.entry import evaluated, write_entry
+from soro_bench.training.policy import Policy, PolicyCard
+
+BOARD = "TrunkReach-v0"
+CARD = PolicyCard(BOARD, "cable", "continuous", "oracle", 0, 1000)
+OBSERVED, CABLES = 66, 8
+
+
+def shrink_board(monkeypatch) -> None:
+    """Two starts of five steps, on the cheap model."""
+    whole = BOARDS[BOARD]
+    conditions = {"cable": Condition("cable", whole.conditions["cable"].starts[:2])}
+    monkeypatch.setitem(BOARDS, BOARD, replace(whole, conditions=conditions, episode_steps=5))
+
+
+def policy(seed: int = 0, **card) -> Policy:
+    """One random layer."""
+    rng = np.random.default_rng(seed)
+    tensors = {"mean": np.zeros(OBSERVED), "std": np.ones(OBSERVED), "w0": rng.normal(size=(CABLES, OBSERVED)),
+               "b0": np.zeros(CABLES)}  # fmt: skip
+    return Policy(replace(CARD, seed=seed, **card), tensors)
+
+
+def scores(*final_mm: float) -> dict:
+    return {"cable": {"final_mm": list(final_mm), "return": [0.0] * len(final_mm), "success": [False] * len(final_mm),
+                      "diverged": 0}}  # fmt: skip
+
+
+def true_entry(results: Path, entry: str = "ours", given: Policy | None = None) -> Path:
+    """An entry with what its policy does."""
+    given = given or policy()
+    return write_entry(results, BOARD, entry, given, evaluated(BOARDS[BOARD], given, num_threads=1))
+
+
+def edit(path: Path, change) -> None:
+    """Change the content of an entry."""
+    entry = json.loads(path.read_text())
+    change(entry)
+    write_json(path, entry)
+
+
+def put_policy(path: Path, name: str, data: bytes) -> None:
+    """Another policy file for an entry, with its hash."""
+    (path.parent / name).write_bytes(data)
+    edit(path, lambda entry: entry.update(policy={"file": name, "sha256": hashlib.sha256(data).hexdigest()}))

@@ -1,0 +1,220 @@
+"""Entries of the leaderboard: written, read, refused, verified."""
+
+import os
+import pickle
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("jsonschema", reason="needs the board extra")
+
+from soro_bench.leaderboard.entry import card_of, policy_of, read_entry, thinned_curve, write_entry
+from soro_bench.leaderboard.verify import verify_control
+from soro_bench.recording.simulated import record
+from soro_bench.training.policy import Policy
+from tests.entries import BOARD, CARD, edit, policy, put_policy, scores, shrink_board, true_entry
+from tests.test_bad_input import says
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch):
+    shrink_board(monkeypatch)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return write_entry(tmp_path, BOARD, "ours", policy(), scores(3.0, 4.0))
+
+
+def test_what_is_written_is_read_again(tmp_path):
+    curve = {"steps": [100, 200], "final_mm": [30.0, 20.0]}
+    training = {"algorithm": "PPO", "seconds": 3.5, "curve": curve}
+    box = {"type": "uniform", "parameters": {"trunk_mass": {"low": 0.1, "high": 0.2}}}
+    path = write_entry(tmp_path, BOARD, "ours", policy(), scores(3.0, 4.0), box, training)
+    assert path == tmp_path / BOARD / "ours" / "oracle" / "seed0.json"
+    entry = read_entry(path)
+    assert card_of(entry) == CARD
+    assert entry["training"] == training and entry["distribution"] == box
+    assert entry["evaluations"] == scores(3.0, 4.0)
+    for loaded in (policy_of(path, entry), Policy.load(path)):
+        assert loaded.card == CARD
+        np.testing.assert_array_equal(loaded.tensors["w0"], policy().tensors["w0"])
+
+
+def test_an_entry_stands_for_its_policy_where_one_is_recorded(path):
+    recording = record(BOARD, str(path), "cable", steps=2)
+    first = recording.commands["action"].values[0]
+    assert first.shape == (8,) and recording.metadata["policy"] == str(path)
+    with pytest.raises(ValueError, match=r"seed0\.json is for TrunkReach-v0"):
+        record("TrunkPush-v0", str(path))
+
+
+def test_a_long_training_curve_becomes_fifty_means(tmp_path):
+    rows = [f"{100 * i},1,4,{0.5 * i},0" for i in range(1, 1001)]
+    (tmp_path / "curve.csv").write_text("\n".join(["steps,seconds,episodes,final_distance_mm,return", *rows]))
+    curve = thinned_curve(tmp_path / "curve.csv", "distance")
+    assert len(curve["steps"]) == len(curve["final_mm"]) == 50
+    np.testing.assert_allclose(curve["final_mm"], 0.005 * np.array(curve["steps"]), atol=1.0)
+
+
+def _set(*keys, value):
+    def change(entry):
+        for key in keys[:-1]:
+            entry = entry[key]
+        entry[keys[-1]] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        (_set("format", value="soro_bench/control/2"), ("format is 'soro_bench/control/2'", "soro_bench/control/1")),
+        (_set("board", value="MoonLanding-v0"), ("board is 'MoonLanding-v0'", "TrunkReach-v0")),
+        (_set("seed", value=-1), ("seed is -1", "minimum 0")),
+        (_set("seed", value=True), ("seed is True", "integer")),
+        (_set("entry", value="../../etc"), ("entry is '../../etc'", "pattern")),
+        (_set("method", value="<script>"), ("method is '<script>'", "pattern")),
+        (_set("trained_on", value=9 * "very long "), ("trained_on is", "maxLength 80")),
+        (_set("policy", "file", value="../seed0.safetensors"), ("policy.file is '../seed0.safetensors'", "pattern")),
+        (_set("policy", "file", value="seed0.pt"), ("policy.file is 'seed0.pt'", "safetensors|onnx")),
+        (_set("policy", "url", value="http://example.org"), ("policy", "'url' was unexpected")),
+        (_set("evaluations", "moon", value=scores(1.0, 2.0)["cable"]), ("evaluations has 'moon'", "cable")),
+        (_set("evaluations", value=scores(1.0)), ("evaluations.cable.final_mm has 1 values", "2, one a start")),
+        (_set("evaluations", "cable", "success", value=[True, 0]), ("evaluations.cable.success.1 is 0", "boolean")),
+        (_set("evaluations", "cable", "final_mm", value=["1", 2.0]), ("final_mm.0 is '1'", "number")),
+        (_set("evaluations", "cable", "final_mm", value=[1e9, 2.0]), ("final_mm.0 is 1000000000.0", "maximum")),
+        (lambda entry: entry.pop("versions"), ("in the entry", "'versions' is a required property")),
+        (_set("training", "curve", value={"steps": [1, 2], "final_mm": [1.0]}), ("2 steps and 1 lengths",)),
+        (_set("trained_on", value="a\u202eb"), ("characters that cannot be shown",)),
+    ],
+)
+def test_an_entry_that_says_what_is_not_allowed_is_refused(path, change, parts):
+    """In one line that names the file, the value and what is allowed."""
+    edit(path, change)
+    with pytest.raises(ValueError, match=says(str(path), *parts)) as error:
+        read_entry(path)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 700
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("3.0", "NaN", "NaN is no finite number"),
+        ("3.0", "-Infinity", "-Infinity is no finite number"),
+        ("3.0", "1e999", "1e999 is no finite number"),
+        ("3.0", "1" + 5000 * "0", "is too large"),
+        ('"seed": 0', '"seed": 0, "seed": 1', "'seed' comes twice"),
+        ('"distribution": null', '"distribution": ' + 100_000 * "[" + 100_000 * "]", "no valid JSON"),
+        ("{", "", "no valid JSON"),
+    ],
+)
+def test_json_that_says_several_things_or_nothing_is_refused(path, old, new, message):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(ValueError, match=says(str(path), message)):
+        read_entry(path)
+
+
+def test_a_huge_entry_is_refused_without_being_read(tmp_path):
+    path = tmp_path / "seed0.json"
+    with path.open("wb") as file:
+        file.truncate(1_000_000_000)
+    with pytest.raises(ValueError, match=says(str(path), "1000000000 bytes; at most 1000000")):
+        read_entry(path)
+
+
+class Trap:
+    """Unpickling it would leave a trace."""
+
+    def __reduce__(self):
+        return os.system, ("touch unpickled",)
+
+
+@pytest.mark.parametrize("name", ["seed0.safetensors", "seed0.onnx"])
+def test_a_pickle_under_another_name_is_never_unpickled(path, name, monkeypatch, tmp_path):
+    if name.endswith("onnx"):
+        pytest.importorskip("onnx")
+    monkeypatch.chdir(tmp_path)
+    put_policy(path, name, pickle.dumps(Trap()))
+    with pytest.raises(ValueError, match=says(str(path.parent / name), "no valid policy")):
+        policy_of(path, read_entry(path))
+    assert not (tmp_path / "unpickled").exists()
+
+
+def test_a_policy_file_that_is_not_the_entered_one_is_refused(path):
+    file = path.parent / "seed0.safetensors"
+    file.write_bytes(policy(seed=5).to_bytes())
+    with pytest.raises(ValueError, match=says(str(file), "SHA-256", "says")):
+        policy_of(path, read_entry(path))
+    file.unlink()
+    with pytest.raises(FileNotFoundError, match=r"seed0\.safetensors"):
+        policy_of(path, read_entry(path))
+
+
+def test_a_policy_file_that_is_a_link_or_too_large_is_refused(path, tmp_path):
+    file = path.parent / "seed0.safetensors"
+    file.rename(tmp_path / "elsewhere")
+    file.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ValueError, match=says(str(file), "is a link")):
+        policy_of(path, read_entry(path))
+    file.unlink()
+    with file.open("wb") as sparse:
+        sparse.truncate(1_000_000_000)
+    with pytest.raises(ValueError, match=says(str(file), "1000000000 bytes; at most 100000000")):
+        policy_of(path, read_entry(path))
+
+
+def test_nothing_is_written_of_an_entry_that_is_wrong(tmp_path):
+    for board, given, found in (
+        (BOARD, policy(), scores(1.0)),
+        (BOARD, policy(), scores(1.0, float("nan"))),
+        (BOARD, policy(method="../udr"), scores(1.0, 2.0)),
+        ("TrunkPush-v0", policy(), {"cable": scores(1.0)["cable"]}),
+    ):
+        with pytest.raises(ValueError):
+            write_entry(tmp_path, board, "ours", given, found)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_right_entry_is_confirmed_and_an_edited_score_found(tmp_path):
+    path = true_entry(tmp_path)
+    assert verify_control(path, num_threads=1) == {"cable": "same"}
+    final = read_entry(path)["evaluations"]["cable"]["final_mm"]
+    edit(path, _set("evaluations", "cable", "final_mm", value=[final[0], final[1] - 0.25]))
+    assert verify_control(path, ["cable"], 1) == {"cable": "differs: final_mm by up to 0.25 mm"}
+    edit(path, _set("evaluations", "cable", "success", value=[False, True]))
+    assert verify_control(path, ["cable"], 1)["cable"].endswith("0.25 mm, success of 1 of 2")
+    with pytest.raises(ValueError, match=says(str(path), "'flex' was not entered", "cable")):
+        verify_control(path, ["flex"])
+
+
+def test_a_policy_for_other_observations_is_refused_in_words(tmp_path):
+    path = true_entry(tmp_path)
+    tensors = {**policy().tensors, "mean": np.zeros(3), "std": np.ones(3), "w0": np.zeros((8, 3))}
+    put_policy(path, "seed0.safetensors", Policy(CARD, tensors).to_bytes())
+    with pytest.raises(ValueError, match="takes observations of 3 numbers; these have 66"):
+        verify_control(path)
+
+
+def test_the_command_fails_where_a_figure_differs(tmp_path):
+    """A shipped entry is confirmed; the same with another figure ends with status 1."""
+    code = "import sys; from soro_bench.cli import main; sys.argv[0] = 'soro-bench'; main()"
+    shipped = Path(__file__).parents[1] / "leaderboard" / "results" / "TrunkPush-v0" / "ppo" / "oracle" / "seed0.json"
+    if not shipped.exists():
+        pytest.skip("needs a checkout")
+    edited = tmp_path / "seed0.json"
+    for file in (shipped, shipped.with_suffix(".safetensors")):
+        shutil.copy(file, tmp_path)
+    edit(edited, _set("evaluations", "cable", "final_mm", value=[1.0]))
+    command = [sys.executable, "-c", code, "leaderboard", "verify", str(shipped), str(edited), "--labels", "cable"]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    first, second = run.stdout.strip().splitlines()
+    assert first == f"{shipped}: cable: same"
+    assert second == f"{edited}: cable: differs: final_mm by up to 1.74 mm"
+    assert run.returncode == 1

@@ -1,0 +1,46 @@
+"""Entries of the diagnosis track."""
+
+import hashlib
+
+import pytest
+
+pytest.importorskip("jsonschema", reason="needs the board extra")
+
+from soro_bench.files import write_json
+from soro_bench.leaderboard import diagnosis_entry
+from soro_bench.leaderboard.verify import verify_diagnosis
+from soro_bench.proof import score
+from tests.entries import edit
+from tests.test_bad_input import says
+from tests.test_proof_score import label, report
+
+
+def _set_of_cases(folder, labels):
+    path = folder / "cases" / "sealed" / "labels.json"
+    write_json(path, {"seed": 7, "cases": labels})
+    (folder / "cases" / "commitment.txt").write_text(hashlib.sha256(path.read_bytes()).hexdigest() + "\n")
+
+
+def test_a_diagnosis_is_scored_again_and_what_was_edited_is_found(tmp_path, monkeypatch):
+    monkeypatch.setattr(score, "BOOTSTRAP", 50)
+    labels = [label(0), label(1), label(2, "none")]
+    wrong = report("base_tilt", "static_one_sided", "model", "gravity")
+    reports = {"case_000": report(), "case_001": wrong, "case_002": report("none", "none", verdict="none_detected")}
+    _set_of_cases(tmp_path, labels)
+    for name, content in reports.items():
+        write_json(tmp_path / "reports" / f"{name}.json", content)
+    path, cases = tmp_path / "entry.json", tmp_path / "cases"
+    diagnosis_entry.write_entry(path, "ours", "guessing", cases, {**score.scored(labels, reports), "ablations": []})
+    assert diagnosis_entry.read_entry(path)["set"] | {"commitment": ""} == {
+        "seed": 7, "count": 3, "nulls": 1, "commitment": ""
+    }  # fmt: skip
+    assert set(verify_diagnosis(path, cases, tmp_path / "reports").values()) == {"same"}
+    edit(path, lambda entry: entry["gates"][2].update(value=1.0))
+    found = verify_diagnosis(path, cases, tmp_path / "reports")
+    assert found["gates"].startswith("differs") and found["confusion"] == "same"
+    (tmp_path / "reports" / "case_001.json").write_text('{"effects": []}')
+    with pytest.raises(ValueError, match=says("case_001.json", "no report of a diagnosis")):
+        verify_diagnosis(path, cases, tmp_path / "reports")
+    (tmp_path / "reports" / "case_001.json").unlink()
+    with pytest.raises(ValueError, match=says("case_001.json", "missing; every case needs its report")):
+        verify_diagnosis(path, cases, tmp_path / "reports")

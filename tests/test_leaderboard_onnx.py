@@ -1,0 +1,160 @@
+"""Policies as ONNX files: the same actions as the network's, and nothing else in the file."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+pytest.importorskip("onnx", reason="needs the onnx extra")
+
+from onnx import TensorProto, helper, numpy_helper
+
+from soro_bench.leaderboard.onnx_policy import MAX_NODES, OnnxPolicy
+from soro_bench.training.policy import Policy, PolicyCard
+from tests.test_bad_input import says
+
+INPUTS, HIDDEN, OUTPUTS = 5, 7, 3
+
+
+def card(action="continuous"):
+    return PolicyCard("TrunkReach-v0", "cable", action, "oracle", 0, 1000)
+
+
+def tensors():
+    rng = np.random.default_rng(0)
+    return {"mean": rng.normal(size=INPUTS), "std": rng.uniform(1, 2, INPUTS), "w0": rng.normal(size=(HIDDEN, INPUTS)),
+            "b0": rng.normal(size=HIDDEN), "w1": rng.normal(size=(OUTPUTS, HIDDEN)),
+            "b1": rng.normal(size=OUTPUTS)}  # fmt: skip
+
+
+NODES = [
+    helper.make_node("Sub", ["observation", "mean"], ["centred"]),
+    helper.make_node("Div", ["centred", "std"], ["scaled"]),
+    helper.make_node("Gemm", ["scaled", "w0", "b0"], ["first"], transB=1),
+    helper.make_node("Tanh", ["first"], ["hidden"]),
+    helper.make_node("Gemm", ["hidden", "w1", "b1"], ["answer"], transB=1),
+]
+
+
+def model(nodes=(), output="answer", kind=TensorProto.DOUBLE, opsets=(("", 17),), shape=("n", INPUTS), **more):
+    """The network of ``tensors``, with further nodes after it."""
+    weights = [numpy_helper.from_array(value, name) for name, value in tensors().items()]
+    graph = helper.make_graph(
+        [*NODES, *nodes],
+        "policy",
+        [helper.make_tensor_value_info("observation", TensorProto.DOUBLE, shape)],
+        [helper.make_tensor_value_info(output, kind, ("n", "m"))],
+        [*weights, *more.pop("weights", ())],
+    )
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid(*opset) for opset in opsets], **more)
+
+
+def loaded(made, action="continuous"):
+    return OnnxPolicy.from_bytes(card(action), made.SerializeToString(), "policy.onnx")
+
+
+@pytest.mark.parametrize("action", ["continuous", "discrete"])
+def test_actions_are_those_of_the_same_network_in_numpy(action):
+    """Of a batch as of each row alone, bit for bit."""
+    observations = np.random.default_rng(1).normal(size=(20, INPUTS))
+    policy = loaded(model(), action)
+    found = policy.act(observations)
+    np.testing.assert_allclose(found, Policy(card(action), tensors()).act(observations), atol=1e-12)
+    assert found.tobytes() == np.concatenate([policy.act(row[None]) for row in observations]).tobytes()
+    assert np.abs(found).max() > 0
+
+
+def test_a_network_may_pick_its_discrete_action_itself():
+    made = model([helper.make_node("ArgMax", ["answer"], ["picked"], axis=1)], "picked", TensorProto.INT64)
+    observations = np.random.default_rng(1).normal(size=(20, INPUTS))
+    np.testing.assert_array_equal(
+        loaded(made, "discrete").act(observations), loaded(model(), "discrete").act(observations)
+    )
+
+
+def test_its_bytes_are_written_as_they_came():
+    data = model().SerializeToString()
+    assert OnnxPolicy.from_bytes(card(), data, "policy.onnx").to_bytes() == data
+
+
+def _external():
+    made = model()
+    weight = made.graph.initializer[2]
+    weight.ClearField("raw_data")
+    weight.data_location = TensorProto.EXTERNAL
+    weight.external_data.add(key="location", value="/etc/passwd")
+    return made
+
+
+def _loop():
+    body = helper.make_graph([], "body", [], [])
+    return model([helper.make_node("Loop", ["", "", "answer"], ["again"], body=body)], "again")
+
+
+def _function():
+    function = helper.make_function("", "Tanh", ["x"], ["y"], [helper.make_node("Neg", ["x"], ["y"])],
+                                    [helper.make_opsetid("", 17)])  # fmt: skip
+    return model(functions=[function])
+
+
+def _doubling(times):
+    """A value that is twice as long with every node."""
+    names = ["answer", *(f"long{i}" for i in range(times))]
+    return model([helper.make_node("Concat", [a, a], [b], axis=1) for a, b in pairwise(names)],
+                 names[-1])  # fmt: skip
+
+
+def _lying():
+    made = _doubling(30)
+    for name in ("long20", "long29"):
+        made.graph.value_info.append(helper.make_tensor_value_info(name, TensorProto.DOUBLE, (1, 3)))
+    return made
+
+
+def _shape_from_input():
+    nodes = [
+        helper.make_node("Cast", ["observation"], ["sizes"], to=TensorProto.INT64),
+        helper.make_node("Squeeze", ["sizes"], ["size"]),
+        helper.make_node("Reshape", ["answer", "size"], ["again"]),
+    ]
+    return model(nodes, "again")
+
+
+def _nan():
+    made = model()
+    made.graph.initializer[1].CopyFrom(numpy_helper.from_array(np.full(INPUTS, np.nan), "std"))
+    return made
+
+
+@pytest.mark.parametrize(
+    ("make", "parts"),
+    [
+        (_external, ("data in another file",)),
+        (_loop, ("operator 'Loop'", "Gemm")),
+        (lambda: model([helper.make_node("Mine", ["answer"], ["y"], domain="com.example")], "y"), ("'com.example'",)),
+        (lambda: model(opsets=(("", 17), ("com.example", 1))), ("'com.example'", "default domain")),
+        (_function, ("functions",)),
+        (lambda: _doubling(30), ("numbers; allowed: 1000000",)),
+        (_lying, ("numbers; allowed: 1000000",)),
+        (lambda: _doubling(MAX_NODES), ("nodes; allowed: 1000",)),
+        (_shape_from_input, ("fixed sizes are needed",)),
+        (lambda: model([helper.make_node("Identity", ["hidden"], ["answer"])]), ("a name twice",)),
+        (lambda: model(shape=("n", "k")), ("no array (n, k)",)),
+        (lambda: model(shape=(INPUTS,)), ("no array (n, k)",)),
+        (_nan, ("answers with", "finite")),
+    ],
+)
+def test_a_file_that_could_do_more_than_a_network_is_refused(make, parts):
+    with pytest.raises(ValueError, match=says("policy.onnx holds no valid policy", *parts)):
+        loaded(make())
+
+
+@pytest.mark.parametrize("data", [b"", b"\x80\x04pickle", b"\x00" * 100, model().SerializeToString()[:300]])
+def test_bytes_that_are_no_model_are_refused(data):
+    with pytest.raises(ValueError, match=says("policy.onnx holds no valid policy")):
+        OnnxPolicy.from_bytes(card(), data, "policy.onnx")
+
+
+def test_observations_of_another_size_are_refused_in_words():
+    with pytest.raises(ValueError, match="observations of 5 numbers; these have 6"):
+        loaded(model()).act(np.zeros((2, 6)))

@@ -1,0 +1,211 @@
+"""The page of the leaderboard: figures, links, and nothing of an entry that a browser would execute."""
+
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("jinja2", reason="needs the board extra")
+pytest.importorskip("jsonschema", reason="needs the board extra")
+pytest.importorskip("matplotlib", reason="needs the board extra")
+
+from soro_bench.files import write_json
+from soro_bench.leaderboard.entry import write_entry
+from soro_bench.leaderboard.gather import gather_control
+from soro_bench.leaderboard.page import build
+from soro_bench.leaderboard.verify import verify_control
+from tests.entries import BOARD, edit, policy, scores, shrink_board, true_entry
+from tests.test_bad_input import says
+
+SCRIPT = "<script>document.title = 'taken'</script><img src=x onerror=alert(1)>"
+CHROMIUM = shutil.which("chromium")
+FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
+         "--disable-component-update", "--disable-sync")  # fmt: skip
+GATE = {"gate": "false alarms", "cases": 20, "value": 0.05, "interval": [0.0, 0.1], "bar": 0.03, "below": True,
+        "met": False}  # fmt: skip
+DIAGNOSIS = {
+    "format": "soro_bench/diagnosis/1", "entry": SCRIPT, "method": "guessing",
+    "set": {"seed": 1, "count": 30, "nulls": 10, "commitment": 64 * "a"},
+    "gates": [GATE, {**GATE, "gate": "detected", "met": None, "value": None, "interval": None}],
+    "confusion": [{"truth": "friction", "said": "delay", "cases": 1}, {"truth": "payload", "said": "tilt", "cases": 3}],
+    "calibration": [{"cases": 5, "stated": 0.9, "right": 0.8}],
+    "ablations": [{"variant": "raw BIC", "cases": 9, "false alarms": None}], "versions": {},
+}  # fmt: skip
+
+
+class Table(HTMLParser):
+    """The texts of all cells, by row."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.rows, self._text = [], None
+        self.feed(page)
+
+    def handle_starttag(self, tag, attributes):
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("td", "th"):
+            self._text = ""
+
+    def handle_endtag(self, tag):
+        if tag in ("td", "th"):
+            self.rows[-1].append(" ".join(self._text.split()))
+            self._text = None
+
+    def handle_data(self, data):
+        if self._text is not None:
+            self._text += data
+
+
+@pytest.fixture
+def results(tmp_path, monkeypatch):
+    """Three methods: 1 and 2 mm, 2 and 30 mm of two seeds, 100 mm of one; the last's names are hostile."""
+    shrink_board(monkeypatch)
+    folder, curve = tmp_path / "results", {"curve": {"steps": [100, 200], "final_mm": [30.0, 20.0]}}
+    for method, finals in (("oracle", (1.0, 2.0)), ("udr", (2.0, 30.0)), ("mine", (100.0,))):
+        for seed, final in enumerate(finals):
+            trained = policy(seed, method=method, model=SCRIPT if method == "mine" else "cable")
+            write_entry(folder, BOARD, "ours", trained, scores(final, final), None, curve)
+    write_json(folder / "diagnosis" / "ours.json", DIAGNOSIS)
+    return folder
+
+
+def test_the_table_has_the_figures_of_every_method_the_best_first(results, tmp_path):
+    page = build(results, tmp_path / "site").read_text()
+    rows = [row for row in Table(page).rows if len(row) > 8]
+    assert [row[0] for row in rows] == ["method", "oracle", "udr", "mine"]
+    oracle, udr, mine = rows[1:]
+    assert oracle[2:7] == ["1.50 [1.00, 2.00]", "1.50 [1.00, 2.00]", "0 %", "reference", "2"]
+    assert udr[3] == "16.00 [2.00, 30.00]"
+    assert udr[5].startswith("0.12 [")  # one tie in four pairs
+    assert mine[2:7] == ["100.00", "100.00", "0 %", "0.00", "1"]  # one seed: no interval
+    assert mine[7] == SCRIPT
+
+
+def test_the_page_shows_the_gates_and_the_worst_confusions_first(results, tmp_path):
+    rows = Table(build(results, tmp_path / "site").read_text()).rows
+    assert ["false alarms", "20", "0.05 [0, 0.1]", "≤ 0.03", "missed"] in rows
+    assert ["detected", "20", "", "≤ 0.03", "no cases"] in rows
+    assert rows.index(["payload", "tilt", "3"]) < rows.index(["friction", "delay", "1"])
+
+
+def test_names_are_escaped_and_nothing_is_loaded(results, tmp_path):
+    page = build(results, tmp_path / "site").read_text()
+    assert SCRIPT not in page and "&lt;script&gt;document.title" in page
+    assert page.count("<script") == 1 and "<img" not in page
+    addresses = re.findall(r"(?:src|href)=\"([^\"]+)", page)
+    assert addresses and not [a for a in addresses if re.match(r"[a-z]+:|//", a)]
+    assert "default-src 'none'" in page
+
+
+def test_links_lead_to_files_that_verify(results, tmp_path, monkeypatch):
+    true_entry(results, "true")
+    page = build(results, tmp_path / "site").read_text()
+    links = re.findall(r"href=\"([^\"#]+)\"", page)
+    assert len(links) == len(set(links)) == 12
+    assert all((tmp_path / "site" / link).is_file() for link in links)
+    copied = tmp_path / "site" / "results" / BOARD / "true" / "oracle" / "seed0.json"
+    assert verify_control(copied, num_threads=1) == {"cable": "same"}
+
+
+def test_names_in_plots_are_unlike_one_another(results, tmp_path):
+    page = build(results, tmp_path / "site").read_text()
+    ids = re.findall(r"\bid=\"([^\"]+)", page)
+    assert page.count("<svg") == 3 and len(ids) == len(set(ids))
+    assert set(re.findall(r"(?:href=\"#|url\(#)([^\")]+)", page)) <= set(ids)
+
+
+def test_a_folder_without_entries_gives_a_page_that_says_so(tmp_path):
+    (tmp_path / "results").mkdir()
+    assert build(tmp_path / "results", tmp_path / "site").read_text().count("No entry yet.") == 2
+
+
+def _break_score(results):
+    edit(results / BOARD / "ours" / "udr" / "seed1.json", lambda entry: entry.update(seed=-1))
+
+
+def _move(results):
+    shutil.move(results / BOARD / "ours" / "udr", results / BOARD / "ours" / "dropo")
+
+
+def _mix(results):
+    edit(results / BOARD / "ours" / "udr" / "seed1.json", lambda entry: entry.update(trained_on="flex"))
+
+
+def _spoil_policy(results):
+    (results / BOARD / "ours" / "udr" / "seed1.safetensors").write_bytes(b"spoilt")
+
+
+def _spoil_diagnosis(results):
+    edit(results / "diagnosis" / "ours.json", lambda entry: entry["gates"][0].update(cases="many"))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "parts"),
+    [
+        (_break_score, ("udr/seed1.json", "seed is -1")),
+        (_move, ("dropo/seed0.json", "belongs to", "udr/seed0.json")),
+        (_mix, ("udr/seed1.json", "trained_on is 'flex'", "'cable'", "seed0.json")),
+        (_spoil_policy, ("udr/seed1.safetensors", "SHA-256")),
+        (_spoil_diagnosis, ("diagnosis/ours.json", "gates.0.cases is 'many'")),
+        (lambda results: write_json(results / "note.json", {}), ("note.json", "required property")),
+    ],
+)
+def test_one_invalid_entry_stops_the_page_before_anything_is_written(results, tmp_path, spoil, parts):
+    spoil(results)
+    with pytest.raises(ValueError, match=says(*parts)):
+        build(results, tmp_path / "site")
+    assert not (tmp_path / "site").exists()
+
+
+def test_the_best_policy_of_a_method_is_recorded_and_linked(results, tmp_path, monkeypatch):
+    pytest.importorskip("rerun")
+    from soro_bench.envs.trunk_reach import TrunkReachTask
+
+    monkeypatch.setattr(TrunkReachTask, "accurate", "cable")  # which takes no time
+    page = build(results, tmp_path / "site", record=True).read_text()
+    recordings = re.findall(r"href=\"(recordings/[^\"]+)", page)
+    assert sorted(recordings) == [f"recordings/{BOARD}/ours/{method}.rrd" for method in ("mine", "oracle", "udr")]
+    assert all((tmp_path / "site" / recording).stat().st_size > 1000 for recording in recordings)
+
+
+def browsed(path, folder):
+    """The document as a browser has it after its scripts have run."""
+    command = [CHROMIUM, *FLAGS, f"--user-data-dir={folder}", "--dump-dom", path.as_uri()]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=True).stdout
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_a_browser_sorts_by_the_headers_and_runs_no_script_from_a_name(results, tmp_path):
+    """The first click sorts by what is shown, the second the other way round."""
+    path = build(results, tmp_path / "site")
+    page = path.read_text()
+    shown = browsed(path, tmp_path / "profile")
+    assert "<title>soro_bench leaderboard</title>" in shown
+    assert shown.count("<button") == shown.count("<th ") - 3  # of links nothing can be sorted
+    clicks = {"IQM [mm]": 2, "method": 1}
+    for header, number in clicks.items():
+        click = f"""for (const b of document.querySelectorAll("table.sortable button"))
+            if (b.textContent === {json.dumps(header)}) for (let i = 0; i < {number}; i++) b.click();"""
+        changed = re.sub(r"<meta http-equiv=.*>", "", page).replace("</body>", f"<script>{click}</script></body>")
+        (tmp_path / "site" / "clicked.html").write_text(changed)
+        shown = browsed(tmp_path / "site" / "clicked.html", tmp_path / "profile")
+        order = [row[0] for row in Table(shown).rows if len(row) > 8][1:]
+        assert order == {"IQM [mm]": ["mine", "udr", "oracle"], "method": ["mine", "oracle", "udr"]}[header]
+        assert f'aria-sort="{ {1: "ascending", 2: "descending"}[number] }"' in shown
+        assert "taken" not in re.search(r"<title>.*</title>", shown)[0]
+
+
+def test_the_same_entries_give_the_same_page(results, tmp_path):
+    assert build(results, tmp_path / "a").read_bytes() == build(results, tmp_path / "b").read_bytes()
+
+
+def test_every_entry_of_the_repository_is_valid():
+    shipped = Path(__file__).parents[1] / "leaderboard" / "results"
+    if not shipped.is_dir():
+        pytest.skip("needs a checkout")
+    assert "TrunkReach-v0" in gather_control(shipped)
