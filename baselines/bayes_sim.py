@@ -10,7 +10,7 @@ it stopped.
 
 import tyro
 
-from soro_bench.cli import InferenceBaseline
+from soro_bench.campaign.commands import InferenceBaseline
 
 if __name__ == "__main__":
     tyro.cli(InferenceBaseline, description=__doc__).run("bayes-sim")

@@ -21,7 +21,6 @@ from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.pipeline import diagnose
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.effects.effect import EVERY, Effect, Port, save_effects
-from soro_bench.experiment import METHODS
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
@@ -34,6 +33,7 @@ from soro_bench.randomization import Distribution, TruncatedNormal, load
 from soro_bench.recording.excitation import excitation
 from soro_bench.registration import make_task
 from soro_bench.results import interval
+from soro_bench.training.methods import METHODS
 from soro_bench.training.policy import Policy
 from soro_bench.training.ppo import default_config, train
 

@@ -7,7 +7,8 @@ Trains on the cheap model, evaluates on both, writes policies, results and rerun
 
 import tyro
 
-from soro_bench.cli import Baseline
+from soro_bench.campaign.commands import Baseline
+from soro_bench.training.methods import UDR
 
 if __name__ == "__main__":
-    tyro.cli(Baseline, description=__doc__).run("udr")
+    tyro.cli(Baseline, description=__doc__).run(UDR)

@@ -9,6 +9,7 @@ try:
     import tyro
     from rich.table import Table
 
+    from soro_bench.campaign.commands import RunPreset
     from soro_bench.leaderboard.commands import Leaderboard
     from soro_bench.progress import InferenceBar, StageBars, TrainingBars, console
 except ImportError as error:
@@ -41,21 +42,6 @@ class List:
 
 
 @dataclass
-class Run:
-    """Train and evaluate the baselines: the benchmark in small (quick) or in full (paper)."""
-
-    preset: Literal["quick", "paper"] = "quick"
-    """quick: oracle and UDR briefly on TrunkReach. paper: three tasks, all seeds; days of computing."""
-    out: Path = Path("runs")
-    """Folder for policies, results, plots and recordings; an interrupted run goes on from here."""
-
-    def run(self) -> None:
-        from soro_bench.presets import PRESETS
-
-        _run_plan(PRESETS[self.preset], self.out / self.preset)
-
-
-@dataclass
 class Train:
     """Train one policy by PPO; goes on where an interrupted training stopped."""
 
@@ -76,8 +62,8 @@ class Train:
     out: Path = Path("runs/train")
 
     def run(self) -> None:
-        from soro_bench.experiment import METHODS
         from soro_bench.randomization import load
+        from soro_bench.training.methods import METHODS
         from soro_bench.training.ppo import default_config, train
 
         task_type(self.env)
@@ -96,23 +82,31 @@ class Evaluate:
     """Run a policy on the fixed evaluation episodes and record them."""
 
     policy: Annotated[Path, tyro.conf.Positional]
-    """Folder with policy.json and policy.safetensors, or the .json of a leaderboard entry."""
-    model: str | None = None
-    """The environment's model or mesh; the accurate one by default."""
+    """Folder with policy.json and policy.safetensors, or an entry of the leaderboard, .json."""
+    board: str | None = None
+    """Which evaluation, such as TrunkLift-v0-50g; by default the first of the policy's environment."""
+    on: str | None = None
+    """Which of its conditions, such as cable or flex; the accurate model by default."""
     out: Path | None = None
     """Folder for the results; the policy's own by default, which an entry needs to be told."""
 
     def run(self) -> None:
-        from soro_bench.experiment import write_evaluation
-        from soro_bench.report import markdown_table, table_rows
+        from soro_bench.campaign.run import record_evaluations
+        from soro_bench.files import write_json
+        from soro_bench.leaderboard.boards import board_of
         from soro_bench.training.policy import Policy
 
         policy, out = Policy.load(self.policy), self.out or self.policy
         if out.suffix == ".json":
             raise ValueError(f"{out} is an entry: say with --out where its results go")
-        model = self.model or task_type(policy.card.env_id).accurate
-        result = write_evaluation(policy, model, out)
-        console.print(markdown_table(table_rows([result])), soft_wrap=True, markup=False, highlight=False)
+        name, board = board_of(policy.card.env_id, self.board)
+        label = self.on or task_type(board.env_id).accurate
+        scores = record_evaluations(policy, name, (board.labelled(label),), out)
+        write_json(out / f"evaluation_{label}.json", {"board": name, **scores})
+        final = scores[label]["final_mm"]
+        mean, solved = sum(final) / len(final), sum(scores[label]["success"])
+        said = f"{name} on {label}: final {board.metric} {mean:.2f} mm, mean of {len(final)} episodes; {solved} solved"
+        console.print(said, soft_wrap=True)
 
 
 @dataclass
@@ -388,69 +382,6 @@ class Prove:
         console.print(text, soft_wrap=True, markup=False, highlight=False)
 
 
-@dataclass
-class Baseline:
-    """What the scripts in baselines/ take."""
-
-    env: EnvId
-    seeds: tuple[int, ...] = (0, 1, 2)
-    steps: int | None = None
-    """Environment steps; what the environment needs by default."""
-    model: str | None = None
-    """Model or mesh to train on; the cheap one by default."""
-    eval_models: tuple[str, ...] | None = None
-    """Models or meshes to evaluate on; the cheap and the accurate one by default."""
-    out: Path = Path("runs/baselines")
-
-    def run(self, method: str) -> None:
-        from soro_bench.experiment import METHODS
-
-        self._run(METHODS[method])
-
-    def _run(self, method) -> None:
-        from soro_bench.presets import Part
-        from soro_bench.training.ppo import default_config
-
-        task = task_type(self.env)
-        config = default_config(self.env, self.steps, model=self.model or task.cheap)
-        eval_models = self.eval_models or (task.cheap, task.accurate)
-        _run_plan([Part(config, (method,), {method.name: self.seeds}, eval_models)], self.out)
-
-
-@dataclass
-class InferenceBaseline(Baseline):
-    """What the scripts in baselines/ take that infer the distribution from a recording."""
-
-    recording: Path | None = None
-    """.parquet; by default the environment's in baselines/recordings."""
-    known: tuple[str, ...] = ()
-    """Parameters that are held fixed, in the inference and in training, such as young_modulus=3.6e6."""
-    replay_model: str | None = None
-    """Model to replay the recording on; the recorded one by default."""
-    noise: float = 0.0
-    """Standard deviation [m] of the recorded positions."""
-
-    def run(self, method: str) -> None:
-        from soro_bench.inference.baseline import inferred
-        from soro_bench.recording.simulated import parse_params
-
-        recording = self.recording or Path("baselines", "recordings", f"{self.env}.parquet")
-        self._run(inferred(method, recording, parse_params(self.known), self.replay_model, self.noise))
-
-
-def _run_plan(plan, out: Path) -> None:
-    from soro_bench.experiment import run_method
-    from soro_bench.report import write_report
-
-    for part in plan:
-        for method in part.methods:
-            seeds, folder = part.seeds[method.name], out / part.config.env_id
-            with TrainingBars() as bar:
-                run_method(method, part.config, seeds, part.eval_models, folder, bar)
-    console.print(write_report(out), soft_wrap=True, markup=False, highlight=False)
-    console.print(f"results, plots and recordings in {out}; watch one with: soro-bench view FILE.rrd")
-
-
 def _describe(recording, path: Path) -> None:
     table = Table("signal", "samples", "shape", "unit", "frame", title=f"{path}: {recording.duration:g} s")
     for name, signal in (*recording.commands.items(), *sorted(recording.signals.items())):
@@ -461,7 +392,7 @@ def _describe(recording, path: Path) -> None:
 
 COMMANDS = {
     "list": List,
-    "run": Run,
+    "run": RunPreset,
     "train": Train,
     "evaluate": Evaluate,
     "record": Record,

@@ -1,6 +1,7 @@
 """What the command line shows of long work."""
 
-from rich.console import Console
+from rich.console import Console, Group
+from rich.live import Live
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -9,6 +10,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.text import Text
 
 console = Console()
 
@@ -78,3 +80,25 @@ class TrainingBars:
 
     def __exit__(self, *_):
         self._progress.stop()
+
+
+class CampaignBar:
+    """How much of a campaign is done, the time that is left, and a line for each run that is being worked on."""
+
+    def __enter__(self):
+        # runs report every checkpoint, so their speed shows over many minutes only
+        self._progress = Progress(TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.1f} %"),
+                                  TimeElapsedColumn(), TimeRemainingColumn(), speed_estimate_period=1800)  # fmt: skip
+        self._task = None
+        self._live = Live(self._progress, console=console)
+        self._live.start()
+        return self
+
+    def __call__(self, share: float, active: list[str]) -> None:
+        if self._task is None:  # what was done before counts as no speed
+            self._task = self._progress.add_task("campaign", total=1.0, completed=share)
+        self._progress.update(self._task, completed=share)
+        self._live.update(Group(self._progress, Text("\n".join(active))))
+
+    def __exit__(self, *_):
+        self._live.stop()

@@ -1,12 +1,10 @@
-"""Results of training and evaluation: one JSON file a run, tables with intervals."""
+"""What results name and state: versions, metrics, intervals."""
 
 import platform
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
-
-from soro_bench.recording.episode import Episode
 
 _PACKAGES = ("soro_bench", "mujoco", "gymnasium", "numpy", "stable_baselines3", "torch")
 _RESAMPLES = 10_000
@@ -26,19 +24,6 @@ def versions() -> dict[str, str]:
 def metric_key(metric: str) -> str:
     """How results and training curves call the final value of a task's metric."""
     return f"final_{metric}_mm"
-
-
-def summarise(episodes: Sequence[Episode]) -> dict:
-    """What a set of evaluation episodes amounts to, ready for JSON; lengths in mm as in the paper's figures."""
-    summary = {
-        metric_key(episodes[0].metric_name): [round(1e3 * e.final_metric, 4) for e in episodes],
-        "return": [round(e.total_reward, 4) for e in episodes],
-        "success": [e.is_success for e in episodes],
-        "diverged": sum(e.diverged for e in episodes),
-    }
-    if "elevation" in episodes[0].signals:
-        summary["elevation_mm"] = [round(1e3 * float(e.signals["elevation"][-1]), 4) for e in episodes]
-    return summary
 
 
 def interval(groups: Sequence[Sequence[float]], seed: int = 0) -> tuple[float, float, float]:

@@ -3,11 +3,11 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from soro_bench.experiment import Method
 from soro_bench.inference.methods import infer
 from soro_bench.inference.replay import Replay
 from soro_bench.randomization import Distribution, load
 from soro_bench.recording import parquet
+from soro_bench.training.methods import Method
 
 
 def inferred(

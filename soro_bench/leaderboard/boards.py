@@ -45,6 +45,12 @@ class Board:
     episode_steps: int | None = None
     fixed: Mapping[str, float] = field(default_factory=dict)
 
+    def labelled(self, label: str) -> str:
+        """The label, if there is such a condition."""
+        if label not in self.conditions:
+            raise ValueError(f"there is no condition {label!r}; there are {', '.join(self.conditions)}")
+        return label
+
     def play(self, policy: Policy, label: str, num_threads: int = 0) -> list[Episode]:
         """The episodes of a policy under the condition with that label."""
         condition = self.conditions[label]
@@ -94,3 +100,11 @@ BOARDS = {
     "MultiGait-v0-6": _walker(6),
     "MultiGait-v0-12": _walker(12),
 }
+
+
+def board_of(env_id: str, name: str | None = None) -> tuple[str, Board]:
+    """The board with that name, or the first of an environment; ValueError if it is not the environment's."""
+    names = [each for each, board in BOARDS.items() if board.env_id == env_id]
+    if name is not None and name not in names:
+        raise ValueError(f"{env_id} has no board {name!r}; it has {', '.join(names)}")
+    return name or names[0], BOARDS[name or names[0]]

@@ -1,0 +1,94 @@
+"""The published study's tables beside ours.
+
+    python leaderboard/reproduction.py
+
+Reads the entries in leaderboard/results and prints the tables of docs/reproduction.md, in the paper's units.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.leaderboard.boards import BOARDS
+from soro_bench.leaderboard.gather import Group, gather_control
+from soro_bench.leaderboard.table import markdown_table
+from soro_bench.parameters import ALL_PARAMETERS
+
+RESULTS = Path(__file__).parent / "results"
+UNITS = {"young_modulus": 1e3}  # kPa are kg/(mm s²); masses are in kg
+COLUMNS = ("cube_mass", "friction", "trunk_mass", "poisson_ratio", "young_modulus")
+# Tiboni et al., IROS 2023, Tables I to III: means and, of RF-DROPO, standard deviations of the dynamics parameters, of
+# the repetition that is printed there
+PUBLISHED = {
+    ("TrunkReach-v0", "rf_dropo"): {
+        "trunk_mass": (0.64196, 1.04e-5), "poisson_ratio": (0.450002, 1.02e-5), "young_modulus": (6878.01, 0.02773),
+    },
+    ("TrunkReach-v0", "bayes_sim"): {"trunk_mass": (0.32,), "poisson_ratio": (0.49,), "young_modulus": (1914.25,)},
+    ("TrunkPush-v0", "rf_dropo"): {
+        "cube_mass": (0.061397, 0.00440), "friction": (0.301427, 0.00151), "trunk_mass": (0.517406, 0.003242),
+        "poisson_ratio": (0.450255, 0.000448), "young_modulus": (5557.07, 2.447),
+    },
+    ("TrunkPush-v0", "bayes_sim"): {
+        "cube_mass": (0.3715,), "friction": (0.3746,), "trunk_mass": (0.6867,), "poisson_ratio": (0.4248,),
+        "young_modulus": (1855.10,),
+    },
+    ("TrunkPush-v0", "rf_dropo_unmodelled"): {
+        "cube_mass": (0.07,), "friction": (0.30,), "trunk_mass": (0.50,), "poisson_ratio": (0.45,),
+        "young_modulus": (3600.0,),
+    },
+    ("TrunkPush-v0", "bayes_sim_unmodelled"): {
+        "cube_mass": (0.52,), "friction": (0.51,), "trunk_mass": (0.48,), "poisson_ratio": (0.44,),
+        "young_modulus": (3600.0,),
+    },
+}  # fmt: skip
+# Table IV: elevation [mm], mean and standard deviation of three seeds
+LIFT = {
+    ("TrunkLift-v0-100g", "no_dr"): (2.34, 4.03),
+    ("TrunkLift-v0-100g", "dr"): (7.96, 1.67),
+    ("TrunkLift-v0-50g", "no_dr"): (8.55, 1.27),
+    ("TrunkLift-v0-50g", "dr"): (12.07, 4.72),
+}
+
+
+def parameters_table(groups: dict[tuple[str, str], Group]) -> str:
+    """Markdown: what was inferred, mean and standard deviation, a row for each of our seeds."""
+    lines = ["| board | method | | cube mass [kg] | friction | trunk mass [kg] | nu | E [kPa] |", "|---" * 8 + "|"]
+    nominal = " | ".join(f"{ALL_PARAMETERS[name].nominal / UNITS.get(name, 1.0):g}" for name in COLUMNS)
+    lines.append(f"| | truth | | {nominal} |")
+    for (board, method), published in PUBLISHED.items():
+        cells = [_value(*published[name]) if name in published else "" for name in COLUMNS]
+        lines.append(f"| {board} | {method} | paper | {' | '.join(cells)} |")
+        for _, entry in groups[board, method].entries if (board, method) in groups else ():
+            rows = entry["distribution"]["parameters"]
+            cells = [_value(*(rows[name][k] / UNITS.get(name, 1.0) for k in ("mean", "std"))) if name in rows else ""
+                     for name in COLUMNS]  # fmt: skip
+            lines.append(f"| {board} | {method} | seed {entry['seed']} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _value(mean: float, std: float | None = None) -> str:
+    return f"{mean:.5g}" if std is None else f"{mean:.5g} ± {std:.2g}"
+
+
+def lift_table(groups: dict[tuple[str, str], Group]) -> str:
+    """Markdown: elevation, the published one beside ours."""
+    lines = ["| object | wall in training | paper [mm] | ours on `cable` [mm] | on `flex` [mm] |", "|---" * 5 + "|"]
+    for (board, method), (mean, deviation) in LIFT.items():
+        cells = [f"{1e3 * BOARDS[board].fixed['cube_mass']:.0f} g", {"dr": "random", "no_dr": "fixed"}[method]]
+        cells.append(f"{mean:.2f} ± {deviation:.2f}")
+        group = groups.get((board, method))
+        for label in ("cable", "flex"):
+            scores = group.scores(label).mean(axis=1) if group else np.zeros(0)
+            cells.append(f"{scores.mean():.2f} ± {scores.std(ddof=1):.2f}" if len(scores) > 1 else "")
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    found = gather_control(RESULTS)
+    groups = {(board, group.method): group for board, members in found.items() for group in members}
+    print("\n\n".join((parameters_table(groups), markdown_table(groups.values()), lift_table(groups))))
+
+
+if __name__ == "__main__":
+    main()

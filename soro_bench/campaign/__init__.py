@@ -1,0 +1,1 @@
+"""Many trainings with one command: plan, run what is missing, write an entry for each."""

@@ -1,0 +1,91 @@
+"""Carry out many runs, by as many processes or machines as there are, and show how far they are."""
+
+import csv
+from collections.abc import Callable, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Event, Thread
+
+from soro_bench.campaign.run import Run, carry_out
+from soro_bench.parallel import Workers, each
+
+POLL = 2.0  # s between looks at what the runs have written
+# Time of an environment step with the policy's share of an update, relative to TrunkReach's on the cheap model
+# (docs/performance.md, docs/multigait.md); only what is shown of the time left depends on it
+_COST = {"TrunkReach-v0": 1.0, "TrunkPush-v0": 1.3, "TrunkLift-v0": 1.5, "MultiGait-v0": 60.0}
+_ACCURATE = 10.0
+
+Progress = Callable[[float, list[str]], None]
+
+
+def carry_out_all(
+    runs: Sequence[Run], work: Path, results: Path, workers: Workers, progress: Progress = lambda share, rows: None
+) -> None:
+    """Carry out the runs that have no entry in ``results`` yet; what a run writes does not depend on the others.
+
+    ``progress`` is called every few seconds with the share of the work that is done and a line for each active run.
+    """
+    work, results = Path(work).resolve(), Path(results).resolve()  # the same for the workers of a cluster
+    todo = [run for run in runs if not run.result(results).exists()]
+    with _watching(runs, work, results, progress):
+        for _ in each(carry_out, [(run, work, results) for run in todo], workers):
+            pass
+    progress(*state(runs, work, results))
+
+
+def state(runs: Sequence[Run], work: Path, results: Path) -> tuple[float, list[str]]:
+    """The share of the work that is done, and what the runs are doing that have begun but not ended.
+
+    Read from the files, so that it is the same whoever works on them.
+    """
+    total = done = 0.0
+    active = []
+    for run in runs:
+        cost = _cost(run)
+        total += cost
+        if run.result(results).exists():
+            done += cost
+            continue
+        folder = Path(work) / run.name
+        row = _last_row(folder / "curve.csv")
+        if row is None:
+            if folder.exists():
+                active.append(f"{run.name}: begins")
+            continue
+        steps = run.config.num_segments * run.config.segment_steps
+        share = min(int(row["steps"]) / steps, 1.0)
+        done += share * cost
+        value = next(value for name, value in row.items() if name.startswith("final_"))
+        what = f"{value} mm in training" if share < 1 else "evaluation"
+        active.append(f"{run.name}: {int(row['steps']):,} of {steps:,} steps, {what}")
+    return done / total, active
+
+
+def _cost(run: Run) -> float:
+    return run.config.total_steps * _COST[run.config.env_id] * (_ACCURATE if run.config.model == "flex" else 1.0)
+
+
+def _last_row(path: Path) -> dict | None:
+    if not path.exists():
+        return None
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    return rows[-1] if rows else None
+
+
+@contextmanager
+def _watching(runs, work, results, progress):
+    """Looks at the files from a thread, as what runs elsewhere cannot call back."""
+    stop = Event()
+
+    def watch():
+        while not stop.wait(POLL):
+            progress(*state(runs, work, results))
+
+    thread = Thread(target=watch, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()

@@ -1,0 +1,96 @@
+"""``soro-bench run``, and the scripts in baselines/, which are campaigns of one method."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from soro_bench.parallel import Workers
+from soro_bench.progress import CampaignBar, console
+
+
+@dataclass
+class RunPreset:
+    """Train and evaluate the baselines: the benchmark in small (quick) or the published study (paper)."""
+
+    workers: Annotated[Workers, tyro.conf.arg(name="")]
+    preset: Literal["quick", "paper"] = "quick"
+    """quick: oracle and UDR briefly on TrunkReach. paper: all tasks, methods and seeds; days of computing."""
+    only: tuple[str, ...] = ()
+    """Runs whose names (board/method/seed0) hold one of these texts."""
+    plan: bool = False
+    """Say what there is to do, and end."""
+    out: Path = Path("runs")
+    """Folder for checkpoints, policies and recordings; an interrupted campaign goes on from here."""
+    results: Path | None = None
+    """Folder for an entry per run; by default leaderboard/results (paper), or within --out."""
+
+    def run(self) -> None:
+        from soro_bench.campaign.plan import PRESETS, chosen
+
+        results = {"paper": Path("leaderboard", "results")}.get(self.preset, self.out / self.preset / "results")
+        runs = chosen(PRESETS[self.preset](), self.only)
+        campaign(runs, self.out / self.preset, self.results or results, self.workers, self.plan)
+
+
+@dataclass
+class Baseline:
+    """What the scripts in baselines/ take."""
+
+    workers: Annotated[Workers, tyro.conf.arg(name="")]
+    board: Annotated[str, tyro.conf.Positional]
+    """Such as TrunkReach-v0; `soro-bench run --preset paper --plan` lists them."""
+    seeds: tuple[int, ...] = (0, 1, 2)
+    steps: int | None = None
+    """Environment steps; what the environment needs by default."""
+    model: str | None = None
+    """Model or mesh to train on; the cheap one by default."""
+    out: Path = Path("runs/baselines")
+
+    def run(self, method) -> None:
+        from soro_bench.campaign.plan import runs_of
+
+        runs = runs_of(self.board, method, self.seeds, self.steps, self.model)
+        campaign(runs, self.out, self.out / "results", self.workers)
+
+
+@dataclass
+class InferenceBaseline(Baseline):
+    """What the scripts in baselines/ take that infer the distribution from a recording."""
+
+    recording: Path | None = None
+    """.parquet; by default the environment's in baselines/recordings."""
+    known: tuple[str, ...] = ()
+    """Parameters that are held fixed, in the inference and in training, such as young_modulus=3.6e6."""
+    replay_model: str | None = None
+    """Model to replay the recording on; the recorded one by default."""
+    noise: float = 0.0
+    """Standard deviation [m] of the recorded positions."""
+
+    def run(self, method: str) -> None:
+        from soro_bench.campaign.plan import RECORDINGS
+        from soro_bench.inference.baseline import inferred
+        from soro_bench.recording.simulated import parse_params
+
+        recording = self.recording or RECORDINGS / f"{self.board}.parquet"
+        super().run(inferred(method, recording, parse_params(self.known), self.replay_model, self.noise))
+
+
+def campaign(runs, work: Path, results: Path, workers: Workers, only_plan: bool = False) -> None:
+    """Carry out what is missing, and write the page that compares all results in ``results``."""
+    from soro_bench.campaign.campaign import carry_out_all
+    from soro_bench.leaderboard.gather import gather_control
+    from soro_bench.leaderboard.page import build
+    from soro_bench.leaderboard.table import markdown_table
+
+    missing = [run.name for run in runs if not run.result(results).exists()]
+    console.print(f"{len(runs)} runs, {len(missing)} without a result in {results}", soft_wrap=True)
+    if only_plan:
+        return console.print("\n".join(missing), soft_wrap=True, markup=False, highlight=False)
+    with CampaignBar() as bar:
+        carry_out_all(runs, work, results, workers, bar)
+    build(results, work)
+    groups = [group for members in gather_control(results).values() for group in members]
+    console.print(markdown_table(groups), soft_wrap=True, markup=False, highlight=False)
+    console.print(f"{work / 'index.html'} shows them; watch what a policy does with: soro-bench view FILE.rrd")

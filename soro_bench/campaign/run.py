@@ -1,0 +1,79 @@
+"""One run of a campaign: a policy is trained, evaluated on the fixed starts, and written down as an entry."""
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from soro_bench.leaderboard.boards import BOARDS
+from soro_bench.leaderboard.entry import thinned_curve, write_entry
+from soro_bench.parallel import processors
+from soro_bench.recording.rerun_log import write_recording
+from soro_bench.registration import task_type
+from soro_bench.training.methods import Method
+from soro_bench.training.policy import Policy
+from soro_bench.training.ppo import PPOConfig, train
+
+ENTRY = "ppo"  # whose the results are, on the leaderboard
+
+
+@dataclass(frozen=True)
+class Run:
+    """A policy of a board: by which method the training parameters are chosen, and how it is trained."""
+
+    board: str
+    method: Method
+    config: PPOConfig
+
+    def __post_init__(self):
+        board = BOARDS[self.board]
+        object.__setattr__(
+            self,
+            "config",
+            replace(self.config, env_id=board.env_id, method=self.method.name, episode_steps=board.episode_steps),
+        )
+
+    @property
+    def name(self) -> str:
+        return f"{self.board}/{self.method.name}/seed{self.config.seed}"
+
+    def result(self, results: Path) -> Path:
+        """Where its entry is written."""
+        return Path(results) / self.board / ENTRY / self.method.name / f"seed{self.config.seed}.json"
+
+
+def carry_out(run: Run, work: Path, results: Path) -> None:
+    """Train, evaluate and write the entry, going on where that was interrupted; nothing if the entry is there.
+
+    ``work`` gets <board>/<method>/seed<k>/ with checkpoint, policy, what the method inferred, and a rerun recording of
+    every evaluation.
+    """
+    if run.result(results).exists():
+        return
+    board, folder, threads = BOARDS[run.board], Path(work) / run.name, processors()
+    distribution = run.method.distribution(board.env_id, run.config.seed, folder)
+    policy = train(replace(run.config, num_threads=threads), folder, distribution)
+    evaluations = record_evaluations(policy, run.board, tuple(board.conditions), folder, threads)
+    drawn_from = None if distribution is None else distribution.to_dict()
+    write_entry(results, run.board, ENTRY, policy, evaluations, drawn_from, _training(folder, board.env_id))
+
+
+def _training(folder: Path, env_id: str) -> dict:
+    path = folder / "curve.csv"
+    with path.open() as file:
+        *_, last = csv.DictReader(file)
+    curve = thinned_curve(path, task_type(env_id).metric)
+    return {"algorithm": "PPO", "seconds": float(last["seconds"]), "curve": curve}
+
+
+def record_evaluations(
+    policy: Policy, board: str, labels: Sequence[str], folder: Path, threads: int = 0
+) -> dict[str, dict]:
+    """The score of a policy under the conditions with these labels; ``folder`` gets a rerun recording of each."""
+    scores = {}
+    for label in labels:
+        episodes = BOARDS[board].play(policy, label, threads)
+        title = f"{board} {policy.card.method} on {label}"
+        write_recording(folder / f"evaluation_{label}.rrd", episodes, title)
+        scores[label] = BOARDS[board].score(episodes)
+    return scores

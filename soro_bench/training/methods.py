@@ -1,0 +1,53 @@
+"""How the distribution of training parameters comes about."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.randomization import Distribution, TruncatedNormal, Uniform, random_box
+from soro_bench.registration import task_type
+
+
+@dataclass(frozen=True)
+class Method:
+    """A way to the distribution of training parameters.
+
+    Args:
+        name: short name for folders and tables.
+        distribution: gives it for an environment id, a seed and a folder to keep files in; None means the nominal
+            parameters.
+    """
+
+    name: str
+    distribution: Callable[[str, int, Path], Distribution | None]
+
+
+ORACLE = Method("oracle", lambda env_id, seed, folder: None)  # trained on the evaluation dynamics
+
+
+def udr(known: Mapping[str, float] | None = None, name: str = "udr") -> Method:
+    """A random box of the search space for every seed, as published; ``known`` parameters stay as given."""
+    known = dict(known or {})
+
+    def distribution(env_id: str, seed: int, folder: Path) -> Distribution:
+        free = [p for p in task_type(env_id).randomized if p.name not in known]
+        box, values = random_box(free, np.random.default_rng(seed)), list(known.values())
+        return Uniform((*box.names, *known), np.append(box.low, values), np.append(box.high, values))
+
+    return Method(name, distribution)
+
+
+def fixed(name: str, distribution: Distribution) -> Method:
+    """The same distribution for every seed."""
+    return Method(name, lambda env_id, seed, folder: distribution)
+
+
+def held(values: Mapping[str, float]) -> TruncatedNormal:
+    """Parameters that are not nominal and do not vary."""
+    return TruncatedNormal(tuple(values), np.array(list(values.values())), np.zeros(len(values)))
+
+
+UDR = udr()
+METHODS = {method.name: method for method in (ORACLE, UDR)}

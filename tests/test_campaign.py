@@ -1,0 +1,131 @@
+"""Campaigns: what is planned, and one run from training to its entry."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3", reason="needs the train extra")
+pytest.importorskip("rerun", reason="needs the view extra")
+
+from soro_bench.campaign.campaign import carry_out_all, state
+from soro_bench.campaign.plan import BOXES, SEEDS, UNMODELLED, chosen, paper, runs_of, variance_for_deviation
+from soro_bench.campaign.run import Run
+from soro_bench.files import read_json
+from soro_bench.leaderboard.boards import BOARDS
+from soro_bench.leaderboard.entry import policy_of, read_entry
+from soro_bench.parallel import HERE
+from soro_bench.randomization import TruncatedNormal, from_dict
+from soro_bench.registration import task_type
+from soro_bench.training.methods import ORACLE, Method, udr
+from soro_bench.training.policy import Policy
+from soro_bench.training.ppo import PPOConfig
+
+TINY = PPOConfig(
+    "TrunkReach-v0", total_steps=400, num_envs=2, rollout_steps=100, rollouts_per_segment=1, batch_size=100, epochs=1,
+    hidden=(8,),
+)  # fmt: skip
+
+
+@pytest.fixture
+def small_board(monkeypatch):
+    """TrunkReach with two goals, on the cheap model only."""
+    board = BOARDS["TrunkReach-v0"]
+    cable = replace(board.conditions["cable"], starts=board.conditions["cable"].starts[:2])
+    monkeypatch.setitem(BOARDS, "TrunkReach-v0", replace(board, conditions={"cable": cable}))
+
+
+def test_the_paper_has_a_run_for_every_cell_of_its_tables():
+    """Three seeds of every method, ten boxes of uniform randomisation; no two runs share a name."""
+    runs = paper()
+    names = {run.name for run in runs}
+    assert len(names) == len(runs)
+    for board in ("TrunkReach-v0", "TrunkPush-v0"):
+        for method in ("oracle", "rf_dropo", "rf_dropo_cable", "bayes_sim", "bayes_sim_variance"):
+            assert {f"{board}/{method}/seed{k}" for k in SEEDS} <= names
+        assert {f"{board}/udr/seed{k}" for k in BOXES} <= names
+    for method in ("rf_dropo_unmodelled", "bayes_sim_unmodelled"):
+        assert {f"TrunkPush-v0/{method}/seed{k}" for k in SEEDS} <= names
+    for board in [name for name in BOARDS if name.startswith(("TrunkLift", "MultiGait"))]:
+        assert {f"{board}/{method}/seed{k}" for method in ("dr", "no_dr") for k in SEEDS} <= names
+
+
+def test_runs_are_trained_on_the_cheap_model_unless_their_name_says_otherwise():
+    for run in paper():
+        task = task_type(run.config.env_id)
+        expected = task.accurate if run.method.name == f"oracle_{task.accurate}" else task.cheap
+        assert run.config.model == expected, run.name
+
+
+def test_what_a_board_fixes_is_fixed_in_training(tmp_path):
+    rng = np.random.default_rng(0)
+    for run in paper():
+        for name, value in BOARDS[run.board].fixed.items():
+            drawn = run.method.distribution(run.config.env_id, 0, tmp_path).sample(rng)
+            assert drawn[name] == pytest.approx(value), run.name
+
+
+def test_a_box_holds_what_is_known(tmp_path):
+    box = udr(UNMODELLED).distribution("TrunkPush-v0", 3, tmp_path)
+    assert box.sample(np.random.default_rng(0))["young_modulus"] == UNMODELLED["young_modulus"]
+
+
+def test_variances_are_taken_for_deviations_in_published_units(tmp_path):
+    """0.1 kg becomes 0.01 kg, and 500 kPa become 250,000 kPa."""
+    own = TruncatedNormal(("trunk_mass", "young_modulus"), np.array([0.4, 4e6]), np.array([0.1, 5e5]))
+    wrong = variance_for_deviation(Method("m", lambda *_: own)).distribution("TrunkReach-v0", 0, tmp_path / "b" / "c")
+    assert wrong.std == pytest.approx([0.01, 2.5e8])
+
+
+def test_only_some_runs_are_chosen_by_parts_of_their_names():
+    assert {run.board for run in chosen(paper(), ["TrunkLift"])} == {"TrunkLift-v0-50g", "TrunkLift-v0-100g"}
+    with pytest.raises(ValueError, match=r"no run's name holds TrunkFly; there are.*TrunkReach-v0/oracle"):
+        chosen(paper(), ["TrunkFly"])
+
+
+def test_runs_can_be_sent_to_other_machines():
+    cloudpickle = pytest.importorskip("cloudpickle")
+    for run in paper():
+        assert cloudpickle.loads(cloudpickle.dumps(run)).name == run.name
+
+
+def test_a_run_ends_in_an_entry_whose_policy_is_the_trained_one(small_board, tmp_path):
+    runs = [Run("TrunkReach-v0", method, TINY) for method in (ORACLE, udr())]
+    work, results, seen = tmp_path / "work", tmp_path / "results", []
+    carry_out_all(runs, work, results, HERE, lambda share, active: seen.append(share))
+    assert seen[-1] == 1.0
+    for run in runs:
+        path = run.result(results)
+        entry, trained = read_entry(path), Policy.load(work / run.name)
+        found = policy_of(path, entry)
+        assert found.card == trained.card
+        assert all(np.array_equal(found.tensors[name], trained.tensors[name]) for name in trained.tensors)
+        assert (work / run.name / "evaluation_cable.rrd").exists()
+    assert read_json(runs[0].result(results))["distribution"] is None
+    from_dict(read_json(runs[1].result(results))["distribution"])
+
+
+def test_finished_runs_are_not_carried_out_again(small_board, tmp_path):
+    (run,) = [Run("TrunkReach-v0", ORACLE, TINY)]
+    run.result(tmp_path).parent.mkdir(parents=True)
+    run.result(tmp_path).write_text("{}")
+    carry_out_all([run], tmp_path / "work", tmp_path, HERE)
+    assert not (tmp_path / "work").exists()
+
+
+def test_the_state_of_a_campaign_is_read_from_its_files(tmp_path):
+    one, other = (Run("TrunkReach-v0", ORACLE, replace(TINY, seed=seed)) for seed in (0, 1))
+    curve = tmp_path / one.name / "curve.csv"
+    curve.parent.mkdir(parents=True)
+    curve.write_text("steps,seconds,episodes,final_distance_mm,return\n200,1.0,2,50.125,-3.0\n")
+    share, active = state([one, other], tmp_path, tmp_path / "results")
+    assert share == pytest.approx(0.25)
+    assert active == [f"{one.name}: 200 of 400 steps, 50.125 mm in training"]
+
+
+def test_seeds_and_steps_are_those_asked_for():
+    runs = runs_of("TrunkPush-v0", ORACLE, (4, 7), steps=64_000, model="flex")
+    assert [(r.config.seed, r.config.total_steps, r.config.model) for r in runs] == [
+        (4, 64_000, "flex"),
+        (7, 64_000, "flex"),
+    ]
