@@ -42,7 +42,7 @@ def read_strict(path: str | Path, max_bytes: int = ENTRY_BYTES) -> dict:
 
 def check(data: dict, schema: str, path: str | Path) -> None:
     """ValueError if ``data``, from the file ``path``, does not follow the schema in the file of that name here."""
-    best = _jsonschema().exceptions.best_match(_validator(schema).iter_errors(data))
+    best = require_jsonschema().exceptions.best_match(_validator(schema).iter_errors(data))
     if best is not None:
         raise ValueError(f"{path}: {_said(best)}")
 
@@ -80,10 +80,11 @@ def _integer(text: str) -> int:
 
 @cache
 def _validator(schema: str):
-    return _jsonschema().Draft202012Validator(json.loads((Path(__file__).parent / schema).read_text()))
+    return require_jsonschema().Draft202012Validator(json.loads((Path(__file__).parent / schema).read_text()))
 
 
-def _jsonschema():
+def require_jsonschema():
+    """The module; ImportError with what to install."""
     try:
         import jsonschema
     except ImportError as error:

@@ -9,6 +9,7 @@ from soro_bench.diagnosis.report import report_of
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.leaderboard.diagnosis_entry import write_entry
+from soro_bench.leaderboard.strict import require_jsonschema
 from soro_bench.parallel import HERE, Workers, each, processors
 from soro_bench.proof import ablation_score
 from soro_bench.proof.ablation_score import ablation_rows
@@ -34,6 +35,7 @@ def prove(
         ablations: how many of the cases, the first ones, are also diagnosed without each part of the method.
         workers: what computes the cases; those of a cluster see the same folder.
     """
+    require_jsonschema()  # before the work, not after it
     folder = Path(folder).resolve()  # workers of a cluster start elsewhere
     cases, reports = folder / "cases", folder / "reports"
     write_cases(cases, count, seed, nulls, workers, lambda done, total: progress("cases written", done, total))
@@ -52,10 +54,10 @@ def prove(
     others = {ablation: _read_all(folder / ablation) for ablation in (ABLATIONS if ablations else ())}
     card["ablations"] = ablation_rows(labels, found, others)
     write_json(folder / "scorecard.json", card)
-    write_entry(folder / "entry.json", "soro_bench", "soro-bench diagnose", cases, card)
     text = f"{markdown(card)}\n\n{ablation_score.markdown(card['ablations'])}"
     with replacing(folder / "scorecard.md") as temporary:
         temporary.write_text(text + "\n")
+    write_entry(folder / "entry.json", "soro_bench", "soro-bench diagnose", cases, card)
     return text
 
 
