@@ -43,7 +43,7 @@ def each(function: Callable, arguments: Iterable[tuple], workers: Workers = HERE
 
     Raises:
         ValueError: no scheduler answers, or a worker of the cluster runs several jobs in one process.
-        ChildProcessError: a job of the cluster was given up because every worker that took it died.
+        ChildProcessError: the scheduler died, or every worker that took one of the jobs.
     """
     if workers.backend == "dask":
         yield from _on_cluster(function, arguments, workers.scheduler)
@@ -72,13 +72,13 @@ def _on_cluster(function, arguments, scheduler) -> Iterator:
     # not joblib's Dask backend (1.6): it waits forever for a job whose workers keep dying, fails when a worker dies
     # that held an argument of more than 1 kB, and gives a cluster 10 s to get its first worker from a queue
     with _client(scheduler) as client:
-        from distributed import KilledWorker
+        from distributed import CancelledError, KilledWorker
 
         futures = deque(client.submit(_alone, function, *given, pure=False) for given in arguments)
         while futures:
             try:
                 yield futures.popleft().result()
-            except KilledWorker as error:
+            except (KilledWorker, CancelledError) as error:
                 raise ChildProcessError(str(error)) from error
 
 
