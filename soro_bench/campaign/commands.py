@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from soro_bench.options import Parallel
 from soro_bench.parallel import Workers
 from soro_bench.progress import CampaignBar, console
 
@@ -14,7 +15,7 @@ from soro_bench.progress import CampaignBar, console
 class RunPreset:
     """Train and evaluate the baselines: the benchmark in small (quick) or the published study (paper)."""
 
-    workers: Annotated[Workers, tyro.conf.arg(name="")]
+    workers: Parallel
     preset: Literal["quick", "paper"] = "quick"
     """quick: oracle and UDR briefly on TrunkReach. paper: all tasks, methods and seeds; days of computing."""
     only: tuple[str, ...] = ()
@@ -38,7 +39,7 @@ class RunPreset:
 class Baseline:
     """What the scripts in baselines/ take."""
 
-    workers: Annotated[Workers, tyro.conf.arg(name="")]
+    workers: Parallel
     board: Annotated[str, tyro.conf.Positional]
     """Such as TrunkReach-v0; `soro-bench run --preset paper --plan` lists them."""
     seeds: tuple[int, ...] = (0, 1, 2)

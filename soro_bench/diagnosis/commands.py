@@ -1,0 +1,129 @@
+"""``soro-bench excite``, ``diagnose``, ``study`` and ``prove``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from soro_bench.options import EnvId, Parallel
+from soro_bench.parallel import HERE
+from soro_bench.progress import StageBars, console
+
+
+@dataclass
+class Excite:
+    """Write the actions that show what a robot does: the recording that a diagnosis needs."""
+
+    env: EnvId
+    out: Path
+    """.csv with a row per control step: time [s], and the action of every channel, from -1 to 1."""
+    duration: float = 30.0
+    seed: int = 0
+
+    def run(self) -> None:
+        from soro_bench.recording.excitation import excitation, write_actions
+        from soro_bench.registration import make_task
+
+        task = make_task(self.env, 1, 1, action="continuous")
+        actions = excitation(task.single_action_space, task.control_timestep, self.duration, self.seed)
+        write_actions(self.out, task.control_timestep, actions)
+        console.print(f"{self.out}: replay it on the robot, record what it does, and: soro-bench diagnose RECORDING")
+
+
+@dataclass
+class Diagnose:
+    """Say what physics is missing in a simulation, from recordings of the real robot."""
+
+    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """.parquet; `soro-bench excite` writes the actions for a good one."""
+    out: Path
+    """Folder for report.html, report.json, effects.json, posterior.json, patched_model.xml, comparison.rrd,
+    next_actions.csv."""
+    env: str | None = None
+    """Environment whose robot was recorded."""
+    model: str | None = None
+    """MJCF file of another robot; with --env the model to simulate, the cheap one by default."""
+    map: Path | None = None
+    """TOML file that says how recordings and parameters belong to the MJCF file; see docs/diagnosis.md."""
+    heldout: tuple[Path, ...] = ()
+    """Recordings of another motion, to test what is found."""
+    since: Path | None = None
+    """Folder of an earlier diagnosis of the same robot: what it found is known, and what has changed is looked for."""
+    seed: int = 0
+
+    def run(self) -> None:
+        from soro_bench.diagnosis.page import write_reports
+        from soro_bench.diagnosis.pipeline import diagnose
+        from soro_bench.recording.parquet import load
+
+        robot = self._robot()
+        recordings, heldout = ([load(path) for path in paths] for paths in (self.recordings, self.heldout))
+        with console.status("") as status:
+            found = diagnose(robot, recordings, heldout, self.seed, lambda stage: status.update(f"{stage} ..."))
+            status.update("report ...")
+            text = write_reports(found, recordings, self.out)
+        console.print(text, soft_wrap=True, markup=False, highlight=False)
+        console.print(f"{self.out / 'report.html'}, {self.out / 'report.json'}; {found.seconds:.0f} s", soft_wrap=True)
+
+    def _robot(self):
+        from soro_bench.diagnosis.model_robot import ModelRobot
+        from soro_bench.diagnosis.report import earlier
+        from soro_bench.diagnosis.suite_robot import SuiteRobot
+
+        known = earlier(self.since) if self.since else None
+        if self.env and not self.map:
+            return SuiteRobot(self.env, self.model, earlier=known)
+        if self.model and self.map and not self.env:
+            return ModelRobot(self.model, self.map, earlier=known)
+        raise ValueError("say which robot was recorded: --env ENV, or --model ROBOT.xml --map MAP.toml")
+
+
+@dataclass
+class Study:
+    """Diagnose the recordings of a real robot; an interrupted study goes on with the parts that are missing."""
+
+    name: Annotated[str, tyro.conf.Positional]
+    """opencr_tdcr, asl_trunk, bam_servo or silicone_beam."""
+    out: Path
+    """Folder for the reports, one folder for each part, and for the row of the table, row.md."""
+    data: Path = Path("data/real")
+    """Folder with the recordings; `soro-bench data` says where they come from."""
+    seed: int = 0
+
+    def run(self) -> None:
+        from soro_bench.files import replacing
+        from soro_bench.study import load_study, row, run_study
+
+        study = load_study(self.name, self.data)
+        with console.status("") as status:
+            summaries = run_study(study, self.out, self.seed, progress=lambda stage: status.update(f"{stage} ..."))
+        with replacing(self.out / "row.md") as temporary:
+            temporary.write_text(row(summaries))
+        for summary in summaries:
+            text = f"{summary['part']} ({summary['question']})\n{summary['verdict']}\n"
+            console.print(text, soft_wrap=True, markup=False, highlight=False)
+        console.print(f"{self.out}", soft_wrap=True)
+
+
+@dataclass
+class Prove:
+    """Test the diagnosis on robots with concealed physics; an interrupted proof goes on from its files."""
+
+    out: Path
+    """Folder for cases, reports and scorecard."""
+    count: int = 120
+    seed: int = 0
+    """Of the cases; one that has been used to develop the method proves nothing."""
+    nulls: int | None = None
+    """Cases without any effect; a fifth by default."""
+    ablations: int = 0
+    """Of so many cases, what each part of the method is worth: five more diagnoses each."""
+    workers: Parallel = HERE
+
+    def run(self) -> None:
+        from soro_bench.proof.prove import prove
+
+        with StageBars() as bar:
+            text = prove(self.out, self.count, self.seed, self.nulls, self.ablations, self.workers, bar)
+        console.print(text, soft_wrap=True, markup=False, highlight=False)

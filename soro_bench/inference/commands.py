@@ -1,0 +1,59 @@
+"""``soro-bench infer``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from soro_bench.options import Parallel
+from soro_bench.parallel import HERE
+from soro_bench.progress import InferenceBar, console
+
+
+@dataclass
+class Infer:
+    """Infer a distribution over physical parameters from one recording."""
+
+    method: Annotated[Literal["rf-dropo", "bayes-sim", "dropo", "droid", "sysid"], tyro.conf.Positional]
+    recording: Annotated[Path, tyro.conf.Positional]
+    """.parquet, of one of the environments from its reset on."""
+    out: Path
+    """The posterior, .json; train takes it for a distribution. A picture of it is written beside it."""
+    infer: tuple[str, ...] = ()
+    """Names of the parameters to infer; by default those that the published study randomises in the environment."""
+    known: tuple[str, ...] = ()
+    """Parameters that are known, such as trunk_mass=0.42; others that are not inferred are nominal."""
+    model: str | None = None
+    """Model or mesh to replay the recording on; the recorded one by default."""
+    noise: float = 0.0
+    """Standard deviation [m] of the recorded positions."""
+    seed: int = 0
+    published: bool = False
+    """rf-dropo: the published search, CMA-ES with 100 replays per candidate; a thousand times slower."""
+    features: Literal["mdn", "mdrff"] = "mdn"
+    """bayes-sim: what its network sees."""
+    simulations: int = 1000
+    """bayes-sim: how many."""
+    workers: Parallel = HERE
+
+    def run(self) -> None:
+        from soro_bench.inference.methods import infer
+        from soro_bench.inference.replay import Replay
+        from soro_bench.inference.report import write_report
+        from soro_bench.recording.parquet import load
+        from soro_bench.recording.simulated import parse_params
+
+        known, restart = parse_params(self.known), self.method == "dropo"
+        replay = Replay(load(self.recording), self.infer or None, known, self.model, self.noise, restart)
+        settings = {}
+        if self.published:
+            settings = {"optimizer": "sampled"}
+        if self.method == "bayes-sim":
+            settings = {"features": self.features, "simulations": self.simulations}
+        work = self.out.with_suffix(".log.jsonl")
+        with InferenceBar(self.method) as steps:
+            posterior = infer(self.method, replay, work, self.seed, steps, self.workers, **settings)
+        posterior.save(self.out)
+        work.unlink()  # up to 180 MB, and only an interrupted inference needs it
+        console.print(write_report(posterior, replay, self.out), soft_wrap=True, markup=False, highlight=False)

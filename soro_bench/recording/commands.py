@@ -1,0 +1,126 @@
+"""``soro-bench record``, ``import``, ``data`` and ``view``."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from rich.table import Table
+
+from soro_bench.options import EnvId
+from soro_bench.progress import console
+
+
+@dataclass
+class Record:
+    """Simulate one episode and save its signals as a recording."""
+
+    env: EnvId
+    out: Path
+    """The file to write, .parquet."""
+    policy: str = "random"
+    """random, excitation (rest, triangles, loops, holds, sums of sines), the folder of a trained policy, or the .json
+    of a leaderboard entry."""
+    params: tuple[str, ...] = ()
+    """Physical parameters such as trunk_mass=0.3; the others are nominal."""
+    model: str | None = None
+    """The environment's model or mesh; the accurate one by default."""
+    action: Literal["discrete", "continuous"] | None = None
+    """Continuous by default, or what the trained policy needs."""
+    steps: int | None = None
+    """The environment's length by default; 30 s, or as long as it needs, for an excitation."""
+    seed: int = 0
+    noise: float = 0.0
+    """Standard deviation [m] of normal noise on all positions."""
+    full_state: bool = False
+    """Record the simulation's whole state too, which DROPO restarts from."""
+
+    def run(self) -> None:
+        from soro_bench.recording.parquet import save
+        from soro_bench.recording.simulated import parse_params, record
+
+        recording = record(
+            self.env, self.policy, self.model, self.action, parse_params(self.params), self.steps, self.seed,
+            self.noise, self.full_state,
+        )  # fmt: skip
+        save(recording, self.out)
+        _describe(recording, self.out)
+
+
+@dataclass
+class Import:
+    """Turn a CSV, NPZ or MCAP file or a LeRobot dataset into a recording."""
+
+    file: Annotated[Path, tyro.conf.Positional]
+    """.csv, .npz, .mcap, or the folder of a LeRobot dataset."""
+    out: Path
+    """The file to write, .parquet."""
+    mapping: Path | None = None
+    """TOML file that says what is what (docs/recordings.md); a LeRobot dataset needs none."""
+    episode: int | None = None
+    """Which episode of a LeRobot dataset; the first by default."""
+
+    def run(self) -> None:
+        from soro_bench.recording.importers import import_recording
+        from soro_bench.recording.parquet import save
+
+        selection = {} if self.episode is None else {"episode": self.episode}
+        recording = import_recording(self.file, self.mapping, **selection)
+        save(recording, self.out)
+        _describe(recording, self.out)
+
+
+@dataclass
+class Data:
+    """Get recordings of real robots from where they are published, and check them; docs/data.md."""
+
+    robots: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """Which; without any, all are listed, and what of them is there."""
+    out: Path = Path("data/real")
+    """Folder with a folder for each robot."""
+
+    def run(self) -> None:
+        from soro_bench.recording.published import fetch, sources, summary
+
+        known = sources()
+        if unknown := [name for name in self.robots if name not in known]:
+            raise ValueError(f"robot {unknown[0]!r} is unknown; there are {', '.join(known)}")
+        for name in self.robots or known:
+            if self.robots:
+                fetch(known[name], self.out / name)
+            text = summary(name, known[name], self.out / name)
+            console.print(text, soft_wrap=True, markup=False, highlight=False)
+
+
+@dataclass
+class View:
+    """Open a recording in the rerun viewer; a .parquet one beside the simulated robot."""
+
+    recording: Annotated[Path, tyro.conf.Positional]
+    """.rrd, or .parquet, whose actions are replayed."""
+    out: Path | None = None
+    """Where to write the .rrd of a .parquet; beside it by default."""
+    open: bool = True
+    """Whether to open the viewer."""
+
+    def run(self) -> None:
+        from soro_bench.recording.rerun_log import open_viewer
+
+        path = self.recording
+        if path.suffix == ".parquet":
+            from soro_bench.recording.comparison import write_comparison
+            from soro_bench.recording.parquet import load
+
+            path = self.out or path.with_suffix(".rrd")
+            write_comparison(load(self.recording), path, self.recording.stem)
+            console.print(f"{path}", soft_wrap=True, markup=False, highlight=False)
+        if self.open:
+            open_viewer(path)
+
+
+def _describe(recording, path: Path) -> None:
+    table = Table("signal", "samples", "shape", "unit", "frame", title=f"{path}: {recording.duration:g} s")
+    for name, signal in (*recording.commands.items(), *sorted(recording.signals.items())):
+        shape = " x ".join(map(str, signal.values.shape[1:]))
+        table.add_row(name, str(len(signal.time)), shape, signal.unit, signal.frame)
+    console.print(table)
