@@ -180,6 +180,20 @@ def test_the_posterior_of_bayes_sim_narrows_around_the_truth():
         assert drawn.mean() == pytest.approx(0.7, abs=0.1) and drawn.std() < 0.15
 
 
+def test_a_network_with_nothing_in_the_search_box_is_an_error_and_no_endless_search():
+    import torch
+
+    from soro_bench.inference import bayes_sim
+
+    class Outside:
+        def sample(self, shape, **_):
+            return torch.full((*shape, 2), 1.5)
+
+    estimator = bayes_sim.Estimator(Outside(), 2, np.zeros(3), np.ones(3))
+    with pytest.raises(ValueError, match=r"0 of 10000 samples .* more simulations"):
+        estimator.sample(np.zeros(3), 10, 0)
+
+
 @pytest.mark.parametrize(
     "change, message",
     [

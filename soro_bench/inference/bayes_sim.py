@@ -17,6 +17,7 @@ from torch import nn
 
 FEATURES = ("mdn", "mdrff")
 COMPONENTS, HIDDEN = 5, 24  # published
+BATCHES = 1000  # of samples, in which as many as one batch have to lie in the search box
 CHECK_SAMPLES = 500  # of the posterior, for each simulation that it is checked on
 RANDOM_FEATURES, KERNEL_WIDTH, MATERN = 1000, 3.0, 3  # published: Matern 3/2, so Student's t with 3 degrees of freedom
 
@@ -26,14 +27,23 @@ class Estimator:
     """A trained posterior on the unit cube of the search box."""
 
     posterior: object
+    dimension: int
     center: np.ndarray
     scale: np.ndarray
 
     def sample(self, summary: np.ndarray, count: int, seed: int) -> np.ndarray:
-        """(count, d) points for one (m,) summary."""
+        """(count, d) points inside the search box for one (m,) summary; ValueError if the network has hardly any."""
         torch.manual_seed(seed)
         x = torch.as_tensor((summary - self.center) / self.scale, dtype=torch.float32)
-        return self.posterior.sample((count,), x=x, show_progress_bars=False).numpy().astype(float)
+        kept = np.zeros((0, self.dimension))
+        for _ in range(BATCHES):  # sbi's own rejection goes on for ever where nothing is accepted
+            drawn = self.posterior.sample((count,), x=x, show_progress_bars=False, reject_outside_prior=False)
+            inside = drawn[((drawn >= 0) & (drawn <= 1)).all(dim=1)]
+            kept = np.concatenate([kept, inside.detach().numpy().astype(float)])
+            if len(kept) >= count:
+                return kept[:count]
+        raise ValueError(f"{len(kept)} of {BATCHES * count} samples of BayesSim's network lie in the search box: "
+                         f"it has learned too little; more simulations are needed")  # fmt: skip
 
 
 def summarise(signals: np.ndarray, actions: np.ndarray) -> np.ndarray:
@@ -71,7 +81,7 @@ def train(points: np.ndarray, summaries: np.ndarray, features: str = "mdn", seed
         prior = BoxUniform(torch.zeros(theta.shape[1]), torch.ones(theta.shape[1]))
         inference = NPE(prior, density_estimator=build, show_progress_bars=False, tracker=_NoTracker())
         inference.append_simulations(theta, x).train(show_train_summary=False)
-        return Estimator(inference.build_posterior(), center, scale)
+        return Estimator(inference.build_posterior(), theta.shape[1], center, scale)
     finally:
         torch.set_num_threads(threads)
 
