@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from soro_bench.files import read_json
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.entry import thinned_curve, write_entry
 from soro_bench.parallel import processors
@@ -50,12 +51,24 @@ def carry_out(run: Run, work: Path, results: Path) -> None:
     """
     if run.result(results).exists():
         return
-    board, folder, threads = BOARDS[run.board], Path(work) / run.name, processors()
-    distribution = run.method.distribution(board.env_id, run.config.seed, folder)
-    policy = train(replace(run.config, num_threads=threads), folder, distribution)
-    evaluations = record_evaluations(policy, run.board, tuple(board.conditions), folder, threads)
-    drawn_from = None if distribution is None else distribution.to_dict()
-    write_entry(results, run.board, ENTRY, policy, evaluations, drawn_from, _training(folder, board.env_id))
+    folder, threads = Path(work) / run.name, processors()
+    distribution = run.method.distribution(run.config.env_id, run.config.seed, folder)
+    train(replace(run.config, num_threads=threads), folder, distribution)
+    enter(folder, run.board, ENTRY, results, threads)
+
+
+def enter(folder: Path, board: str, entry: str, results: Path, threads: int = 0) -> Path:
+    """Evaluate the policy that was trained into ``folder`` on all conditions of a board; returns its entry's file.
+
+    Args:
+        folder: as :func:`soro_bench.training.ppo.train` leaves it; gets a rerun recording of every evaluation.
+        entry: who, or which code base, trained it.
+        results: folder of all entries.
+    """
+    policy = Policy.load(folder)
+    evaluations = record_evaluations(policy, board, tuple(BOARDS[board].conditions), folder, threads)
+    distribution = read_json(folder / "config.json")["distribution"]
+    return write_entry(results, board, entry, policy, evaluations, distribution, _training(folder, policy.card.env_id))
 
 
 def _training(folder: Path, env_id: str) -> dict:

@@ -1,4 +1,4 @@
-"""``soro-bench leaderboard``: build the page, verify entries."""
+"""``soro-bench leaderboard``: enter a policy, verify entries, build the page."""
 
 import sys
 from dataclasses import dataclass
@@ -29,6 +29,30 @@ class Build:
         with console.status("entries ...") as status:
             page = build(self.results, self.out, self.record, lambda stage: status.update(f"{stage} ..."))
         console.print(f"{page}", soft_wrap=True, markup=False, highlight=False)
+
+
+@dataclass
+class Enter:
+    """Evaluate a policy that soro-bench train has written, on all conditions of its board, and write its entry."""
+
+    policy: Annotated[Path, tyro.conf.Positional]
+    """Folder of the training."""
+    entry: str
+    """Who, or which code base, trained it: the name of the folder of all its entries."""
+    board: str | None = None
+    """Such as TrunkLift-v0-50g; by default the first of the policy's environment."""
+    results: Path = Path("leaderboard", "results")
+    """Folder of the entries."""
+
+    def run(self) -> None:
+        from soro_bench.campaign.run import enter
+        from soro_bench.leaderboard.boards import board_of
+        from soro_bench.training.policy import Policy
+
+        board, _ = board_of(Policy.load(self.policy).card.env_id, self.board)
+        with console.status(f"evaluation on {board} ..."):
+            path = enter(self.policy, board, self.entry, self.results)
+        console.print(f"{path}", soft_wrap=True, markup=False, highlight=False)
 
 
 @dataclass
@@ -72,7 +96,9 @@ class Leaderboard:
     """The leaderboard: its page, and whether its entries reproduce."""
 
     command: tyro.conf.OmitSubcommandPrefixes[
-        Annotated[Build, tyro.conf.subcommand("build")] | Annotated[Verify, tyro.conf.subcommand("verify")]
+        Annotated[Build, tyro.conf.subcommand("build")]
+        | Annotated[Enter, tyro.conf.subcommand("enter")]
+        | Annotated[Verify, tyro.conf.subcommand("verify")]
     ]
 
     def run(self) -> None:
