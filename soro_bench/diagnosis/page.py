@@ -73,13 +73,15 @@ def _write_curves(diagnosis, path) -> None:
 
 
 def _page(diagnosis: Diagnosis, report: dict, text: str) -> str:
+    count = len(diagnosis.explanation.problem.recordings)
+    which = f" The first of {count} recordings." if count > 1 else ""
     plots = [
         ("What was found", "Probability of every effect.", _ranking(diagnosis)),
-        ("Where and when", "What the nominal robot leaves, with its parameters fitted and numerical error taken off.",
-         _heat(diagnosis)),
+        ("Where and when", "What the nominal robot leaves, with its parameters fitted and numerical error taken off."
+         + which, _heat(diagnosis)),
         ("Before and after", "The point with the largest error: measured less simulated. The band is two standard "
-         "deviations of the noise.", _overlay(diagnosis)),
-        ("When it is explained", "Evidence gained by the best hypothesis in every second.", _gain(diagnosis)),
+         "deviations of the noise." + which, _overlay(diagnosis)),
+        ("When it is explained", "Evidence gained by the best hypothesis in every second." + which, _gain(diagnosis)),
     ]  # fmt: skip
     if curve := force_against_state(diagnosis):
         caption = _CURVE.format(curve.effect.where, 100 * curve.share)

@@ -69,6 +69,8 @@ def _sentence(diagnosis: Diagnosis, finding: Finding) -> str:
         for name, q in shown["parameters"].items()
     )
     when = ", ".join(f"{w['start_s']:.0f}-{w['end_s']:.0f} s" for w in shown["when"][:6])
+    if len(diagnosis.explanation.problem.recordings) > 1:
+        when += " of the first recording"
     return (f"{finding.effect.name} at {finding.effect.where} (probability {finding.probability:.2f}): {values}; "
             f"visible at {when}; {shown['condition']}.")  # fmt: skip
 
