@@ -1,5 +1,7 @@
 """What the command line shows of long work."""
 
+import time
+
 from rich.console import Console, Group
 from rich.live import Live
 from rich.progress import (
@@ -13,6 +15,7 @@ from rich.progress import (
 from rich.text import Text
 
 console = Console()
+LOG_INTERVAL = 600.0  # s
 
 
 class StageBars:
@@ -83,22 +86,32 @@ class TrainingBars:
 
 
 class CampaignBar:
-    """How much of a campaign is done, the time that is left, and a line for each run that is being worked on."""
+    """How much of a campaign is done, the time that is left, and a line for each run that is being worked on.
+
+    Where nobody looks, in a log file, a line every ten minutes.
+    """
 
     def __enter__(self):
         # runs report every checkpoint, so their speed shows over many minutes only
         self._progress = Progress(TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.1f} %"),
                                   TimeElapsedColumn(), TimeRemainingColumn(), speed_estimate_period=1800)  # fmt: skip
-        self._task = None
+        self._task, self._told = None, 0.0
         self._live = Live(self._progress, console=console)
-        self._live.start()
+        if console.is_terminal:
+            self._live.start()
         return self
 
     def __call__(self, share: float, active: list[str]) -> None:
         if self._task is None:  # what was done before counts as no speed
             self._task = self._progress.add_task("campaign", total=1.0, completed=share)
         self._progress.update(self._task, completed=share)
-        self._live.update(Group(self._progress, Text("\n".join(active))))
+        if console.is_terminal:
+            self._live.update(Group(self._progress, Text("\n".join(active))))
+        elif time.monotonic() - self._told > LOG_INTERVAL or share == 1.0:
+            self._told, left = time.monotonic(), self._progress.tasks[0].time_remaining
+            when = "" if left is None else f", {left / 3600:.1f} h left"
+            console.print(f"{100 * share:.1f} %{when}; {'; '.join(active)}", soft_wrap=True, highlight=False)
 
     def __exit__(self, *_):
-        self._live.stop()
+        if console.is_terminal:
+            self._live.stop()
