@@ -43,7 +43,7 @@ def each(function: Callable, arguments: Iterable[tuple], workers: Workers = HERE
 
     Raises:
         ValueError: no scheduler answers, or a worker of the cluster runs several jobs in one process.
-        ChildProcessError: the scheduler died, or every worker that took one of the jobs.
+        ChildProcessError: a process on this machine died; or the scheduler, or every worker that took one of the jobs.
     """
     if workers.backend == "dask":
         yield from _on_cluster(function, arguments, workers.scheduler)
@@ -51,9 +51,19 @@ def each(function: Callable, arguments: Iterable[tuple], workers: Workers = HERE
         for given in arguments:
             yield function(*given)
     else:
-        from joblib import Parallel, delayed
+        yield from _on_this_machine(function, arguments, workers.jobs)
 
-        yield from Parallel(n_jobs=workers.jobs, return_as="generator")(delayed(function)(*a) for a in arguments)
+
+def _on_this_machine(function, arguments, jobs) -> Iterator:
+    from concurrent.futures import BrokenExecutor
+
+    from joblib import Parallel, delayed
+
+    try:
+        yield from Parallel(n_jobs=jobs, return_as="generator")(delayed(function)(*given) for given in arguments)
+    except BrokenExecutor as error:
+        raise ChildProcessError("a process was killed, or ran out of memory; what is in files is kept, and the same "
+                                "command goes on") from error  # fmt: skip
 
 
 def processors() -> int:

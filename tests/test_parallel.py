@@ -72,6 +72,12 @@ def test_a_training_whose_worker_is_killed_goes_on_and_ends_with_the_same_bytes(
     assert (there / "steps").read_text().split() == ["200", "400", "400", "600"]
 
 
+def test_a_process_that_is_killed_ends_the_command_in_words():
+    with pytest.raises(ChildProcessError, match="killed, or ran out of memory"):
+        list(each(die, [()] * 2, TWO))
+    assert list(each(squared, [(2,)] * 2, TWO)) == [4, 4]
+
+
 def test_a_job_that_kills_every_worker_is_given_up(cluster):
     with pytest.raises(ChildProcessError, match="workers died"):
         list(each(die, [()], cluster))
