@@ -124,7 +124,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=list(CASES), choices=list(CASES))
     parser.add_argument("--model", default="flex", help="of the recordings, and of the inference where it is the same")
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--work", type=Path, default=ROOT / "runs" / "inference")
+    parser.add_argument("--work", type=Path, default=ROOT / "docs" / "results" / "inference")
     options = parser.parse_args()
     rows = []
     for i, case in enumerate(options.only):
