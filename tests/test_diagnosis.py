@@ -5,6 +5,7 @@ import pytest
 
 from soro_bench.diagnosis import compare
 from soro_bench.diagnosis.audit import audit, outliers
+from soro_bench.diagnosis.explain import Explanation
 from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.localise import intervals, regimes
@@ -253,6 +254,19 @@ def test_what_nothing_explains_is_unknown_and_what_something_explains_is_not(rob
     assert compare._unknown(given, [poor]) > 0.95
     assert compare._unknown(given, [poor, poor]) > 0.95
     assert compare._unknown(given, [poor, good]) < 0.05
+
+
+def test_what_is_far_beyond_the_sensors_noise_and_not_explained_is_unknown_and_not_nothing(robot, actions):
+    """Even if no law promises anything."""
+    given = problem(robot, actions).allowing(20 * SIGMA)
+    residual = np.random.default_rng(0).standard_normal(given.weight.size)
+    slope, error = np.zeros((5, residual.size)), np.zeros((0, residual.size))
+    nominal = Hypothesis((), np.zeros(5), residual, 0.0, slope, error)
+    lead = Hypothesis((Suspect("actuator_gain", Port("actuator", "L0"), (0.85,), (True,)),), np.zeros(6),
+                      0.99 * residual, 0.0, np.zeros((6, residual.size)), error)  # fmt: skip
+    found = compare.compared(Explanation(given, nominal, (lead,), 0.0, 0.0, ()), None, ())
+    assert found.p_value == 0.0
+    assert found.unknown > 0.9
 
 
 def test_a_lead_like_those_of_nulls_is_no_detection():

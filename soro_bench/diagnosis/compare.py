@@ -81,8 +81,9 @@ def compared(found: Explanation, heldout: Problem | None, refined: Sequence[Robo
     problem, nominal = found.problem, found.nominal
     hypotheses = [nominal, *found.found[:COMPARED]]
     scores = np.array([h.log_evidence(problem) - _chance(h) for h in hypotheses])
-    # what was promised, and where the simulation was too far off for a promise, what has been gained
-    detected = p_value(max(found.promised, *(scores - scores[0])))
+    # what was promised, and where the simulation was too far off for a promise, what has been gained; where much more
+    # is left than the sensor's noise something is missing, whether or not a law explains it
+    detected = 0.0 if problem.rough else p_value(max(found.promised, *(scores - scores[0])))
     train = [problem.left(h.residual) for h in hypotheses]
     tested = [None] * len(hypotheses)
     if heldout is not None:
