@@ -17,6 +17,7 @@ from soro_bench.diagnosis.propose import Proposal, motions
 from soro_bench.diagnosis.report import report_of, write_json_report
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import suspect, suspects
+from soro_bench.diagnosis.verdict import verdict
 from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Effect, Port, load_effects
 from soro_bench.randomization import load
@@ -101,6 +102,17 @@ def test_a_hidden_payload_is_named_with_its_place_and_mass_and_the_held_out_fit_
     assert (tmp_path / "comparison.rrd").stat().st_size > 1000
     assert report["next_recording"] is None
     assert not (tmp_path / "next_actions.csv").exists()
+
+
+def test_parameters_far_from_their_nominal_values_are_pointed_out(payload):
+    found, _ = payload
+    assert "standard deviations of their priors" not in verdict(found)
+    best = found.comparison.answers[0]
+    far = replace(
+        best, hypothesis=replace(best.hypothesis, x=np.where(np.arange(len(best.hypothesis.x)) == 1, -4.0, 0.1))
+    )
+    text = verdict(replace(found, comparison=replace(found.comparison, answers=(far,))))
+    assert f"of their priors: {found.robot.priors[1].name} (-4.0);" in text
 
 
 def test_what_to_record_next_is_in_every_report_and_in_a_file_for_the_controller(robot, payload, tmp_path):

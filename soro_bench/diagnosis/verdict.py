@@ -10,6 +10,8 @@ from soro_bench.diagnosis.report import NEXT_ACTIONS, detectable
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import EVERY
 
+FAR = 3.0  # standard deviations of its prior: one parameter in 400 is that far from its nominal value
+
 
 def verdict(diagnosis: Diagnosis) -> str:
     """What was found, in sentences."""
@@ -30,6 +32,8 @@ def verdict(diagnosis: Diagnosis) -> str:
                     f"(probability {diagnosis.comparison.unknown:.2f}); nearest is {nearest}.")  # fmt: skip
     else:
         said += [_sentence(diagnosis, f) + _twin(f) for f in findings(diagnosis) if f.answer is best]
+    if far := _far(diagnosis):
+        said.append(far)
     said.append(f"Fit: {before_after(best.train, unit)}.")
     if best.heldout is not None:
         said.append(f"Held out: {before_after(best.heldout, unit)} ({percent(best.heldout)} explained).")
@@ -46,6 +50,15 @@ def verdict(diagnosis: Diagnosis) -> str:
     if diagnosis.proposal:
         said.append(_what_next(diagnosis.proposal, diagnosis.verdict == "unknown_physics"))
     return "\n".join(said)
+
+
+def _far(diagnosis: Diagnosis) -> str:
+    """Which parameters have gone where hardly anybody expected them, as a sentence; nothing if none has."""
+    x = diagnosis.comparison.answers[0].hypothesis.x
+    far = [f"{prior.name} ({x[i]:+.1f})" for i, prior in enumerate(diagnosis.robot.priors) if abs(x[i]) > FAR]
+    if not far:
+        return ""
+    return (f"Far from their nominal values, in standard deviations of their priors: {', '.join(far)}; either those are wrong, or what is missing looks like these parameters.")  # fmt: skip
 
 
 def _what_next(proposal: Proposal, unknown: bool) -> str:
