@@ -58,8 +58,8 @@ def _far(diagnosis: Diagnosis) -> str:
     far = [f"{prior.name} ({x[i]:+.1f})" for i, prior in enumerate(diagnosis.robot.priors) if abs(x[i]) > FAR]
     if not far:
         return ""
-    return (f"Far from their nominal values, in standard deviations of their priors: {', '.join(far)}; either those are "
-            f"wrong, or what is missing looks like these parameters.")  # fmt: skip
+    return (f"Far from their nominal values, in standard deviations of their priors: {', '.join(far)}; either those "
+            f"are wrong, or what is missing looks like these parameters.")  # fmt: skip
 
 
 def _what_next(proposal: Proposal, unknown: bool) -> str:
