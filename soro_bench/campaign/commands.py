@@ -94,4 +94,6 @@ def campaign(runs, work: Path, results: Path, workers: Workers, only_plan: bool 
     build(results, work)
     groups = [group for members in gather_control(results).values() for group in members]
     console.print(markdown_table(groups), soft_wrap=True, markup=False, highlight=False)
-    console.print(f"{work / 'index.html'} shows them; watch what a policy does with: soro-bench view FILE.rrd")
+    console.print(
+        f"{work / 'index.html'} shows them; watch what a policy does with: soro-bench view FILE.rrd", soft_wrap=True
+    )
