@@ -12,12 +12,13 @@ pytest.importorskip("rerun")
 pytest.importorskip("matplotlib")
 
 from soro_bench.diagnosis import pipeline
+from soro_bench.diagnosis.findings import Finding
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.propose import Proposal, motions
 from soro_bench.diagnosis.report import report_of, write_json_report
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import suspect, suspects
-from soro_bench.diagnosis.verdict import verdict
+from soro_bench.diagnosis.verdict import _twin, verdict
 from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Effect, Port, load_effects
 from soro_bench.randomization import load
@@ -113,6 +114,18 @@ def test_parameters_far_from_their_nominal_values_are_pointed_out(payload):
     )
     text = verdict(replace(found, comparison=replace(found.comparison, answers=(far,))))
     assert f"of their priors: {found.robot.priors[1].name} (-4.0);" in text
+
+
+@pytest.mark.parametrize("name, where, said", [
+    ("sensor_delay", Port("sensor", "keypoints"), "tell it from actuator_delay at every actuator: only clocks can"),
+    ("actuator_delay", Port("actuator", "*"), "tell it from sensor_delay: only clocks can"),
+    ("actuator_delay", Port("actuator", "L0"), ""),
+    ("payload", Port("body", "vertebra7"), ""),
+])  # fmt: skip
+def test_a_delay_of_everything_measured_is_no_other_than_one_of_everything_commanded(name, where, said):
+    found = Finding(None, Effect(name, where, {}), None, 1.0)
+    assert said in _twin(found)
+    assert bool(said) == bool(_twin(found))
 
 
 def test_what_to_record_next_is_in_every_report_and_in_a_file_for_the_controller(robot, payload, tmp_path):

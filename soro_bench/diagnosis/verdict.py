@@ -91,13 +91,11 @@ def _sentence(diagnosis: Diagnosis, finding: Finding) -> str:
 
 def _twin(finding: Finding) -> str:
     """What no recording can tell from the finding, as a sentence; nothing if there is no such thing."""
-    name, where = finding.effect.name, finding.effect.where
-    if where.name != EVERY or name not in _DELAYS:
+    # all commands or all measurements late: either way what is measured is late by as much
+    if finding.effect.name == "sensor_delay":
+        twin = "actuator_delay at every actuator"
+    elif finding.effect.name == "actuator_delay" and finding.effect.where.name == EVERY:
+        twin = "sensor_delay"
+    else:
         return ""
-    return (
-        f" {name} at {where} is the same as {_DELAYS[name]}: only clocks tell them apart, or a sensor of another kind."
-    )
-
-
-# all commands or all measurements late: either way what is measured is late by as much
-_DELAYS = {"sensor_delay": "actuator_delay at every actuator", "actuator_delay": "sensor_delay at every sensor"}
+    return f" No recording can tell it from {twin}: only clocks can."
