@@ -9,6 +9,7 @@ from threading import Event, Thread
 from soro_bench.campaign.run import Run, carry_out
 from soro_bench.parallel import Workers, each
 
+TRAINING = 0.95  # of a run; the rest is its evaluation
 POLL = 2.0  # s between looks at what the runs have written
 # Time of an environment step with the policy's share of an update, relative to TrunkReach's on the cheap model
 # (docs/performance.md, docs/multigait.md); only what is shown of the time left depends on it
@@ -54,7 +55,7 @@ def state(runs: Sequence[Run], work: Path, results: Path) -> tuple[float, list[s
             continue
         steps = run.config.num_segments * run.config.segment_steps
         share = min(int(row["steps"]) / steps, 1.0)
-        done += share * cost
+        done += TRAINING * share * cost
         value = next(value for name, value in row.items() if name.startswith("final_"))
         what = f"{value} mm in training" if share < 1 else "evaluation"
         active.append(f"{run.name}: {int(row['steps']):,} of {steps:,} steps, {what}")
