@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from soro_bench.campaign.run import ENTRY
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.gather import Group, gather_control
 from soro_bench.leaderboard.table import markdown_table
@@ -86,7 +87,8 @@ def lift_table(groups: dict[tuple[str, str], Group]) -> str:
 
 def main() -> None:
     found = gather_control(RESULTS)
-    groups = {(board, group.method): group for board, members in found.items() for group in members}
+    # ours alone: others may enter methods of the same names
+    groups = {(board, g.method): g for board, members in found.items() for g in members if g.entry == ENTRY}
     print("\n\n".join((parameters_table(groups), markdown_table(groups.values()), lift_table(groups))))
 
 

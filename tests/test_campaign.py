@@ -12,7 +12,7 @@ from soro_bench.campaign.campaign import carry_out_all, state
 from soro_bench.campaign.plan import BOXES, SEEDS, UNMODELLED, chosen, paper, runs_of, variance_for_deviation
 from soro_bench.campaign.run import Run
 from soro_bench.files import read_json
-from soro_bench.leaderboard.boards import BOARDS
+from soro_bench.leaderboard.boards import BOARDS, board_of
 from soro_bench.leaderboard.entry import policy_of, read_entry
 from soro_bench.parallel import HERE
 from soro_bench.randomization import TruncatedNormal, from_dict
@@ -103,6 +103,14 @@ def test_a_run_ends_in_an_entry_whose_policy_is_the_trained_one(small_board, tmp
         assert (work / run.name / "evaluation_cable.rrd").exists()
     assert read_json(runs[0].result(results))["distribution"] is None
     from_dict(read_json(runs[1].result(results))["distribution"])
+
+
+def test_an_environment_without_a_board_or_with_others_is_an_error_in_words():
+    with pytest.raises(ValueError, match="TrunkFly-v0 has no board; there are TrunkReach-v0"):
+        board_of("TrunkFly-v0")
+    with pytest.raises(ValueError, match="TrunkLift-v0 has no board 'TrunkReach-v0'; it has TrunkLift-v0-50g"):
+        board_of("TrunkLift-v0", "TrunkReach-v0")
+    assert board_of("TrunkLift-v0")[0] == "TrunkLift-v0-50g"
 
 
 def test_finished_runs_are_not_carried_out_again(small_board, tmp_path):

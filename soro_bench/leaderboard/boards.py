@@ -105,6 +105,8 @@ BOARDS = {
 def board_of(env_id: str, name: str | None = None) -> tuple[str, Board]:
     """The board with that name, or the first of an environment; ValueError if it is not the environment's."""
     names = [each for each, board in BOARDS.items() if board.env_id == env_id]
+    if not names:
+        raise ValueError(f"{env_id} has no board; there are {', '.join(BOARDS)}")
     if name is not None and name not in names:
         raise ValueError(f"{env_id} has no board {name!r}; it has {', '.join(names)}")
     return name or names[0], BOARDS[name or names[0]]
