@@ -101,6 +101,8 @@ def _client(scheduler):
         return Client(scheduler, timeout=TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise ValueError(f"no Dask scheduler answers at {scheduler}: {error}") from error
+    except AssertionError as error:  # of distributed (2026.8), where its own thread does not start within 10 s
+        raise ValueError(f"no Dask scheduler answers at {scheduler}: this machine is too busy to ask") from error
 
 
 def _alone(function, *given):

@@ -109,6 +109,17 @@ def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
             list(each(squared, [(2,)], Workers(backend="dask", scheduler=address)))
 
 
+def test_a_machine_that_is_too_busy_to_ask_a_scheduler_says_so(monkeypatch):
+    distributed = pytest.importorskip("distributed", reason="needs the cluster extra")
+
+    def starved(*_, **__):
+        raise AssertionError
+
+    monkeypatch.setattr(distributed, "Client", starved)
+    with pytest.raises(ValueError, match="this machine is too busy"):
+        list(each(squared, [(2,)], Workers(backend="dask", scheduler="tcp://127.0.0.1:9")))
+
+
 @pytest.mark.parametrize("settings, message", [
     ({"jobs": 0}, "jobs 0: 1 or more are needed"),
     ({"backend": "dask"}, "needs the address of a scheduler"),
