@@ -16,7 +16,9 @@ from soro_bench.effects.elements import without_unused_springs
 from soro_bench.files import replacing
 
 MODEL, REMAINING = "patched_model.xml", "remaining_effects.json"
-_PRECISION = 1e-5  # of a field's largest value; MuJoCo writes six digits
+# of a field's largest value: what compiling again changes in derived fields, and the six digits that MuJoCo writes
+_ROUNDING, _PRECISION = 1e-12, 1e-5
+_FLAGS = ("body_sameframe", "body_simple")  # the compiler's shortcuts, which it takes for other values of other fields
 
 
 class PatchError(ValueError):
@@ -92,7 +94,7 @@ def patched_spec(robot: Robot, parameters: Mapping[str, float], effects: Sequenc
     except ValueError as error:
         raise PatchError(f"MJCF cannot hold the fitted model: {error}") from error
     # copy_back passes over fields that it does not know
-    if lost := _differing(model, spec.compile(), 0.0):
+    if lost := _differing(model, spec.compile(), _ROUNDING):
         raise PatchError(f"MJCF cannot hold the fitted {', '.join(lost)}")
     return without_unused_springs(spec)
 
@@ -108,11 +110,21 @@ def written(spec: mujoco.MjSpec, comment: str) -> str:
 
 def _differing(model: mujoco.MjModel, other: mujoco.MjModel, tolerance: float) -> list[str]:
     """Names of the fields that differ by more than a share of their largest values."""
-    return [name for name in sorted(MODEL_FIELDS) if not _same(*map(attrgetter(name), (model, other)), tolerance)]
+    names = sorted(MODEL_FIELDS - set(_FLAGS))
+    return [name for name in names if not _same(_values(model, name), _values(other, name), tolerance)]
+
+
+def _values(model, name) -> np.ndarray:
+    """A field, without what makes no difference: the lengths of quaternions, and where the mass of no mass is."""
+    values = np.array(attrgetter(name)(model), float)
+    if name in ("body_quat", "body_iquat"):
+        values /= np.linalg.norm(values, axis=-1, keepdims=True)
+    if name in ("body_ipos", "body_iquat"):
+        values.reshape(model.nbody, -1)[model.body_mass.ravel() == 0] = 0.0
+    return values
 
 
 def _same(a, b, tolerance) -> bool:
-    a, b = np.asarray(a, float), np.asarray(b, float)
     scale = np.abs(a).max(initial=0.0)
     return a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=tolerance * scale, equal_nan=True)
 

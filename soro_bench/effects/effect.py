@@ -35,7 +35,7 @@ class Port:
 class Quantity:
     """A parameter of a law.
 
-    typical: where a search begins; a multiple of the port's scale of force or length if ``of`` says so.
+    typical: where a search begins; a multiple of the port's scale of force, damping or length if ``of`` says so.
     null: where the law does nothing, if this is its first parameter.
     also: other values that make another signature, from which a search begins too.
     """
@@ -46,7 +46,7 @@ class Quantity:
     bounds: tuple[float, float]
     null: float = 0.0
     also: tuple[float, ...] = ()  # other values where a search begins
-    of: Literal["force", "length"] | None = None
+    of: Literal["force", "damping", "length"] | None = None
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ AUXILIARY = "auxiliary:"  # and a joint's name: a spring of the effects, beside 
 NEVER = 1e9  # m or rad, a yield threshold that is not reached
 _SCALARS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _SHARE = 0.03  # of a range, what counts as a typical force or length
+_SPEED, _TURN = 0.05, 1.0  # m/s and rad/s, at which a typical damping gives a typical force
 
 
 def instrument(spec: mujoco.MjSpec) -> mujoco.MjSpec:
@@ -103,9 +104,11 @@ class Elements:
         return np.flatnonzero((model.actuator_trntype == kind) & (model.actuator_trnid[:, 0] == self.id(port)))
 
     def scale(self, port: Port, of: str | None) -> float:
-        """What a typical force or length is a multiple of: a share of the port's range, or 1."""
+        """What a typical force, damping or length is a multiple of: a share of the port's range, or 1."""
         if of is None:
             return 1.0
+        if of == "damping":
+            return self.scale(port, "force") / (_TURN if self._turns(port) else _SPEED)
         model = self.model
         if port.kind == "actuator":
             i = self.id(port)
@@ -121,6 +124,9 @@ class Elements:
         if port.kind == "joint" and (stiffness := float(np.ravel(model.jnt_stiffness[self.id(port)])[0])) > 0:
             return _SHARE * stiffness
         return 1.0
+
+    def _turns(self, port: Port) -> bool:
+        return port.kind == "joint" and self.model.jnt_type[self.id(port)] == mujoco.mjtJoint.mjJNT_HINGE
 
     def _tendons(self):
         names = _names(self.model, mujoco.mjtObj.mjOBJ_TENDON, self.model.ntendon)

@@ -10,7 +10,7 @@ class ViscousFriction(Law):
     """A force in proportion to the velocity."""
 
     name, category, kinds = "viscous_friction", "timing", ("tendon", "joint")
-    quantities = (Quantity("damping", "N s/m or N m s/rad", 20.0, (0.0, np.inf), of="force"),)
+    quantities = (Quantity("damping", "N s/m or N m s/rad", 1.0, (0.0, np.inf), of="damping"),)
     fields = ("tendon_damping", "dof_damping")
 
     def prepare(self, elements):
