@@ -85,18 +85,18 @@ def test_the_patched_model_of_a_real_robot_moves_as_its_simulation(name):
     robot = ModelRobot(mjcf_path(f"real/{name}.xml"), mjcf_path(f"real/{name}.toml"), threads=1)
     parameters = robot.parameters(0.5 * np.random.default_rng(0).standard_normal(len(robot.priors)))
     spec, expected = patched_spec(robot, parameters, []), driven(robot.model(parameters, []))
-    np.testing.assert_allclose(driven(spec.compile()), expected, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(driven(mujoco.MjModel.from_xml_string(written(spec, ""))), expected, rtol=0, atol=1e-3)
+    np.testing.assert_allclose(driven(spec.compile()), expected, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(driven(mujoco.MjModel.from_xml_string(written(spec, ""))), expected, rtol=0, atol=1e-5)
 
 
 def driven(model):
-    """Positions of all sites [m] after 20 time steps under a tenth of the largest commands."""
+    """Positions of all bodies and sites [m] after 20 time steps under a tenth of the largest commands."""
     data = mujoco.MjData(model)
     for _ in range(20):
         data.ctrl[:] = 0.1 * model.actuator_ctrlrange[:, 1]
         mujoco.mj_step(model, data)
     mujoco.mj_forward(model, data)
-    return data.site_xpos.copy()
+    return np.concatenate([data.xpos, data.site_xpos])
 
 
 def test_the_file_loads_from_any_folder_and_says_what_it_has(robot, tmp_path, monkeypatch):
