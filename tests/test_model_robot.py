@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.model_robot import ModelError, ModelRobot
+from soro_bench.diagnosis.mapping import ModelError
+from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.pipeline import diagnose
 from soro_bench.diagnosis.report import earlier

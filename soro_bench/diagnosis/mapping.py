@@ -1,0 +1,251 @@
+"""The TOML file that says how the recordings and the parameters of a robot belong to its MuJoCo model.
+
+[robot]
+control_timestep = 0.02           # s, how long a command is held
+settle = 1.0                      # s with the first command before a recording begins; none by default
+accurate = "finer.xml"            # a more accurate model with the same names, if there is one
+
+[commands.goal]                   # a command of the recordings, one column for each actuator
+actuators = ["motor"]
+
+[signal]                          # what is explained: positions of sites, joints, or sensors
+name = "angle"
+joints = ["hinge"]                # or sites = [...], or sensors = [...]
+unit = "rad"
+frame = ""
+
+[initial]                         # joints that begin where the signal of this one joint does
+joints = ["hinge"]
+
+[settings.gain]                   # fields that are scaled by a number that is known of every recording,
+metadata = "gain"                 # from its metadata, or command = "..." of one column for what changes with time
+reference = 200                   # the number for which the fields are as in the model; 1 by default
+fields = ["actuator_gainprm[0]:motor"]
+
+[parameters.inertia]              # fields that are scaled together, or with add = true and a unit shifted
+fields = ["body_mass:arm", "body_inertia:arm"]  # a star in a name is for any text: "site_pos[0]:hole_*"
+deviation = 0.3                   # of the prior: of the logarithm, or in the unit
+"""
+
+import re
+import tomllib
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import mujoco
+import numpy as np
+
+from soro_bench.diagnosis.robot import Prior
+from soro_bench.models.simulation import FieldWrite
+from soro_bench.recording.recording import Recording, RecordingError
+from soro_bench.recording.untrusted import read_bytes
+
+_MAX_BYTES = 1_000_000
+_SECTIONS = {
+    "robot": ("control_timestep", "settle", "accurate"),
+    "commands": None,
+    "signal": ("name", "sites", "joints", "sensors", "unit", "frame"),
+    "initial": ("joints",),
+    "settings": None,
+    "parameters": None,
+}
+_SETTING = ("fields", "metadata", "command", "reference")
+_PARAMETER = ("fields", "deviation", "add", "unit")
+_FIELD = re.compile(r"(?P<field>\w+)(\[(?P<column>\d+)\])?:(?P<element>.+)")
+_OBJECTS = {
+    "jnt": mujoco.mjtObj.mjOBJ_JOINT,
+    "dof": mujoco.mjtObj.mjOBJ_JOINT,
+    "body": mujoco.mjtObj.mjOBJ_BODY,
+    "geom": mujoco.mjtObj.mjOBJ_GEOM,
+    "site": mujoco.mjtObj.mjOBJ_SITE,
+    "tendon": mujoco.mjtObj.mjOBJ_TENDON,
+    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
+}
+_WIDTH = {"mjJNT_FREE": 6, "mjJNT_BALL": 3}  # degrees of freedom of a joint; others have one
+_FAR = 100.0  # deviations, the bounds of a parameter that is added
+
+
+class ModelError(ValueError):
+    """A model or its mapping cannot be used; says what is wrong and what is allowed."""
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """One field that a parameter changes: some rows of it, in one column or all."""
+
+    field: str
+    rows: np.ndarray
+    column: int | None
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is known of a recording: a number of its metadata, or a command of one column. It has the value 1 where the
+    number is the reference."""
+
+    metadata: str | None
+    command: str | None
+    reference: float
+
+    def values(self, recording: Recording, times: np.ndarray) -> np.ndarray:
+        """(T,) values at times [s]; RecordingError says what the recording lacks."""
+        if self.command:
+            return held(recording, self.command, times, 1)[:, 0] / self.reference
+        text = recording.metadata.get(self.metadata)
+        try:
+            return np.full(len(times), float(text) / self.reference)
+        except (TypeError, ValueError) as error:
+            message = f"metadata {self.metadata!r} of the recording is {text!r}; a number is needed"
+            raise RecordingError(message) from error
+
+
+class Fields:
+    """Parameters and settings as changes of model fields."""
+
+    def __init__(self, model, entries: dict[str, list[_Entry]], added: set[str]):
+        self._model, self._entries, self._added = model, entries, added
+
+    def writes(self, params):
+        """The changed fields, each with all its changes."""
+        found: dict[str, np.ndarray] = {}
+        for name, entries in self._entries.items():
+            for entry in entries:
+                own = getattr(self._model, entry.field)
+                values = found.setdefault(entry.field, np.repeat(own[None], len(params[name]), axis=0))
+                at = (slice(None), entry.rows) if entry.column is None else (slice(None), entry.rows, entry.column)
+                by = params[name].reshape(-1, *[1] * (values[at].ndim - 1))
+                values[at] = values[at] + by if name in self._added else values[at] * by
+        return [FieldWrite(field, np.arange(values.shape[1]), values) for field, values in found.items()]
+
+
+def read_mapping(path) -> dict:
+    """The mapping, checked for its sections and entries; those left out are empty."""
+    try:
+        table = tomllib.loads(read_bytes(path, _MAX_BYTES).decode())
+    except ValueError as error:
+        raise ModelError(f"{path} is no TOML file: {error}") from error
+    _check_keys(str(path), table, tuple(_SECTIONS))
+    for section, allowed in _SECTIONS.items():
+        entries = table.setdefault(section, {})
+        if not isinstance(entries, dict):
+            raise ModelError(f"{section} has to be a section, [{section}]")
+        if allowed is not None:
+            _check_keys(f"[{section}]", entries, allowed)
+    return table
+
+
+def held(recording, name, times, columns) -> np.ndarray:
+    """(T, columns) the last numbers of a command until each of the times [s], or the first ones."""
+    if name not in recording.commands:
+        raise RecordingError(f"the recording has no command {name!r}; it has {sorted(recording.commands)}")
+    command = recording.commands[name]
+    values = command.values.reshape(len(command.time), -1)
+    if values.shape[1] != columns:
+        raise RecordingError(f"command {name!r} has {values.shape[1]} columns; expected {columns}")
+    held = values[np.maximum(np.searchsorted(command.time, times + 1e-9, side="right") - 1, 0)]
+    if np.isnan(held).any():
+        raise RecordingError(f"the command {name!r} has missing numbers")
+    return held
+
+
+def settings_of(model, table) -> tuple[list[Setting], dict[str, list[_Entry]]]:
+    """Settings, and the fields that each of them scales."""
+    settings, entries = [], {}
+    for name, entry in table.items():
+        label = f"[settings.{name}]"
+        if not isinstance(entry, dict):
+            raise ModelError(f"{label} has to be a section")
+        _check_keys(label, entry, _SETTING)
+        source = [entry[key] for key in ("metadata", "command") if key in entry]
+        if len(source) != 1 or not isinstance(source[0], str):
+            raise ModelError(f"{label} needs either metadata or command, the name of one")
+        reference = number(f"{label} reference", entry.get("reference", 1.0), 1e-9, 1e9)
+        settings.append(Setting(entry.get("metadata"), entry.get("command"), reference))
+        entries[name] = [_entry(model, label, text) for text in names_of(f"settings.{name}", entry, "fields")]
+    return settings, entries
+
+
+def parameters_of(model, table, scaled: dict[str, list[_Entry]]) -> tuple[tuple[Prior, ...], Fields]:
+    """Priors, and what they and the settings, whose fields are ``scaled``, change."""
+    priors, entries, added = [], dict(scaled), set()
+    for name, entry in table.items():
+        label = f"[parameters.{name}]"
+        if not isinstance(entry, dict):
+            raise ModelError(f"{label} has to be a section")
+        _check_keys(label, entry, _PARAMETER)
+        if name in scaled:
+            raise ModelError(f"{label} has the name of a setting")
+        deviation = number(f"{label} deviation", entry.get("deviation"), 1e-9, 1e9)
+        entries[name] = [_entry(model, label, text) for text in names_of(f"parameters.{name}", entry, "fields")]
+        if entry.get("add", False):
+            added.add(name)
+            bounds = (-_FAR * deviation, _FAR * deviation)
+            priors.append(Prior(name, str(entry.get("unit", "1")), 0.0, deviation, False, bounds))
+        else:
+            priors.append(Prior(name, "1", 1.0, deviation, True, (1e-3, 1e3)))
+    if not priors:
+        raise ModelError("the mapping has no [parameters.<name>]; a diagnosis fits at least one")
+    return tuple(priors), Fields(model, entries, added)
+
+
+def _entry(model, label, text) -> _Entry:
+    """What "field[column]:element" means."""
+    match = _FIELD.fullmatch(text)
+    kind = match["field"].split("_")[0] if match else ""
+    if not match or kind not in _OBJECTS or not hasattr(model, match["field"]):
+        raise ModelError(f"{label} has {text!r}; expected field:element of {', '.join(_OBJECTS)}: body_mass:arm")
+    field, column = getattr(model, match["field"]), match["column"] and int(match["column"])
+    if column is not None and (field.ndim < 2 or column >= field.shape[1]):
+        raise ModelError(f"{label}: {match['field']} has no column {column}; its shape is {field.shape}")
+    if match["element"] == "*":
+        return _Entry(match["field"], np.arange(len(field)), column)
+    count = model.njnt if kind == "dof" else len(field)
+    numbers = _matching(model, kind, count, match["element"], label)
+    if kind == "dof":
+        widths = [_WIDTH.get(mujoco.mjtJoint(model.jnt_type[i]).name, 1) for i in numbers]
+        numbers = [model.jnt_dofadr[i] + k for i, width in zip(numbers, widths, strict=True) for k in range(width)]
+    return _Entry(match["field"], np.array(numbers), column)
+
+
+def _matching(model, kind, count, name, label) -> list[int]:
+    """MuJoCo's numbers of the element with a name, or of those, of ``count``, that match one with a star in it."""
+    if "*" not in name:
+        return [element(model, _OBJECTS[kind], name)]
+    names = [mujoco.mj_id2name(model, _OBJECTS[kind], i) for i in range(count)]
+    if not (found := [i for i, each in enumerate(names) if each and fnmatchcase(each, name)]):
+        raise ModelError(f"{label}: no {kind} of the model is called {name!r}")
+    return found
+
+
+def element(model, kind, name) -> int:
+    """MuJoCo's number of an element."""
+    if not isinstance(name, str) or (number := mujoco.mj_name2id(model, kind, name)) < 0:
+        raise ModelError(f"the model has no {kind.name[6:].lower()} {name!r}")
+    return number
+
+
+def joint(model, name) -> int:
+    """MuJoCo's number of a joint with one degree of freedom."""
+    number = element(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+    if mujoco.mjtJoint(model.jnt_type[number]).name in _WIDTH:
+        raise ModelError(f"joint {name!r} has several degrees of freedom; one is needed")
+    return number
+
+
+def names_of(label, entry, key) -> list[str]:
+    values = entry.get(key) if isinstance(entry, dict) else None
+    if not isinstance(values, list) or not values or not all(isinstance(value, str) for value in values):
+        raise ModelError(f"[{label}] {key} is {values!r}; expected a list of names")
+    return values
+
+
+def number(label, value, low, high) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+        raise ModelError(f"{label} is {value!r}; expected a number from {low:g} to {high:g}")
+    return float(value)
+
+
+def _check_keys(label, table, allowed) -> None:
+    for key in table:
+        if key not in allowed:
+            raise ModelError(f"unknown entry {key!r} in {label}; there are {', '.join(allowed)}")
