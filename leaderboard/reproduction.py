@@ -2,13 +2,15 @@
 
     python leaderboard/reproduction.py
 
-Reads the entries in leaderboard/results and prints the tables of docs/reproduction.md, in the paper's units.
+Reads the entries in leaderboard/results and writes the tables of docs/reproduction.md, in the paper's units.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
 
+from soro_bench.campaign.plan import paper
 from soro_bench.campaign.run import ENTRY
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.gather import Group, gather_control
@@ -16,6 +18,8 @@ from soro_bench.leaderboard.table import markdown_table
 from soro_bench.parameters import ALL_PARAMETERS
 
 RESULTS = Path(__file__).parent / "results"
+PAGE = Path(__file__).parents[1] / "docs" / "reproduction.md"
+TABLE = re.compile(r"(<!-- (\w+): leaderboard/reproduction.py -->\n\n).*?(\n\n<!-- end -->)", re.DOTALL)
 UNITS = {"young_modulus": 1e3}  # kPa are kg/(mm s²); masses are in kg
 COLUMNS = ("cube_mass", "friction", "trunk_mass", "poisson_ratio", "young_modulus")
 # Tiboni et al., IROS 2023, Tables I to III: means and, of RF-DROPO, standard deviations of the dynamics parameters, of
@@ -85,11 +89,29 @@ def lift_table(groups: dict[tuple[str, str], Group]) -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
+def tables() -> dict[str, str]:
+    """The tables of the page by their names, Markdown."""
     found = gather_control(RESULTS)
     # ours alone: others may enter methods of the same names
     groups = {(board, g.method): g for board, members in found.items() for g in members if g.entry == ENTRY}
-    print("\n\n".join((parameters_table(groups), markdown_table(groups.values()), lift_table(groups))))
+    planned = paper()
+    done = sum(run.result(RESULTS).exists() for run in planned)
+    return {
+        "state": f"**State: {len(planned)} runs are planned, {done} are done.**",
+        "parameters": parameters_table(groups),
+        "policies": markdown_table(groups.values()),
+        "lift": lift_table(groups),
+    }
+
+
+def filled(page: str) -> str:
+    """The page with its tables as the entries have them now."""
+    found = tables()
+    return TABLE.sub(lambda match: match[1] + found[match[2]] + match[3], page)
+
+
+def main() -> None:
+    PAGE.write_text(filled(PAGE.read_text()))
 
 
 if __name__ == "__main__":

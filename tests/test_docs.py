@@ -12,3 +12,9 @@ def test_the_page_of_every_environment_is_what_its_code_says():
     assert {path.name for path in (DOCS / "environments").glob("*.md")} == {path.name for path in pages}
     for path, text in pages.items():
         assert path.read_text() == text, path.name
+
+
+def test_the_tables_of_the_reproduction_are_what_the_entries_say():
+    """If not: python leaderboard/reproduction.py."""
+    page = (DOCS / "reproduction.md").read_text()
+    assert runpy.run_path(str(DOCS.parent / "leaderboard" / "reproduction.py"))["filled"](page) == page
