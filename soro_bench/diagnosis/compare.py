@@ -45,10 +45,15 @@ class Fit:
 
 @dataclass(frozen=True)
 class Answer:
-    """A hypothesis and how probable it is. ``heldout`` is None where no recording is held out."""
+    """A hypothesis and how probable it is.
+
+    evidence: natural logarithm, of all recordings, less what its effects gain by chance, but for a common constant.
+    heldout: None where no recording is held out.
+    """
 
     hypothesis: Hypothesis
     probability: float
+    evidence: float
     train: Fit
     heldout: Fit | None
 
@@ -94,8 +99,8 @@ def compared(found: Explanation, heldout: Problem | None, refined: Sequence[Robo
         tested = [heldout.left(row) for row in residuals]
     chances = _chances(scores, detected, min(problem.excess(h.residual) for h in hypotheses))
     answers = [
-        Answer(h, p, Fit(train[0], a, problem.sensor), None if b is None else Fit(tested[0], b, problem.sensor))
-        for h, p, a, b in zip(hypotheses, chances, train, tested, strict=True)
+        Answer(h, p, e, Fit(train[0], a, problem.sensor), None if b is None else Fit(tested[0], b, problem.sensor))
+        for h, p, e, a, b in zip(hypotheses, chances, scores.tolist(), train, tested, strict=True)
     ]
     unknown = (1.0 - detected) * _unknown(problem, hypotheses)
     answers = [replace(a, probability=a.probability * (1.0 - unknown)) for a in answers]

@@ -99,6 +99,7 @@ def report_of(diagnosis: Diagnosis) -> dict:
         "p_value": comparison.p_value,
         "alpha": ALPHA,
         "promised": diagnosis.explanation.promised,
+        "still_promised": diagnosis.explanation.left,
         "effects": ranked,
         "classes": _classes(diagnosis, ranked),
         "hypotheses": [_hypothesis(diagnosis, answer) for answer in comparison.answers],
@@ -129,6 +130,7 @@ def _hypothesis(diagnosis: Diagnosis, answer: Answer) -> dict:
         "unknowns": len(hypothesis.x),
         "excess": problem.excess(hypothesis.residual),
         "log_evidence": hypothesis.log_evidence(problem),
+        "evidence": answer.evidence,
         "samples": int(problem.weight.sum()),
     }
 
