@@ -118,6 +118,22 @@ def test_a_command_is_one_until_its_numbers_leave_where_they_were(csv):
     assert kept.values.tolist() == [1]
 
 
+def test_a_recording_can_begin_later_than_its_file(csv):
+    mapping = """
+        [time]
+        column = "t"
+        begin = 0.3
+        until = 0.2
+        [signals.f]
+        columns = ["f"]
+        unit = "N"
+    """
+    recording = csv("t,f\n5.0,1\n5.1,2\n5.2,3\n5.3,4\n5.4,5\n5.5,6\n", mapping)
+    assert recording.signals["f"].values.tolist() == [4, 5]
+    np.testing.assert_allclose(recording.signals["f"].time, [0.0, 0.1], atol=1e-12)
+    assert float(recording.metadata["start_time"]) == 5.3
+
+
 def test_csv_of_counted_rows_of_some_trials(csv):
     """Rows are counted where there are no times, and a signal shows the end of the interval."""
     mapping = """

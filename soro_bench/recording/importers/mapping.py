@@ -14,6 +14,7 @@ from soro_bench.recording.recording import Recording, RecordingError, Signal, ch
 from soro_bench.recording.untrusted import named_errors, read_bytes
 
 MAX_BYTES = 1_000_000
+_ROUNDING = 1e-9  # s
 _SECTIONS = ("format", "time", "commands", "signals", "parameters", "metadata")
 _VALUE_KEYS = ("unit", "scale", "offset", "frame", "shape", "shift", "leaves")
 
@@ -67,8 +68,10 @@ class FileMapping:
     def recording(self, read, source: str) -> Recording:
         """The recording whose signals ``read(source)`` gives as (T,) times [s] and (T, ...) numbers.
 
-        Time is counted from the first sample of all; the metadata keep where that was, as "start_time" [s].
+        Time is counted from the first sample of all, or from [time] begin after it; the metadata keep where that was,
+        as "start_time" [s].
         """
+        begin = _positive("[time] begin", self.time["begin"]) if "begin" in self.time else 0.0
         until, found = _positive("[time] until", self.time.get("until", math.inf)), {}
         for group, sources in (("commands", self.commands), ("signals", self.signals)):
             for name, place in sources.items():
@@ -77,9 +80,10 @@ class FileMapping:
         start = min((time[0] for time, _ in found.values() if len(time)), default=0)
         groups = {"commands": {}, "signals": {}}
         for (group, name), (time, numbers) in found.items():
-            build, since = getattr(self, group)[name].signal, seconds(time - start)
-            groups[group][name] = _named(f"{group}.{name}", build, since[since < until], numbers[since < until])
-        metadata = {"source": source[:200], "start_time": repr(float(seconds(start))), **self.metadata}
+            build, since = getattr(self, group)[name].signal, seconds(time - start) - begin
+            kept = (since > -_ROUNDING) & (since < until)
+            groups[group][name] = _named(f"{group}.{name}", build, np.maximum(since[kept], 0.0), numbers[kept])
+        metadata = {"source": source[:200], "start_time": repr(float(seconds(start) + begin)), **self.metadata}
         return Recording(**groups, parameters=self.parameters, metadata=metadata)
 
     def counted(self, rows: int) -> np.ndarray:
@@ -115,7 +119,7 @@ def load_mapping(
         for section in table:
             if not isinstance(table[section], dict):
                 raise RecordingError(f"{section} has to be a section, [{section}]")
-        check_keys("[time]", table.get("time", {}), (*time_keys, "until"))
+        check_keys("[time]", table.get("time", {}), (*time_keys, "begin", "until"))
         check_keys("[format]", table.get("format", {}), format_keys)
         for group in ("commands", "signals"):
             table[group] = {
