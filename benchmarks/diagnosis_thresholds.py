@@ -1,0 +1,100 @@
+"""What a development set says about the constants of the diagnosis (compare.py, explain.py).
+
+    soro-bench prove --out FOLDER --count 40 --seed 1    # any seed but that of a final set
+    python benchmarks/diagnosis_thresholds.py FOLDER
+
+It opens the labels, so it is not for a final set. It works on the cases that have a report.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import gumbel_r
+
+from soro_bench.diagnosis.compare import UNKNOWN
+from soro_bench.files import read_json
+from soro_bench.proof.score import opened_labels
+
+
+def left(hypothesis: dict) -> float:
+    """Excess [nats] that a hypothesis of a report leaves."""
+    return hypothesis["excess"]
+
+
+def nominal_of(report: dict) -> dict:
+    """The hypothesis without effects."""
+    return next(h for h in report["hypotheses"] if not h["names"])
+
+
+def shares(report: dict) -> tuple[float, float, float]:
+    """Excess of the nominal robot and of the best hypothesis [nats], and the share that decides about unknown physics
+    (``UNKNOWN``)."""
+    nominal, best = left(nominal_of(report)), min(map(left, report["hypotheses"]))
+    return nominal, best, (best - UNKNOWN[2]) / max(nominal - UNKNOWN[2], 1.0)
+
+
+def promises(cases) -> str:
+    """How much the best lead promises: of nulls, a Gumbel distribution; of the others, the least."""
+    nulls = [report["promised"] for label, report in cases if label["group"] == "none"]
+    others = sorted((report["promised"], label["id"]) for label, report in cases if label["group"] != "none")
+    lines = [f"nulls promise {', '.join(f'{p:.0f}' for p in sorted(nulls))} nats"]
+    if len(nulls) > 1:
+        location, scale = gumbel_r.fit(nulls)
+        lines.append(f"their Gumbel distribution: location {location:.0f}, scale {scale:.0f}, "
+                     f"99 % below {gumbel_r.ppf(0.99, location, scale):.0f}")  # fmt: skip
+    lines.append("the others, the least first: " + ", ".join(f"{p:.0f} ({name})" for p, name in others[:6]))
+    return "\n".join(lines)
+
+
+def table(cases) -> str:
+    """Markdown: what each case leaves."""
+    lines = ["| case | group | hidden | first answer | evidence over the next | excess, nominal | best | share |"]
+    lines.append("|---" * 8 + "|")
+    for label, report in cases:
+        found = sorted((h for h in report["hypotheses"] if h["names"]), key=lambda h: -h["evidence"])
+        said = [" + ".join(h["names"]) for h in found]
+        ahead = f"{found[0]['evidence'] - found[1]['evidence']:.0f} ({said[1]})" if len(found) > 1 else ""
+        hidden = " + ".join(e.get("law", e["name"]) for e in label["effects"]) or "none"
+        nominal, best, share = shares(report)
+        cells = [label["id"], label["group"], hidden, said[0] if said else "none", ahead, f"{nominal:.0f}"]
+        lines.append(f"| {' | '.join([*cells, f'{best:.0f}', f'{share:.2f}'])} |")
+    return "\n".join(lines)
+
+
+def log_loss(cases, nats: float, share: float) -> float:
+    """Mean surprise [nats] at the right hypotheses, where there are some among others, if evidence is divided by
+    nats + share * excess."""
+    found = []
+    for label, report in cases:
+        truth = {e["name"] for e in label["effects"]}
+        named = [h for h in report["hypotheses"] if h["names"]]
+        right = np.array([set(h["names"]) <= truth for h in named])
+        if right.any() and not right.all():
+            evidence = np.array([h["evidence"] for h in named])
+            tempered = evidence / (nats + share * max(min(map(left, report["hypotheses"])), 0.0))
+            chances = np.exp(tempered - tempered.max())
+            found.append(-np.log(max(chances[right].sum() / chances.sum(), 1e-300)))
+    return float(np.mean(found)) if found else np.nan
+
+
+def temper(cases) -> str:
+    """Markdown: surprise for choices of ``TEMPER``."""
+    shares_tried = (0.0, 0.03, 0.1, 0.3)
+    lines = ["| nats | " + " | ".join(f"share {s:g}" for s in shares_tried) + " |", "|---" * 5 + "|"]
+    for nats in (1, 3, 10, 30, 100, 300):
+        lines.append(f"| {nats} | " + " | ".join(f"{log_loss(cases, nats, s):.3f}" for s in shares_tried) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    folder = parser.parse_args().folder
+    labels = {label["id"]: label for label in opened_labels(folder / "cases")}
+    cases = [(labels[path.stem], read_json(path)) for path in sorted((folder / "reports").glob("case_*.json"))]
+    print("\n\n".join((promises(cases), table(cases), temper(cases))))
+
+
+if __name__ == "__main__":
+    main()
