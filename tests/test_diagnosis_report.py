@@ -155,7 +155,13 @@ def test_where_nothing_is_missing_it_says_so_and_what_would_have_shown(robot, mo
     assert report["verdict"] == "none_detected"
     assert report["effects"][0]["name"] == "none"
     assert 0 < report["detectable"]["payload"]["minimum"] < 0.1
+    assert report["invisible"] == []
     assert report["fit"]["patch"] == "none"
+    minimum = tuple((one, 50.0 if one.name == "backlash" else x) for one, x in found.explanation.minimum)
+    blind = replace(found, explanation=replace(found.explanation, minimum=minimum))
+    assert report_of(blind)["invisible"] == ["backlash"]
+    assert "backlash" not in report_of(blind)["detectable"]
+    assert "It could hardly have shown: backlash." in verdict(blind)
 
 
 def test_recordings_that_are_too_long_are_refused(robot, monkeypatch):

@@ -152,6 +152,7 @@ def _detectable_table(report) -> str:
     rows = []
     for name, d in sorted(report["detectable"].items()):
         rows.append([name, f"{d['quantity']} {d['minimum']:.2g} {d['unit']}"])
+    rows += [[name, "not with these recordings"] for name in report["invisible"]]
     return _table("What would just have been seen", ["effect", "smallest magnitude"], rows)
 
 

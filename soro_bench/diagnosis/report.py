@@ -23,6 +23,7 @@ from soro_bench.diagnosis.pipeline import ALPHA, Diagnosis
 from soro_bench.diagnosis.propose import DURATION, Proposal
 from soro_bench.diagnosis.robot import Earlier
 from soro_bench.diagnosis.suite_robot import SuiteRobot
+from soro_bench.diagnosis.suspects import LIMIT
 from soro_bench.effects.catalogue import CATEGORIES, QUANTITIES
 from soro_bench.effects.effect import load_effects, save_effects
 from soro_bench.files import read_json, write_json
@@ -114,6 +115,7 @@ def report_of(diagnosis: Diagnosis) -> dict:
         "parameters": _parameters(diagnosis, best.hypothesis),
         "places": [{"where": where_of(p.where), "gain": p.gain} for p in diagnosis.places[:10]],
         "detectable": detectable(diagnosis),
+        "invisible": invisible(diagnosis),
         "next_recording": _next_recording(diagnosis.proposal),
         "audit": [{"noise": a.sigma, "missing": a.missing} for a in diagnosis.audits],
         "seconds": round(diagnosis.seconds, 1),
@@ -197,9 +199,14 @@ def _classes(diagnosis: Diagnosis, ranked: list[dict]) -> list[dict]:
 
 
 def detectable(diagnosis: Diagnosis) -> dict:
-    """The smallest magnitude of each effect, at the place where it shows most, that would have been worth a look."""
+    """The smallest magnitude of each effect, at the place where it shows most, that would have been worth a look.
+
+    Those that a robot hardly has so much of that it would show are left out.
+    """
     found: dict[str, dict] = {}
     for suspect, x in diagnosis.explanation.minimum:
+        if x > LIMIT:
+            continue
         q = QUANTITIES[suspect.name][0]
         coordinates = np.zeros(suspect.size)
         coordinates[0] = x
@@ -208,6 +215,11 @@ def detectable(diagnosis: Diagnosis) -> dict:
             unit = unit_at(q.unit, suspect.where, *own_units(diagnosis))
             found[suspect.name] = {"quantity": q.name, "minimum": value, "unit": unit, "where": where_of(suspect.where)}
     return found
+
+
+def invisible(diagnosis: Diagnosis) -> list[str]:
+    """Sorted names of the effects that would not have shown in these recordings."""
+    return sorted({suspect.name for suspect, _ in diagnosis.explanation.minimum} - set(detectable(diagnosis)))
 
 
 def _next_recording(proposal: Proposal | None) -> dict | None:

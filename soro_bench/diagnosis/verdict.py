@@ -6,7 +6,7 @@ from soro_bench.diagnosis.findings import Finding, before_after, described, find
 from soro_bench.diagnosis.patch import rejected
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.propose import DURATION, Proposal
-from soro_bench.diagnosis.report import NEXT_ACTIONS, detectable
+from soro_bench.diagnosis.report import NEXT_ACTIONS, detectable, invisible
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import EVERY
 
@@ -24,6 +24,8 @@ def verdict(diagnosis: Diagnosis) -> str:
         shown = sorted(detectable(diagnosis).items())
         seen = ", ".join(f"{name} of {d['minimum']:.2g} {d['unit']}" for name, d in shown)
         said.append(f"It would have shown: {seen}.")
+        if blind := invisible(diagnosis):
+            said.append(f"It could hardly have shown: {', '.join(blind)}.")
         return "\n".join(said)
     if diagnosis.verdict == "unknown_physics":
         place = diagnosis.places[0].where
