@@ -102,6 +102,7 @@ class Robot(ABC):
         signal: what is explained: the name of a signal of recordings, with its unit, frame and shape (P, D).
         kinds: the kinds of ports at which something may be missing.
         priors: of its parameters.
+        pneumatic: whether its actuators fill chambers.
         known: effects that it is known to have, whatever else is missing.
     """
 
@@ -114,6 +115,7 @@ class Robot(ABC):
     shape: tuple[int, int]
     kinds: tuple[str, ...]
     priors: tuple[Prior, ...]
+    pneumatic: bool = False
     known: tuple[Effect, ...] = ()
 
     def _remember(self, earlier: Earlier | None) -> None:
@@ -187,19 +189,26 @@ class Robot(ABC):
         return {port.name for port in self.ports("tendon")} >= {port.name for port in self.ports("actuator")}
 
     @property
+    def moves(self) -> np.ndarray:
+        """(A, nu) 1 where a number of an action moves an actuator, else 0."""
+        return np.eye(len(self.ports("actuator")))
+
+    @property
     def channels(self) -> list[str]:
         """What each number of an action moves, such as "cable L0"."""
-        names = self.ports("actuator")
-        return [f"{'cable' if self.pulls_cables else 'actuator'} {port.name}" for port in names]
+        names = np.array([port.name for port in self.ports("actuator")])
+        kind = "cable" if self.pulls_cables else "actuator"
+        return [f"{kind} {' and '.join(names[row > 0])}" for row in self.moves]
 
     def channel(self, where: Port) -> int | None:
         """The number of an action that moves a cable or actuator; None for what no single one moves."""
         names = [port.name for port in self.ports("actuator")]
-        known = where.kind in ("tendon", "actuator") and where.name in names
-        return names.index(where.name) if known else None
+        if where.kind not in ("tendon", "actuator") or where.name not in names:
+            return None
+        return int(self.moves[:, names.index(where.name)].argmax())
 
     def commanded(self, rates: np.ndarray) -> np.ndarray:
-        """(T, nu) actions that move as rates (T, nu) from -1 to 1 do, one column per actuator."""
+        """(T, A) actions that move as rates (T, A) from -1 to 1 do, one column per channel."""
         return rates
 
     def parameters(self, x: np.ndarray) -> dict[str, float]:

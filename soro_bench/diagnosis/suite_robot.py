@@ -5,40 +5,47 @@ import numpy as np
 
 from soro_bench.diagnosis.robot import SIMULATIONS, Earlier, Prior, Robot
 from soro_bench.effects.elements import instrument
-from soro_bench.models import trunk
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.simulated import recorded_actions
 from soro_bench.registration import make_task, task_type
 
-# how far a calibrated robot may be from its nominal parameters: a third for what scales, 0.03 for Poisson's ratio
+_TRUNK = ("tendon", "actuator", "body", "model")  # its necks have no friction of their own
+# where something may be missing; the nodes of a mesh are no bodies that anything could be attached to
+_KINDS = {
+    "TrunkReach-v0": _TRUNK,
+    "TrunkPush-v0": (*_TRUNK, "geom"),
+    "TrunkLift-v0": (*_TRUNK, "geom"),
+    "MultiGait-v0": ("actuator", "flex", "geom", "model"),
+}
+# how far a calibrated robot may be from its nominal parameters: a third for what scales, 0.03 for Poisson's ratio, and
+# 1 cm for a wall
 _SCALE_DEVIATION = 0.25
-_RATIO_DEVIATION = 0.03
+_DEVIATIONS = {"poisson_ratio": 0.03, "pdms_poisson_ratio": 0.03, "ecoflex_poisson_ratio": 0.03, "wall_offset": 0.01}
 
 
 class SuiteRobot(Robot):
-    """The trunk of TrunkReach.
+    """The robot of an environment of the suite.
 
     Args:
-        env_id: the environment; the others of the suite are to come.
+        env_id: the environment.
         model: its model or mesh; the cheap one by default.
         threads: 0 for all processors; results do not depend on it.
         shorter: how many times shorter the model's time step is made.
         earlier: what is known of the robot from an earlier diagnosis.
     """
 
-    kinds = ("tendon", "actuator", "body", "model")  # its necks have no friction of their own, and it touches nothing
-
     def __init__(
         self, env_id: str, model: str | None = None, threads: int = 0, shorter: int = 1, earlier: Earlier | None = None
     ):
-        if env_id != "TrunkReach-v0":
-            raise ValueError(f"{env_id!r} cannot be diagnosed yet; allowed is TrunkReach-v0")
+        if env_id not in _KINDS:
+            raise ValueError(f"{env_id!r} cannot be diagnosed; allowed are {', '.join(_KINDS)}")
         kind = task_type(env_id)
         self.name = self.env_id = env_id
         self.threads, self.model_name, self._earlier = threads, model or kind.cheap, earlier
         self._task = make_task(env_id, SIMULATIONS, threads, self.model_name, action="continuous", effects=())
         self._task.refine(shorter)
         self.simulation, self.control_timestep = self._task.sim, self._task.control_timestep
+        self.kinds, self.pneumatic = _KINDS[env_id], env_id == "MultiGait-v0"
         self.signal = kind.inferred_from[0]
         self.unit, self.frame = kind.signal_units[self.signal]
         self.shape = self._task.signals(np.arange(1))[self.signal].shape[1:]
@@ -46,17 +53,22 @@ class SuiteRobot(Robot):
         self._remember(earlier)
 
     def shortened(self, factor: int) -> Robot:
-        """The same trunk with shorter time steps."""
+        """The same robot with shorter time steps."""
         return SuiteRobot(self.env_id, self.model_name, self.threads, factor, self._earlier)
 
     def accurate(self) -> list[Robot]:
-        """By the accurate model of the suite."""
-        accurate = task_type(self.env_id).accurate
-        return [SuiteRobot(self.env_id, accurate, self.threads, earlier=self._earlier)]
+        """By the accurate model of the suite, unless its signal has other points, as those of another mesh are."""
+        other = SuiteRobot(self.env_id, task_type(self.env_id).accurate, self.threads, earlier=self._earlier)
+        return [other] if other.shape == self.shape else []
 
     def spec(self) -> mujoco.MjSpec:
         """The model of the task's scene, with what effects need."""
-        return instrument(trunk.build_spec(self._task.scene, self.model_name))
+        return instrument(self._task.spec())
+
+    @property
+    def moves(self) -> np.ndarray:
+        """(A, nu) 1 where a number of an action moves an actuator, else 0."""
+        return self._task.moves
 
     def actions(self, recording: Recording) -> np.ndarray:
         """Rates of the cables, as the environment takes them."""
@@ -84,6 +96,6 @@ class SuiteRobot(Robot):
 
 
 def _prior(parameter) -> Prior:
-    logarithmic = parameter.name != "poisson_ratio"
-    deviation = _SCALE_DEVIATION if logarithmic else _RATIO_DEVIATION
+    deviation = _DEVIATIONS.get(parameter.name, _SCALE_DEVIATION)
+    logarithmic = parameter.name not in _DEVIATIONS
     return Prior(parameter.name, parameter.unit, parameter.nominal, deviation, logarithmic, parameter.bounds)

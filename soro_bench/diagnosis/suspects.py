@@ -64,7 +64,7 @@ def suspects(robot: Robot) -> list[Suspect]:
     points, coordinates = robot.shape
     found = []
     for name, law in PHYSICS.items():
-        if name in PNEUMATIC:
+        if name in PNEUMATIC and not robot.pneumatic:
             continue
         for kind in law.kinds:
             ports = [] if kind == "joint" and "body" in law.kinds else robot.ports(kind)

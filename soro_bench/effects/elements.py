@@ -60,9 +60,15 @@ class Elements:
         }[kind]()
         return [Port(kind, name) for name in names]
 
-    def expand(self, port: Port) -> list[Port]:
-        """The ports that one stands for; EffectError if there is no such element."""
+    def expand(self, port: Port, elastic: bool = False) -> list[Port]:
+        """The ports that one stands for; EffectError if there is no such element.
+
+        Args:
+            elastic: whether every body is every one that hangs on springs or a flex.
+        """
         ports = self.ports(port.kind)
+        if elastic and port == Port("body", EVERY):
+            ports = [p for p in ports if self._hangs(self.id(p))]
         chosen = ports if port.name == EVERY else [p for p in ports if p.name == port.name]
         if not chosen:
             there_are = ", ".join(p.name for p in ports) or "none"
@@ -124,6 +130,9 @@ class Elements:
         if port.kind == "joint" and (stiffness := float(np.ravel(model.jnt_stiffness[self.id(port)])[0])) > 0:
             return _SHARE * stiffness
         return 1.0
+
+    def _hangs(self, body: int) -> bool:
+        return len(self.joints_of(body)) > 0 or self.flex_before(body) is not None
 
     def _turns(self, port: Port) -> bool:
         return port.kind == "joint" and self.model.jnt_type[self.id(port)] == mujoco.mjtJoint.mjJNT_HINGE

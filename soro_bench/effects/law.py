@@ -30,6 +30,7 @@ class Law:
     stepped: ClassVar[bool] = False
     shared: ClassVar[bool] = False  # may act at all ports of a kind at once, from one cause such as a slow controller
     only_shared: ClassVar[bool] = False  # a property of the material or the surroundings, the same everywhere
+    elastic: ClassVar[bool] = False  # of the material: every body is then every one that hangs on springs or a flex
 
     def __init__(self, run: "ActiveEffects", entries: Sequence[tuple[int, Port, Effect]]):
         self.run, self.batch, self.model = run, run.batch, run.batch.model
@@ -70,7 +71,7 @@ class Law:
 class OnJoints(Law):
     """A law on the scalar joints of a body, or on one joint: entries are repeated for each of the joints."""
 
-    kinds = ("body", "joint")
+    kinds, elastic = ("body", "joint"), True
     bending_only: ClassVar[bool] = False
 
     def prepare(self, elements):

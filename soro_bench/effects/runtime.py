@@ -43,7 +43,7 @@ class ActiveEffects:
                 complete = checked(effect, law.quantities)
                 if effect.where.kind not in law.kinds:
                     raise EffectError(f"{effect.name} acts on {', '.join(law.kinds)}, not on {effect.where}")
-                for port in self.elements.expand(effect.where):
+                for port in self.elements.expand(effect.where, law.elastic):
                     by_law.setdefault((effect.name, self._on_neck(port)), []).append((row, port, complete))
         refined = self.batch.expanded("opt.timestep")  # the same in all simulations
         self.timestep = float(self._nominal.opt.timestep if refined is None else refined.flat[0])

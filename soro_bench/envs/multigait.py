@@ -60,6 +60,7 @@ class MultiGaitTask(Task):
     signal_units: ClassVar = {"vertices": ("m", "world"), "inflation": ("1", "")}
     control_timestep = 0.6  # s
     inferred_from = ("vertices",)
+    moves = GROUPS
 
     def __init__(
         self,
@@ -82,6 +83,7 @@ class MultiGaitTask(Task):
         # its joints are sliders of mesh nodes, which have no springs: nothing to instrument
         model = _compiled(mesh)
         super().__init__(model, [_parameter_map(mesh)], num_envs, num_threads, effects_of(effects))
+        self._mesh = mesh
         self._discrete = action == "discrete"
         self.single_action_space = spaces.Discrete(6) if self._discrete else spaces.Box(-1.0, 1.0, (3,), np.float32)
         self.single_observation_space = spaces.Box(-1.0, 2.0, (3 + len(CHAMBERS),), np.float64)
@@ -91,6 +93,9 @@ class MultiGaitTask(Task):
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
         self._start, self._last = np.zeros((2, num_envs))  # m, x of the centre of mass
         self.sim.batch.bind("xpos")
+
+    def spec(self):
+        return walker.build_spec(SCENE, self._mesh)
 
     def signals(self, ids):
         """vertices (n, V, 3) m, the mesh's nodes; inflation (n, 5) from 0 to 1."""

@@ -60,6 +60,7 @@ class Task(ABC):
     signal_units: ClassVar[Mapping[str, tuple[str, str]]]  # SI unit and frame ("" if none) of each of signals()
     control_timestep: ClassVar[float]  # s
     inferred_from: ClassVar[tuple[str, ...]]  # the signals that parameters are inferred from: what is observed
+    moves: ClassVar[np.ndarray]  # (A, nu) 1 where a number of a continuous action moves an actuator, else 0
     single_observation_space: spaces.Box
     single_action_space: spaces.Space
 
@@ -174,6 +175,10 @@ class Task(ABC):
     def _advance(self, ids) -> None:
         """Simulate ``control_timestep``."""
         self.sim.step(ids, self._substeps)
+
+    @abstractmethod
+    def spec(self) -> mujoco.MjSpec:
+        """What the model is compiled from, without what effects need."""
 
     @abstractmethod
     def signals(self, ids: np.ndarray) -> dict[str, np.ndarray]:

@@ -58,6 +58,7 @@ class TrunkTask(Task):
     scene: ClassVar[str]
     control_timestep = 0.05  # s: five command updates of 10 ms
     inferred_from = ("keypoints",)
+    moves = np.eye(len(geo.CABLE_NAMES))
 
     def __init__(
         self,
@@ -78,6 +79,7 @@ class TrunkTask(Task):
         compiled = _compiled(self.scene, model, effects is not None)
         maps = [trunk.TrunkParameters(compiled), *self._scene_parameters(compiled)]
         super().__init__(compiled, maps, num_envs, num_threads, effects)
+        self._variant = model
         cables = len(geo.CABLE_NAMES)
         self._discrete = action == "discrete"
         self.single_action_space = (
@@ -91,6 +93,9 @@ class TrunkTask(Task):
         self._links = [compiled.body("base").id, *(compiled.body(f"vertebra{k}").id for k in range(geo.NUM_NECKS))]
         for field in ("site_xpos", "xpos", "xquat", "actuator_force"):
             self.sim.batch.bind(field)
+
+    def spec(self):
+        return trunk.build_spec(self.scene, self._variant)
 
     def signals(self, ids) -> dict[str, np.ndarray]:
         """What a recording of simulations ``ids`` holds; every array has n rows.

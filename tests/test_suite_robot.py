@@ -1,0 +1,58 @@
+"""The robots of the suite, as a diagnosis simulates them."""
+
+import numpy as np
+import pytest
+
+from soro_bench.diagnosis.suite_robot import SuiteRobot
+from soro_bench.diagnosis.suspects import suspects
+from soro_bench.effects.effect import EVERY, Effect, Port
+from soro_bench.recording.simulated import record
+from soro_bench.registration import ENV_IDS
+
+
+@pytest.fixture(scope="module", params=ENV_IDS)
+def robot(request):
+    return SuiteRobot(request.param, threads=1)
+
+
+def test_it_moves_as_its_environment_does(robot):
+    recording = record(robot.env_id, "random", robot.model_name, steps=4)
+    measured = robot.measured(recording)
+    nominal = np.array([[prior.nominal for prior in robot.priors]])
+    (simulated,) = robot.simulate(measured.actions, nominal, [()])
+    np.testing.assert_array_equal(simulated, measured.values)
+
+
+def test_every_kind_of_effect_that_it_can_have_is_suspected(robot):
+    found = {one.name for one in suspects(robot)}
+    assert {"actuator_delay", "actuator_gain", "local_stiffness", "base_tilt", "sensor_bias"} <= found
+    assert ("pressure_leak" in found) == robot.pneumatic == (robot.env_id == "MultiGait-v0")
+    assert ("coulomb_friction" in found) != robot.pneumatic
+    assert ("stiction" in found) == (robot.env_id != "TrunkReach-v0")  # which touches nothing
+    assert ("viscoelastic_creep" in found) != robot.pneumatic  # also beside an object that has no springs
+
+
+def test_it_has_a_more_accurate_model_where_that_has_the_same_signal(robot):
+    assert [other.model_name for other in robot.accurate()] == ([] if robot.pneumatic else ["flex"])
+
+
+def test_a_number_of_an_action_may_move_several_actuators():
+    robot = SuiteRobot("MultiGait-v0", threads=1)
+    assert robot.channels == [
+        "actuator centre",
+        "actuator rear_left and rear_right",
+        "actuator front_left and front_right",
+    ]
+    assert robot.channel(Port("actuator", "front_right")) == 2
+    assert robot.channel(Port("actuator", EVERY)) is None
+
+
+def test_an_effect_of_the_material_at_every_body_leaves_out_a_free_object():
+    robot = SuiteRobot("TrunkPush-v0", threads=1)
+    assert robot.accepts([Effect("stiffening", Port("body", EVERY), {"beta": 1.0})])
+    assert not robot.accepts([Effect("stiffening", Port("body", "object"), {"beta": 1.0})])
+
+
+def test_what_has_no_robot_is_refused():
+    with pytest.raises(ValueError, match="'Ant-v5' cannot be diagnosed; allowed are TrunkReach-v0"):
+        SuiteRobot("Ant-v5")
