@@ -18,14 +18,15 @@ class Excite:
     env: EnvId
     out: Path
     """.csv with a row per control step: time [s], and the action of every channel, from -1 to 1."""
-    duration: float = 30.0
+    duration: float | None = None
+    """s; 30 by default, or what it takes."""
     seed: int = 0
 
     def run(self) -> None:
         from soro_bench.recording.excitation import excitation, write_actions
-        from soro_bench.registration import make_task
+        from soro_bench.registration import make_task, task_type
 
-        task = make_task(self.env, 1, 1, action="continuous")
+        task = make_task(self.env, 1, 1, task_type(self.env).cheap, action="continuous")
         actions = excitation(task.single_action_space, task.control_timestep, self.duration, self.seed)
         write_actions(self.out, task.control_timestep, actions)
         console.print(f"{self.out}: replay it on the robot, record what it does, and: soro-bench diagnose RECORDING")

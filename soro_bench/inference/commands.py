@@ -1,6 +1,6 @@
 """``soro-bench infer``."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -20,6 +20,8 @@ class Infer:
     """.parquet, of one of the environments from its reset on."""
     out: Path
     """The posterior, .json; train takes it for a distribution. A picture of it is written beside it."""
+    env: str | None = None
+    """Environment of the recording, where its metadata do not say so."""
     infer: tuple[str, ...] = ()
     """Names of the parameters to infer; by default those that the published study randomises in the environment."""
     known: tuple[str, ...] = ()
@@ -45,7 +47,12 @@ class Infer:
         from soro_bench.recording.simulated import parse_params
 
         known, restart = parse_params(self.known), self.method == "dropo"
-        replay = Replay(load(self.recording), self.infer or None, known, self.model, self.noise, restart)
+        recording = load(self.recording)
+        metadata = {"env_id": self.env, **recording.metadata} if self.env else recording.metadata
+        if self.env not in (None, metadata["env_id"]):
+            raise ValueError(f"{self.recording} is of {metadata['env_id']}, not of {self.env}")
+        recording = replace(recording, metadata=metadata)
+        replay = Replay(recording, self.infer or None, known, self.model, self.noise, restart)
         settings = {}
         if self.published:
             settings = {"optimizer": "sampled"}

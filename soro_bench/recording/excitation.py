@@ -15,6 +15,7 @@ from gymnasium import spaces
 
 from soro_bench.files import replacing
 
+_DURATION = 30.0  # s
 SLOWNESS = (1, 2, 3)  # of the triangles: full rate, half of it, a third of it
 FREQUENCIES = (0.2, 6.0)  # Hz, of the harmonics
 _SHARE_OF_TRIANGLES = 0.35
@@ -30,13 +31,13 @@ def shortest(channels: int) -> int:
     return _fixed(channels) + _triangles_length(1, channels) + _MULTISINE
 
 
-def excitation(space: spaces.Box, timestep: float, duration: float = 30.0, seed: int = 0) -> np.ndarray:
+def excitation(space: spaces.Box, timestep: float, duration: float | None = None, seed: int = 0) -> np.ndarray:
     """(T, nu) actions in [-1, 1], as many as fit into the duration.
 
     Args:
         space: the action space, ``Box(-1, 1, (nu,))``.
         timestep: s between actions.
-        duration: s.
+        duration: s; by default 30, or what it takes.
         seed: of the phases of the harmonics.
 
     Raises:
@@ -44,8 +45,9 @@ def excitation(space: spaces.Box, timestep: float, duration: float = 30.0, seed:
     """
     if not isinstance(space, spaces.Box):
         raise ValueError("an excitation needs continuous actions")
-    channels, steps = space.shape[0], int(duration / timestep + 1e-9)
-    if steps < (least := shortest(channels)):
+    channels, least = space.shape[0], shortest(space.shape[0])
+    steps = max(round(_DURATION / timestep), least) if duration is None else int(duration / timestep + 1e-9)
+    if steps < least:
         raise ValueError(f"{steps} steps are too few for an excitation; it needs {least}, {least * timestep:g} s")
     room = min(_SHARE_OF_TRIANGLES * steps, steps - _fixed(channels) - _MULTISINE)
     stroke = max(1, int(room / _triangles_length(1, channels)))

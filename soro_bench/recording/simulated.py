@@ -14,7 +14,7 @@ import soro_bench
 from soro_bench.envs.task import ACTION_MODES
 from soro_bench.evaluation import evaluate
 from soro_bench.recording.episode import Episode
-from soro_bench.recording.excitation import excitation, shortest
+from soro_bench.recording.excitation import excitation
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from soro_bench.registration import ENV_IDS, make_task, task_type
 from soro_bench.training.policy import Policy
@@ -22,7 +22,6 @@ from soro_bench.training.policy import Policy
 POLICIES = ("random", "excitation")  # and the folder or leaderboard entry of a trained one
 COMMAND = "action"  # the command that an episode is driven by
 MAX_STEPS = 100_000  # of a replay
-_DURATION = 30.0  # s, of an excitation
 
 
 def record(
@@ -63,7 +62,8 @@ def record(
         raise ValueError(f"unknown action mode {action!r}; there are {', '.join(ACTION_MODES)}")
     task = make_task(env_id, 1, 1, model, action=action)
     if policy == "excitation":
-        actions = _excitation(task, steps, seed)
+        duration = None if steps is None else steps * task.control_timestep
+        actions = excitation(task.single_action_space, task.control_timestep, duration, seed)
         act, steps = _in_turn(actions), len(actions)
     else:
         act = trained.act if trained else _random(task.single_action_space, seed)
@@ -156,13 +156,6 @@ def _trained(path, env_id, action):
     if policy.card.env_id != env_id or action not in (None, policy.card.action):
         raise ValueError(f"the policy in {path} is for {policy.card.env_id} with {policy.card.action} actions")
     return policy
-
-
-def _excitation(task, steps, seed) -> np.ndarray:
-    space, timestep = task.single_action_space, task.control_timestep
-    if steps is None and isinstance(space, spaces.Box):
-        steps = max(round(_DURATION / timestep), shortest(space.shape[0]))
-    return excitation(space, timestep, (steps or 1) * timestep, seed)
 
 
 def _random(space, seed) -> Callable[[np.ndarray], np.ndarray]:

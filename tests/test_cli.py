@@ -1,0 +1,65 @@
+"""The soro-bench command, as it is called from a shell; what takes minutes is tested without it."""
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("tyro", reason="needs the train extra")
+pytest.importorskip("pyarrow", reason="needs the train extra")
+pytest.importorskip("rerun", reason="needs the train extra")
+
+from soro_bench import cli
+from soro_bench.registration import ENV_IDS, task_type
+
+
+@pytest.fixture
+def call(monkeypatch, capsys):
+    """Run a command and return what it prints."""
+
+    def call(*arguments) -> str:
+        monkeypatch.setattr("sys.argv", ["soro-bench", *map(str, arguments)])
+        cli.main()
+        return capsys.readouterr().out
+
+    return call
+
+
+def test_list_shows_every_environment(call):
+    text = call("list")
+    assert all(env_id in text for env_id in ENV_IDS)
+
+
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_excite_writes_actions_for_every_robot(call, tmp_path, env_id):
+    call("excite", env_id, "--out", tmp_path / "actions.csv")
+    table = np.loadtxt(tmp_path / "actions.csv", delimiter=",", skiprows=1)
+    task = task_type(env_id)
+    assert table.shape[1] == 1 + len(task.moves)
+    assert table[1, 0] == pytest.approx(task.control_timestep)
+    assert len(table) * task.control_timestep >= 30.0
+    assert np.abs(table[:, 1:]).max() <= 1.0
+
+
+def test_a_recording_is_made_viewed_and_inferred_from(call, tmp_path):
+    recording, posterior = tmp_path / "reach.parquet", tmp_path / "posterior.json"
+    call("record", "TrunkReach-v0", "--model", "cable", "--steps", "4", "--params", "trunk_mass=0.3",
+         "--out", recording)  # fmt: skip
+    call("view", recording, "--no-open")
+    assert (tmp_path / "reach.rrd").stat().st_size > 0
+    call("infer", "sysid", recording, "--env", "TrunkReach-v0", "--model", "cable", "--infer", "trunk_mass",
+         "--out", posterior)  # fmt: skip
+    with pytest.raises(SystemExit, match="is of TrunkReach-v0, not of TrunkPush-v0"):
+        call("infer", "sysid", recording, "--env", "TrunkPush-v0", "--out", posterior)
+    assert json.loads(posterior.read_text())["estimate"]["trunk_mass"] == pytest.approx(0.3, rel=0.01)
+
+
+def test_a_campaign_is_planned_without_being_run(call, tmp_path):
+    text = call("run", "--preset", "quick", "--plan", "--out", tmp_path)
+    assert "TrunkReach-v0" in text
+    assert not list(tmp_path.rglob("*.safetensors"))
+
+
+def test_an_error_is_one_line(call):
+    with pytest.raises(SystemExit, match="soro-bench: 60 steps are too few for an excitation; it needs 364"):
+        call("excite", "TrunkReach-v0", "--duration", "3", "--out", "a.csv")
