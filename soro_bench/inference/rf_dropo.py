@@ -60,7 +60,7 @@ def sampled(residuals, deviation, dimension, log: EvaluationLog, seed=0, iterati
         progress: see :func:`cma_search`.
     """
     steps, rng = len(deviation), np.random.default_rng(seed)
-    quantiles = qmc.Sobol(dimension, rng=seed).random(samples)
+    quantiles = qmc.Sobol(dimension, rng=seed).random_base2((samples - 1).bit_length())[:samples]
     normal = _truncated_normal(quantiles)
     popsize = popsize or 4 + int(3 * np.log(2 * dimension))
 
