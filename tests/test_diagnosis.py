@@ -243,7 +243,16 @@ def test_a_force_without_a_name_is_found_at_its_place(robot, actions, where):
     given = problem(robot, actions, before_step=pull)
     batch.xfrc_applied[:] = batch.qfrc_applied[:] = 0.0
     (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
-    assert places(given, robot, base)[0].where == where
+    best = places(given, robot, base)[0]
+    assert best.where == where
+    component = best.force.components.index("x" if where.kind == "body" else "pull")
+    middle = (best.force.start + 0.5 * np.diff(best.force.start).mean()) / 0.05  # control steps
+    truth = (0.1 if where.kind == "body" else 1.0) * (1.0 + np.sin(middle / 5))
+    force = best.force.values[:, component]
+    assert force.mean() == pytest.approx(truth.mean(), rel=0.2)
+    assert np.corrcoef(force, truth)[0, 1] > 0.5
+    assert best.force.units[component] == "N"
+    assert best.force.left < 0.75 * given.left(base.residual)
 
 
 def test_what_nothing_explains_is_unknown_and_what_something_explains_is_not(robot, actions):

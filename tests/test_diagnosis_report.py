@@ -14,6 +14,7 @@ pytest.importorskip("matplotlib")
 from soro_bench.diagnosis import pipeline
 from soro_bench.diagnosis.findings import Finding
 from soro_bench.diagnosis.page import write_reports
+from soro_bench.diagnosis.probe import places
 from soro_bench.diagnosis.propose import Proposal, motions
 from soro_bench.diagnosis.report import report_of, write_json_report
 from soro_bench.diagnosis.suite_robot import SuiteRobot
@@ -126,6 +127,22 @@ def test_a_delay_of_everything_measured_is_no_other_than_one_of_everything_comma
     found = Finding(None, Effect(name, where, {}), None, 1.0)
     assert said in _twin(found)
     assert bool(said) == bool(_twin(found))
+
+
+def test_what_has_no_name_gets_a_place_and_a_force_over_time(robot, payload, tmp_path):
+    found, given = payload
+    explanation = found.explanation
+    probed = tuple(places(explanation.problem, robot, explanation.nominal))
+    comparison = replace(found.comparison, unknown=0.9)
+    text = write_reports(replace(found, comparison=comparison, places=probed), given, tmp_path)
+    report = json.loads((tmp_path / "report.json").read_text())
+    force = report["residual_force"]
+    assert report["verdict"] == "unknown_physics"
+    assert force["where"] == report["places"][0]["where"]
+    assert np.shape(force["values"]) == (len(force["start_s"]), len(force["components"]))
+    assert force["rmse_after"] < report["fit"]["train"]["rmse_before"]
+    assert "Without a law: what acts there is" in text
+    assert "What has no name" in (tmp_path / "report.html").read_text()
 
 
 def test_what_to_record_next_is_in_every_report_and_in_a_file_for_the_controller(robot, payload, tmp_path):

@@ -9,6 +9,7 @@ from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Measured
 
 WINDOW = 1.0  # s, of maps over time
+WINDOWS = 1_000_000  # more than a recording has
 _WHEN = 0.8  # of what is explained lies in the intervals that are named
 _AFTER_REVERSAL = 0.25  # s
 
@@ -76,8 +77,9 @@ def regimes(measured: Measured, gain: np.ndarray, channel: int | None) -> list[R
 
 
 def windows(problem: Problem, length: float) -> np.ndarray:
-    """(M,) the number of the window of that length [s] that a sample is in, rising."""
+    """(M,) the number of the window of that length [s] that a sample is in, rising; ``WINDOWS`` higher for the next
+    recording."""
     return np.concatenate([
-        np.repeat((each.time // length).astype(int), each.values[0].size) + 1000 * i
+        np.repeat((each.time // length).astype(int), each.values[0].size) + WINDOWS * i
         for i, each in enumerate(problem.recordings)
     ])

@@ -86,6 +86,10 @@ def _page(diagnosis: Diagnosis, report: dict, text: str) -> str:
     if curve := force_against_state(diagnosis):
         caption = _CURVE.format(curve.effect.where, 100 * curve.share)
         plots.append((f"What {curve.effect.name} does", caption, _curve(curve)))
+    if diagnosis.places:
+        place = diagnosis.places[0]
+        caption = f"What would explain most of it at {place.where}, free in every window, to first order.{which}"
+        plots.append(("What has no name", caption, _residual_force(place.force)))
     figures = "".join(
         f"<h2>{title}</h2><figure><img alt='{html.escape(caption)}' src='data:image/png;base64,{image}'>"
         f"<figcaption>{html.escape(caption)}</figcaption></figure>"
@@ -195,6 +199,16 @@ def _overlay(diagnosis) -> str:
     axes[0].legend(loc="upper right", ncols=2, frameon=False)
     axes[0].set_title(f"point {point}")
     axes[-1].set_xlabel("time [s]")
+    return _image(figure)
+
+
+def _residual_force(force) -> str:
+    figure, axes = pyplot().subplots(figsize=(9, 3), layout="constrained")
+    first = force.recording == 0
+    for name, unit, values in zip(force.components, force.units, force.values[first].T, strict=True):
+        axes.step(force.start[first], values, where="post", label=f"{name} [{unit}]")
+    axes.set(xlabel="time [s]")
+    axes.legend(loc="upper right")
     return _image(figure)
 
 

@@ -14,26 +14,46 @@ one cable did to another than that cable.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 
 from soro_bench.diagnosis.fit import Hypothesis
-from soro_bench.diagnosis.localise import windows
+from soro_bench.diagnosis.localise import WINDOWS, windows
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import SIMULATIONS, Robot
 from soro_bench.effects.effect import Port
 
 WINDOW = 0.15  # s, times the number of directions
+_AXES = "xyz"
 _SHARE = 0.02  # of the robot's weight, a force on a body
 _OFFSET = 2.0  # standard deviations of the noise, an offset of a measured point
 _SCALES = np.geomspace(0.03, 30.0, 13)  # of a force in a window, standard deviations of the prior in those units
 
 
 @dataclass(frozen=True)
+class Force:
+    """What explains most of what a hypothesis leaves if anything may act at a place, to first order.
+
+    components: K names, such as "x" (of the world) or "pull". units: of each. start: (W,) s, beginnings of the windows,
+    of all recordings one after the other; recording: (W,) their numbers. values: (W, K). left: rms [signal's unit] of
+    what it does not explain.
+    """
+
+    components: tuple[str, ...]
+    units: tuple[str, ...]
+    start: np.ndarray
+    recording: np.ndarray
+    values: np.ndarray
+    left: float
+
+
+@dataclass(frozen=True)
 class Place:
-    """A place, and the evidence (natural logarithm) that any force there gains."""
+    """A place, the evidence (natural logarithm) that any force there gains, and that force."""
 
     where: Port
     gain: float
+    force: Force
 
 
 def places(problem: Problem, robot: Robot, base: Hypothesis) -> list[Place]:
@@ -43,30 +63,45 @@ def places(problem: Problem, robot: Robot, base: Hypothesis) -> list[Place]:
         robot: that is pushed, with the time steps of its model.
     """
     pushes = _pushes(robot)
-    groups: dict[tuple, list[np.ndarray]] = {}
-    for push, row in zip(pushes, _responses(problem, robot, base, pushes), strict=True):
-        groups.setdefault((push.where, push.kind), []).append(row)
-    best: dict[Port, float] = {}
-    for (where, _), rows in [*groups.items(), *_offsets(problem)]:
-        best[where] = max(_gain(problem, base, np.array(rows)), best.get(where, -np.inf))
-    return sorted((Place(*each) for each in best.items()), key=lambda place: -place.gain)
+    groups: dict[tuple, list[tuple[_Push | _Offset, np.ndarray]]] = {}
+    for push, row in [*zip(pushes, _responses(problem, robot, base, pushes), strict=True), *_offsets(problem)]:
+        groups.setdefault((push.where, push.kind), []).append((push, row))
+    best: dict[Port, Place] = {}
+    for (where, _), members in groups.items():
+        found = _place(problem, base, where, [push for push, _ in members], np.array([row for _, row in members]))
+        if where not in best or found.gain > best[where].gain:
+            best[where] = found
+    return sorted(best.values(), key=lambda place: -place.gain)
+
+
+@dataclass(frozen=True)
+class _Offset:
+    """A fault of a measured point in one coordinate: ``amount`` [unit]."""
+
+    where: Port
+    component: str
+    unit: str
+    amount: float
+    kind = "sensor"
 
 
 @dataclass(frozen=True)
 class _Push:
     """A force [N] or moment [N m] at a place, as generalised forces on the bodies or degrees of freedom ``numbers``:
-    along a tendon, on a body or all of them in a direction of the world, on a joint."""
+    along a tendon, on a body or all of them in a direction of the world, on a joint. In all it is ``amount`` [unit]."""
 
     where: Port
     kind: str
+    component: str
+    unit: str
+    amount: float
     numbers: np.ndarray
     sizes: np.ndarray
-    axis: int = 0
 
     def act(self, batch, model, row: int) -> None:
         """Let it act in a simulation until its next control step."""
         if self.kind == "world":
-            batch.xfrc_applied[row, self.numbers, self.axis] = self.sizes
+            batch.xfrc_applied[row, self.numbers, _AXES.index(self.component)] = self.sizes
         elif self.kind == "joint":
             batch.qfrc_applied[row, self.numbers] = self.sizes
         else:
@@ -81,18 +116,21 @@ def _pushes(robot: Robot) -> list[_Push]:
     gravity = float(np.linalg.norm(model.opt.gravity)) or 9.81
     weight, found = gravity * float(model.body_mass.sum()), []
     for port in robot.ports("tendon"):
-        size = np.array([elements.scale(port, "force")])
-        found.append(_Push(port, "tendon", np.array([elements.id(port)]), size))
+        size = elements.scale(port, "force")
+        found.append(_Push(port, "tendon", "pull", "N", size, np.array([elements.id(port)]), np.array([size])))
     bodies = [elements.id(port) for port in robot.ports("body")]
     for port, body in zip(robot.ports("body"), bodies, strict=True):
-        size = np.array([_SHARE * weight])
-        found += [_Push(port, "world", np.array([body]), size, axis) for axis in range(3)]
+        size = _SHARE * weight
+        found += [_Push(port, "world", axis, "N", size, np.array([body]), np.array([size])) for axis in _AXES]
         for joint in elements.joints_of(body, bending_only=True):
-            size = np.array([elements.scale(Port("joint", model.joint(joint).name), "force")])
-            found.append(_Push(port, "joint", model.jnt_dofadr[[joint]], size))
+            name, turns = model.joint(joint).name, model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
+            size = elements.scale(Port("joint", name), "force")
+            dof = model.jnt_dofadr[[joint]]
+            found.append(_Push(port, "joint", name, "N m" if turns else "N", size, dof, np.array([size])))
     mass = model.body_mass[bodies]
     for port in robot.ports("model"):
-        found += [_Push(port, "world", np.array(bodies), _SHARE * gravity * mass, axis) for axis in range(3)]
+        size = _SHARE * gravity
+        found += [_Push(port, "world", axis, "m/s^2", size, np.array(bodies), size * mass) for axis in _AXES]
     return found
 
 
@@ -122,25 +160,26 @@ def _responses(problem, robot, base, pushes: Sequence[_Push]) -> np.ndarray:
     return np.nan_to_num(np.concatenate(found))
 
 
-def _offsets(problem) -> list[tuple[tuple[Port, str], np.ndarray]]:
-    """Of every measured point, its place and an offset of each of its coordinates, (D, M)."""
-    robot = problem.robot
+def _offsets(problem) -> list[tuple[_Offset, np.ndarray]]:
+    """An offset of each coordinate of every measured point, with its (M,) change of the residual."""
+    robot, found = problem.robot, []
     points, dimension = robot.shape
-    found = []
     for i in range(points):
-        rows = []
         for k in range(dimension):
             one = np.zeros((points, dimension))
-            one[i, k] = _OFFSET
-            rows.append(np.concatenate([np.tile(one.ravel(), len(each.values)) for each in problem.recordings]))
-        found.append(((Port("sensor", robot.signal, i), "sensor"), np.array(rows) * problem.weight))
+            one[i, k] = -_OFFSET
+            row = np.concatenate([np.tile(one.ravel(), len(each.values)) for each in problem.recordings])
+            where = Port("sensor", robot.signal, i)
+            component = _AXES[k] if dimension == len(_AXES) else str(k)
+            found.append((_Offset(where, component, robot.unit, _OFFSET * problem.sigma), row * problem.weight))
     return found
 
 
-def _gain(problem, base, rows) -> float:
-    """Evidence of free combinations of rows (K, M) in every window, for the best of several sizes."""
+def _place(problem, base, where, pushes, rows) -> Place:
+    """Free combinations of rows (K, M) in every window, the best of several sizes."""
     window = windows(problem, WINDOW * len(rows))
-    free = np.concatenate([rows * (window == w) for w in np.unique(window)])
+    numbers = np.unique(window)
+    free = np.concatenate([rows * (window == w) for w in numbers])  # of a window after the other, K each
     floor = base.floor(problem)
     hessian = floor.product(base.slope, base.slope) + np.eye(len(base.x))
     cross = floor.product(free, base.slope)
@@ -149,7 +188,20 @@ def _gain(problem, base, rows) -> float:
     gradient = floor.product(base.slope, base.residual[None])[:, 0] + base.x
     pull = floor.product(free, base.residual[None])[:, 0] - reduced.T @ gradient
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
-    values, pull = np.maximum(values, 0.0), vectors.T @ pull
-    return max(
-        0.5 * float((pull**2 / (values + scale**-2)).sum() - np.log1p(scale**2 * values).sum()) for scale in _SCALES
+    values, turned = np.maximum(values, 0.0), vectors.T @ pull
+    gains = [
+        0.5 * float((turned**2 / (values + scale**-2)).sum() - np.log1p(scale**2 * values).sum()) for scale in _SCALES
+    ]
+    scale = _SCALES[int(np.argmax(gains))]
+    found = -vectors @ (turned / (values + scale**-2))
+    step = -np.linalg.solve(hessian, gradient) - reduced @ found
+    left = problem.left(base.residual + step @ base.slope + found @ free)
+    force = Force(
+        tuple(push.component for push in pushes),
+        tuple(push.unit for push in pushes),
+        WINDOW * len(rows) * (numbers % WINDOWS),
+        numbers // WINDOWS,
+        found.reshape(len(numbers), -1) * [push.amount for push in pushes],
+        left,
     )
+    return Place(where, max(gains), force)

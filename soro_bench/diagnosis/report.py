@@ -114,11 +114,28 @@ def report_of(diagnosis: Diagnosis) -> dict:
         },
         "parameters": _parameters(diagnosis, best.hypothesis),
         "places": [{"where": where_of(p.where), "gain": p.gain} for p in diagnosis.places[:10]],
+        "residual_force": _residual_force(diagnosis),
         "detectable": detectable(diagnosis),
         "invisible": invisible(diagnosis),
         "next_recording": _next_recording(diagnosis.proposal),
         "audit": [{"noise": a.sigma, "missing": a.missing} for a in diagnosis.audits],
         "seconds": round(diagnosis.seconds, 1),
+    }
+
+
+def _residual_force(diagnosis: Diagnosis) -> dict | None:
+    """What acts at the best place of what has no name, over time."""
+    if not diagnosis.places:
+        return None
+    best = diagnosis.places[0]
+    return {
+        "where": where_of(best.where),
+        "components": list(best.force.components),
+        "units": list(best.force.units),
+        "recording": best.force.recording.tolist(),
+        "start_s": best.force.start.tolist(),
+        "values": best.force.values.tolist(),
+        "rmse_after": best.force.left,
     }
 
 

@@ -2,7 +2,9 @@
 
 import math
 
-from soro_bench.diagnosis.findings import Finding, before_after, described, findings, percent
+import numpy as np
+
+from soro_bench.diagnosis.findings import Finding, before_after, described, findings, length, percent
 from soro_bench.diagnosis.patch import rejected
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.propose import DURATION, Proposal
@@ -32,6 +34,7 @@ def verdict(diagnosis: Diagnosis) -> str:
         nearest = " with ".join(best.names) or "nothing"
         said.append(f"Something acts at {place} that has no name in the catalogue "
                     f"(probability {diagnosis.comparison.unknown:.2f}); nearest is {nearest}.")  # fmt: skip
+        said.append(_force(diagnosis, unit))
     else:
         said += [_sentence(diagnosis, f) + _twin(f) for f in findings(diagnosis) if f.answer is best]
     if far := _far(diagnosis):
@@ -52,6 +55,16 @@ def verdict(diagnosis: Diagnosis) -> str:
     if diagnosis.proposal:
         said.append(_what_next(diagnosis.proposal, diagnosis.verdict == "unknown_physics"))
     return "\n".join(said)
+
+
+def _force(diagnosis: Diagnosis, unit: str) -> str:
+    """The force without a law that stands for what has no name."""
+    force, problem = diagnosis.places[0].force, diagnosis.explanation.problem
+    sizes = (f"{size:.2g} {u} ({name})" for size, u, name in
+             zip(np.sqrt((force.values**2).mean(axis=0)), force.units, force.components, strict=True))  # fmt: skip
+    before = problem.left(diagnosis.explanation.nominal.residual)
+    return (f"Without a law: what acts there is {', '.join(sizes)} rms; with it, free in time, "
+            f"{length(force.left, unit)} of {length(before, unit)} would be left.")  # fmt: skip
 
 
 def _far(diagnosis: Diagnosis) -> str:
