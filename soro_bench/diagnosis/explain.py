@@ -87,10 +87,14 @@ def explained(
     Args:
         robot: with the time steps of its model, for the responses.
     """
+    seeds = itertools.count(10 * seed, 10)
+    if not problem.rough:
+        progress("joint fit of the parameters")
+        problem, nominal = _polished(problem, refined, nominal, np.inf, seeds)
     progress("screening")
     found = responses(problem, nominal, candidates, robot)
     first = screened = evidence(problem, nominal, candidates, found)
-    best, tried, seeds = nominal, [], itertools.count(10 * seed, 10)
+    best, tried = nominal, []
     promised = left = singles(first)[0].gain
     for number in range(1, MOST + 1):
         if left < _worth(problem, nominal, best):
@@ -109,7 +113,8 @@ def explained(
             candidates = _compatible(robot, tried[0], candidates)
             found = responses(problem, tried[0], candidates, robot)  # the nominal robot is far away
         else:
-            problem, new[0] = _polished(problem, refined, nominal, new[0], seeds)
+            hopeless = HOPELESS * problem.excess(nominal.residual)
+            problem, new[0] = _polished(problem, refined, new[0], hopeless, seeds)
             tried = [_again(problem, h) for h in new + tried]
         screened = evidence(problem, tried[0], candidates, found)
         left = singles(screened)[0].gain
@@ -119,11 +124,12 @@ def explained(
     return Explanation(problem, nominal, tuple(unique(tried)), promised, left, first.detectable(WORTH))
 
 
-def _polished(problem, refined, nominal, hypothesis, seeds):
-    """Fit and numerical floor in turns, as long as more is left than nulls leave and that helps."""
+def _polished(problem, refined, hypothesis, hopeless, seeds):
+    """Fit and numerical floor in turns, as long as more is left than nulls leave, but not more than is hopeless, and
+    that helps."""
     for _ in range(POLISHES):
         before = problem.excess(hypothesis.residual)
-        if before < CLEAN or before > HOPELESS * problem.excess(nominal.residual):
+        if before < CLEAN or before > hopeless:
             break
         better = polished(problem, hypothesis, next(seeds))
         problem, (hypothesis,) = _with_own_floor(problem, refined, [better], next(seeds))
