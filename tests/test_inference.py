@@ -209,6 +209,19 @@ def test_bad_requests_are_named(reach, change, message):
         Replay(reach[0], **change)
 
 
+def test_tensions_tell_masses_and_stiffness_apart():
+    """Scaled together they leave the motion of a cable robot nearly as it is."""
+    recording = record("TrunkReach-v0", model="cable", steps=8)
+    names, spread = ("trunk_mass", "young_modulus"), []
+    for also in (), ("tension",):
+        replay = Replay(recording, names, noise=5e-4, threads=1, also=also)
+        spread.append(infer("sysid", replay).combinations[-1].relative_std)
+    assert spread[1] < 0.5 * spread[0]
+    with pytest.raises(ValueError, match="cannot infer from 'colour'; TrunkReach-v0 has keypoints"):
+        Replay(recording, names, also=("colour",))
+
+
+
 def test_a_recording_without_what_is_needed_is_refused(reach):
     recording, _ = reach
     with pytest.raises(RecordingError, match=r"no keypoints; it has tension"):

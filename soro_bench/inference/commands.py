@@ -26,6 +26,8 @@ class Infer:
     """Names of the parameters to infer; by default those that the published study randomises in the environment."""
     known: tuple[str, ...] = ()
     """Parameters that are known, such as trunk_mass=0.42; others that are not inferred are nominal."""
+    also: tuple[str, ...] = ()
+    """Signals to infer from beside those that the environment observes, such as tension."""
     model: str | None = None
     """Model or mesh to replay the recording on; the recorded one by default."""
     noise: float = 0.0
@@ -52,7 +54,7 @@ class Infer:
         if self.env not in (None, metadata["env_id"]):
             raise ValueError(f"{self.recording} is of {metadata['env_id']}, not of {self.env}")
         recording = replace(recording, metadata=metadata)
-        replay = Replay(recording, self.infer or None, known, self.model, self.noise, restart)
+        replay = Replay(recording, self.infer or None, known, self.model, self.noise, restart, also=self.also)
         settings = {}
         if self.published:
             settings = {"optimizer": "sampled"}

@@ -13,8 +13,9 @@ from soro_bench.recording.simulated import recorded_actions
 from soro_bench.registration import make_task, task_type
 
 # What a simulation is trusted to beside the sensor's noise, standard deviations by unit: in metres that of the
-# published eps, 1e-4 mm^2 (what rf-dropo's README asks for); without a unit (quaternions) the same 25 mm off the centre
-RESOLUTION = {"m": 1e-5, "1": 4e-4}
+# published eps, 1e-4 mm^2 (what rf-dropo's README asks for); without a unit (quaternions) the same 25 mm off the centre;
+# of forces what stretches a cable of 10 N/mm by as much
+RESOLUTION = {"m": 1e-5, "1": 4e-4, "N": 0.1}
 MISSING = 1e6  # standard deviation of a sample that is missing: it says nothing
 SIMULATIONS = 32  # at a time
 
@@ -32,6 +33,7 @@ class Replay:
         restart: every time step starts from the recorded state, for a recording with its full state, instead of from
             what was simulated before.
         threads: 0 for all processors; results do not depend on it.
+        also: signals to infer from beside those that the environment observes, such as tension [N].
     """
 
     def __init__(
@@ -43,6 +45,7 @@ class Replay:
         noise: float = 0.0,
         restart: bool = False,
         threads: int = 0,
+        also: Sequence[str] = (),
     ):
         env_id, self.actions = recorded_actions(recording)
         kind, metadata = task_type(env_id), recording.metadata
@@ -56,7 +59,10 @@ class Replay:
             raise ValueError(f"{', '.join(sorted(both))} cannot be both known and inferred")
         if not names:
             raise ValueError("there is nothing to infer: every parameter is known")
-        self.names, self.signal_names = tuple(names), self._task.inferred_from
+        for name in also:
+            if name not in kind.signal_units:
+                raise ValueError(f"cannot infer from {name!r}; {env_id} has {', '.join(kind.signal_units)}")
+        self.names, self.signal_names = tuple(names), tuple(dict.fromkeys((*self._task.inferred_from, *also)))
         self._states = _states(recording, len(self.actions), self._task.control_timestep) if restart else None
         self._read(recording, noise)
 
@@ -67,10 +73,12 @@ class Replay:
             if name not in recording.signals:
                 raise RecordingError(f"the recording has no {name}; it has {', '.join(recording.names)}")
             signal = resampled(recording.signals[name], times)
+            if signal.unit not in RESOLUTION:
+                raise RecordingError(f"{name} is in {signal.unit!r}; allowed are {', '.join(RESOLUTION)}")
             rows = signal.values.reshape(len(times), -1)
             measured.append(rows)
             # orientations come from the same markers: their noise grows with that of positions
-            noisier = np.hypot(1.0, noise / RESOLUTION["m"])
+            noisier = 1.0 if signal.unit == "N" else np.hypot(1.0, noise / RESOLUTION["m"])
             deviation.append(np.full_like(rows, RESOLUTION[signal.unit] * noisier))
             self.groups.append(slice(first, first := first + rows.shape[1]))
         self.measured = np.concatenate(measured, axis=1)  # (T, k), NaN where missing
