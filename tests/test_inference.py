@@ -221,7 +221,6 @@ def test_tensions_tell_masses_and_stiffness_apart():
         Replay(recording, names, also=("colour",))
 
 
-
 def test_a_recording_without_what_is_needed_is_refused(reach):
     recording, _ = reach
     with pytest.raises(RecordingError, match=r"no keypoints; it has tension"):

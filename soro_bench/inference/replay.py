@@ -13,8 +13,8 @@ from soro_bench.recording.simulated import recorded_actions
 from soro_bench.registration import make_task, task_type
 
 # What a simulation is trusted to beside the sensor's noise, standard deviations by unit: in metres that of the
-# published eps, 1e-4 mm^2 (what rf-dropo's README asks for); without a unit (quaternions) the same 25 mm off the centre;
-# of forces what stretches a cable of 10 N/mm by as much
+# published eps, 1e-4 mm^2 (what rf-dropo's README asks for); without a unit (quaternions) the same 25 mm off the
+# centre; of forces what stretches a cable of 10 N/mm by as much
 RESOLUTION = {"m": 1e-5, "1": 4e-4, "N": 0.1}
 MISSING = 1e6  # standard deviation of a sample that is missing: it says nothing
 SIMULATIONS = 32  # at a time
