@@ -132,6 +132,8 @@ def test_a_recording_can_begin_later_than_its_file(csv):
     assert recording.signals["f"].values.tolist() == [4, 5]
     np.testing.assert_allclose(recording.signals["f"].time, [0.0, 0.1], atol=1e-12)
     assert float(recording.metadata["start_time"]) == 5.3
+    with pytest.raises(RecordingError, match=r"signals.f has nothing from \[time\] begin = 9"):
+        csv("t,f\n0,1\n1,2\n", mapping.replace("0.3", "9.0"))
 
 
 def test_csv_of_counted_rows_of_some_trials(csv):

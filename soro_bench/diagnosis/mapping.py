@@ -233,6 +233,7 @@ def joint(model, name) -> int:
 
 
 def names_of(label, entry, key) -> list[str]:
+    """The list of names that an entry of a section has; ModelError for anything else."""
     values = entry.get(key) if isinstance(entry, dict) else None
     if not isinstance(values, list) or not values or not all(isinstance(value, str) for value in values):
         raise ModelError(f"[{label}] {key} is {values!r}; expected a list of names")
@@ -240,6 +241,7 @@ def names_of(label, entry, key) -> list[str]:
 
 
 def number(label, value, low, high) -> float:
+    """A value that is a number within bounds; ModelError for anything else."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
         raise ModelError(f"{label} is {value!r}; expected a number from {low:g} to {high:g}")
     return float(value)

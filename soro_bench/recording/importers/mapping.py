@@ -82,6 +82,8 @@ class FileMapping:
         for (group, name), (time, numbers) in found.items():
             build, since = getattr(self, group)[name].signal, seconds(time - start) - begin
             kept = (since > -_ROUNDING) & (since < until)
+            if len(time) and not kept.any():
+                raise RecordingError(f"{group}.{name} has nothing from [time] begin = {begin:g} to until = {until:g}")
             groups[group][name] = _named(f"{group}.{name}", build, np.maximum(since[kept], 0.0), numbers[kept])
         metadata = {"source": source[:200], "start_time": repr(float(seconds(start) + begin)), **self.metadata}
         return Recording(**groups, parameters=self.parameters, metadata=metadata)
