@@ -1,18 +1,13 @@
 """Bad input is refused with an error that names the value and what is allowed."""
 
 import json
-import re
 
 import gymnasium
 import numpy as np
 import pytest
 
 from soro_bench.randomization import Gaussian, TruncatedNormal, Uniform, from_dict, load
-
-
-def says(*parts):
-    """A pattern for a message in which ``parts`` follow one another."""
-    return "(?s)" + ".*".join(re.escape(part) for part in parts)
+from tests.recordings import says
 
 
 @pytest.mark.parametrize(
