@@ -24,9 +24,9 @@ from soro_bench.effects.catalogue import CATEGORIES
 RADII, LAST = ((0.7, 0.3), (0.15,), (0.05, 0.05)), 0.07
 FAR_DRAWS, FAR = 3, 0.7  # replays of each refined robot at first, and their standard deviation
 NEAR = (0.15, 0.05, 0.0)  # of the one near each fit
-# polishes at most, the excess below which none is needed (nulls leave as much), the share that one more has to take
-# off, and the share of what the nominal robot leaves above which an effect is missing that no polishing supplies
-POLISHES, CLEAN, ENOUGH, HOPELESS = 4, 1000.0, 0.1, 0.5
+# polishes at most, the excess below which none is needed (nulls leave as much), and the share that one more has to take
+# off
+POLISHES, CLEAN, ENOUGH = 4, 1000.0, 0.1
 MOST = 3  # effects
 # leads that are tried, the share of the best one's promise that they have to make, and hypotheses of a round with
 # floors of their own
@@ -90,7 +90,7 @@ def explained(
     seeds = itertools.count(10 * seed, 10)
     if not problem.rough:
         progress("joint fit of the parameters")
-        problem, nominal = _polished(problem, refined, nominal, np.inf, seeds)
+        problem, (nominal,) = _polished(problem, refined, [nominal], seeds)
     progress("screening")
     found = responses(problem, nominal, candidates, robot)
     first = screened = evidence(problem, nominal, candidates, found)
@@ -113,8 +113,7 @@ def explained(
             candidates = _compatible(robot, tried[0], candidates)
             found = responses(problem, tried[0], candidates, robot)  # the nominal robot is far away
         else:
-            hopeless = HOPELESS * problem.excess(nominal.residual)
-            problem, new[0] = _polished(problem, refined, new[0], hopeless, seeds)
+            problem, new = _polished(problem, refined, new, seeds)
             tried = [_again(problem, h) for h in new + tried]
         screened = evidence(problem, tried[0], candidates, found)
         left = singles(screened)[0].gain
@@ -124,18 +123,21 @@ def explained(
     return Explanation(problem, nominal, tuple(unique(tried)), promised, left, first.detectable(WORTH))
 
 
-def _polished(problem, refined, hypothesis, hopeless, seeds):
-    """Fit and numerical floor in turns, as long as more is left than nulls leave, but not more than is hopeless, and
-    that helps."""
-    for _ in range(POLISHES):
-        before = problem.excess(hypothesis.residual)
-        if before < CLEAN or before > hopeless:
+def _polished(problem, refined, hypotheses, seeds):
+    """Fit and numerical floor in turns, as long as the best hypothesis, which comes first, leaves more than nulls and
+    that helps: of all of them at first, since the right one may have farther to go, and then of the best."""
+    for k in range(POLISHES):
+        before = problem.excess(hypotheses[0].residual)
+        if before < CLEAN:
             break
-        better = polished(problem, hypothesis, next(seeds))
-        problem, (hypothesis,) = _with_own_floor(problem, refined, [better], next(seeds))
-        if problem.excess(hypothesis.residual) > (1.0 - ENOUGH) * before:
+        some = len(hypotheses) if k == 0 else 1
+        better = polished(problem, hypotheses[:some], next(seeds))
+        problem, better = _with_own_floor(problem, refined, better, next(seeds))
+        rest = [_again(problem, h) for h in hypotheses[some:]]
+        hypotheses = sorted([*better, *rest], key=lambda h: -h.log_evidence(problem))
+        if problem.excess(hypotheses[0].residual) > (1.0 - ENOUGH) * before:
             break
-    return problem, hypothesis
+    return problem, hypotheses
 
 
 def _compatible(robot, hypothesis, candidates):

@@ -35,14 +35,15 @@ class Force:
     """What explains most of what a hypothesis leaves if anything may act at a place, to first order.
 
     components: K names, such as "x" (of the world) or "pull". units: of each. start: (W,) s, beginnings of the windows,
-    of all recordings one after the other; recording: (W,) their numbers. values: (W, K). left: rms [signal's unit] of
-    what it does not explain.
+    of all recordings one after the other; recording: (W,) their numbers; window: s, their length. values: (W, K). left:
+    rms [signal's unit] of what it does not explain.
     """
 
     components: tuple[str, ...]
     units: tuple[str, ...]
     start: np.ndarray
     recording: np.ndarray
+    window: float
     values: np.ndarray
     left: float
 
@@ -177,7 +178,8 @@ def _offsets(problem) -> list[tuple[_Offset, np.ndarray]]:
 
 def _place(problem, base, where, pushes, rows) -> Place:
     """Free combinations of rows (K, M) in every window, the best of several sizes."""
-    window = windows(problem, WINDOW * len(rows))
+    length = WINDOW * len(rows)
+    window = windows(problem, length)
     numbers = np.unique(window)
     free = np.concatenate([rows * (window == w) for w in numbers])  # of a window after the other, K each
     floor = base.floor(problem)
@@ -199,8 +201,9 @@ def _place(problem, base, where, pushes, rows) -> Place:
     force = Force(
         tuple(push.component for push in pushes),
         tuple(push.unit for push in pushes),
-        WINDOW * len(rows) * (numbers % WINDOWS),
+        length * (numbers % WINDOWS),
         numbers // WINDOWS,
+        length,
         found.reshape(len(numbers), -1) * [push.amount for push in pushes],
         left,
     )

@@ -45,10 +45,10 @@ def unique(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     return list(first.values())
 
 
-def polished(problem: Problem, hypothesis: Hypothesis, seed: int) -> Hypothesis:
-    """The hypothesis, fitted on; never worse."""
-    (better,) = fitted(problem, [_guess(hypothesis)], _POLISH, seed)
-    return min(hypothesis, better, key=lambda h: h.cost)
+def polished(problem: Problem, hypotheses: Sequence[Hypothesis], seed: int) -> list[Hypothesis]:
+    """The hypotheses, each fitted on; never worse."""
+    better = fitted(problem, [_guess(h) for h in hypotheses], _POLISH, seed)
+    return [min(pair, key=lambda h: h.cost) for pair in zip(hypotheses, better, strict=True)]
 
 
 def persevered(problem: Problem, hypotheses: Sequence[Hypothesis], seed: int) -> list[Hypothesis]:
