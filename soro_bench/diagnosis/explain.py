@@ -92,13 +92,18 @@ def explained(
         progress("joint fit of the parameters")
         problem, (nominal,) = _polished(problem, refined, [nominal], seeds)
     progress("screening")
-    found = responses(problem, nominal, candidates, robot)
-    first = screened = evidence(problem, nominal, candidates, found)
-    best, tried = nominal, []
+    possible, best, tried = candidates, nominal, []
+    found = responses(problem, nominal, possible, robot)
+    first = screened = evidence(problem, nominal, possible, found)
     promised = left = singles(first)[0].gain
     for number in range(1, MOST + 1):
         if left < _worth(problem, nominal, best):
             break
+        if number > 1 and not problem.rough:  # the nominal robot may be far away
+            progress("screening")
+            possible = _compatible(robot, best, candidates)
+            found = responses(problem, best, possible, robot)
+            screened = evidence(problem, best, possible, found)
         progress(f"refits with {number} effect{'s' * (number > 1)}")
         leads = _leads(problem, screened, singles(screened))
         if number == 2 and not problem.rough:
@@ -110,12 +115,12 @@ def explained(
         new.sort(key=lambda h: -h.log_evidence(problem))
         if problem.rough:
             problem, (nominal, *tried) = allowing(problem, new[0], [nominal, *new, *tried])
-            candidates = _compatible(robot, tried[0], candidates)
-            found = responses(problem, tried[0], candidates, robot)  # the nominal robot is far away
+            possible = _compatible(robot, tried[0], candidates)
+            found = responses(problem, tried[0], possible, robot)
         else:
             problem, new = _polished(problem, refined, new, seeds)
             tried = [_again(problem, h) for h in new + tried]
-        screened = evidence(problem, tried[0], candidates, found)
+        screened = evidence(problem, tried[0], possible, found)
         left = singles(screened)[0].gain
         if number > 1:
             tried[1:1] = without_one(problem, tried[0], next(seeds))
@@ -125,12 +130,12 @@ def explained(
 
 def _polished(problem, refined, hypotheses, seeds):
     """Fit and numerical floor in turns, as long as the best hypothesis, which comes first, leaves more than nulls and
-    that helps: of all of them at first, since the right one may have farther to go, and then of the best."""
+    that helps: at first of the best few, since the right one may have farther to go, and then of the best."""
     for k in range(POLISHES):
         before = problem.excess(hypotheses[0].residual)
         if before < CLEAN:
             break
-        some = len(hypotheses) if k == 0 else 1
+        some = FLOORS if k == 0 else 1
         better = polished(problem, hypotheses[:some], next(seeds))
         problem, better = _with_own_floor(problem, refined, better, next(seeds))
         rest = [_again(problem, h) for h in hypotheses[some:]]

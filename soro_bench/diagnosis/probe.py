@@ -2,13 +2,14 @@
 
 A constant force is let act at one place after the other, and the robot replayed: along every tendon, in three
 directions on every body, on the joints of every body, and in three directions on all bodies by their mass, as gravity.
-Cut into short windows, of which each may be scaled freely, these responses stand for any force at a place that changes
-slowly within a window; a free offset of each measured point stands for a fault there. The place at which they explain
-most of what parameters and numerical error do not explain is where something acts. No law is assumed.
+The setpoint of every actuator is moved as well, since a servo gives way to no force. Cut into short windows, of which
+each may be scaled freely, these responses stand for anything at a place that changes slowly within a window; a free
+offset of each measured point stands for a fault there. The place at which they explain most of what parameters and
+numerical error do not explain is where something acts. No law is assumed.
 
-A body is pushed in three directions where a tendon pulls in one, so the windows of a tendon are a third as long: every
-place has as many free numbers. With the same windows for all, a force at the tip explained more of what the motor of
-one cable did to another than that cable.
+A body is pushed in three directions where a tendon or an actuator pulls in one, so the windows of those are a third as
+long: every place has as many free numbers. With the same windows for all, a force at the tip explained more of what the
+motor of one cable did to another than that cable.
 """
 
 from collections.abc import Sequence
@@ -21,6 +22,9 @@ from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.localise import WINDOWS, windows
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import SIMULATIONS, Robot
+from soro_bench.diagnosis.screen import responses
+from soro_bench.diagnosis.suspects import MAGNITUDE_DEVIATION, suspect, typical
+from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Port
 
 WINDOW = 0.15  # s, times the number of directions
@@ -64,8 +68,9 @@ def places(problem: Problem, robot: Robot, base: Hypothesis) -> list[Place]:
         robot: that is pushed, with the time steps of its model.
     """
     pushes = _pushes(robot)
+    pushed = zip(pushes, _responses(problem, robot, base, pushes), strict=True)
     groups: dict[tuple, list[tuple[_Push | _Offset, np.ndarray]]] = {}
-    for push, row in [*zip(pushes, _responses(problem, robot, base, pushes), strict=True), *_offsets(problem)]:
+    for push, row in [*pushed, *_setpoints(problem, robot, base), *_offsets(problem)]:
         groups.setdefault((push.where, push.kind), []).append((push, row))
     best: dict[Port, Place] = {}
     for (where, _), members in groups.items():
@@ -77,13 +82,16 @@ def places(problem: Problem, robot: Robot, base: Hypothesis) -> list[Place]:
 
 @dataclass(frozen=True)
 class _Offset:
-    """A fault of a measured point in one coordinate: ``amount`` [unit]."""
+    """A setpoint, or one coordinate of a measured point, that is off by ``amount`` [unit]."""
 
     where: Port
     component: str
     unit: str
     amount: float
-    kind = "sensor"
+
+    @property
+    def kind(self) -> str:
+        return self.where.kind
 
 
 @dataclass(frozen=True)
@@ -159,6 +167,17 @@ def _responses(problem, robot, base, pushes: Sequence[_Push]) -> np.ndarray:
         batch.xfrc_applied[:] = 0.0
         batch.qfrc_applied[:] = 0.0
     return np.nan_to_num(np.concatenate(found))
+
+
+def _setpoints(problem, robot, base) -> list[tuple[_Offset, np.ndarray]]:
+    """An offset of the setpoint of each actuator, with its (M,) change of the residual."""
+    moved = [suspect(robot, "pretension", port) for port in robot.ports("actuator")]
+    moved = [each for each in moved if robot.accepts([*base.effects(problem.parameters), typical(each)])]
+    (quantity,) = QUANTITIES["pretension"]
+    return [
+        (_Offset(each.where, quantity.name, quantity.unit, each.typical[0]), rows[0] / MAGNITUDE_DEVIATION)
+        for each, rows in zip(moved, responses(problem, base, moved, robot) if moved else [], strict=True)
+    ]
 
 
 def _offsets(problem) -> list[tuple[_Offset, np.ndarray]]:

@@ -46,8 +46,8 @@ def unique(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def polished(problem: Problem, hypotheses: Sequence[Hypothesis], seed: int) -> list[Hypothesis]:
-    """The hypotheses, each fitted on; never worse."""
-    better = fitted(problem, [_guess(h) for h in hypotheses], _POLISH, seed)
+    """The hypotheses, each fitted on with slopes of its own, since those from elsewhere mislead; never worse."""
+    better = fitted(problem, [Guess(h.x, h.suspects) for h in hypotheses], _POLISH, seed)
     return [min(pair, key=lambda h: h.cost) for pair in zip(hypotheses, better, strict=True)]
 
 
@@ -79,10 +79,6 @@ def without_one(problem: Problem, hypothesis: Hypothesis, seed: int) -> list[Hyp
         rest = hypothesis.suspects[:i] + hypothesis.suspects[i + 1 :]
         guesses.append(Guess(hypothesis.x[kept], rest, hypothesis.slope[kept]))
     return fitted(problem, guesses, _POLISH, seed)
-
-
-def _guess(hypothesis):
-    return Guess(hypothesis.x, hypothesis.suspects, hypothesis.slope)
 
 
 def _tried(problem, guesses):
