@@ -45,9 +45,9 @@ def unique(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     return list(first.values())
 
 
-def polished(problem: Problem, hypotheses: Sequence[Hypothesis], seed: int) -> list[Hypothesis]:
+def polished(problem: Problem, hypotheses: Sequence[Hypothesis], radii: Sequence[float], seed: int) -> list[Hypothesis]:
     """The hypotheses, each fitted on with slopes of its own, since those from elsewhere mislead; never worse."""
-    better = fitted(problem, [Guess(h.x, h.suspects) for h in hypotheses], _POLISH, seed)
+    better = fitted(problem, [Guess(h.x, h.suspects) for h in hypotheses], radii, seed)
     return [min(pair, key=lambda h: h.cost) for pair in zip(hypotheses, better, strict=True)]
 
 
