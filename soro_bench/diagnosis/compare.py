@@ -26,9 +26,6 @@ TEMPER = (100.0, 0.1)  # nats, and share of the excess
 UNKNOWN = (0.25, 0.06, 2500.0)
 # logarithm of the evidence that one more effect still promises where the physics is as likely unknown as not, and width
 STILL = (math.log(170.0), 0.2)
-# share of the held-out variance that the best law explains where the physics is as likely unknown as not, and width;
-# and the rms error, in units of the noise, from which on the share says something
-HELDOUT, SHOWS = (0.68, 0.02), 1.1
 COMPARED = 5  # hypotheses that are simulated on held-out recordings
 
 
@@ -107,8 +104,7 @@ def compared(found: Explanation, heldout: Problem | None, refined: Sequence[Robo
         Answer(h, p, e, Fit(train[0], a, problem.sensor), None if b is None else Fit(tested[0], b, problem.sensor))
         for h, p, e, a, b in zip(hypotheses, chances, scores.tolist(), train, tested, strict=True)
     ]
-    best = max(answers[1:], key=lambda a: a.probability, default=answers[0])
-    unknown = (1.0 - detected) * _unknown(problem, hypotheses, found.left, best.heldout)
+    unknown = (1.0 - detected) * _unknown(problem, hypotheses, found.left)
     answers = [replace(a, probability=a.probability * (1.0 - unknown)) for a in answers]
     return Comparison(tuple(sorted(answers, key=lambda a: -a.probability)), unknown, detected)
 
@@ -126,16 +122,13 @@ def _chances(scores, detected, excess):
     return np.concatenate([[detected], (1.0 - detected) * others / others.sum()])
 
 
-def _unknown(problem, hypotheses, promised, heldout) -> float:
+def _unknown(problem, hypotheses, promised) -> float:
     """Probability that the physics has no name: of what the nominal robot leaves, the first, all leave much; or one
-    more effect, on top of the best of all, still promises more than where the laws are right; or the best of all
-    explains little of other motion."""
+    more effect, on top of the best of all, still promises more than where the laws are right."""
     samples, more = float(problem.weight.sum()), (problem.sigma / problem.sensor) ** 2
     left = [0.5 * ((2.0 * problem.excess(h.residual) + samples) * more - samples) for h in hypotheses]
     share, width, least = UNKNOWN
     named = expit((share - (min(left) - least) / max(left[0] - least, 1.0)) / width)
     if not problem.rough:  # else what is left is taken for noise, and promises are small
         named *= expit((STILL[0] - math.log(max(promised, 1.0))) / STILL[1])
-        if heldout is not None and heldout.before > SHOWS * heldout.noise:
-            named *= expit((heldout.explained - HELDOUT[0]) / HELDOUT[1])
     return 1.0 - float(named)
