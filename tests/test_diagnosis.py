@@ -255,6 +255,21 @@ def test_a_force_without_a_name_is_found_at_its_place(robot, actions, where):
     assert best.force.left < 0.75 * given.left(base.residual)
 
 
+def test_a_setpoint_that_wanders_is_found_at_its_actuator(robot, actions):
+    """A servo gives way to no force, so that a pull along its cable could not stand for it."""
+    batch, i = robot.simulation.batch, robot.elements.id(Port("actuator", "L2"))
+    slot = robot.simulation.model.actuator_actadr[i]
+
+    def move(step):
+        batch.act[0, slot] += 0.004 * (np.sin(step / 5) - np.sin((step - 1) / 5))
+
+    given = problem(robot, actions, before_step=move)
+    (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
+    best = places(given, robot, base)[0]
+    assert best.where == Port("actuator", "L2")
+    assert best.force.components == ("offset",)
+
+
 def test_what_nothing_explains_is_unknown_and_what_something_explains_is_not(robot, actions):
     given = problem(robot, actions)
     residual = np.random.default_rng(0).standard_normal(given.weight.size)
@@ -264,6 +279,7 @@ def test_what_nothing_explains_is_unknown_and_what_something_explains_is_not(rob
     assert compare._unknown(given, [poor, poor], 0.0) > 0.95
     assert compare._unknown(given, [poor, good], 0.0) < 0.05
     assert compare._unknown(given, [poor, good], 1000.0) > 0.95  # something else is there, which no law explains
+    assert compare._unknown(given, [good], 400.0) < 0.05  # a lead that was not worth a try
 
 
 def test_what_is_far_beyond_the_sensors_noise_and_not_explained_is_unknown_and_not_nothing(robot, actions):

@@ -7,14 +7,15 @@ import pytest
 
 pytest.importorskip("pyarrow")
 pytest.importorskip("mcap")
-hypothesis = pytest.importorskip("hypothesis")
-from hypothesis import strategies as st  # noqa: E402
+pytest.importorskip("hypothesis")
+import hypothesis
+from hypothesis import strategies as st
 
-from benchmarks.fuzz_recordings import mutated, outcome, readers, write_lerobot  # noqa: E402
-from soro_bench.cli import main  # noqa: E402
-from soro_bench.recording.importers import import_recording  # noqa: E402
-from soro_bench.recording.parquet import load  # noqa: E402
-from soro_bench.recording.recording import RecordingError  # noqa: E402
+from benchmarks.fuzz_recordings import mutated, outcome, readers, write_lerobot
+from soro_bench.cli import main
+from soro_bench.recording.importers import import_recording
+from soro_bench.recording.parquet import load
+from soro_bench.recording.recording import RecordingError
 
 
 def test_what_cannot_be_imported(tmp_path):

@@ -129,6 +129,7 @@ def _unknown(problem, hypotheses, promised) -> float:
     left = [0.5 * ((2.0 * problem.excess(h.residual) + samples) * more - samples) for h in hypotheses]
     share, width, least = UNKNOWN
     named = expit((share - (min(left) - least) / max(left[0] - least, 1.0)) / width)
-    if not problem.rough:  # else what is left is taken for noise, and promises are small
+    # where all that is left is taken for noise, promises are small; where nothing was tried, the p-value judges them
+    if len(hypotheses) > 1 and not problem.rough:
         named *= expit((STILL[0] - math.log(max(promised, 1.0))) / STILL[1])
     return 1.0 - float(named)
