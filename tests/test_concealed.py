@@ -206,9 +206,14 @@ def test_written_cases(tmp_path, short):
     with pytest.raises(ValueError, match="has the cases of"):
         cases.write_cases(first, 2, seed=6, nulls=1, durations=DURATIONS)
 
+    # and what has been committed to stays
+    path = second / "case_000" / "train.parquet"
+    path.write_bytes((second / "case_001" / "train.parquet").read_bytes())
+    with pytest.raises(ValueError, match="its label says"):
+        cases.write_cases(second, 2, seed=5, nulls=1, durations=DURATIONS)
+
     labels = json.loads(written["sealed/labels.json"])
     assert written["commitment.txt"].decode().strip() == hashlib.sha256(written["sealed/labels.json"]).hexdigest()
-    assert len(labels["salt"]) == 64
     assert sorted(len(label["effects"]) for label in labels["cases"]) == [0, 1]
     for label in labels["cases"]:
         assert {path.name for path in (first / label["id"]).iterdir()} == set(label["sha256"])

@@ -220,6 +220,17 @@ def test_hysteresis_needs_a_spring_and_creep_relaxes_with_its_time_constant():
     assert np.abs(way - expected)[1000:].max() < 0.01
 
 
+def test_laws_that_scale_one_spring_all_act():
+    spec = mujoco.MjSpec.from_string(SERVO)
+    spec.joint("hinge").stiffness[0] = 1.0
+    laws = [on_hinge("stiffening", beta=4.0), on_hinge("stiffness_drift", rate=-3.0),
+            on_hinge("plastic_set", softness=5.0, share=0.5)]  # fmt: skip
+    sim = flat(Simulation(instrument(spec).compile(), ParameterSet(), (), 1, 1, laws))
+    angle = turn(sim, torque=lambda step: 0.3 * min(1.0, step / 4000), steps=5000)[-1]
+    # one half of the spring has yielded at 0.2 rad; the other has lost a half after 10 s
+    assert 0.5 * 0.2 + 0.25 * angle * (1.0 + 4.0 * angle**2) == pytest.approx(0.3, rel=1e-3)
+
+
 def test_viscous_friction_is_a_damper():
     sim = flat(servo([on_hinge("viscous_friction", damping=0.09)]))
     way = turn(sim, torque=0.1, steps=3000)
@@ -285,6 +296,14 @@ def test_an_environment_with_an_effects_file_differs_and_without_effects_does_no
     assert not np.array_equal(moved[0], moved[1])
 
 
+def test_an_environment_leaves_out_faults_of_measurement_and_says_so(tmp_path):
+    save_effects(
+        [Effect("sensor_delay", Port("sensor", "keypoints"), {"delay": 0.1})], path := tmp_path / "effects.json"
+    )
+    with pytest.warns(UserWarning, match="do nothing here: sensor_delay"):
+        gymnasium.make("TrunkReach-v0", model="cable", effects=path).close()
+
+
 def test_an_effects_file_is_read_as_it_was_written(tmp_path):
     effects = (Effect("backlash", Port("actuator", "*"), {"width": 0.001}),
                Effect("sensor_bias", Port("sensor", "keypoints", 3), {"x": 0.1, "y": 0.0, "z": 0.0}))  # fmt: skip
@@ -322,6 +341,8 @@ def test_a_bad_effects_file_is_refused_in_words(tmp_path, data, message):
         ([Effect("sensor_delay", Port("sensor", "keypoints"), {"delay": 0.1})], "no physics"),
         ([Effect("coulomb_friction", Port("tendon", "L0"), {"friction": 1.0}),
           Effect("load_friction", Port("tendon", "L0"), {"mu": 0.1})], "same spring"),
+        ([Effect("actuator_gain", Port("actuator", "*"), {"gain": 0.9}),
+          Effect("actuator_gain", Port("actuator", "L0"), {"gain": 0.9})], "acts twice at actuator L0"),
     ],
 )  # fmt: skip
 def test_effects_that_have_no_place_are_refused_in_words(effects, message):

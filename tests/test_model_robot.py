@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from soro_bench.diagnosis.findings import unit_at
 from soro_bench.diagnosis.mapping import ModelError
 from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.page import write_reports
@@ -14,6 +15,7 @@ from soro_bench.diagnosis.pipeline import diagnose
 from soro_bench.diagnosis.report import earlier
 from soro_bench.diagnosis.robot import Earlier
 from soro_bench.diagnosis.suspects import suspects
+from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Effect, Port
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from tests.arm import ARM, MAP, TRUTH, recording
@@ -186,6 +188,52 @@ def test_a_robot_settles_under_its_first_command(paths):
     robot = ModelRobot(model, mapping, threads=1)
     (values,) = robot.simulate(np.full((10, 1), 0.3), np.array([[1.0, 1.0, 0.0]]), [()])
     assert np.ptp(values) < 1e-6
+
+
+def test_a_setpoint_that_is_held_does_not_move_wherever_it_is(paths):
+    goals = np.concatenate([np.full(10, 0.5), np.linspace(0.5, 0.1, 9), np.full(5, 0.1), np.linspace(0.1, 0.3, 5)])
+    rates = ModelRobot(*paths, threads=1).rates(goals[:, None])[:, 0]
+    assert (np.sign(rates) == [0] * 11 + [-1] * 8 + [0] * 6 + [1] * 4).all()
+
+
+def test_a_proposed_motion_is_within_the_range_of_an_actuator(paths):
+    model, mapping = paths
+    model.write_text(ARM.replace('kp="2"', 'kp="2" ctrllimited="true" ctrlrange="5 10"'))
+    goals = ModelRobot(model, mapping, threads=1).commanded(np.array([[1.0], [1.0], [-1.0], [-1.0], [-1.0], [-1.0]]))
+    assert goals[:, 0] == pytest.approx([7.25, 8.0, 7.25, 6.5, 5.75, 5.0])
+
+
+def test_a_delayed_servo_stays_where_its_first_command_holds_it(paths):
+    model, mapping = paths
+    mapping.write_text(MAP.replace("control_timestep = 0.02", "control_timestep = 0.02\nsettle = 5.0"))
+    delay = Effect("actuator_delay", Port("actuator", "motor"), {"delay": 0.1})
+    robot, parameters = ModelRobot(model, mapping, threads=1), np.array([[1.0, 1.0, 0.0]])
+    mapping.write_text(MAP)
+    begun = ModelRobot(model, mapping, threads=1)
+    goals = np.full((5, 1), 0.3)
+    (rest,) = robot.simulate(goals, parameters, [()])
+    (values,) = begun.simulate(goals, parameters, [(delay,)], rest[-1])
+    assert np.abs(values - rest[-1]).max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "place", "unit"),
+    [
+        ("compliance", "actuator", "motor", "rad/(N m)"),
+        ("pretension", "actuator", "motor", "setpoint"),
+        ("coulomb_friction", "joint", "hinge", "N m"),
+        ("sensor_bias", "sensor", "angle", "rad"),
+    ],
+)
+def test_units_are_those_of_what_turns(paths, name, kind, place, unit):
+    assert unit_at(ModelRobot(*paths, threads=1), QUANTITIES[name][0].unit, Port(kind, place)) == unit
+
+
+def test_a_recording_that_does_not_say_where_it_begins_is_refused(paths):
+    given = recording(paths, [], 0)
+    given.signals["angle"].values[0] = np.nan
+    with pytest.raises(RecordingError, match=r"\[initial\] needs"):
+        ModelRobot(*paths, threads=1).measured(given)
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,9 @@ from soro_bench.proof.score import markdown, opened_labels, scored
 
 def label(number, group="one", name="payload", category="inertia", kind="body", place="vertebra4", index=None):
     where = {"kind": kind, "name": place, **({} if index is None else {"index": index})}
-    effects = [] if group == "none" else [{"name": name, "class": category, "where": where}]
-    change = {"train": 0.0 if group == "none" else 2.0, "heldout": 0.0 if group == "none" else 1.0}
+    mass = {"mass": {"value": 0.1, "unit": "kg"}}
+    effects = [] if group == "none" else [{"name": name, "class": category, "where": where, "parameters": mass}]
+    change = {"train": 0.0 if group == "none" else 2.0, "task": 0.0 if group == "none" else 1.0}
     return {"id": f"case_{number:03d}", "group": group, "robot": "fine", "effects": effects, "change_mm": change,
             "noise": {"value": 5e-4, "unit": "m"}}  # fmt: skip
 
@@ -24,13 +25,14 @@ def hypothesis(names, where, excess, unknowns):
 
 def report(name="payload", category="inertia", kind="body", place="vertebra4", chance=0.9, verdict="missing_physics"):
     where = None if name == "none" else {"kind": kind, "name": place}
-    first = {"name": name, "class": category, "probability": chance, "where": where}
+    mass = {"mass": {"value": 0.11, "unit": "kg", "ci90": [0.09, 0.13]}}
+    first = {"name": name, "class": category, "probability": chance, "where": where, "parameters": mass}
     rest = {"name": "unknown", "class": "unknown", "probability": 1 - chance, "where": None}
     fit = {"rmse_before": 6e-4, "rmse_after": 5e-4, "noise_floor": 5e-4}
     return {"effects": [first, rest], "verdict": verdict, "credible_set": [name],
             "classes": [{"class": category, "probability": chance}, {"class": "unknown", "probability": 1 - chance}],
-            "hypotheses": [hypothesis([], None, 100.0, 5), hypothesis([name], where, 10.0, 6)],
-            "fit": {"train": fit, "heldout": fit, "fve_heldout": 0.95}, "seconds": 50.0}  # fmt: skip
+            "hypotheses": [hypothesis([name] if where else [], where, 10.0, 6), hypothesis([], None, 100.0, 5)],
+            "fit": {"train": fit, "parameters_only": 6e-4}, "unseen": fit | {"fve": 0.95}, "seconds": 50.0}  # fmt: skip
 
 
 def values(labels, reports):
@@ -66,6 +68,30 @@ def test_places(truth, said, right):
     assert found["place right"] == float(right)
 
 
+def test_what_comes_after_nothing_is_not_among_the_first_three_if_it_is_the_fourth():
+    late = report("none", "none", verdict="none_detected")
+    late["effects"][1:] = [{**late["effects"][0], "name": name} for name in ("base_tilt", "backlash", "payload")]
+    assert values([label(0)], [late])[0]["right among the first three"] == 0.0
+
+
+def test_what_has_no_name_is_placed_only_where_it_is_called_unknown():
+    hidden = label(0, "unknown", "unknown", "unknown", "body", "vertebra4")
+    named, unnamed = report(), report("unknown", "unknown", verdict="unknown_physics")
+    assert values([hidden], [named])[0]["unknown called so, at the right place"] == 0.0
+    assert values([hidden], [unnamed])[0]["unknown called so, at the right place"] == 1.0
+
+
+def test_a_probability_beyond_one_is_refused():
+    with pytest.raises(ValueError, match="0 to 1"):
+        values([label(0)], [report(chance=1.5)])
+
+
+def test_magnitudes_are_compared():
+    found, _ = values([label(0)], [report()])
+    assert found["magnitude of what is named rightly: error, median"] == pytest.approx(0.1)
+    assert found["magnitude of what is named rightly: in its 90 % interval"] == 1.0
+
+
 def test_calibration_compares_what_is_stated_with_what_is_right():
     labels = [label(i) for i in range(4)]
     reports = [report(chance=0.75)] * 2 + [report("base_tilt", "static_one_sided", "model", "gravity", 0.75)] * 2
@@ -97,6 +123,7 @@ def test_labels_are_opened_only_when_every_case_has_its_report(tmp_path, monkeyp
     monkeypatch.setattr(prove, "load", lambda path: path)
     monkeypatch.setattr(prove, "diagnose", lambda robot, train, heldout: done.append(train[0].parent.name))
     monkeypatch.setattr(prove, "report_of", lambda found: report())
+    monkeypatch.setattr(prove, "unseen", lambda found, recording: report()["unseen"])
     monkeypatch.setattr(prove, "write_entry", lambda *_: None)
     monkeypatch.setattr(prove, "opened_labels", lambda folder: [label(i) for i in range(len(done))])
     (tmp_path / "reports").mkdir()
@@ -105,26 +132,28 @@ def test_labels_are_opened_only_when_every_case_has_its_report(tmp_path, monkeyp
     assert "| first answer right | 2 | 1 |" in text
     prove.diagnosed(tmp_path / "cases" / "case_000", tmp_path / "reports" / "case_000.json")
     assert len(done) == 2
+    (tmp_path / "reports" / "method.txt").write_text("of another version\n")
+    with pytest.raises(ValueError, match="another version"):
+        prove.prove(tmp_path, 2, 0)
 
 
 def test_ablations_are_scored_on_the_cases_that_all_have():
     labels = [label(0), label(1), label(2, "none")]
     whole = {"case_000": report(), "case_001": report(), "case_002": report("none", "none", verdict="none_detected")}
     wrong = report("base_tilt", "static_one_sided", "model", "gravity")
-    fit = {"rmse_before": 9e-4, "rmse_after": 8e-4, "noise_floor": 5e-4}
+    fit = {"unseen": {"rmse_before": 9e-4, "rmse_after": 8e-4, "noise_floor": 5e-4}}
     others = {"no_floor": {**whole, "case_000": wrong}, "network_only": dict.fromkeys(whole, fit)}
     rows = {row["variant"]: row for row in ablation_rows(labels, whole, others)}
     assert rows["the whole method"]["first answer right"] == 1.0
     assert rows["no_floor"]["first answer right"] == 0.5
     assert rows["network_only"]["first answer right"] is None
-    assert rows["network_only"]["held-out rms [mm]"] == pytest.approx(0.8)
-    assert rows["network_only"]["held-out variance explained"] == pytest.approx(1 - 39 / 56)
+    assert rows["network_only"]["rms on unseen motion [mm]"] == pytest.approx(0.8)
+    assert rows["the whole method"]["variance of unseen motion explained"] == pytest.approx(0.95)
 
 
 def test_the_information_criterion_takes_what_fits_better_for_its_unknowns():
-    found = by_bic(report("none", "none", verdict="none_detected"))
-    assert found["verdict"] == "missing_physics"  # 90 nats for one more unknown
+    assert by_bic(report())["verdict"] == "missing_physics"  # 90 nats for one more unknown
     small = report()
-    small["hypotheses"][0]["excess"] = 11.0
+    small["hypotheses"][1]["excess"] = 11.0
     assert by_bic(small)["verdict"] == "none_detected"
     assert by_bic(report())["effects"][0]["probability"] == pytest.approx(1.0)

@@ -6,7 +6,6 @@ wrong the models are at any rate. The constants are set by hand on a few develop
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,9 +13,7 @@ from scipy.special import expit
 
 from soro_bench.diagnosis.explain import Explanation
 from soro_bench.diagnosis.fit import Hypothesis
-from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.robot import Robot
 
 # evidence that the best lead promises where nothing is missing (42 to 384 in eight cases): a Gumbel distribution
 GUMBEL_LOCATION, GUMBEL_SCALE = 130.0, 100.0
@@ -83,10 +80,18 @@ def temperature(excess: float) -> float:
     return TEMPER[0] + TEMPER[1] * max(excess, 0.0)
 
 
-def compared(found: Explanation, heldout: Problem | None, refined: Sequence[Robot]) -> Comparison:
-    """Probabilities of the hypotheses of an explanation, and their fits."""
-    problem, nominal = found.problem, found.nominal
-    hypotheses = [nominal, *found.found[:COMPARED]]
+def shortlist(found: Explanation) -> list[Hypothesis]:
+    """The hypotheses that are compared; the first is the nominal robot."""
+    return [found.nominal, *found.found[:COMPARED]]
+
+
+def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> Comparison:
+    """Probabilities of the hypotheses of an explanation, and their fits.
+
+    Args:
+        heldout: the problem of the held-out recordings, and its residuals (H, M) under the short list.
+    """
+    problem, hypotheses = found.problem, shortlist(found)
     scores = np.array([h.log_evidence(problem) - _chance(h) for h in hypotheses])
     # what was promised, and where the simulation was too far off for a promise, what has been gained; where much more
     # is left than the sensor's noise something is missing, whether or not a law explains it
@@ -94,11 +99,9 @@ def compared(found: Explanation, heldout: Problem | None, refined: Sequence[Robo
     train = [problem.left(h.residual) for h in hypotheses]
     tested = [None] * len(hypotheses)
     if heldout is not None:
-        points = [(h.x, h.suspects) for h in hypotheses]
-        heldout = heldout.with_floor(numerical_floor(heldout, refined, points))
-        residuals = heldout.residuals(points)
-        scores = scores - [heldout.excess(row) for row in residuals]
-        tested = [heldout.left(row) for row in residuals]
+        unfitted, residuals = heldout
+        scores = scores - [unfitted.excess(row) for row in residuals]
+        tested = [unfitted.left(row) for row in residuals]
     chances = _chances(scores, detected, min(problem.excess(h.residual) for h in hypotheses))
     answers = [
         Answer(h, p, e, Fit(train[0], a, problem.sensor), None if b is None else Fit(tested[0], b, problem.sensor))

@@ -48,6 +48,8 @@ class Explanation:
     nominal: no effect.
     found: those that were refitted, the last round first and of each round the most probable first; empty where nothing
         is missing.
+    unpatched: rms [signal's unit] that the nominal robot leaves under its own numerical floor, before any effect has
+        had a say in that.
     promised: the evidence that the best lead promised on top of the nominal robot.
     left: the same on top of the best of all.
     minimum: of each suspect, the coordinate of its first magnitude that would just have been worth a look.
@@ -56,6 +58,7 @@ class Explanation:
     problem: Problem
     nominal: Hypothesis
     found: tuple[Hypothesis, ...]
+    unpatched: float
     promised: float
     left: float
     minimum: tuple[tuple[Suspect, float], ...]
@@ -94,19 +97,21 @@ def explained(
     if not problem.rough:
         progress("joint fit of the parameters")
         problem, (nominal,) = _polished(problem, refined, [nominal], seeds)
+    unpatched = problem.left(nominal.residual)
     progress("screening")
     possible, best, tried = candidates, nominal, []
     found = responses(problem, nominal, possible, robot)
     first = screened = evidence(problem, nominal, possible, found)
     promised = left = singles(first)[0].gain
     for number in range(1, MOST + 1):
-        if left < _worth(problem, nominal, best):
-            break
-        if number > 1 and not problem.rough:  # the nominal robot may be far away
-            progress("screening")
+        if number > 1 and not problem.rough and left >= _worth(problem, nominal, best):
+            progress("screening")  # anew, where the best hypothesis is
             possible = _compatible(robot, best, candidates)
             found = responses(problem, best, possible, robot)
             screened = evidence(problem, best, possible, found)
+            left = singles(screened)[0].gain
+        if left < _worth(problem, nominal, best):
+            break
         progress(f"refits with {number} effect{'s' * (number > 1)}")
         leads = _leads(problem, screened, singles(screened))
         if number == 2 and not problem.rough:
@@ -123,12 +128,15 @@ def explained(
         else:
             problem, new = _polished(problem, refined, new, seeds)
             tried = [_again(problem, h) for h in new + tried]
+            allowed = _compatible(robot, tried[0], possible)
+            found = [rows for c, rows in zip(possible, found, strict=True) if c in allowed]
+            possible = allowed
         screened = evidence(problem, tried[0], possible, found)
         left = singles(screened)[0].gain
         if number > 1:
             tried[1:1] = without_one(problem, tried[0], next(seeds))
         nominal, best = _again(problem, nominal), tried[0]
-    return Explanation(problem, nominal, tuple(unique(tried)), promised, left, first.detectable(WORTH))
+    return Explanation(problem, nominal, tuple(unique(tried)), unpatched, promised, left, first.detectable(WORTH))
 
 
 def _polished(problem, refined, hypotheses, seeds):

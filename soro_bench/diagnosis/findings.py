@@ -9,6 +9,7 @@ from soro_bench.diagnosis.compare import Answer, Fit, temperature
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.localise import Regime, explained_over_time, intervals, regimes
 from soro_bench.diagnosis.pipeline import Diagnosis
+from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.suspects import Suspect
 from soro_bench.effects.catalogue import CATEGORIES, QUANTITIES
 from soro_bench.effects.effect import Effect, Port
@@ -34,7 +35,7 @@ def findings(diagnosis: Diagnosis) -> list[Finding]:
         for suspect, effect in zip(answer.hypothesis.suspects, answer.hypothesis.effects(d), strict=True):
             key = (effect.name, effect.where)
             first = best.get(key)
-            chance = answer.probability + (first.probability if first else 0.0)
+            chance = min(1.0, answer.probability + (first.probability if first else 0.0))  # but for rounding
             best[key] = replace(first, probability=chance) if first else Finding(suspect, effect, answer, chance)
     return sorted(best.values(), key=lambda f: -f.probability)
 
@@ -44,7 +45,9 @@ def described(diagnosis: Diagnosis, finding: Finding) -> dict:
     hypothesis = finding.answer.hypothesis
     gain = explained_over_time(problem, nominal, hypothesis)
     measured = problem.recordings[0]
-    shares = regimes(measured, gain, diagnosis.robot.channel(finding.effect.where))
+    channel = diagnosis.robot.channel(finding.effect.where)
+    rates = diagnosis.robot.rates(measured.actions)
+    shares = regimes(measured.time, rates if channel is None else rates[:, [channel]], gain)
     return {
         "name": finding.effect.name,
         "class": CATEGORIES[finding.effect.name],
@@ -83,26 +86,21 @@ def _quantities(diagnosis: Diagnosis, finding: Finding) -> dict:
     return {
         q.name: {
             "value": finding.effect.parameters[q.name],
-            "unit": unit_at(q.unit, finding.effect.where, *own_units(diagnosis)),
+            "unit": unit_at(diagnosis.robot, q.unit, finding.effect.where),
             "ci90": sorted((low[q.name], high[q.name])),
         }
         for q in QUANTITIES[finding.effect.name]
     }
 
 
-def unit_at(unit: str, where: Port, signal: str, setpoint: str = "setpoint") -> str:
-    """Of "N or N m" and the like the one that fits the place: joints turn, cables are long."""
-    if unit in ("signal", "setpoint"):
-        return signal if unit == "signal" else setpoint
-    parts = unit.split(" or ")
+def unit_at(robot: Robot, unit: str, where: Port) -> str:
+    """What a quantity of an effect is in at a place: of "N or N m" and the like the one that fits what turns or slides
+    there."""
+    own = {"signal": robot.unit, "setpoint": robot.setpoint_unit}
+    parts = own.get(unit, unit).split(" or ")
     turning = [part for part in parts if "rad" in part or "N m" in part]
-    return turning[0] if turning and where.kind in ("joint", "body") else parts[0]
-
-
-def own_units(diagnosis: Diagnosis) -> tuple[str, str]:
-    """Units of the signal, and of the actuators' setpoints: lengths where they pull tendons."""
-    setpoint = "m" if diagnosis.robot.pulls_cables else "setpoint"
-    return diagnosis.explanation.problem.recordings[0].unit, setpoint
+    sliding = [part for part in parts if part not in turning]
+    return (turning if turning and robot.elements.turns(where) else sliding or parts)[0]
 
 
 def deviations(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:

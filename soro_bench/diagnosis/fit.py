@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.suspects import LIMIT, Suspect, effects_at
+from soro_bench.diagnosis.suspects import Suspect, effects_at
 from soro_bench.effects.effect import Effect
 from soro_bench.inference.clouds import LENGTHS, LowRank, cloud, linearised
 
@@ -79,6 +79,7 @@ def fitted(
         scales: radii of the clouds, in standard deviations of the priors.
     """
     best: list[Hypothesis] = []
+    guesses = [replace(g, x=np.clip(g.x, *bounds(problem, g.suspects))) for g in guesses]
     for k, scale in enumerate(scales):
         clouds = [_cloud(problem, guess, scale, [seed, k]) for guess in guesses]
         found = _residuals(problem, guesses, clouds)
@@ -110,32 +111,33 @@ def _residuals(problem, guesses, groups):
     return np.split(problem.residuals(asked), ends[:-1])
 
 
-def lower_bounds(problem: Problem, suspects: Sequence[Suspect]) -> np.ndarray:
-    """(n,) of the unknowns."""
-    return np.concatenate([np.full(problem.parameters, -LIMIT), *[s.lower for s in suspects]])
+def bounds(problem: Problem, suspects: Sequence[Suspect]) -> np.ndarray:
+    """(2, n) of the unknowns."""
+    return np.hstack([*[prior.reach[:, None] for prior in problem.robot.priors], *[s.bounds for s in suspects]])
 
 
 def _cloud(problem, guess, scale, seed):
     """(N, n) points around a guess, more of them for more unknowns."""
     more, known = len(guess.x) - problem.parameters, guess.slope is not None
     count = CLOUD_WITH_SLOPE + more if known else max(CLOUD, CLOUD_WITH_SLOPE + 2 * len(guess.x))
-    return np.maximum(cloud(guess.x, scale, count, seed), lower_bounds(problem, guess.suspects))
+    return np.clip(cloud(guess.x, scale, count, seed), *bounds(problem, guess.suspects))
 
 
 def _trials(problem, guess, line):
     """Points along the way to where the linearised cost is least, within the bounds."""
     x, suspects = guess.x, guess.suspects
-    floor, lower = LowRank(np.concatenate([problem.floor.basis, line.error])), lower_bounds(problem, suspects)
+    floor = LowRank(np.concatenate([problem.floor.basis, line.error]))
+    lower, upper = bounds(problem, suspects)
     hessian, free = _hessian(floor, line.slope), np.ones(len(x), bool)
     gradient = floor.product(line.slope, line.residual[None])[:, 0] + x
     for _ in range(len(x)):
         step = np.zeros(len(x))
         step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], gradient[free])
-        crossing = free & (x + step < lower) & (x <= lower)
+        crossing = free & (((x + step < lower) & (x <= lower)) | ((x + step > upper) & (x >= upper)))
         if not crossing.any():
             break
         free &= ~crossing
-    return [np.maximum(x + np.clip(length * step, -3, 3), lower) for length in LENGTHS]
+    return [np.clip(x + np.clip(length * step, -3, 3), lower, upper) for length in LENGTHS]
 
 
 def _hessian(floor, slope):

@@ -6,12 +6,11 @@ import numpy as np
 
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.robot import Measured
 
 WINDOW = 1.0  # s, of maps over time
 WINDOWS = 1_000_000  # more than a recording has
 _WHEN = 0.8  # of what is explained lies in the intervals that are named
-_AFTER_REVERSAL = 0.25  # s
+_AFTER_REVERSAL, _STILL = 0.25, 1e-3  # s; share of the fastest rate
 
 
 @dataclass(frozen=True)
@@ -54,13 +53,18 @@ def intervals(time: np.ndarray, gain: np.ndarray) -> list[tuple[float, float]]:
     return found
 
 
-def regimes(measured: Measured, gain: np.ndarray, channel: int | None) -> list[Regime]:
-    """What is explained while a channel of the commands (None: any) moves, has just reversed, or rests."""
-    actions = measured.actions if channel is None else measured.actions[:, [channel]]
-    steps = max(1, round(_AFTER_REVERSAL / float(np.median(np.diff(measured.time)))))
-    moving = (np.abs(actions) > 1e-3).any(axis=1)
-    reversal = np.zeros(len(actions), bool)
-    for column in np.sign(np.where(np.abs(actions) > 1e-3, actions, 0.0)).T:
+def regimes(time: np.ndarray, rates: np.ndarray, gain: np.ndarray) -> list[Regime]:
+    """What is explained while commands move, have just reversed, or rest.
+
+    Args:
+        time: (T,) s.
+        rates: (T, A) of the commands, in shares of the fastest.
+        gain: (T,) what is explained in each sample.
+    """
+    steps = max(1, round(_AFTER_REVERSAL / float(np.median(np.diff(time)))))
+    moving = (np.abs(rates) > _STILL).any(axis=1)
+    reversal = np.zeros(len(rates), bool)
+    for column in np.sign(np.where(np.abs(rates) > _STILL, rates, 0.0)).T:
         last = 0.0
         for t, sign in enumerate(column):
             if sign and last and sign != last:
@@ -80,6 +84,7 @@ def windows(problem: Problem, length: float) -> np.ndarray:
     """(M,) the number of the window of that length [s] that a sample is in, rising; ``WINDOWS`` higher for the next
     recording."""
     return np.concatenate([
-        np.repeat((each.time // length).astype(int), each.values[0].size) + WINDOWS * i
+        # a sample at the end of a window belongs to it, as its control step does
+        np.repeat(((each.time - 1e-9) // length).astype(int), each.values[0].size) + WINDOWS * i
         for i, each in enumerate(problem.recordings)
     ])

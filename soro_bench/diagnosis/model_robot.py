@@ -16,7 +16,7 @@ from soro_bench.diagnosis.mapping import (
     read_mapping,
     settings_of,
 )
-from soro_bench.diagnosis.robot import SIMULATIONS, Earlier, Prior, Robot
+from soro_bench.diagnosis.robot import SIMULATIONS, Earlier, Measured, Prior, Robot
 from soro_bench.effects.elements import instrument
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import Parameter, ParameterSet
@@ -113,11 +113,26 @@ class ModelRobot(Robot):
         """(steps,) s, the beginnings of the control steps."""
         return recording.start + self.control_timestep * np.arange(steps)
 
+    def measured(self, recording: Recording) -> Measured:
+        """As of any robot; RecordingError if it begins where the signal does and that is missing."""
+        found = super().measured(recording)
+        if self._initial and not np.isfinite(found.start).all():
+            raise RecordingError(f"the first sample of {self.signal} has gaps; [initial] needs all of it")
+        return found
+
+    def rates(self, actions: np.ndarray) -> np.ndarray:
+        """(T, nu) changes of setpoints in a control step, as shares of each one's largest; controls that are rates."""
+        moved = np.diff(actions, axis=0, prepend=actions[:1])
+        shares = moved / np.maximum(np.abs(moved).max(axis=0), 1e-12)
+        return np.where(self._model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR, actions, shares)
+
     def commanded(self, rates: np.ndarray) -> np.ndarray:
-        """(T, nu) setpoints that go the way of rates (T, nu), within a share of each actuator's range."""
+        """(T, nu) setpoints that go the way of rates (T, nu), within a share of each actuator's range on both sides of
+        zero, or of what is nearest to it."""
         way, model = np.cumsum(rates, axis=0), self._model
         low, high = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, (-1.0, 1.0)).T
-        return np.clip(way / max(np.abs(way).max(), 1e-9) * _SHARE * (high - low), low, high)
+        reach = _SHARE * (high - low)
+        return np.clip(0.0, low + reach, high - reach) + way / max(np.abs(way).max(), 1e-9) * reach
 
     def _set_signal(self, table):
         model, places = self._model, [key for key in ("sites", "joints", "sensors") if key in table]

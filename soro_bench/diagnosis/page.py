@@ -13,7 +13,7 @@ from soro_bench.diagnosis.findings import NINETY, findings
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.force import Curve, force_against_state
 from soro_bench.diagnosis.localise import explained_over_time, residual_map
-from soro_bench.diagnosis.patch import REMAINING, patch
+from soro_bench.diagnosis.patch import REMAINING, kept, patch
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.report import write_json_report
 from soro_bench.diagnosis.suite_robot import SuiteRobot
@@ -55,8 +55,8 @@ def _write_comparison(diagnosis, recording, path) -> None:
         _write_curves(diagnosis, path)
         return
     explanation, model = diagnosis.explanation, diagnosis.robot.model_name
-    best, episodes = diagnosis.comparison.answers[0].hypothesis, []
-    for hypothesis, effects in ((explanation.nominal, []), (best, patch(diagnosis))):
+    episodes = []
+    for hypothesis, effects in ((explanation.nominal, []), (kept(diagnosis), patch(diagnosis))):
         physics = [effect for effect in effects if effect.where.kind != "sensor"]
         fitted = replace(recording, parameters=diagnosis.robot.parameters(hypothesis.x))
         episodes.append(replay(fitted, model, effects=physics))
@@ -65,8 +65,8 @@ def _write_comparison(diagnosis, recording, path) -> None:
 
 def _write_curves(diagnosis, path) -> None:
     problem, measured = diagnosis.explanation.problem, diagnosis.explanation.problem.recordings[0]
-    best, runs = diagnosis.comparison.answers[0].hypothesis, {"measured": measured.values}
-    for name, hypothesis in (("before", diagnosis.explanation.nominal), ("after", best)):
+    runs = {"measured": measured.values}
+    for name, hypothesis in (("before", diagnosis.explanation.nominal), ("after", kept(diagnosis))):
         left = problem.sigma * hypothesis.residual[: measured.values.size].reshape(measured.values.shape)
         runs[name] = measured.values - left
     write_signals(path, f"diagnosis of {diagnosis.robot.name}", measured.time, runs)

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS
 
+from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.effects.effect import Effect, save_effects
@@ -46,6 +47,12 @@ def patch(diagnosis: Diagnosis) -> list[Effect]:
     return diagnosis.comparison.answers[0].hypothesis.effects(diagnosis.explanation.problem.parameters)
 
 
+def kept(diagnosis: Diagnosis) -> Hypothesis:
+    """What the patch is of; the nominal robot where there is none, since parameters that were fitted together with
+    effects that are not there would be wrong."""
+    return diagnosis.comparison.answers[0].hypothesis if patch(diagnosis) else diagnosis.explanation.nominal
+
+
 def rejected(diagnosis: Diagnosis) -> bool:
     """Whether the most probable hypothesis makes held-out recordings worse."""
     heldout = diagnosis.comparison.answers[0].heldout
@@ -54,11 +61,9 @@ def rejected(diagnosis: Diagnosis) -> bool:
 
 def model_patch(diagnosis: Diagnosis) -> ModelPatch:
     """The robot's model with what was fitted: the parameters, and those effects of the patch that are native."""
-    robot, new = diagnosis.robot, patch(diagnosis)
-    effects = [*robot.known, *new]
-    # parameters fitted together with effects that are not there would be wrong
-    fit = diagnosis.comparison.answers[0].hypothesis if new else diagnosis.explanation.nominal
-    parameters = robot.parameters(fit.x)
+    robot = diagnosis.robot
+    effects = [*robot.known, *patch(diagnosis)]
+    parameters = robot.parameters(kept(diagnosis).x)
     native = tuple(effect for effect in effects if robot.native(effect))
     remaining = tuple(effect for effect in effects if effect not in native)
     try:

@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from soro_bench.diagnosis.audit import Audit, audit, noise, outliers
-from soro_bench.diagnosis.compare import Comparison, compared
+from soro_bench.diagnosis.compare import Comparison, compared, shortlist
 from soro_bench.diagnosis.explain import Explanation, explained, nominal_fit
+from soro_bench.diagnosis.fit import Hypothesis
+from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.probe import Place, places
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.propose import Proposal, proposed
@@ -99,7 +101,7 @@ def diagnose(
     candidates = suspects(robot)
     explanation = explained(problem, nominal, robot, refined, candidates, seed, progress)
     progress("comparison")
-    comparison = compared(explanation, _tested(explanation, tested), refined)
+    comparison = compared(explanation, tried_on(explanation, tested, refined, shortlist(explanation)))
     found = Diagnosis(robot, audits, found_outliers, explanation, comparison, (), None, 0.0)
     if comparison.unknown > UNSURE:
         progress("place of what has no name")
@@ -122,13 +124,19 @@ def unexplained(robot: Robot, measured: tuple[Measured, ...], sigma: float) -> P
     return Problem(robot, measured, sigma, weight, LowRank(np.zeros((0, weight.size))))
 
 
-def _tested(found, measured) -> Problem | None:
-    """The held-out recordings without their outliers; None if there are none."""
+def tried_on(
+    found: Explanation, measured: tuple[Measured, ...], refined: Sequence[Robot], hypotheses: Sequence[Hypothesis]
+) -> tuple[Problem, np.ndarray] | None:
+    """Hypotheses on recordings that none was fitted to: the problem, without outliers and with a numerical floor of its
+    own, and the residuals (H, M); None where there are no recordings."""
     if not measured:
         return None
     problem = found.problem
     tested = replace(unexplained(problem.robot, measured, problem.sigma), noise=problem.noise)
-    return _masked(tested, _outliers(tested, tested.residuals([(found.nominal.x, ())])[0]))
+    tested = _masked(tested, _outliers(tested, tested.residuals([(found.nominal.x, ())])[0]))
+    points = [(h.x, h.suspects) for h in hypotheses]
+    tested = tested.with_floor(numerical_floor(tested, refined, points))
+    return tested, tested.residuals(points)
 
 
 def _outliers(problem: Problem, residual: np.ndarray) -> np.ndarray:

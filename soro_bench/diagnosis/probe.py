@@ -107,10 +107,11 @@ class _Push:
     numbers: np.ndarray
     sizes: np.ndarray
 
-    def act(self, batch, model, row: int) -> None:
+    def act(self, batch, model, row: int, step: int) -> None:
         """Let it act in a simulation until its next control step."""
         if self.kind == "world":
-            batch.xfrc_applied[row, self.numbers, _AXES.index(self.component)] = self.sizes
+            if step == 0:  # and stay; effects of the robot may push the same bodies
+                batch.xfrc_applied[row, self.numbers, _AXES.index(self.component)] += self.sizes
         elif self.kind == "joint":
             batch.qfrc_applied[row, self.numbers] = self.sizes
         else:
@@ -153,9 +154,9 @@ def _responses(problem, robot, base, pushes: Sequence[_Push]) -> np.ndarray:
     for first in range(0, len(pushes), SIMULATIONS - 1):
         some = pushes[first : first + SIMULATIONS - 1]  # and one replay that is not pushed
 
-        def push(_, some=some):
+        def push(step, some=some):
             for row, one in enumerate(some):
-                one.act(batch, model, row)
+                one.act(batch, model, row, step)
 
         n = len(some) + 1
         parts = [
@@ -175,7 +176,7 @@ def _setpoints(problem, robot, base) -> list[tuple[_Offset, np.ndarray]]:
     moved = [each for each in moved if robot.accepts([*base.effects(problem.parameters), typical(each)])]
     (quantity,) = QUANTITIES["pretension"]
     return [
-        (_Offset(each.where, quantity.name, quantity.unit, each.typical[0]), rows[0] / MAGNITUDE_DEVIATION)
+        (_Offset(each.where, quantity.name, robot.setpoint_unit, each.typical[0]), rows[0] / MAGNITUDE_DEVIATION)
         for each, rows in zip(moved, responses(problem, base, moved, robot) if moved else [], strict=True)
     ]
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from soro_bench.diagnosis.compare import Answer, Comparison, temperature
-from soro_bench.diagnosis.fit import Hypothesis, lower_bounds
+from soro_bench.diagnosis.fit import Hypothesis, bounds
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.suspects import Suspect
@@ -168,8 +168,8 @@ def _changes(problem, rivals, actions, predicted) -> list[np.ndarray]:
     for hypothesis in (answer.hypothesis for answer in rivals):
         variances, combinations = np.linalg.eigh(hypothesis.covariance(problem))
         steps = (np.sqrt(variances) * combinations)[:, -DIRECTIONS:].T
-        low = lower_bounds(problem, hypothesis.suspects)
-        points += [(np.maximum(hypothesis.x + step, low), hypothesis.suspects) for step in steps]
+        allowed = bounds(problem, hypothesis.suspects)
+        points += [(np.clip(hypothesis.x + step, *allowed), hypothesis.suspects) for step in steps]
         ends.append(len(points))
     rows = np.split(predictions(problem, actions, points), ends[:-1])
     return [np.nan_to_num(moved - own) for moved, own in zip(rows, predicted, strict=True)]

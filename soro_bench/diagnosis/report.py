@@ -3,27 +3,24 @@
 import math
 from pathlib import Path
 
-import numpy as np
-
-from soro_bench.diagnosis.compare import Answer, Fit
+from soro_bench.diagnosis.compare import Answer, Comparison, Fit
 from soro_bench.diagnosis.findings import (
     NINETY,
     described,
     deviations,
     findings,
     length,
-    own_units,
     prior_values,
     unit_at,
     where_of,
 )
 from soro_bench.diagnosis.fit import Hypothesis
-from soro_bench.diagnosis.patch import MODEL, ModelPatch, model_patch, patch, rejected, write_model_patch
+from soro_bench.diagnosis.patch import MODEL, ModelPatch, kept, model_patch, patch, rejected, write_model_patch
 from soro_bench.diagnosis.pipeline import ALPHA, Diagnosis
 from soro_bench.diagnosis.propose import DURATION, Proposal
-from soro_bench.diagnosis.robot import Earlier
+from soro_bench.diagnosis.robot import LIMIT, Earlier
 from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.diagnosis.suspects import LIMIT
+from soro_bench.diagnosis.suspects import MAGNITUDE_DEVIATION
 from soro_bench.effects.catalogue import CATEGORIES, QUANTITIES
 from soro_bench.effects.effect import load_effects, save_effects
 from soro_bench.files import read_json, write_json
@@ -76,9 +73,9 @@ def earlier(folder: str | Path) -> Earlier:
 
 
 def posterior(diagnosis: Diagnosis) -> TruncatedNormal:
-    """The parameters under the most probable hypothesis, as a distribution to train on."""
-    best, priors = diagnosis.comparison.answers[0].hypothesis, diagnosis.robot.priors
-    low, middle, high = (prior_values(priors, best.x + k * deviations(diagnosis, best)) for k in (-1.0, 0.0, 1.0))
+    """The parameters of the patched robot, as a distribution to train on."""
+    fit, priors = kept(diagnosis), diagnosis.robot.priors
+    low, middle, high = (prior_values(priors, fit.x + k * deviations(diagnosis, fit)) for k in (-1.0, 0.0, 1.0))
     return TruncatedNormal(tuple(p.name for p in priors), middle, 0.5 * (high - low))
 
 
@@ -87,9 +84,8 @@ def report_of(diagnosis: Diagnosis) -> dict:
     comparison, best = diagnosis.comparison, diagnosis.comparison.answers[0]
     ranked = [described(diagnosis, finding) for finding in findings(diagnosis)]
     nothing = next((a.probability for a in comparison.answers if not a.names), 0.0)
-    if diagnosis.outliers.share and not diagnosis.detected:
-        nothing = 0.0  # nothing but outliers
-    ranked.append(_nameless("none", nothing))
+    only_outliers = diagnosis.outliers.share > 0 and not diagnosis.detected
+    ranked.append(_nameless("none", 0.0 if only_outliers else nothing))
     ranked.append(_nameless("unknown", comparison.unknown, diagnosis))
     if diagnosis.outliers.share:
         ranked.append(_outliers(diagnosis))
@@ -104,15 +100,16 @@ def report_of(diagnosis: Diagnosis) -> dict:
         "effects": ranked,
         "classes": _classes(diagnosis, ranked),
         "hypotheses": [_hypothesis(diagnosis, answer) for answer in comparison.answers],
-        "credible_set": _credible(ranked),
+        "credible_set": _credible(comparison, "outliers" if only_outliers else "none"),
         "fit": {
             "train": _fit(best.train),
             "heldout": None if best.heldout is None else _fit(best.heldout),
             "fve_heldout": None if best.heldout is None else _number(best.heldout.explained),
+            "parameters_only": diagnosis.explanation.unpatched,
             "unit": diagnosis.explanation.problem.recordings[0].unit,
             "patch": "rejected" if rejected(diagnosis) else "accepted" if patch(diagnosis) else "none",
         },
-        "parameters": _parameters(diagnosis, best.hypothesis),
+        "parameters": _parameters(diagnosis, kept(diagnosis)),
         "places": [{"where": where_of(p.where), "gain": p.gain} for p in diagnosis.places[:10]],
         "residual_force": _residual_force(diagnosis),
         "detectable": detectable(diagnosis),
@@ -195,14 +192,17 @@ def _number(value: float) -> float | None:
     return None if math.isnan(value) else value
 
 
-def _credible(ranked: list[dict]) -> list[str]:
+def _credible(comparison: Comparison, nothing: str) -> list[str]:
+    """Names of the effects of the most probable hypotheses that together are as probable as asked; ``nothing`` is the
+    name of the one without any."""
+    ranked = [(answer.probability, answer.names or (nothing,)) for answer in comparison.answers]
+    ranked = sorted([*ranked, (comparison.unknown, ("unknown",))], key=lambda pair: -pair[0])
     chosen, total = [], 0.0
-    for effect in ranked:
+    for probability, names in ranked:
         if total >= CREDIBLE:
             break
-        total += effect["probability"]
-        if effect["name"] not in chosen:
-            chosen.append(effect["name"])
+        total += probability
+        chosen += [name for name in names if name not in chosen]
     return chosen
 
 
@@ -211,7 +211,7 @@ def _classes(diagnosis: Diagnosis, ranked: list[dict]) -> list[dict]:
     chances = {e["class"]: e["probability"] for e in ranked if e["name"] in ("none", "unknown", "outliers")}
     for answer in diagnosis.comparison.answers:
         for name in {CATEGORIES[each] for each in answer.names}:
-            chances[name] = chances.get(name, 0.0) + answer.probability
+            chances[name] = min(1.0, chances.get(name, 0.0) + answer.probability)
     return [{"class": n, "probability": p} for n, p in sorted(chances.items(), key=lambda pair: (-pair[1], pair[0]))]
 
 
@@ -225,11 +225,12 @@ def detectable(diagnosis: Diagnosis) -> dict:
         if x > LIMIT:
             continue
         q = QUANTITIES[suspect.name][0]
-        coordinates = np.zeros(suspect.size)
-        coordinates[0] = x
-        value = abs(suspect.effect(coordinates).parameters[q.name] - q.null)
+        change = MAGNITUDE_DEVIATION * x * (suspect.typical[0] - q.null)
+        if not q.bounds[0] <= q.null + change <= q.bounds[1]:
+            continue
+        value = abs(change)
         if suspect.name not in found or value < found[suspect.name]["minimum"]:
-            unit = unit_at(q.unit, suspect.where, *own_units(diagnosis))
+            unit = unit_at(diagnosis.robot, q.unit, suspect.where)
             found[suspect.name] = {"quantity": q.name, "minimum": value, "unit": unit, "where": where_of(suspect.where)}
     return found
 

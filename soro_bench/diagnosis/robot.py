@@ -15,6 +15,7 @@ from soro_bench.models.simulation import Simulation
 from soro_bench.recording.recording import Recording, RecordingError, resampled
 
 SIMULATIONS = 64  # side by side, at least
+LIMIT = 4.0  # standard deviations of the prior that a parameter, or the shape of an effect, may be off
 SAME = 0.1  # of the prior's deviation, how far a parameter of a robot may be from what was found before
 # time steps, in one of the given robot, of the one that is fitted and of the refined one: fitted to a trunk with far
 # shorter steps, one leaves 0.66 mm with the given steps of 10 ms and 0.29 mm with half of them
@@ -75,6 +76,14 @@ class Prior:
         """Values from coordinates ``x`` in standard deviations from the nominal one."""
         value = self.nominal * np.exp(self.deviation * x) if self.logarithmic else self.nominal + self.deviation * x
         return np.clip(value, *self.bounds)
+
+    @property
+    def reach(self) -> np.ndarray:
+        """(2,) the least and the largest coordinate: the value stays at its bounds beyond them."""
+        ends = np.array(self.bounds)
+        with np.errstate(divide="ignore"):  # the logarithm of zero
+            ends = np.log(ends / self.nominal) if self.logarithmic else ends - self.nominal
+        return np.clip(ends / self.deviation, -LIMIT, LIMIT)
 
     def about(self, value: float) -> "Prior":
         """Of the same robot, for which an earlier recording has shown this value; ValueError for one out of bounds."""
@@ -189,6 +198,11 @@ class Robot(ABC):
         return {port.name for port in self.ports("tendon")} >= {port.name for port in self.ports("actuator")}
 
     @property
+    def setpoint_unit(self) -> str:
+        """Of all actuators: lengths where they pull tendons."""
+        return "m" if self.pulls_cables else "setpoint"
+
+    @property
     def moves(self) -> np.ndarray:
         """(A, nu) 1 where a number of an action moves an actuator, else 0."""
         return np.eye(len(self.ports("actuator")))
@@ -206,6 +220,10 @@ class Robot(ABC):
         if where.kind not in ("tendon", "actuator") or where.name not in names:
             return None
         return int(self.moves[:, names.index(where.name)].argmax())
+
+    def rates(self, actions: np.ndarray) -> np.ndarray:
+        """(T, A) how fast actions (T, A) move each channel, in any unit."""
+        return actions
 
     def commanded(self, rates: np.ndarray) -> np.ndarray:
         """(T, A) actions that move as rates (T, A) from -1 to 1 do, one column per channel."""

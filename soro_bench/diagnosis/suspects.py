@@ -5,12 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soro_bench.diagnosis.robot import Robot
+from soro_bench.diagnosis.robot import LIMIT, Robot
 from soro_bench.effects.catalogue import ALL, PHYSICS, QUANTITIES
 from soro_bench.effects.effect import EVERY, Effect, Port
 
 MAGNITUDE_DEVIATION, SECOND_DEVIATION = 5.0, 0.7  # of effects: in typical magnitudes, in logarithms
-LIMIT = 4.0  # standard deviations of the prior
 PNEUMATIC = ("pressure_leak", "pressure_asymmetry", "supply_coupling")
 
 
@@ -31,12 +30,18 @@ class Suspect:
         return len(self.typical)
 
     @property
-    def lower(self) -> np.ndarray:
-        """(size,) below which a coordinate has no meaning: of magnitudes that cannot be negative."""
-        bounds = []
-        for q, magnitude in zip(QUANTITIES[self.name], self.magnitudes, strict=True):
-            bounds.append(-LIMIT if not magnitude else 0.0 if q.bounds[0] == q.null else -np.inf)
-        return np.array(bounds)
+    def bounds(self) -> np.ndarray:
+        """(2, size) the least and the largest coordinates: beyond them the quantities stay at their bounds, so that no
+        slope would lead back."""
+        found = []
+        for q, typical, magnitude in zip(QUANTITIES[self.name], self.typical, self.magnitudes, strict=True):
+            ends = np.array(q.bounds)
+            if magnitude:
+                found.append(np.sort((ends - q.null) / (MAGNITUDE_DEVIATION * (typical - q.null))))
+            else:
+                with np.errstate(divide="ignore"):  # the logarithm of zero
+                    found.append(np.clip(np.log(ends / typical) / SECOND_DEVIATION, -LIMIT, LIMIT))
+        return np.array(found).T
 
     def effect(self, x: np.ndarray) -> Effect:
         """The effect at coordinates x (size,), in standard deviations of their priors."""

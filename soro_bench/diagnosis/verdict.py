@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from soro_bench.diagnosis.findings import Finding, before_after, described, findings, length, percent
-from soro_bench.diagnosis.patch import rejected
+from soro_bench.diagnosis.patch import kept, rejected
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.propose import DURATION, Proposal
 from soro_bench.diagnosis.report import NEXT_ACTIONS, detectable, invisible
@@ -69,7 +69,7 @@ def _force(diagnosis: Diagnosis, unit: str) -> str:
 
 def _far(diagnosis: Diagnosis) -> str:
     """Which parameters have gone where hardly anybody expected them, as a sentence; nothing if none has."""
-    x = diagnosis.comparison.answers[0].hypothesis.x
+    x = kept(diagnosis).x
     far = [f"{prior.name} ({x[i]:+.1f})" for i, prior in enumerate(diagnosis.robot.priors) if abs(x[i]) > FAR]
     if not far:
         return ""

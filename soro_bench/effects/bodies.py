@@ -9,7 +9,7 @@ from soro_bench.effects.law import Law
 class Payload(Law):
     """A point mass at a body's centre of mass."""
 
-    name, category, kinds = "payload", "inertia", ("body",)
+    name, category, kinds, adds = "payload", "inertia", ("body",), True
     quantities = (Quantity("mass", "kg", 0.015, (0.0, 1e4)),)
     fields = ("body_mass",)
 
@@ -44,10 +44,11 @@ class FluidDrag(Law):
 
     def prepare(self, elements):
         super().prepare(elements)
-        self.before = np.zeros((len(self.rows), 3))
+        self.before, self._pushed = np.zeros((2, len(self.rows), 3))
 
     def reset(self, which):
         self.before[which] = self.batch.xipos[self.rows[which], self.ids[which]]
+        self._pushed[which] = 0.0
         self.batch.xfrc_applied[self.rows[which], self.ids[which], :3] = 0.0
 
     def step(self, which):
@@ -59,7 +60,9 @@ class FluidDrag(Law):
         # no more than would stop the body within a time step, so that it never pushes
         most = np.maximum(self.field("body_mass")[rows, ids], 1e-9) / self.dt
         factor = np.minimum(self.values["drag"][which] * speed, most)
-        self.batch.xfrc_applied[rows, ids, :3] = -factor[:, None] * velocity
+        push = -factor[:, None] * velocity - self._pushed[which]
+        self._pushed[which] += push
+        self.batch.xfrc_applied[rows, ids, :3] += push  # others push too
 
 
 def rotated(points: np.ndarray, vector: np.ndarray) -> np.ndarray:

@@ -19,10 +19,8 @@ class _Sliding(Law):
 
     def prepare(self, elements):
         super().prepare(elements)
-        self.own, self.before = np.zeros(len(self.rows)), np.zeros((len(self.rows), 3))
-
-    def write(self, which):
-        self.own[which] = self.field("geom_friction")[self.rows[which], self.ids[which], 0]
+        self.before = np.zeros((len(self.rows), 3))
+        self.run.scaled("geom_friction", self.ids)
 
     def reset(self, which):
         self.before[which] = self.batch.geom_xpos[self.rows[which], self.ids[which]]
@@ -32,7 +30,7 @@ class _Sliding(Law):
         here = self.batch.geom_xpos[rows, ids]
         factor = self.factor(which, (here - self.before[which]) / self.dt)
         self.before[which] = here
-        self.field("geom_friction")[rows, ids, 0] = self.own[which] * factor
+        self.field("geom_friction")[rows, ids, 0] *= factor
 
     def factor(self, which, velocity):
         """(n,) of the friction coefficient at velocities (n, 3) [m/s]."""

@@ -109,12 +109,26 @@ class Elements:
         model = self.model
         return np.flatnonzero((model.actuator_trntype == kind) & (model.actuator_trnid[:, 0] == self.id(port)))
 
+    def turns(self, port: Port) -> bool:
+        """Whether what moves at a port turns and does not slide: a hinge, what drives one, a body that bends."""
+        if port.kind not in ("joint", "actuator", "body"):
+            return False
+        model, i = self.model, self.id(self.expand(port)[0])
+        if port.kind == "body":
+            joints = self.joints_of(i, bending_only=True)
+            return not len(joints) or model.jnt_type[joints[0]] == mujoco.mjtJoint.mjJNT_HINGE
+        if port.kind == "actuator":
+            if model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_JOINT:
+                return False
+            i = model.actuator_trnid[i, 0]
+        return model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE
+
     def scale(self, port: Port, of: str | None) -> float:
         """What a typical force, damping or length is a multiple of: a share of the port's range, or 1."""
         if of is None:
             return 1.0
         if of == "damping":
-            return self.scale(port, "force") / (_TURN if self._turns(port) else _SPEED)
+            return self.scale(port, "force") / (_TURN if self.turns(port) else _SPEED)
         model = self.model
         if port.kind == "actuator":
             i = self.id(port)
@@ -133,9 +147,6 @@ class Elements:
 
     def _hangs(self, body: int) -> bool:
         return len(self.joints_of(body)) > 0 or self.flex_before(body) is not None
-
-    def _turns(self, port: Port) -> bool:
-        return port.kind == "joint" and self.model.jnt_type[self.id(port)] == mujoco.mjtJoint.mjJNT_HINGE
 
     def _tendons(self):
         names = _names(self.model, mujoco.mjtObj.mjOBJ_TENDON, self.model.ntendon)

@@ -32,9 +32,10 @@ class ActiveEffects:
         """Give simulation i the effects ``effects[i]``; the parameters have to be set again after this.
 
         Raises:
-            EffectError: an effect has no place in the model, or two need the same spring.
+            EffectError: an effect has no place in the model, comes twice at one, or two need the same spring.
         """
         by_law: dict[tuple[str, bool], list] = {}
+        seen = set()
         for row, of_row in enumerate(effects):
             for effect in of_row:
                 if effect.name not in PHYSICS:
@@ -44,10 +45,14 @@ class ActiveEffects:
                 if effect.where.kind not in law.kinds:
                     raise EffectError(f"{effect.name} acts on {', '.join(law.kinds)}, not on {effect.where}")
                 for port in self.elements.expand(effect.where, law.elastic):
+                    if (row, law, port) in seen and not law.adds:
+                        raise EffectError(f"{effect.name} acts twice at {port}; once is allowed")
+                    seen.add((row, law, port))
                     by_law.setdefault((effect.name, self._on_neck(port)), []).append((row, port, complete))
         refined = self.batch.expanded("opt.timestep")  # the same in all simulations
         self.timestep = float(self._nominal.opt.timestep if refined is None else refined.flat[0])
         self._claimed: dict[tuple[int, int], str] = {}
+        self._scaled: dict[str, Scaled] = {}
         kinds = [(name, on_neck) for name in PHYSICS for on_neck in (False, True) if (name, on_neck) in by_law]
         self._laws = [(NECKS if on_neck and name in NECKS else PHYSICS)[name](self, by_law[name, on_neck])
                       for name, on_neck in kinds]  # fmt: skip
@@ -72,6 +77,12 @@ class ActiveEffects:
                 raise EffectError(f"{self._claimed[key]} and {law.name} need the same spring")
             self._claimed[key] = law.name
 
+    def scaled(self, name: str, columns: np.ndarray) -> "Scaled":
+        """Columns of a model field, which laws multiply before every time step."""
+        found = self._scaled.setdefault(name, Scaled(self.batch.expand(name)))
+        found.columns = np.union1d(found.columns, columns)
+        return found
+
     def restore(self, ids: np.ndarray) -> None:
         """Model fields that effects changed become nominal again."""
         for field in self._fields:
@@ -83,6 +94,8 @@ class ActiveEffects:
         """Change model fields of simulations ``ids``, whose parameters have just been set."""
         for law in self._laws:
             law.write(np.isin(law.rows, ids))
+        for field in self._scaled.values():
+            field.keep(ids)
         if self.filters:  # a setpoint may move faster and farther than commands may
             rows, actuators = self.touched_in(ids)
             for field in _RANGES:
@@ -90,13 +103,9 @@ class ActiveEffects:
 
     def reset(self, ids: np.ndarray) -> None:
         """Begin an episode in simulations ``ids``, whose state is complete."""
-        self.setpoint[ids] = self.batch.act[ids][:, self.slot] if self.batch.model.na else 0.0
-        self.added[ids] = 0.0
+        self.added[ids], self._starts[ids] = 0.0, True
         for law in self._laws:
             law.reset(np.isin(law.rows, ids))
-        for law in self.filters:
-            which = np.isin(law.rows, ids)
-            law.start(which, self.setpoint[law.rows[which], law.ids[which]])
 
     def step(self, ids: np.ndarray, nstep: int, stage: int) -> None:
         """Advance simulations ``ids`` as ``Batch.step`` does."""
@@ -106,14 +115,27 @@ class ActiveEffects:
         asked = self.batch.ctrl[ids]
         which = {law: np.isin(law.rows, ids) for law in self._stepped}
         commands = _Commands(self, ids) if self.filters else None
+        if commands:
+            self._start(ids[self._starts[ids]])
         for _ in range(nstep):
             if commands:
                 commands.step()
+            for field in self._scaled.values():
+                field.begin(ids)
             for law in self._stepped:
                 law.step(which[law])
             # with the forward stages at the new state, which laws read and a persistent batch reuses
             self.batch.step(ids, stage=mujoco.mjtStage.mjSTAGE_VEL)
         self.batch.ctrl[ids] = asked
+
+    def _start(self, ids) -> None:
+        """The first setpoints of an episode: the activation, or where it is none the first control."""
+        control = self.batch.ctrl[ids]
+        activation = self.batch.act[ids][:, self.slot] if self.batch.model.na else control
+        self.setpoint[ids], self._starts[ids] = np.where(self.integrates, activation, control), False
+        for law in self.filters:
+            which = np.isin(law.rows, ids)
+            law.start(which, self.setpoint[law.rows[which], law.ids[which]])
 
     def _prepare_setpoints(self):
         model = self.batch.model
@@ -122,6 +144,7 @@ class ActiveEffects:
         self.slot = np.maximum(model.actuator_actadr, 0)
         # asked for; and what the laws have added to it, summed over time [s] since the reset
         self.setpoint, self.added = np.zeros((2, self.batch.nsim, model.nu))
+        self._starts = np.ones(self.batch.nsim, bool)
         self._touched = np.zeros((self.batch.nsim, model.nu), bool)
         for law in self.filters:
             self._touched[law.rows, law.ids] = True
@@ -133,6 +156,28 @@ class ActiveEffects:
         rows, actuators = np.nonzero(self._touched)
         chosen = np.isin(rows, ids)
         return rows[chosen], actuators[chosen]
+
+
+class Scaled:
+    """A model field that several laws scale, each by a factor of the moment: every time step begins with what it was
+    after all laws had written.
+
+    Args:
+        values: (N, ...) of the field.
+    """
+
+    def __init__(self, values: np.ndarray):
+        self.values, self._own = values, values.copy()
+        self.columns = np.zeros(0, int)
+
+    def keep(self, ids: np.ndarray) -> None:
+        """Remember the values of simulations ``ids``."""
+        self._own[ids] = self.values[ids]
+
+    def begin(self, ids: np.ndarray) -> None:
+        """Begin a time step of simulations ``ids``."""
+        at = np.ix_(ids, self.columns)
+        self.values[at] = self._own[at]
 
 
 class _Commands:

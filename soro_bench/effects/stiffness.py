@@ -9,7 +9,7 @@ from soro_bench.effects.law import Law, OnJoints
 class ViscousFriction(Law):
     """A force in proportion to the velocity."""
 
-    name, category, kinds = "viscous_friction", "timing", ("tendon", "joint")
+    name, category, kinds, adds = "viscous_friction", "timing", ("tendon", "joint"), True
     quantities = (Quantity("damping", "N s/m or N m s/rad", 1.0, (0.0, np.inf), of="damping"),)
     fields = ("tendon_damping", "dof_damping")
 
@@ -21,7 +21,7 @@ class ViscousFriction(Law):
         for field, chosen in (("tendon_damping", ~self.on_joint), ("dof_damping", self.on_joint)):
             i = np.flatnonzero(which & chosen)
             ids = self.ids[i] if field == "tendon_damping" else self.model.jnt_dofadr[self.ids[i]]
-            self.field(field)[self.rows[i], ids] += self.values["damping"][i]
+            np.add.at(self.field(field), (self.rows[i], ids), self.values["damping"][i])
 
 
 class LocalStiffness(OnJoints):
@@ -49,13 +49,12 @@ class StiffnessDrift(OnJoints):
 
     def prepare(self, elements):
         self.springs = _Springs(self, elements)
-
-    def write(self, which):
-        self.springs.remember(which)
+        self.springs.share(self.run)
 
     def step(self, which):
-        factor = np.maximum(1.0 + self.values["rate"][which] * self.time(which) / 60.0, 0.05)
-        self.springs.set(factor, which)
+        factor = np.ones(len(self.rows))
+        factor[which] = np.maximum(1.0 + self.values["rate"][which] * self.time(which) / 60.0, 0.05)
+        self.springs.scale(factor, which)
 
 
 class _StrainDependent(OnJoints):
@@ -66,14 +65,11 @@ class _StrainDependent(OnJoints):
 
     def prepare(self, elements):
         super().prepare(elements)
-        self.own = np.zeros(len(self.rows))
-
-    def write(self, which):
-        self.own[which] = self.field("jnt_stiffness")[self.rows[which], self.joints[which]]
+        self.run.scaled("jnt_stiffness", self.joints)
 
     def step(self, which):
         factor = self.factor(self.strain(), which)[which]
-        self.field("jnt_stiffness")[self.rows[which], self.joints[which]] = self.own[which] * factor
+        np.multiply.at(self.field("jnt_stiffness"), (self.rows[which], self.joints[which]), factor)
 
     def factor(self, strain, which):
         """(n,) of the stiffness at strains (n,)."""
@@ -127,7 +123,6 @@ class _Springs:
         self.law = law
         self.fields = np.array([field for field, _ in flat])
         self.columns = np.array([column for _, column in flat], int)
-        self.own = np.zeros(len(flat))
 
     def _places(self, law, elements, port):
         model, i = law.model, elements.id(port)
@@ -141,20 +136,12 @@ class _Springs:
             return [("flex_stiffness", column) for column in range(start, end)]
         return [("jnt_stiffness", j) for j in joints] + [("dof_damping", model.jnt_dofadr[j]) for j in joints]
 
-    def remember(self, which):
-        for field, i in self._by_field(which):
-            self.own[i] = self.law.field(field)[self.law.rows[i], self.columns[i]]
-
-    def set(self, factor, which):
-        all_factors = np.ones(len(self.own))
-        all_factors[which] = factor
-        for field, i in self._by_field(which):
-            self.law.field(field)[self.law.rows[i], self.columns[i]] = self.own[i] * all_factors[i]
+    def share(self, run):
+        """Let other laws scale the same ones in every time step."""
+        for field in np.unique(self.fields):
+            run.scaled(str(field), self.columns[self.fields == field])
 
     def scale(self, factor, which):
-        self.remember(which)
-        self.set(factor[which], which)
-
-    def _by_field(self, which):
         for field in np.unique(self.fields):
-            yield str(field), np.flatnonzero(which & (self.fields == field))
+            i = np.flatnonzero(which & (self.fields == field))
+            np.multiply.at(self.law.field(str(field)), (self.law.rows[i], self.columns[i]), factor[i])

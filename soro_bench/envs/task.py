@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
-from gymnasium import spaces
+from gymnasium import logger, spaces
 
 from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Effect, load_effects
@@ -25,10 +25,15 @@ STATE = ("qpos", "qvel", "act", "qacc_warmstart")  # what a simulation goes on f
 
 
 def effects_of(effects: Sequence[Effect] | str | Path | None) -> tuple[Effect, ...] | None:
-    """Effects as they are, or those of an effects file."""
-    if effects is None:
-        return None
-    return load_effects(effects, QUANTITIES) if isinstance(effects, str | Path) else tuple(effects)
+    """Effects as they are, or those of an effects file; with a warning, those that a diagnosis has found in the
+    measurement are left out, as nothing is measured here."""
+    if effects is None or not isinstance(effects, str | Path):
+        return effects if effects is None else tuple(effects)
+    found = load_effects(effects, QUANTITIES)
+    physics = tuple(effect for effect in found if effect.where.kind != "sensor")
+    if faults := ", ".join(effect.name for effect in found if effect not in physics):
+        logger.warn(f"{effects} has faults of measurement, which do nothing here: {faults}")
+    return physics
 
 
 @dataclass

@@ -5,10 +5,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from soro_bench.proof.score import case_row
+from soro_bench.proof.score import case_row, hidden, shows
 
-_COLUMNS = ("false alarms", "first answer right", "class right", "held-out variance explained", "held-out rms [mm]",
-            "right where parameters hide 90 %")  # fmt: skip
+_COLUMNS = ("false alarms", "first answer right", "class right", "right where parameters hide 90 %",
+            "variance of unseen motion explained", "rms on unseen motion [mm]")  # fmt: skip
 
 
 def ablation_rows(labels: Sequence[dict], reports: Mapping[str, dict], others: Mapping[str, Mapping[str, dict]]):
@@ -17,7 +17,7 @@ def ablation_rows(labels: Sequence[dict], reports: Mapping[str, dict], others: M
     Args:
         labels: of the cases.
         reports: of the whole method, by the cases' ids.
-        others: of every ablation, by its name and the cases' ids: reports, or fits that name nothing.
+        others: of every ablation, by its name and the cases' ids: reports, or errors on unseen motion only.
     """
     ids = set.intersection(*(set(found) for found in others.values())) if others else set(reports)
     chosen = [label for label in labels if label["id"] in ids and label["id"] in reports]
@@ -27,7 +27,11 @@ def ablation_rows(labels: Sequence[dict], reports: Mapping[str, dict], others: M
         "raw BIC": {name: by_bic(report) for name, report in reports.items()},
         **others,
     }
-    return [{"variant": name, "cases": len(chosen), **_figures(chosen, found)} for name, found in variants.items()]
+    # the same cases for all, by how the whole method saw them
+    hard = {label["id"] for label in chosen if hidden(case_row(label, reports[label["id"]]))}
+    return [
+        {"variant": name, "cases": len(chosen), **_figures(chosen, found, hard)} for name, found in variants.items()
+    ]
 
 
 def unmerged(report: dict) -> dict:
@@ -36,7 +40,10 @@ def unmerged(report: dict) -> dict:
 
 
 def by_bic(report: dict) -> dict:
-    """A report whose hypotheses are compared by the Bayesian information criterion (Schwarz 1978) on the recording."""
+    """A report whose hypotheses are compared by the Bayesian information criterion (Schwarz 1978) on the recording;
+    nothing competes with outliers."""
+    if report["effects"][0]["name"] == "outliers":
+        return unmerged(report)
     hypotheses = report["hypotheses"]
     score = np.array([-h["excess"] - 0.5 * h["unknowns"] * math.log(h["samples"]) for h in hypotheses])
     chances = np.exp(score - score.max())
@@ -44,7 +51,7 @@ def by_bic(report: dict) -> dict:
     effects = []
     for effect in report["effects"]:
         own = [c for c, h in zip(chances, hypotheses, strict=True) if _has(h, effect)]
-        effects.append(effect | {"probability": float(sum(own))})
+        effects.append(effect | {"probability": min(1.0, float(sum(own)))})
     effects.sort(key=lambda e: -e["probability"])
     nothing = not hypotheses[int(score.argmax())]["names"]
     verdict = "none_detected" if nothing else "missing_physics"
@@ -57,26 +64,21 @@ def _has(hypothesis, effect) -> bool:
     return (effect["name"], effect["where"]) in list(zip(hypothesis["names"], hypothesis["where"], strict=True))
 
 
-def _figures(labels, found) -> dict:
-    names = all("effects" in report for report in found.values())
-    rows = [case_row(label, found[label["id"]]) for label in labels] if names else []
-    fits = [found[label["id"]]["fit"]["heldout"] if names else found[label["id"]] for label in labels]
+def _figures(labels, found, hard) -> dict:
     figures: dict[str, float | None] = dict.fromkeys(_COLUMNS)
-    if names:
+    fits = [found[label["id"]]["unseen"] for label in labels]
+    fits = [fit for fit in fits if fit]
+    if all("effects" in report for report in found.values()):
+        rows = [case_row(label, found[label["id"]]) for label in labels]
         named = [r for r in rows if r["group"] in ("one", "two", "measurement")]
         figures["false alarms"] = _mean([r["alarm"] for r in rows if r["group"] == "none"])
         figures["first answer right"] = _mean([r["first"] for r in named])
         figures["class right"] = _mean([r["right_class"] for r in named])
-        figures["right where parameters hide 90 %"] = _mean([r["first"] for r in named if (r["concealed"] or 0) > 0.9])
-    figures["held-out variance explained"] = _median([_explained(fit) for fit in fits if fit])
-    figures["held-out rms [mm]"] = _median([1e3 * fit["rmse_after"] for fit in fits if fit])
+        figures["right where parameters hide 90 %"] = _mean([r["first"] for r in named if r["id"] in hard])
+        shown = [r["fve_unseen"] for r in rows if shows(r) and r["fve_unseen"] is not None]
+        figures["variance of unseen motion explained"] = _median(shown)
+    figures["rms on unseen motion [mm]"] = _median([1e3 * fit["rmse_after"] for fit in fits])
     return figures
-
-
-def _explained(fit) -> float:
-    noise = fit["noise_floor"] ** 2
-    above = fit["rmse_before"] ** 2 - noise
-    return 1.0 - max(fit["rmse_after"] ** 2 - noise, 0.0) / above if above > 0 else math.nan
 
 
 def _mean(values) -> float | None:
@@ -84,8 +86,7 @@ def _mean(values) -> float | None:
 
 
 def _median(values) -> float | None:
-    kept = [value for value in values if not math.isnan(value)]
-    return float(np.median(kept)) if kept else None
+    return float(np.median(values)) if values else None
 
 
 def markdown(rows: Sequence[dict]) -> str:

@@ -15,6 +15,7 @@ from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.files import write_json
 from soro_bench.parallel import processors
 from soro_bench.proof.residual_network import residual_rms
+from soro_bench.proof.unseen import unseen
 from soro_bench.recording.parquet import load
 
 ENV_ID = "TrunkReach-v0"
@@ -70,31 +71,33 @@ def without_joint_fit(robot: SuiteRobot, case: Path) -> dict:
 
 
 def on_task_motion(robot: SuiteRobot, case: Path) -> dict:
-    """Recordings of smooth motion like that of a task, instead of an excitation."""
-    return _report(robot, case, "task")
+    """A recording of smooth motion like that of a task, instead of an excitation; then no motion is left unseen."""
+    return report_of(diagnose(robot, [load(case / "task.parquet")], [load(case / "heldout.parquet")])) | {
+        "unseen": None
+    }
 
 
 def network_only(robot: SuiteRobot, case: Path) -> dict:
-    """Parameters fitted, and a network for what they leave: held-out rms [m] before and after; it names nothing."""
-    train, heldout = (robot.measured(load(case / f"{role}.parquet")) for role in ("train", "heldout"))
+    """Parameters fitted, and a network for what they leave; it names nothing."""
+    train, unseen_motion = (robot.measured(load(case / f"{role}.parquet")) for role in ("train", "task"))
     problem = unexplained(robot.shortened(FITTED), (train,), audit(train).sigma)
     _, nominal = nominal_fit(problem, robot.refined(), 0)
-    before, after = residual_rms(problem.robot, nominal.x, train, heldout)
-    return {"rmse_before": before, "rmse_after": after, "noise_floor": problem.sigma}
+    before, after = residual_rms(problem.robot, nominal.x, train, unseen_motion)
+    return {"unseen": {"rmse_before": before, "rmse_after": after, "noise_floor": problem.sigma}}
 
 
 def parameters_only(robot: SuiteRobot, case: Path) -> dict:
-    """Parameters fitted by mujoco.sysid, from the nominal values: held-out rms [m] before and after."""
+    """Parameters fitted by mujoco.sysid, from the nominal values; before is the nominal robot."""
     from soro_bench.inference.methods import infer
     from soro_bench.inference.replay import Replay
 
     names = [prior.name for prior in robot.priors]
-    recording, heldout = load(case / "train.parquet"), robot.measured(load(case / "heldout.parquet"))
+    recording, other = load(case / "train.parquet"), robot.measured(load(case / "task.parquet"))
     found = infer("sysid", Replay(recording, names, model=robot.model_name, noise=5e-4, threads=robot.threads))
     rows = np.array([[prior.nominal for prior in robot.priors], [found.estimate[name] for name in names]])
-    simulated = robot.simulate(heldout.actions, rows, [(), ()])
-    before, after = np.sqrt(np.nanmean((heldout.values - simulated) ** 2, axis=(1, 2, 3)))
-    return {"rmse_before": float(before), "rmse_after": float(after), "noise_floor": audit(heldout).sigma}
+    simulated = robot.simulate(other.actions, rows, [(), ()])
+    before, after = np.sqrt(np.nanmean((other.values - simulated) ** 2, axis=(1, 2, 3)))
+    return {"unseen": {"rmse_before": float(before), "rmse_after": float(after), "noise_floor": audit(other).sigma}}
 
 
 ABLATIONS: dict[str, Callable[[SuiteRobot, Path], dict]] = {
@@ -112,5 +115,6 @@ def ablated(name: str, case: Path, path: Path) -> None:
         write_json(path, ABLATIONS[name](SuiteRobot(ENV_ID, threads=processors()), case))
 
 
-def _report(robot, case, role="train"):
-    return report_of(diagnose(robot, [load(case / f"{role}.parquet")], [load(case / "heldout.parquet")]))
+def _report(robot, case) -> dict:
+    found = diagnose(robot, [load(case / "train.parquet")], [load(case / "heldout.parquet")])
+    return report_of(found) | {"unseen": unseen(found, load(case / "task.parquet"))}

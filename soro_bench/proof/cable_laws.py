@@ -47,8 +47,10 @@ class Capstan(Law):
     cable: int
     coefficient: float  # 1/rad
 
-    def begin(self, robot, rng):
+    def install(self, robot):
         self._fields = _ServoFields(robot, self.cable)
+
+    def begin(self, robot, rng):
         self._necks = geo.NUM_NECKS if self.cable < 4 else 4  # that the cable passes
         self._place = robot.data.actuator_length[robot.cables[self.cable]]
         self._direction = 0.0  # from -1, paying out, to 1, pulling

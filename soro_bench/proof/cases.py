@@ -23,6 +23,7 @@ from soro_bench.proof.hidden import ALL, MEASUREMENT, PHYSICS, UNKNOWN
 from soro_bench.proof.manoeuvre import manoeuvre
 from soro_bench.proof.places import Hidden
 from soro_bench.proof.robot import CONTROL_TIMESTEP, KINDS, Diverged, Law, Trace, simulate
+from soro_bench.proof.score import opened_labels
 from soro_bench.proof.sensor_laws import SensorLaw
 from soro_bench.recording.excitation import excitation
 from soro_bench.recording.parquet import save
@@ -162,7 +163,7 @@ def write_cases(
     """Write the recordings of ``count`` cases, the sealed labels and the commitment to them.
 
     In ``folder``: case_000/train.parquet, heldout.parquet, task.parquet and so on; sealed/labels.json; commitment.txt,
-    the SHA-256 of the labels. Called again, it goes on where it stopped.
+    the SHA-256 of the labels. Called again, it goes on where it stopped; what has been committed to stays.
 
     Args:
         workers: what simulates them; those of a cluster see the same folder.
@@ -170,15 +171,17 @@ def write_cases(
         durations: s, of the recordings by role; an excitation takes at least 17 s.
 
     Raises:
-        ValueError: the folder has other cases.
+        ValueError: the folder has other cases, or recordings that are not those of the labels.
     """
     folder = Path(folder).resolve()  # workers of a cluster start elsewhere
     cases = draw_cases(count, seed, nulls)
     _check_plan(folder, {"count": count, "seed": seed, "nulls": nulls, "durations": durations})
     for i, _ in enumerate(each(_write_case, [(folder, case, durations) for case in cases], workers)):
         progress(i + 1, count)
+    if (folder / "commitment.txt").exists():
+        _check_recordings(folder)
+        return
     labels = {
-        "salt": hashlib.sha256(f"soro-bench concealed cases {seed}".encode()).hexdigest(),
         "count": count,
         "seed": seed,
         "cases": [read_json(_label_path(folder, case)) for case in cases],
@@ -237,16 +240,17 @@ class _Bench:
         return effects
 
     def _scaled(self, name, target, laws, rng) -> Scaled:
-        """The first of a few draws of place and shape that comes close enough to the target, or else the closest."""
+        """The first of a few draws of place and shape that comes into the range of targets, or else the one that comes
+        closest to its own."""
         best = None
         for _ in range(_DRAWS):
             hidden = ALL[name][1](rng, self.trace("train", []))
             magnitude, reached = self._search(hidden, target, laws)
             found = Scaled(name, hidden, magnitude, target, reached)
+            if _ACCEPTED[0] <= reached <= _ACCEPTED[1]:
+                return found
             if best is None or _miss(reached, target) < _miss(best.change, target):
                 best = found
-            if _ACCEPTED[0] <= reached <= _ACCEPTED[1]:
-                break
         if best.change == 0:
             raise Diverged(f"{name}: no magnitude that can be simulated")
         return best
@@ -352,6 +356,15 @@ def _check_plan(folder, plan) -> None:
         write_json(path, plan)
     elif (other := read_json(path)) != plan:
         raise ValueError(f"{folder} has the cases of {other}, not of {plan}")
+
+
+def _check_recordings(folder) -> None:
+    """Refuse recordings other than those that the labels belong to."""
+    for label in opened_labels(folder):
+        for name, committed in label["sha256"].items():
+            path = folder / label["id"] / name
+            if (found := hashlib.sha256(path.read_bytes()).hexdigest()) != committed:
+                raise ValueError(f"{path} has the hash {found}, its label says {committed}")
 
 
 def _label_path(folder, case) -> Path:

@@ -1,9 +1,11 @@
 """The blinded challenge: cases with concealed physics are written and committed to, diagnosed, and only then scored."""
 
+import hashlib
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 
+import soro_bench
 from soro_bench.diagnosis.pipeline import diagnose
 from soro_bench.diagnosis.report import report_of
 from soro_bench.diagnosis.suite_robot import SuiteRobot
@@ -16,7 +18,10 @@ from soro_bench.proof.ablation_score import ablation_rows
 from soro_bench.proof.ablations import ABLATIONS, ENV_ID, ablated
 from soro_bench.proof.cases import write_cases
 from soro_bench.proof.score import markdown, opened_labels, scored
+from soro_bench.proof.unseen import unseen
 from soro_bench.recording.parquet import load
+
+METHOD, PARTS = "method.txt", ("diagnosis", "effects", "models")
 
 Progress = Callable[[str, int, int], None]
 
@@ -29,7 +34,8 @@ def prove(
 
     Beside the scorecard comes entry.json, the same for the leaderboard.
 
-    The diagnosis sees recordings only; the labels are opened when every case has its report.
+    The diagnosis sees recordings only; the labels are opened when every case has its report. Reports are of one version
+    of the method.
 
     Args:
         ablations: how many of the cases, the first ones, are also diagnosed without each part of the method.
@@ -38,6 +44,7 @@ def prove(
     require_jsonschema()  # before the work, not after it
     folder = Path(folder).resolve()  # workers of a cluster start elsewhere
     cases, reports = folder / "cases", folder / "reports"
+    _check_method(reports / METHOD)
     write_cases(cases, count, seed, nulls, workers, lambda done, total: progress("cases written", done, total))
     names = sorted(path.name for path in cases.glob("case_*"))
     todo = [(cases / name, reports / f"{name}.json") for name in names]
@@ -61,13 +68,25 @@ def prove(
     return text
 
 
+def _check_method(path: Path) -> None:
+    """Refuse to go on with reports of another version of the method: a hash of the source files it consists of."""
+    package, digest = Path(soro_bench.__file__).parent, hashlib.sha256()
+    for file in sorted(file for part in PARTS for file in (package / part).glob("*.py")):
+        digest.update(file.read_bytes())
+    if not path.exists():
+        with replacing(path) as temporary:
+            temporary.write_text(digest.hexdigest() + "\n")
+    elif path.read_text().strip() != digest.hexdigest():
+        raise ValueError(f"{path.parent} has reports of another version of the method; choose another folder")
+
+
 def _read_all(folder) -> dict[str, dict]:
     return {path.stem: read_json(path) for path in sorted(folder.glob("case_*.json"))}
 
 
 def diagnosed(case: Path, path: Path) -> None:
-    """Write the report of a case, unless it is there."""
+    """Write the report of a case, and how it does on motion that it has not seen, unless that is there."""
     if not path.exists():
         robot = SuiteRobot(ENV_ID, threads=processors())
         found = diagnose(robot, [load(case / "train.parquet")], [load(case / "heldout.parquet")])
-        write_json(path, report_of(found))
+        write_json(path, report_of(found) | {"unseen": unseen(found, load(case / "task.parquet"))})

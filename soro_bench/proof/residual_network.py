@@ -9,16 +9,16 @@ HIDDEN, EPOCHS, PATIENCE, LEARNING_RATE, DECAY = 128, 2000, 100, 1e-3, 1e-3
 _VALIDATION = 0.2  # of the recording, its end
 
 
-def residual_rms(robot: Robot, x: np.ndarray, train: Measured, heldout: Measured) -> tuple[float, float]:
-    """rms [signal's unit] of a coordinate on a held-out recording, without and with the network.
+def residual_rms(robot: Robot, x: np.ndarray, train: Measured, other: Measured) -> tuple[float, float]:
+    """rms [signal's unit] of a coordinate on another recording, without and with the network.
 
     Args:
         x: (d,) parameters of the simulation, in standard deviations of their priors.
-        train, heldout: what it is trained on, and what it is tried on.
+        train, other: what it is trained on, and what it is tried on.
     """
     parameters = np.array([[prior.value(value) for prior, value in zip(robot.priors, x, strict=True)]])
     inputs, left = [], []
-    for each in (train, heldout):
+    for each in (train, other):
         (simulated,) = robot.simulate(each.actions, parameters, [()], each.start)
         left.append((each.values - simulated).reshape(len(each.values), -1))
         inputs.append(_inputs(each.actions, simulated))
