@@ -3,7 +3,7 @@
     python baselines/bayes_sim.py TrunkReach-v0 --seeds 0 1 2
     python baselines/bayes_sim.py TrunkPush-v0 --known young_modulus=3.6e6
 
-The recording is a simulated one of the accurate model with nominal parameters (baselines/recordings), or --recording.
+The recording is a simulated one of the accurate model with nominal parameters (assets/recordings), or --recording.
 Trains on the cheap model, evaluates on both; writes posteriors, policies, results and rerun recordings; goes on where
 it stopped.
 """

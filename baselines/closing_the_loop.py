@@ -22,6 +22,7 @@ from soro_bench.diagnosis.pipeline import diagnose
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.effects.effect import EVERY, Effect, Port, save_effects
 from soro_bench.files import read_json, replacing, write_json
+from soro_bench.leaderboard.statistics import interval
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.proof import body_laws, command_laws
@@ -32,7 +33,6 @@ from soro_bench.proof.robot import CONTROL_TIMESTEP, Law, Robot
 from soro_bench.randomization import Distribution, TruncatedNormal, load
 from soro_bench.recording.excitation import excitation
 from soro_bench.registration import make_task
-from soro_bench.results import interval
 from soro_bench.training.methods import METHODS
 from soro_bench.training.policy import Policy
 from soro_bench.training.ppo import default_config, train
@@ -127,9 +127,9 @@ def table(results: list[dict]) -> str:
         cells, means = [], {}
         for method in METHOD_NAMES:
             own = [r["distances_m"] for r in results if (r["robot"], r["method"]) == (name, method)]
-            values = [1e3 * float(np.mean(distances)) for distances in own]
-            means[method], low, high = interval(values)
-            cells.append(f"{means[method]:.2f} [{low:.2f}, {high:.2f}]")
+            values = 1e3 * np.array(own).mean(axis=1, keepdims=True)
+            means[method], spread = float(values.mean()), interval(np.mean, (values,), np.random.default_rng(0))
+            cells.append(f"{means[method]:.2f}" + (f" [{spread[0]:.2f}, {spread[1]:.2f}]" if spread else ""))
         gap = means["nominal"] - means["oracle"]
         closed = f"{(means['nominal'] - means['patched']) / gap:.0%}" if gap > 0 else "no gap"
         lines.append(f"| {name} | {' | '.join(cells)} | {closed} |")

@@ -242,8 +242,8 @@ def polish(judge, start, options, until, found):
     best, step, seed, content = -np.inf, 2.0, 1 + options.seed, False
     while time.time() < until and not content:
         limits = np.tile(1e3 * BEND_LIMITS, NUM_KNOTS)
-        options = {"popsize": options.popsize, "seed": seed, "bounds": [-limits, limits], "verbose": -9}
-        search = cma.CMAEvolutionStrategy(np.clip(1e3 * start.ravel(), -limits, limits), step, options)
+        settings = {"popsize": options.popsize, "seed": seed, "bounds": [-limits, limits], "verbose": -9}
+        search = cma.CMAEvolutionStrategy(np.clip(1e3 * start.ravel(), -limits, limits), step, settings)
         search.inject([1e3 * start.ravel()], force=True)
         while not search.stop() and time.time() < until and not content:
             asked = search.ask()

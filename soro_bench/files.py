@@ -38,5 +38,5 @@ def read_json(path: str | Path, max_bytes: int = 10_000_000):
         raise ValueError(f"{path} has {size} bytes; at most {max_bytes} are read")
     try:
         return json.loads(path.read_text())
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         raise ValueError(f"{path} is no JSON file: {error}") from error

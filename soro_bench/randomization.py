@@ -144,6 +144,22 @@ def _columns(names, **columns) -> dict:
     return {"parameters": {name: dict(zip(columns, values, strict=True)) for name, *values in rows}}
 
 
+def holding(distribution: Distribution | None, values: Mapping[str, float]) -> Distribution | None:
+    """A distribution in which some parameters are held at ``values``; None stands for nominal parameters."""
+    if not values:
+        return distribution
+    constants = TruncatedNormal(tuple(values), np.array(list(values.values())), np.zeros(len(values)))
+    if distribution is None:
+        return constants
+    if isinstance(distribution, Gaussian):
+        raise ValueError(f"{', '.join(values)} cannot be held in a Gaussian; infer the others with it known")
+    columns = ("low", "high") if isinstance(distribution, Uniform) else ("mean", "std")
+    rows = distribution.to_dict()["parameters"]
+    for name, value in values.items():
+        rows[name] = dict(zip(columns, (value, value) if columns[0] == "low" else (value, 0.0), strict=True))
+    return from_dict({**distribution.to_dict(), "parameters": rows})
+
+
 def search_box(parameters: Sequence[Parameter]) -> Uniform:
     """The uniform distribution over the published search box."""
     low, high = np.array([p.search for p in parameters]).T

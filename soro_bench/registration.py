@@ -14,7 +14,9 @@ ENV_IDS = tuple(f"{name}-v0" for name in _ENVS)
 
 
 def task_type(env_id: str):
-    """The :class:`soro_bench.envs.task.Task` class of an environment id."""
+    """The :class:`soro_bench.envs.task.Task` class of an environment id; ValueError if it is none of the suite's."""
+    if env_id not in ENV_IDS:
+        raise ValueError(f"there is no environment {env_id!r}; there are {', '.join(ENV_IDS)}")
     return load_env_creator(gymnasium.spec(env_id).entry_point).task_type
 
 

@@ -10,7 +10,7 @@ pytest.importorskip("rerun", reason="needs the view extra")
 
 from soro_bench.campaign.campaign import carry_out_all, state
 from soro_bench.campaign.plan import BOXES, SEEDS, UNMODELLED, chosen, paper, runs_of, variance_for_deviation
-from soro_bench.campaign.run import Run
+from soro_bench.campaign.run import Run, _check_fixed
 from soro_bench.files import read_json
 from soro_bench.leaderboard.boards import BOARDS, board_of
 from soro_bench.leaderboard.entry import policy_of, read_entry
@@ -59,10 +59,20 @@ def test_runs_are_trained_on_the_cheap_model_unless_their_name_says_otherwise():
 
 def test_what_a_board_fixes_is_fixed_in_training(tmp_path):
     rng = np.random.default_rng(0)
-    for run in paper():
+    lift = runs_of("TrunkLift-v0-100g", ORACLE, [0]) + runs_of("TrunkLift-v0-100g", udr(), [0])
+    for run in [run for run in [*paper(), *lift] if BOARDS[run.board].fixed]:
+        drawn = run.distribution(tmp_path).sample(rng)
         for name, value in BOARDS[run.board].fixed.items():
-            drawn = run.method.distribution(run.config.env_id, 0, tmp_path).sample(rng)
             assert drawn[name] == pytest.approx(value), run.name
+
+
+def test_a_policy_that_was_trained_with_something_else_than_its_board_gives_is_refused(tmp_path):
+    heavy, light = (runs_of(f"TrunkLift-v0-{mass}", ORACLE, [0])[0].distribution(tmp_path) for mass in ("100g", "50g"))
+    _check_fixed("TrunkLift-v0-50g", None, tmp_path)  # the nominal mass
+    _check_fixed("TrunkLift-v0-100g", heavy.to_dict(), tmp_path)
+    for distribution in (None, light.to_dict()):
+        with pytest.raises(ValueError, match=r"TrunkLift-v0-100g gives: cube_mass = 0.1"):
+            _check_fixed("TrunkLift-v0-100g", distribution, tmp_path)
 
 
 def test_a_box_holds_what_is_known(tmp_path):
@@ -116,9 +126,12 @@ def test_an_environment_without_a_board_or_with_others_is_an_error_in_words():
 def test_finished_runs_are_not_carried_out_again(small_board, tmp_path):
     (run,) = [Run("TrunkReach-v0", ORACLE, TINY)]
     run.result(tmp_path).parent.mkdir(parents=True)
-    run.result(tmp_path).write_text("{}")
+    run.result(tmp_path).write_text('{"steps": 400, "trained_on": "cable", "action": "continuous"}')
     carry_out_all([run], tmp_path / "work", tmp_path, HERE)
     assert not (tmp_path / "work").exists()
+    longer = replace(run, config=replace(TINY, total_steps=600))
+    with pytest.raises(ValueError, match="was trained with steps 400, not 600"):
+        carry_out_all([longer], tmp_path / "work", tmp_path, HERE)
 
 
 def test_the_state_of_a_campaign_is_read_from_its_files(tmp_path):

@@ -257,6 +257,9 @@ def test_damaged_npz(tmp_path):
     np.savez_compressed(path, f=np.zeros(1_000_000))
     with pytest.raises(RecordingError, match=r"f has 8000128 bytes"):
         import_recording(path, mapping, max_bytes=20_000)
+    np.savez_compressed(path, f=np.zeros(70_000, np.uint8))  # eight times as many bytes as numbers of double precision
+    with pytest.raises(RecordingError, match=r"f has 70000 numbers; at most 10000"):
+        import_recording(path, mapping, max_bytes=20_000)
     np.save(tmp_path / "f.npy", np.zeros(10))
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("f.npy", (tmp_path / "f.npy").read_bytes().replace(b"(10,)", b"(99,)"))

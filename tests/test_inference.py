@@ -13,7 +13,7 @@ from soro_bench.inference.likelihood import horizon, log_likelihood, sample_fact
 from soro_bench.inference.methods import infer
 from soro_bench.inference.replay import Replay
 from soro_bench.inference.search import EvaluationLog
-from soro_bench.parameters import FRICTION, TRUNK_MASS, YOUNG_MODULUS
+from soro_bench.parameters import FRICTION, TRUNK_MASS, WALL_OFFSET, YOUNG_MODULUS
 from soro_bench.randomization import load
 from soro_bench.recording.parquet import save
 from soro_bench.recording.recording import RecordingError, Signal
@@ -167,6 +167,25 @@ def test_a_ratio_is_named_when_only_the_ratio_matters():
     assert "determined to" in found[0].words and found[0].exponents["friction"] == pytest.approx(0, abs=0.01)
     assert found[0].exponents["trunk_mass"] == pytest.approx(-found[0].exponents["young_modulus"], abs=1e-3)
     assert "trunk_mass * young_modulus is not determined" in found[2].words
+
+
+def test_what_may_be_zero_is_determined_in_widths_of_its_box():
+    """0.1 mm of a wall somewhere in a box of centimetres are little, wherever the wall is."""
+    (found,) = combinations(np.ones((1, 1, 1)), np.full((1, 1), 1e-4), (WALL_OFFSET,), np.array([1e-6]))
+    low, high = WALL_OFFSET.search
+    assert found.relative_std == pytest.approx(1e-4 / (high - low))
+    assert "is determined to" in found.words
+
+
+def test_a_log_whose_writer_was_killed_at_once_begins_anew(tmp_path):
+    path = tmp_path / "log.jsonl"
+    path.write_bytes(b"")
+    square = EvaluationLog(path, "title")(lambda x: x**2, np.array([2.0]), "square")
+    with path.open("ab") as file:
+        file.write(b'{"call": "cut o')
+    again = EvaluationLog(path, "title")
+    assert again.known == 1 and again(None, np.array([2.0]), "square") == square == 4.0
+    assert path.read_bytes().endswith(b"}\n")
 
 
 def test_the_posterior_of_bayes_sim_narrows_around_the_truth():

@@ -12,8 +12,10 @@ import pytest
 
 pytest.importorskip("jsonschema", reason="needs the board extra")
 
+from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.entry import card_of, policy_of, read_entry, thinned_curve, write_entry
 from soro_bench.leaderboard.verify import verify_control
+from soro_bench.recording.episode import Episode
 from soro_bench.recording.simulated import record
 from soro_bench.training.policy import Policy
 from tests.entries import BOARD, CARD, edit, policy, put_policy, scores, shrink_board, true_entry
@@ -180,6 +182,18 @@ def test_nothing_is_written_of_an_entry_that_is_wrong(tmp_path):
         with pytest.raises(ValueError):
             write_entry(tmp_path, board, "ours", given, found)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("board", "signal", "start"), [("TrunkLift-v0-50g", "elevation", 0.0), ("TrunkReach-v0", "", 0.05)]
+)
+def test_an_episode_that_diverged_counts_no_better_than_its_start(board, signal, start):
+    """The engine then puts the scene where it began, or the object is on its way out of it."""
+    for end, diverged, counted in ((0.03, True, start), (0.03, False, 0.03)):
+        values = np.array([start, end])
+        episode = Episode(board, "flex", {}, None, np.arange(2.0), {signal: values}, np.zeros((1, 8)), {}, "distance",
+                          values, False, diverged)  # fmt: skip
+        assert BOARDS[board].score([episode])["final_mm"] == [pytest.approx(1e3 * counted)]
 
 
 def test_a_right_entry_is_confirmed_and_an_edited_score_found(tmp_path):

@@ -141,6 +141,7 @@ def _nan():
         (lambda: model([helper.make_node("Identity", ["hidden"], ["answer"])]), ("a name twice",)),
         (lambda: model(shape=("n", "k")), ("no array (n, k)",)),
         (lambda: model(shape=(INPUTS,)), ("no array (n, k)",)),
+        (lambda: model(shape=("n", 2_000_000_000)), ("input has 2000000000 numbers",)),
         (_nan, ("answers with", "finite")),
     ],
 )

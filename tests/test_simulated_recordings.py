@@ -10,7 +10,7 @@ from gymnasium import spaces
 from soro_bench.recording import comparison
 from soro_bench.recording.excitation import excitation, shortest, write_actions
 from soro_bench.recording.recording import Signal
-from soro_bench.recording.simulated import parse_params, record, replay
+from soro_bench.recording.simulated import parse_params, record, recorded_actions, replay
 from soro_bench.registration import ENV_IDS, make_task, task_type
 from soro_bench.training.policy import Policy, PolicyCard
 from tests.recordings import assert_same, says
@@ -91,6 +91,23 @@ def test_actions_of_a_robot_are_held_until_the_next():
     commands = {"action": Signal([0.06, 0.14], values)}
     episode = replay(replace(recording, commands=commands, metadata={**recording.metadata, "model": "cable"}))
     np.testing.assert_array_equal(episode.actions[:, 0], [0, 0, 0.5, -0.5])
+
+
+@pytest.mark.parametrize(
+    "stamped",
+    [
+        lambda times: np.array([float(f"{1e3 * t:.3f}") for t in 5.0 + times]) / 1e3,
+        lambda times: np.round(1e9 * (1.7e9 + times)) * 1e-9,
+        lambda times: times.astype(np.float32).astype(float),
+    ],
+)
+def test_every_action_is_played_once_however_its_time_was_written(stamped):
+    recording = record("TrunkReach-v0", model="cable", steps=100, seed=3)
+    times = 0.05 * np.arange(101)
+    signals = {"keypoints": replace(recording.signals["keypoints"], time=stamped(times))}
+    commands = {"action": replace(recording.commands["action"], time=stamped(times)[:100])}
+    _, actions = recorded_actions(replace(recording, commands=commands, signals=signals))
+    np.testing.assert_array_equal(actions, recording.commands["action"].values)
 
 
 @pytest.mark.parametrize(

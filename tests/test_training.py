@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from safetensors.numpy import load_file, save_file
 from soro_bench.effects.effect import Effect, Port, save_effects
 from soro_bench.evaluation import evaluate
 from soro_bench.randomization import Uniform
+from soro_bench.training import ppo
 from soro_bench.training.policy import Policy
 from soro_bench.training.ppo import PPOConfig, train
 
@@ -52,6 +54,23 @@ def test_interrupted_training_ends_with_the_same_bytes(trained, tmp_path):
     assert not (tmp_path / "policy.json").exists()
     train(CONFIG, tmp_path)
     assert _bytes(tmp_path) == _bytes(trained)
+
+
+def test_learning_rate_and_exploration_end_with_the_training_and_not_with_a_segment(tmp_path, monkeypatch):
+    seen = []
+
+    def look(folder, segment, agent, env, curve):
+        seen.append((agent.policy.optimizer.param_groups[0]["lr"], float(agent.policy.log_std.detach().mean())))
+
+    monkeypatch.setattr(ppo, "_save_checkpoint", look)
+    train(replace(CONFIG, initial_log_std=-1.0, final_log_std=-2.0), tmp_path)
+    rates, deviations = zip(*seen, strict=True)
+    assert rates == pytest.approx([CONFIG.learning_rate * share for share in (2 / 3, 1 / 3, 0)])
+    assert deviations == pytest.approx([-1.0, -1.5, -2.0])
+
+
+def test_discrete_actions_have_no_deviation_to_lead(tmp_path):
+    train(replace(CONFIG, total_steps=200, action="discrete", final_log_std=-2.0), tmp_path)
 
 
 def test_two_threads_train_the_same_policy(trained, tmp_path):

@@ -24,9 +24,13 @@ def carry_out_all(
 ) -> None:
     """Carry out the runs that have no entry in ``results`` yet; what a run writes does not depend on the others.
 
+    ValueError if there is an entry that was trained with other settings than its run has.
+
     ``progress`` is called every few seconds with the share of the work that is done and a line for each active run.
     """
     work, results = Path(work).resolve(), Path(results).resolve()  # the same for the workers of a cluster
+    for run in runs:
+        run.check(results)
     todo = [run for run in runs if not run.result(results).exists()]
     with _watching(runs, work, results, progress):
         for _ in each(carry_out, [(run, work, results) for run in todo], workers):

@@ -61,7 +61,7 @@ class InferenceBaseline(Baseline):
     """What the scripts in baselines/ take that infer the distribution from a recording."""
 
     recording: Path | None = None
-    """.parquet; by default the environment's in baselines/recordings."""
+    """.parquet; by default the environment's in assets/recordings."""
     known: tuple[str, ...] = ()
     """Parameters that are held fixed, in the inference and in training, such as young_modulus=3.6e6."""
     replay_model: str | None = None
@@ -70,11 +70,11 @@ class InferenceBaseline(Baseline):
     """Standard deviation [m] of the recorded positions."""
 
     def run(self, method: str) -> None:
-        from soro_bench.campaign.plan import RECORDINGS
+        from soro_bench.campaign.plan import recording_path
         from soro_bench.inference.baseline import inferred
         from soro_bench.recording.simulated import parse_params
 
-        recording = self.recording or RECORDINGS / f"{self.board}.parquet"
+        recording = self.recording or recording_path(self.board)
         super().run(inferred(method, recording, parse_params(self.known), self.replay_model, self.noise))
 
 

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
+from soro_bench.assets import asset_path
 from soro_bench.campaign.run import Run
 from soro_bench.envs.multigait import PUBLISHED_RANDOMIZATION
 from soro_bench.inference.baseline import inferred
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.parameters import ALL_PARAMETERS, WALL_OFFSET
-from soro_bench.randomization import TruncatedNormal, Uniform
+from soro_bench.randomization import TruncatedNormal, search_box
 from soro_bench.registration import task_type
-from soro_bench.training.methods import ORACLE, Method, fixed, held, udr
+from soro_bench.training.methods import ORACLE, Method, fixed, udr
 from soro_bench.training.ppo import default_config
 
-RECORDINGS = Path(__file__).parents[2] / "baselines" / "recordings"
 SEEDS, BOXES = range(3), range(10)  # published: three repetitions, and ten random boxes for UDR
 # The published misspecification: Young's modulus at 0.8 of the truth
 UNMODELLED = {"young_modulus": 0.8 * ALL_PARAMETERS["young_modulus"].nominal}
@@ -26,6 +26,8 @@ def runs_of(
     board: str, method: Method, seeds: Iterable[int], steps: int | None = None, model: str | None = None
 ) -> list[Run]:
     """A run for every seed; steps and model are by default what the board's environment is learned with."""
+    if board not in BOARDS:
+        raise ValueError(f"there is no board {board!r}; there are {', '.join(BOARDS)}")
     env_id = BOARDS[board].env_id
     config = default_config(env_id, steps, **({} if model is None else {"model": model}))
     return [Run(board, method, replace(config, seed=seed)) for seed in seeds]
@@ -45,8 +47,13 @@ def quick() -> list[Run]:
 PRESETS = {"quick": quick, "paper": paper}
 
 
+def recording_path(env_id: str) -> Path:
+    """The recording that methods infer parameters from, of the accurate model with nominal ones."""
+    return asset_path(f"recordings/{env_id}.parquet")
+
+
 def _identified(board: str) -> list[Run]:
-    recording, task = RECORDINGS / f"{board}.parquet", task_type(BOARDS[board].env_id)
+    recording, task = recording_path(board), task_type(BOARDS[board].env_id)
     rf_dropo, bayes_sim = (inferred(method, recording) for method in ("rf-dropo", "bayes-sim"))
     # the cheap model explains the recording as well as it can: parameters that make up for what it simplifies
     cheaply = replace(inferred("rf-dropo", recording, model=task.cheap), name=f"{rf_dropo.name}_{task.cheap}")
@@ -64,7 +71,7 @@ def _accurately() -> list[Run]:
 
 def _unmodelled() -> list[Run]:
     board = "TrunkPush-v0"
-    recording = RECORDINGS / f"{board}.parquet"
+    recording = recording_path(board)
     runs = runs_of(board, udr(UNMODELLED, "udr_unmodelled"), BOXES)
     for method in ("rf-dropo", "bayes-sim"):
         known = inferred(method, recording, UNMODELLED)
@@ -73,13 +80,9 @@ def _unmodelled() -> list[Run]:
 
 
 def _lift() -> list[Run]:
-    runs = []
+    runs, wall = [], fixed("dr", search_box([WALL_OFFSET]))
     for board in ("TrunkLift-v0-50g", "TrunkLift-v0-100g"):
-        mass = BOARDS[board].fixed
-        (value,) = mass.values()
-        wall = Uniform((*mass, WALL_OFFSET.name), np.array([value, WALL_OFFSET.search[0]]),
-                       np.array([value, WALL_OFFSET.search[1]]))  # fmt: skip
-        runs += [*runs_of(board, fixed("no_dr", held(mass)), SEEDS), *runs_of(board, fixed("dr", wall), SEEDS)]
+        runs += [*runs_of(board, replace(ORACLE, name="no_dr"), SEEDS), *runs_of(board, wall, SEEDS)]
     return runs
 
 

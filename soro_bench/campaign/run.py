@@ -9,6 +9,8 @@ from soro_bench.files import read_json
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.entry import thinned_curve, write_entry
 from soro_bench.parallel import processors
+from soro_bench.parameters import ALL_PARAMETERS
+from soro_bench.randomization import Distribution, from_dict, holding
 from soro_bench.recording.rerun_log import write_recording
 from soro_bench.registration import task_type
 from soro_bench.training.methods import Method
@@ -34,9 +36,25 @@ class Run:
             replace(self.config, env_id=board.env_id, method=self.method.name, episode_steps=board.episode_steps),
         )
 
+    def check(self, results: Path) -> None:
+        """ValueError if its entry is there and was trained with other settings."""
+        if (path := self.result(results)).exists():
+            entry, config = read_json(path), self.config
+            asked = {"steps": config.num_segments * config.segment_steps, "trained_on": config.model,
+                     "action": config.action}  # fmt: skip
+            for name, value in asked.items():
+                if entry[name] != value:
+                    raise ValueError(f"{path} was trained with {name} {entry[name]}, not {value}; choose another --out")
+
     @property
     def name(self) -> str:
         return f"{self.board}/{self.method.name}/seed{self.config.seed}"
+
+    def distribution(self, folder: Path) -> Distribution | None:
+        """What the training parameters are drawn from: the method's, with what the board gives; None for the nominal
+        ones. ``folder`` is for the method's files."""
+        own = self.method.distribution(self.config.env_id, self.config.seed, folder)
+        return holding(own, BOARDS[self.board].fixed)
 
     def result(self, results: Path) -> Path:
         """Where its entry is written."""
@@ -52,8 +70,7 @@ def carry_out(run: Run, work: Path, results: Path) -> None:
     if run.result(results).exists():
         return
     folder, threads = Path(work) / run.name, processors()
-    distribution = run.method.distribution(run.config.env_id, run.config.seed, folder)
-    train(replace(run.config, num_threads=threads), folder, distribution)
+    train(replace(run.config, num_threads=threads), folder, run.distribution(folder))
     enter(folder, run.board, ENTRY, results, threads)
 
 
@@ -65,10 +82,24 @@ def enter(folder: Path, board: str, entry: str, results: Path, threads: int = 0)
         entry: who, or which code base, trained it.
         results: folder of all entries.
     """
-    policy = Policy.load(folder)
+    policy, config = Policy.load(folder), read_json(folder / "config.json")
+    _check_fixed(board, config["distribution"], folder)
     evaluations = record_evaluations(policy, board, tuple(BOARDS[board].conditions), folder, threads)
-    distribution = read_json(folder / "config.json")["distribution"]
-    return write_entry(results, board, entry, policy, evaluations, distribution, _training(folder, policy.card.env_id))
+    training = _training(folder, policy.card.env_id) | {"effects": [e["name"] for e in config.get("effects", [])]}
+    return write_entry(results, board, entry, policy, evaluations, config["distribution"], training)
+
+
+def _check_fixed(board: str, distribution: dict | None, folder: Path) -> None:
+    """Refuse a policy that was not trained with what the task of its board gives."""
+    fixed = BOARDS[board].fixed
+    given = from_dict(distribution) if distribution else None
+    if given is None:
+        fits = all(ALL_PARAMETERS[name].nominal == value for name, value in fixed.items())
+    else:
+        fits = not fixed or holding(given, fixed).to_dict() == given.to_dict()
+    if not fits:
+        wanted = ", ".join(f"{name} = {value:g}" for name, value in fixed.items())
+        raise ValueError(f"{folder} was not trained with what {board} gives: {wanted} in every episode")
 
 
 def _training(folder: Path, env_id: str) -> dict:

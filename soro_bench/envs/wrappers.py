@@ -10,7 +10,7 @@ class DomainRandomization(gymnasium.Wrapper):
     """Draw the physical parameters of every episode from a distribution.
 
     ``reset(options={"params": {...}})`` still fixes the parameters it names. The draws come from the environment's own
-    generator, after the goal's, so the same seed gives the same goals with and without randomisation.
+    generator, after the goal's, so a seeded reset gives the same goal with and without randomisation.
     """
 
     def __init__(self, env: gymnasium.Env, distribution: Distribution):

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from soro_bench.files import read_json
 from soro_bench.inference.methods import infer
 from soro_bench.inference.replay import Replay
 from soro_bench.randomization import Distribution, load
@@ -26,12 +27,13 @@ def inferred(
     """
 
     def distribution(env_id: str, seed: int, folder: Path) -> Distribution:
-        path = Path(folder) / "posterior.json"
+        path, measured = Path(folder) / "posterior.json", parquet.load(recording)
+        if (recorded := measured.metadata.get("env_id")) != env_id:
+            raise ValueError(f"{recording} is a recording of {recorded}, not of {env_id}")
+        replay = Replay(measured, known=known, model=model, noise=noise)
+        if path.exists() and read_json(path).get("replay") != replay.fingerprint():
+            raise ValueError(f"{path} was inferred from another recording, model or known values; choose another --out")
         if not path.exists():
-            measured = parquet.load(recording)
-            if (recorded := measured.metadata.get("env_id")) != env_id:
-                raise ValueError(f"{recording} is a recording of {recorded}, not of {env_id}")
-            replay = Replay(measured, known=known, model=model, noise=noise)
             work = path.with_suffix(".log.jsonl")
             infer(method, replay, work, seed).save(path)
             work.unlink()  # up to 180 MB, and only an interrupted inference needs it

@@ -47,12 +47,14 @@ def fisher(jacobian: np.ndarray, deviation: np.ndarray) -> np.ndarray:
 def combinations(jacobian, deviation, parameters: Sequence[Parameter], values: np.ndarray) -> list[Combination]:
     """The eigenvectors of the Fisher information in the logarithms of the parameters, best determined first.
 
+    What may be zero, such as the place of a wall, has no logarithm: it counts in widths of its search box.
+
     Args:
         jacobian: (T, k, d) of what is measured with respect to the parameters in their units.
         deviation: (T, k), in the same units as what is measured.
         parameters, values: of the estimate, (d,).
     """
-    information = fisher(jacobian * values, deviation)
+    information = fisher(jacobian * scales(parameters, values), deviation)
     eigenvalues, vectors = np.linalg.eigh(information)
     found = []
     for value, vector in zip(eigenvalues[::-1], vectors.T[::-1], strict=True):
@@ -62,6 +64,12 @@ def combinations(jacobian, deviation, parameters: Sequence[Parameter], values: n
         std = scale / np.sqrt(value) if value > 0 else np.inf
         found.append(Combination(exponents, float(min(std, 1e6))))
     return found
+
+
+def scales(parameters: Sequence[Parameter], values: np.ndarray) -> np.ndarray:
+    """(d,) of what relative changes of the parameters are relative to: their values, or widths of search boxes."""
+    boxes = np.array([p.search for p in parameters])
+    return np.where((boxes[:, 0] <= 0) & (boxes[:, 1] >= 0), boxes[:, 1] - boxes[:, 0], values)
 
 
 def _product(exponents) -> str:

@@ -193,6 +193,7 @@ def _posterior(method, search, distribution: Distribution, estimate, slope, sett
         combinations=combinations(slope, replay.deviation, replay.parameters, estimate),
         known=replay.known,
         model=replay.model,
+        replay=replay.fingerprint(),
         replays=search.log.work / steps,
         settings=settings,
     )

@@ -22,6 +22,7 @@ class Posterior:
         combinations: what the recording determines.
         known: values that were given.
         model: what the recording was replayed on.
+        replay: fingerprint of what was replayed.
         replays: of the whole recording, the equivalent in time steps.
         settings: of the method.
     """
@@ -33,6 +34,7 @@ class Posterior:
     combinations: list[Combination]
     known: dict[str, float]
     model: str
+    replay: str
     replays: float
     settings: dict = field(default_factory=dict)
 
@@ -49,6 +51,7 @@ class Posterior:
                 "fit": self.fit,
                 "identifiability": [c.to_dict() for c in self.combinations],
                 "model": self.model,
+                "replay": self.replay,
                 "replays": round(self.replays, 2),
                 "settings": self.settings,
             },

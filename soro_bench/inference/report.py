@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.files import replacing
+from soro_bench.inference.identifiability import scales
 from soro_bench.inference.posterior import Posterior
 from soro_bench.inference.replay import Replay
 from soro_bench.report import pyplot
@@ -38,7 +39,7 @@ def corner_plot(posterior: Posterior, replay: Replay, draws: np.ndarray, path: P
     weakest = posterior.combinations[-1]
     along = np.array([weakest.exponents[name] for name in names])
     reach = min(weakest.relative_std, 0.5)
-    cloud = 100 * (draws / estimate - 1)  # percent
+    cloud = 100 * (draws - estimate) / scales(replay.parameters, estimate)  # percent
     ridge = 100 * np.expm1(np.linspace(-reach, reach, 50)[:, None] * along)
     labels = [f"{p.name}\n% from {e:.5g} {p.unit}" for p, e in zip(replay.parameters, estimate, strict=True)]
     figure, axes = plt.subplots(count, count, figsize=(2.4 * count, 2.4 * count), layout="constrained", squeeze=False)

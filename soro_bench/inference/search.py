@@ -27,9 +27,9 @@ class EvaluationLog:
         if self._path is None:
             return
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        if not self._path.exists():
+        if not self._path.exists() or not self._path.stat().st_size:
             self._append({"title": title})
-        lines = [line for line in self._path.read_bytes().split(b"\n")[:-1]]  # what has no end of line was cut off
+        *lines, cut_off = self._path.read_bytes().split(b"\n")
         try:
             header, *self._entries = [json.loads(line) for line in lines]
             if any(set(entry) != {"call", "work", "shape", "values"} for entry in self._entries):
@@ -38,7 +38,7 @@ class EvaluationLog:
             raise ValueError(f"{path} is no log of evaluations ({error}); remove it, or choose another file") from error
         if header != {"title": title}:
             raise ValueError(f"{path} is the log of another inference; remove it, or choose another file")
-        self._path.write_bytes(b"".join(line + b"\n" for line in lines))
+        os.truncate(self._path, self._path.stat().st_size - len(cut_off))
 
     @property
     def known(self) -> int:

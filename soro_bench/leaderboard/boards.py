@@ -60,17 +60,21 @@ class Board:
         )  # fmt: skip
 
     def score(self, episodes: list[Episode]) -> dict:
-        """What a condition's episodes amount to: a list of values per episode, lengths in mm."""
-        if self.metric == "elevation":
-            final = [float(e.signals["elevation"][-1]) for e in episodes]
-        else:
-            final = [e.final_metric for e in episodes]
+        """What a condition's episodes amount to: a list of values per episode, lengths in mm.
+
+        Where the simulation diverged, the last state is an accident: such an episode counts no better than its start.
+        """
         return {
-            "final_mm": [round(1e3 * value, 4) for value in final],
+            "final_mm": [round(1e3 * self._final(e), 4) for e in episodes],
             "return": [round(e.total_reward, 4) for e in episodes],
             "success": [e.is_success for e in episodes],
             "diverged": sum(e.diverged for e in episodes),
         }
+
+    def _final(self, episode: Episode) -> float:
+        values = episode.signals["elevation"] if self.metric == "elevation" else episode.metric
+        first, last = float(values[0]), float(values[-1])
+        return (min if self.higher else max)(first, last) if episode.diverged else last
 
 
 def _trunk(env_id: str, metric: str = "distance", starts=None, fixed=None) -> Board:

@@ -88,7 +88,7 @@ def write_entry(
         entry: who, or which code base, trained the policy; method and seed are those of the policy's card.
         evaluations: what :meth:`Board.score` gives, by the condition's label; see :func:`evaluated`.
         distribution: what the training parameters were drawn from; None for the nominal ones.
-        training: algorithm, seconds and curve; see :func:`thinned_curve`.
+        training: algorithm, seconds, effects and curve; see :func:`thinned_curve`.
 
     Raises:
         ValueError: names what is wrong and what is allowed; nothing is written.

@@ -103,6 +103,8 @@ def _with_known_shapes(onnx, model):
     entrance = model.graph.input[0].type.tensor_type
     if entrance.elem_type not in _FLOATS or len(entrance.shape.dim) != 2 or entrance.shape.dim[1].dim_value < 1:
         raise ValueError("its input is no array (n, k) of float or double with a fixed k")
+    if (size := entrance.shape.dim[1].dim_value) > MAX_VALUES:
+        raise ValueError(f"its input has {size} numbers; allowed: {MAX_VALUES}")
     onnx.checker.check_model(model)
     entrance.shape.dim[0].dim_value = 1
     # what the file says of shapes inside may be wrong

@@ -22,6 +22,7 @@ from soro_bench.training.policy import Policy
 POLICIES = ("random", "excitation")  # and the folder or leaderboard entry of a trained one
 COMMAND = "action"  # the command that an episode is driven by
 MAX_STEPS = 100_000  # of a replay
+_ROUNDING = 1e-3  # of a control step, by which a time stamp may be late
 
 
 def record(
@@ -111,9 +112,9 @@ def recorded_actions(recording: Recording) -> tuple[str, np.ndarray]:
     steps = math.ceil(recording.duration / timestep - 1e-6)
     if not 1 <= steps <= MAX_STEPS:
         raise RecordingError(f"{recording.duration} s are {steps} control steps; expected 1 to {MAX_STEPS}")
-    return env_id, _held(
-        recording.commands[COMMAND], recording.start + timestep * np.arange(steps), action == "discrete"
-    )
+    # time stamps that went through milliseconds or single precision lie a little beside the steps
+    times = recording.start + timestep * (np.arange(steps) + _ROUNDING)
+    return env_id, _held(recording.commands[COMMAND], times, action == "discrete")
 
 
 def parse_params(pairs: Sequence[str]) -> dict[str, float]:

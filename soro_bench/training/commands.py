@@ -22,6 +22,9 @@ class Train:
     """JSON file of a distribution to train on instead of the method's."""
     effects: Path | None = None
     """JSON file of physics that the model leaves out, such as `soro-bench diagnose` writes."""
+    name: str | None = None
+    """What the method is called on a leaderboard: by default oracle or udr, and "own" with --randomization or
+    --effects."""
     seed: int = 0
     steps: int | None = None
     """Environment steps; what the environment needs by default."""
@@ -39,11 +42,12 @@ class Train:
         task_type(self.env)
         given = {"model": self.model, "action": self.action, "effects": self.effects and str(self.effects)}
         changes = {name: value for name, value in given.items() if value is not None}
-        config = default_config(self.env, self.steps, method=self.method, seed=self.seed, **changes)
+        name = self.name or ("own" if self.randomization or self.effects else self.method)
+        config = default_config(self.env, self.steps, method=name, seed=self.seed, **changes)
         box = METHODS[self.method].distribution(self.env, self.seed, self.out)
         distribution = load(self.randomization) if self.randomization else box
         with TrainingBars() as bar:
-            train(config, self.out, distribution, lambda *progress: bar(f"{self.method} seed {self.seed}", *progress))
+            train(config, self.out, distribution, lambda *progress: bar(f"{name} seed {self.seed}", *progress))
         console.print(f"policy in {self.out}")
 
 

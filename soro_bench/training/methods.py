@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from soro_bench.randomization import Distribution, TruncatedNormal, Uniform, random_box
+from soro_bench.randomization import Distribution, Uniform, random_box
 from soro_bench.registration import task_type
 
 
@@ -42,11 +42,6 @@ def udr(known: Mapping[str, float] | None = None, name: str = "udr") -> Method:
 def fixed(name: str, distribution: Distribution) -> Method:
     """The same distribution for every seed."""
     return Method(name, lambda env_id, seed, folder: distribution)
-
-
-def held(values: Mapping[str, float]) -> TruncatedNormal:
-    """Parameters that are not nominal and do not vary."""
-    return TruncatedNormal(tuple(values), np.array(list(values.values())), np.zeros(len(values)))
 
 
 UDR = udr()

@@ -45,7 +45,7 @@ class PPOConfig:
     rollouts_per_segment: int = 20
     batch_size: int = 400
     epochs: int = 10
-    learning_rate: float = 7e-4  # falls linearly to zero
+    learning_rate: float = 7e-4  # at first; falls linearly to zero
     discount: float = 0.95
     gae_lambda: float = 0.9
     entropy_coefficient: float = 0.0
@@ -137,7 +137,7 @@ def _claim(folder: Path, config: PPOConfig, distribution) -> None:
             described.pop(added)
     path = folder / "config.json"
     if path.exists() and (found := read_json(path)) != described:
-        different = [key for key in described if found.get(key) != described[key]]
+        different = sorted(key for key in found | described if found.get(key) != described.get(key))
         raise ValueError(f"{folder} holds a run with another {', '.join(different)}; choose another folder")
     write_json(path, described)
 
@@ -161,13 +161,10 @@ def _make_env(config: PPOConfig, distribution) -> VecNormalize:
 
 
 def _make_agent(config: PPOConfig, env: VecNormalize) -> PPO:
-    def learning_rate(progress_remaining: float) -> float:
-        return config.learning_rate * progress_remaining
-
     agent = PPO(
         "MlpPolicy",
         env,
-        learning_rate=learning_rate,
+        learning_rate=config.learning_rate,
         n_steps=config.rollout_steps,
         batch_size=config.batch_size,
         n_epochs=config.epochs,
@@ -187,12 +184,14 @@ def _run_segment(config, segment, agent, env, curve, progress) -> None:
     set_random_seed(seed)
     env.seed(seed)
     agent._last_obs = None  # makes learn() reset the environments
-    if config.final_log_std is not None:
-        done = segment / config.num_segments
+    if config.final_log_std is not None and config.action == "continuous":
+        done = segment / max(1, config.num_segments - 1)
         log_std = (1 - done) * config.initial_log_std + done * config.final_log_std
         agent.policy.log_std.requires_grad_(False).fill_(log_std)
     agent.num_timesteps = segment * config.segment_steps
     total = config.num_segments * config.segment_steps
+    # what SB3 takes for the progress is that of this segment only
+    agent.lr_schedule = lambda _: config.learning_rate * (1.0 - agent.num_timesteps / total)
     callback = _Watch(curve, progress, total, task_type(config.env_id).metric)
     agent.learn(config.segment_steps, callback=callback, reset_num_timesteps=False)
 

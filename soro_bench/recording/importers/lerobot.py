@@ -1,5 +1,6 @@
 """LeRobot datasets of version 3, read without the lerobot package: one episode becomes a recording."""
 
+import json
 import re
 from dataclasses import replace
 from functools import partial
@@ -9,7 +10,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from soro_bench.files import read_json
 from soro_bench.recording.bounded_parquet import BoundedParquet
 from soro_bench.recording.importers.mapping import FileMapping, Source, load_mapping
 from soro_bench.recording.recording import Recording, RecordingError
@@ -17,7 +17,7 @@ from soro_bench.recording.untrusted import MAX_BYTES, named_errors, read_bytes
 
 _PLACE = ("column", "indices")
 _VERSION = re.compile(r"v3\.\d{1,3}")
-_MAX_FILES = 10_000
+_MAX_FILES, _MAX_INFO_BYTES = 10_000, 10_000_000
 _NUMBERS = ("float16", "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "bool")
 _EPISODE, _TIME = "episode_index", "timestamp"
 
@@ -35,7 +35,7 @@ def import_lerobot(
     """
     folder = Path(path)
     with named_errors(folder):
-        info = read_json(_inside(folder, folder / "meta" / "info.json"))
+        info = json.loads(read_bytes(_inside(folder, folder / "meta" / "info.json"), _MAX_INFO_BYTES))
         features = info.get("features") if isinstance(info, dict) else None
         if not isinstance(features, dict) or not _VERSION.fullmatch(str(info.get("codebase_version"))[:20]):
             raise RecordingError("meta/info.json describes no LeRobot dataset of version 3")

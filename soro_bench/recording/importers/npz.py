@@ -78,6 +78,8 @@ class _Archive:
         size = math.prod(shape) * dtype.itemsize
         if dtype.kind not in "fiu" or not shape or len(shape) > 5 or shape[0] > MAX_ROWS:
             raise RecordingError(f"{name} has type {dtype} and shape {shape}; expected rows of real numbers")
+        if 8 * math.prod(shape) > self._most:
+            raise RecordingError(f"{name} has {math.prod(shape)} numbers; at most {self._most // 8} are read")
         if size != len(content) - file.tell():
             raise RecordingError(f"{name} says that it has {size} bytes, and has {len(content) - file.tell()}")
         file.seek(0)
