@@ -8,8 +8,8 @@ from soro_bench.diagnosis.audit import audit, outliers
 from soro_bench.diagnosis.explain import Explanation
 from soro_bench.diagnosis.fit import Guess, Hypothesis, bounds, fitted
 from soro_bench.diagnosis.floor import numerical_floor
-from soro_bench.diagnosis.localise import intervals, regimes
-from soro_bench.diagnosis.probe import places
+from soro_bench.diagnosis.localise import intervals, regimes, windows
+from soro_bench.diagnosis.probe import _pushes, _responses, places
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Measured
 from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
@@ -244,7 +244,7 @@ def test_a_force_without_a_name_is_found_at_its_place(robot, actions, where):
     def pull(step):
         force = 1.0 + np.sin(step / 5)
         if where.kind == "body":
-            batch.xfrc_applied[0, i, 0] = 0.1 * force
+            batch.xfrc_applied[0, i, 0] = 0.05 * force
         else:
             entries = model.ten_J_rowadr[i] + np.arange(model.ten_J_rownnz[i])
             batch.qfrc_applied[0, model.ten_J_colind[entries]] = -force * batch.ten_J[0, entries]
@@ -256,8 +256,8 @@ def test_a_force_without_a_name_is_found_at_its_place(robot, actions, where):
     assert best.where == where
     component = best.force.components.index("x" if where.kind == "body" else "pull")
     middle = (best.force.start + 0.5 * np.diff(best.force.start).mean()) / 0.05  # control steps
-    truth = (0.1 if where.kind == "body" else 1.0) * (1.0 + np.sin(middle / 5))
-    force = best.force.values[:, component]
+    truth = (0.05 if where.kind == "body" else 1.0) * (1.0 + np.sin(middle / 5))
+    truth, force = truth[:-1], best.force.values[:-1, component]  # the end of the recording cuts the last window
     assert force.mean() == pytest.approx(truth.mean(), rel=0.2)
     assert np.corrcoef(force, truth)[0, 1] > 0.5
     assert best.force.units[component] == "N"
@@ -277,6 +277,26 @@ def test_a_setpoint_that_wanders_is_found_at_its_actuator(robot, actions):
     best = places(given, robot, base)[0]
     assert best.where == Port("actuator", "L2")
     assert best.force.components == ("offset",)
+
+
+def test_what_pushes_a_body_and_a_law_that_does_so_too_add_up(robot, actions):
+    """Drag that is known, or in a hypothesis, takes nothing from the pushes of the probes."""
+    given = problem(robot, actions)
+    drag, x = suspect(robot, "fluid_drag", Port("body", EVERY)), np.append(np.zeros(5), 1e-6)
+    pushes = [each for each in _pushes(robot) if each.where == Port("body", "vertebra5") and each.kind == "world"]
+    plain, dragged = (
+        _responses(given, robot, Hypothesis(tuple(laws), x[: 5 + len(laws)], None, 0.0, None, None), pushes)
+        for laws in ([], [drag])
+    )
+    assert np.abs(plain).max() > 1.0  # standard deviations of the noise
+    assert np.abs(dragged - plain).max() < 1e-3 * np.abs(plain).max()
+
+
+@pytest.mark.parametrize("length", [0.15, 0.45])
+def test_windows_hold_as_many_samples_each(robot, actions, length):
+    numbers = windows(problem(robot, actions), length)[:: 21 * 3]
+    counts = np.bincount(numbers)[:-1]
+    assert (counts == round(length / 0.05)).all()
 
 
 def test_what_nothing_explains_is_unknown_and_what_something_explains_is_not(robot, actions):
