@@ -28,6 +28,7 @@ NEAR = (0.15, 0.05, 0.0)  # of the one near each fit
 # off; and their radii: a cloud as wide as the nominal fit's at first, as parameters that have absorbed an effect may be
 # far from where they belong (of stiffening, 14,000 nats were left where 5,000 should be, whatever the narrow clouds)
 POLISHES, CLEAN, ENOUGH = 4, 1000.0, 0.1
+LACKING = 10_000.0  # nats, an excess of the nominal robot far beyond that of nulls: polishing supplies no physics
 WIDE, NARROW = (0.7, 0.15), (0.3, 0.1)
 RIVAL = 2.0  # a hypothesis that leaves less than so many times what the best one leaves
 MOST = 3  # effects
@@ -94,7 +95,7 @@ def explained(
         robot: with the time steps of its model, for the responses.
     """
     seeds = itertools.count(10 * seed, 10)
-    if not problem.rough:
+    if not problem.rough and problem.excess(nominal.residual) < LACKING:
         progress("joint fit of the parameters")
         problem, (nominal,) = _polished(problem, refined, [nominal], seeds)
     unpatched = problem.left(nominal.residual)
