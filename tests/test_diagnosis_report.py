@@ -98,8 +98,12 @@ def test_a_hidden_payload_is_named_with_its_place_and_mass_and_the_held_out_fit_
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "patched_model.xml"))
     assert model.body("vertebra7").mass[0] > 1.5 * model.body("vertebra6").mass[0]
     assert set(load(tmp_path / "posterior.json").names) == {prior.name for prior in robot.priors}
+    (only,) = report["rounds"]
+    assert (only["on_top_of"], only["promised"][0]["name"]) == ([], "payload")
+    assert only["fitted"][0]["effects"] == [{"name": "payload", "where": first["where"]}]
     page = (tmp_path / "report.html").read_text()
     assert "<script" not in page
+    assert "payload vertebra7" in page
     assert "vertebra7" in page
     assert (tmp_path / "comparison.rrd").stat().st_size > 1000
     assert report["next_recording"] is None

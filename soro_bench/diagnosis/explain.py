@@ -42,6 +42,19 @@ WORTH, WORTH_SHARE, LAW_SHARE = 600.0, 0.05, 0.02
 
 
 @dataclass(frozen=True)
+class Round:
+    """What one more effect promised, and what became of it.
+
+    on: the suspects on top of which it was looked for. promised: the best suspects, with the evidence that each
+    promised. fitted: the suspects of every hypothesis that was kept, with the excess that it leaves.
+    """
+
+    on: tuple[Suspect, ...]
+    promised: tuple[tuple[Suspect, float], ...]
+    fitted: tuple[tuple[tuple[Suspect, ...], float], ...]
+
+
+@dataclass(frozen=True)
 class Explanation:
     """Hypotheses about recordings.
 
@@ -54,6 +67,7 @@ class Explanation:
     promised: the evidence that the best lead promised on top of the nominal robot.
     left: the same on top of the best of all.
     minimum: of each suspect, the coordinate of its first magnitude that would just have been worth a look.
+    rounds: how it came about.
     """
 
     problem: Problem
@@ -63,6 +77,7 @@ class Explanation:
     promised: float
     left: float
     minimum: tuple[tuple[Suspect, float], ...]
+    rounds: tuple[Round, ...] = ()
 
 
 def nominal_fit(problem: Problem, refined: Sequence[Robot], seed: int, progress=lambda *_: None):
@@ -100,7 +115,7 @@ def explained(
         problem, (nominal,) = _polished(problem, refined, [nominal], seeds)
     unpatched = problem.left(nominal.residual)
     progress("screening")
-    possible, best, tried = candidates, nominal, []
+    possible, best, tried, rounds = candidates, nominal, [], []
     found = responses(problem, nominal, possible, robot)
     first = screened = evidence(problem, nominal, possible, found)
     promised = left = singles(first)[0].gain
@@ -114,7 +129,8 @@ def explained(
         if left < _worth(problem, nominal, best):
             break
         progress(f"refits with {number} effect{'s' * (number > 1)}")
-        leads = _leads(problem, screened, singles(screened))
+        offered = singles(screened)
+        leads = _leads(problem, screened, offered)
         if number == 2 and not problem.rough:
             leads += _leads(problem, first, pairs(first))
         new = refitted(problem, leads, next(seeds))
@@ -134,10 +150,17 @@ def explained(
             possible = allowed
         screened = evidence(problem, tried[0], possible, found)
         left = singles(screened)[0].gain
+        rounds.append(_round(problem, best, offered, tried[: len(new)]))
         if number > 1:
             tried[1:1] = without_one(problem, tried[0], next(seeds))
         nominal, best = _again(problem, nominal), tried[0]
-    return Explanation(problem, nominal, tuple(unique(tried)), unpatched, promised, left, first.detectable(WORTH))
+    minimum, found = first.detectable(WORTH), tuple(unique(tried))
+    return Explanation(problem, nominal, found, unpatched, promised, left, minimum, tuple(rounds))
+
+
+def _round(problem, base, offered, fitted) -> Round:
+    promised = tuple((lead.suspects[-1], lead.gain) for lead in offered[:LEADS])
+    return Round(base.suspects, promised, tuple((h.suspects, problem.excess(h.residual)) for h in fitted))
 
 
 def _polished(problem, refined, hypotheses, seeds):

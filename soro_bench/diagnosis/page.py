@@ -99,7 +99,7 @@ def _page(diagnosis: Diagnosis, report: dict, text: str) -> str:
         f"<!doctype html><html lang='en'><meta charset='utf-8'><title>Diagnosis</title><style>{_STYLE}</style>"
         f"<h1>Diagnosis of {html.escape(diagnosis.robot.name)}</h1><p class='verdict'>{html.escape(text)}</p>"
         f"{_effects_table(report)}{_next_table(report)}{_model_note(report)}{figures}"
-        f"{_parameters_table(report)}{_detectable_table(report)}</html>\n"
+        f"{_parameters_table(report)}{_rounds_table(report)}{_detectable_table(report)}</html>\n"
     )
 
 
@@ -150,6 +150,25 @@ def _parameters_table(report) -> str:
         low, high = p["ci90"]
         rows.append([name, f"{p['value']:.4g}", f"{low:.4g} .. {high:.4g}", p["unit"], f"{p['prior_tension_sd']:+.1f}"])
     return _table("Parameters", ["parameter", "value", "90 %", "unit", "standard deviations from nominal"], rows)
+
+
+def _rounds_table(report) -> str:
+    rows = []
+    for each in report["rounds"]:
+        promised = "; ".join(f"{_at(lead)} {lead['gain']:.0f}" for lead in each["promised"])
+        fitted = "; ".join(f"{_together(one['effects'])} {one['excess']:.0f}" for one in each["fitted"])
+        rows.append([_together(each["on_top_of"]) or "nothing", promised, fitted])
+    head = ["on top of", "one more effect promises [nats]", "what the fits leave above noise [nats]"]
+    return _table("How it came about", head, rows) if rows else ""
+
+
+def _together(effects) -> str:
+    return " with ".join(map(_at, effects))
+
+
+def _at(effect) -> str:
+    where = effect["where"]
+    return " ".join(str(part) for part in (effect["name"], where["name"], where.get("index")) if part is not None)
 
 
 def _detectable_table(report) -> str:

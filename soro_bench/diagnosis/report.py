@@ -4,6 +4,7 @@ import math
 from pathlib import Path
 
 from soro_bench.diagnosis.compare import Answer, Comparison, Fit
+from soro_bench.diagnosis.explain import Round
 from soro_bench.diagnosis.findings import (
     NINETY,
     described,
@@ -20,7 +21,7 @@ from soro_bench.diagnosis.pipeline import ALPHA, Diagnosis
 from soro_bench.diagnosis.propose import DURATION, Proposal
 from soro_bench.diagnosis.robot import LIMIT, Earlier
 from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.diagnosis.suspects import MAGNITUDE_DEVIATION
+from soro_bench.diagnosis.suspects import MAGNITUDE_DEVIATION, Suspect
 from soro_bench.effects.catalogue import CATEGORIES, QUANTITIES
 from soro_bench.effects.effect import load_effects, save_effects
 from soro_bench.files import read_json, write_json
@@ -100,6 +101,7 @@ def report_of(diagnosis: Diagnosis) -> dict:
         "effects": ranked,
         "classes": _classes(diagnosis, ranked),
         "hypotheses": [_hypothesis(diagnosis, answer) for answer in comparison.answers],
+        "rounds": [_round(each) for each in diagnosis.explanation.rounds],
         "credible_set": _credible(comparison, "outliers" if only_outliers else "none"),
         "fit": {
             "train": _fit(best.train),
@@ -149,6 +151,19 @@ def _hypothesis(diagnosis: Diagnosis, answer: Answer) -> dict:
         "evidence": answer.evidence,
         "samples": int(problem.weight.sum()),
     }
+
+
+def _round(found: Round) -> dict:
+    """What was looked for on top of what, what it promised [nats], and what the fits of it leave [nats]."""
+    return {
+        "on_top_of": [_named(s) for s in found.on],
+        "promised": [_named(s) | {"gain": gain} for s, gain in found.promised],
+        "fitted": [{"effects": [_named(s) for s in suspects], "excess": left} for suspects, left in found.fitted],
+    }
+
+
+def _named(suspect: Suspect) -> dict:
+    return {"name": suspect.name, "where": where_of(suspect.where)}
 
 
 def _nameless(name: str, probability: float, diagnosis: Diagnosis | None = None) -> dict:
