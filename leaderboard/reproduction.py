@@ -95,9 +95,11 @@ def tables() -> dict[str, str]:
     # ours alone: others may enter methods of the same names
     groups = {(board, g.method): g for board, members in found.items() for g in members if g.entry == ENTRY}
     planned = paper()
-    done = sum(run.result(RESULTS).exists() for run in planned)
+    there = sum(run.result(RESULTS).exists() for run in planned)
+    done = sum(run.done(RESULTS) for run in planned)
     return {
-        "state": f"**State: {len(planned)} runs are planned, {done} are done.**",
+        "state": f"**State: {len(planned)} runs are planned, {done} are done; {there - done} more have results of an older "
+        "trainer.**",
         "parameters": parameters_table(groups),
         "policies": markdown_table(groups.values()),
         "lift": lift_table(groups),

@@ -1,5 +1,6 @@
 """Campaigns: what is planned, and one run from training to its entry."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +20,7 @@ from soro_bench.randomization import TruncatedNormal, from_dict
 from soro_bench.registration import task_type
 from soro_bench.training.methods import ORACLE, Method, udr
 from soro_bench.training.policy import Policy
-from soro_bench.training.ppo import PPOConfig
+from soro_bench.training.ppo import TRAINER, PPOConfig
 
 TINY = PPOConfig(
     "TrunkReach-v0", total_steps=400, num_envs=2, rollout_steps=100, rollouts_per_segment=1, batch_size=100, epochs=1,
@@ -126,12 +127,15 @@ def test_an_environment_without_a_board_or_with_others_is_an_error_in_words():
 def test_finished_runs_are_not_carried_out_again(small_board, tmp_path):
     (run,) = [Run("TrunkReach-v0", ORACLE, TINY)]
     run.result(tmp_path).parent.mkdir(parents=True)
-    run.result(tmp_path).write_text('{"steps": 400, "trained_on": "cable", "action": "continuous"}')
+    entry = {"steps": 400, "trained_on": "cable", "action": "continuous", "training": {"trainer": TRAINER}}
+    run.result(tmp_path).write_text(json.dumps(entry))
     carry_out_all([run], tmp_path / "work", tmp_path, HERE)
     assert not (tmp_path / "work").exists()
     longer = replace(run, config=replace(TINY, total_steps=600))
     with pytest.raises(ValueError, match="was trained with steps 400, not 600"):
         carry_out_all([longer], tmp_path / "work", tmp_path, HERE)
+    run.result(tmp_path).write_text(json.dumps({**entry, "training": {"trainer": TRAINER - 1}}))
+    assert not run.done(tmp_path)
 
 
 def test_the_state_of_a_campaign_is_read_from_its_files(tmp_path):

@@ -185,15 +185,15 @@ def test_nothing_is_written_of_an_entry_that_is_wrong(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("board", "signal", "start"), [("TrunkLift-v0-50g", "elevation", 0.0), ("TrunkReach-v0", "", 0.05)]
+    ("board", "counted"), [("TrunkLift-v0-50g", 0.0), ("MultiGait-v0-6", 0.0), ("TrunkReach-v0", 0.05)]
 )
-def test_an_episode_that_diverged_counts_no_better_than_its_start(board, signal, start):
-    """The engine then puts the scene where it began, or the object is on its way out of it."""
-    for end, diverged, counted in ((0.03, True, start), (0.03, False, 0.03)):
-        values = np.array([start, end])
-        episode = Episode(board, "flex", {}, None, np.arange(2.0), {signal: values}, np.zeros((1, 8)), {}, "distance",
-                          values, False, diverged)  # fmt: skip
-        assert BOARDS[board].score([episode])["final_mm"] == [pytest.approx(1e3 * counted)]
+def test_nothing_is_gained_by_an_episode_that_diverged(board, counted):
+    """The engine then puts the scene where it began, an object in the air, or the object is on its way out of it."""
+    metric = np.array([0.05, 0.03])
+    for diverged, value in ((True, counted), (False, 0.03)):
+        episode = Episode(board, "flex", {}, None, np.arange(2.0), {}, np.zeros((1, 8)), {}, "metric", metric, False,
+                          diverged)  # fmt: skip
+        assert BOARDS[board].score([episode])["final_mm"] == [pytest.approx(1e3 * value)]
 
 
 def test_a_right_entry_is_confirmed_and_an_edited_score_found(tmp_path):

@@ -22,16 +22,14 @@ Progress = Callable[[float, list[str]], None]
 def carry_out_all(
     runs: Sequence[Run], work: Path, results: Path, workers: Workers, progress: Progress = lambda share, rows: None
 ) -> None:
-    """Carry out the runs that have no entry in ``results`` yet; what a run writes does not depend on the others.
+    """Carry out the runs that are not done; what a run writes does not depend on the others.
 
     ValueError if there is an entry that was trained with other settings than its run has.
 
     ``progress`` is called every few seconds with the share of the work that is done and a line for each active run.
     """
     work, results = Path(work).resolve(), Path(results).resolve()  # the same for the workers of a cluster
-    for run in runs:
-        run.check(results)
-    todo = [run for run in runs if not run.result(results).exists()]
+    todo = [run for run in runs if not run.done(results)]
     with _watching(runs, work, results, progress):
         for _ in each(carry_out, [(run, work, results) for run in todo], workers):
             pass
@@ -48,7 +46,7 @@ def state(runs: Sequence[Run], work: Path, results: Path) -> tuple[float, list[s
     for run in runs:
         cost = _cost(run)
         total += cost
-        if run.result(results).exists():
+        if run.done(results):
             done += cost
             continue
         folder = Path(work) / run.name

@@ -85,7 +85,7 @@ def campaign(runs, work: Path, results: Path, workers: Workers, only_plan: bool 
     from soro_bench.leaderboard.page import build
     from soro_bench.leaderboard.table import markdown_table
 
-    missing = [run.name for run in runs if not run.result(results).exists()]
+    missing = [run.name for run in runs if not run.done(results)]
     console.print(f"{len(runs)} runs, {len(missing)} without a result in {results}", soft_wrap=True)
     if only_plan:
         return console.print("\n".join(missing), soft_wrap=True, markup=False, highlight=False)

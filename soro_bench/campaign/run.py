@@ -15,7 +15,7 @@ from soro_bench.recording.rerun_log import write_recording
 from soro_bench.registration import task_type
 from soro_bench.training.methods import Method
 from soro_bench.training.policy import Policy
-from soro_bench.training.ppo import PPOConfig, train
+from soro_bench.training.ppo import TRAINER, PPOConfig, train
 
 ENTRY = "ppo"  # whose the results are, on the leaderboard
 
@@ -36,15 +36,17 @@ class Run:
             replace(self.config, env_id=board.env_id, method=self.method.name, episode_steps=board.episode_steps),
         )
 
-    def check(self, results: Path) -> None:
-        """ValueError if its entry is there and was trained with other settings."""
-        if (path := self.result(results)).exists():
-            entry, config = read_json(path), self.config
-            asked = {"steps": config.num_segments * config.segment_steps, "trained_on": config.model,
-                     "action": config.action}  # fmt: skip
-            for name, value in asked.items():
-                if entry[name] != value:
-                    raise ValueError(f"{path} was trained with {name} {entry[name]}, not {value}; choose another --out")
+    def done(self, results: Path) -> bool:
+        """Whether its entry is there, of the present trainer; ValueError if that was trained with other settings."""
+        if not (path := self.result(results)).exists():
+            return False
+        entry, config = read_json(path), self.config
+        asked = {"steps": config.num_segments * config.segment_steps, "trained_on": config.model,
+                 "action": config.action}  # fmt: skip
+        for name, value in asked.items():
+            if entry[name] != value:
+                raise ValueError(f"{path} was trained with {name} {entry[name]}, not {value}; choose another --out")
+        return entry.get("training", {}).get("trainer") == TRAINER
 
     @property
     def name(self) -> str:
@@ -62,12 +64,12 @@ class Run:
 
 
 def carry_out(run: Run, work: Path, results: Path) -> None:
-    """Train, evaluate and write the entry, going on where that was interrupted; nothing if the entry is there.
+    """Train, evaluate and write the entry, going on where that was interrupted; nothing if that is done.
 
     ``work`` gets <board>/<method>/seed<k>/ with checkpoint, policy, what the method inferred, and a rerun recording of
     every evaluation.
     """
-    if run.result(results).exists():
+    if run.done(results):
         return
     folder, threads = Path(work) / run.name, processors()
     train(replace(run.config, num_threads=threads), folder, run.distribution(folder))
@@ -85,7 +87,10 @@ def enter(folder: Path, board: str, entry: str, results: Path, threads: int = 0)
     policy, config = Policy.load(folder), read_json(folder / "config.json")
     _check_fixed(board, config["distribution"], folder)
     evaluations = record_evaluations(policy, board, tuple(BOARDS[board].conditions), folder, threads)
-    training = _training(folder, policy.card.env_id) | {"effects": [e["name"] for e in config.get("effects", [])]}
+    training = _training(folder, policy.card.env_id) | {
+        "trainer": config["trainer"],
+        "effects": [effect["name"] for effect in config.get("effects", [])],
+    }
     return write_entry(results, board, entry, policy, evaluations, config["distribution"], training)
 
 

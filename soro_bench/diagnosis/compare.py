@@ -97,12 +97,13 @@ def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> 
     # is left than the sensor's noise something is missing, whether or not a law explains it
     detected = 0.0 if problem.rough else p_value(max(found.promised, *(scores - scores[0])))
     train = [problem.left(h.residual) for h in hypotheses]
-    tested = [None] * len(hypotheses)
+    tested, left = [None] * len(hypotheses), [problem.excess(h.residual) for h in hypotheses]
     if heldout is not None:
         unfitted, residuals = heldout
-        scores = scores - [unfitted.excess(row) for row in residuals]
+        excess = [unfitted.excess(row) for row in residuals]
+        scores, left = scores - excess, [a + b for a, b in zip(left, excess, strict=True)]
         tested = [unfitted.left(row) for row in residuals]
-    chances = _chances(scores, detected, min(problem.excess(h.residual) for h in hypotheses))
+    chances = _chances(scores, detected, min(left))
     answers = [
         Answer(h, p, e, Fit(train[0], a, problem.sensor), None if b is None else Fit(tested[0], b, problem.sensor))
         for h, p, e, a, b in zip(hypotheses, chances, scores.tolist(), train, tested, strict=True)

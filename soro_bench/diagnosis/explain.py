@@ -19,6 +19,7 @@ from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
 from soro_bench.diagnosis.suspects import Suspect, typical
 from soro_bench.effects.catalogue import CATEGORIES
 
+SEEDS = 10_000  # of clouds, for each seed of a diagnosis
 # radii of the clouds of the nominal fit after each numerical floor, and of the last fit of a hypothesis, in standard
 # deviations of the priors
 RADII, LAST = ((0.7, 0.3), (0.15,), (0.05, 0.05)), 0.07
@@ -90,12 +91,12 @@ def nominal_fit(problem: Problem, refined: Sequence[Robot], seed: int, progress=
         progress("numerical floor")
         problem = problem.with_floor(numerical_floor(problem, refined, [(x, ()) for x in draws]))
         progress("joint fit of the parameters")
-        (fit,) = fitted(problem, [guess], radii, seed + k)
+        (fit,) = fitted(problem, [guess], radii, SEEDS * seed + k)
         problem, (fit,) = allowing(problem, fit, [fit])
         guess = Guess(fit.x, slope=fit.slope)
         draws = np.clip(fit.x + NEAR[k] * rng.standard_normal((1, d)), -2, 2)
     if problem.rough:
-        (fit,) = persevered(problem, [fit], seed)
+        (fit,) = persevered(problem, [fit], SEEDS * seed + len(RADII))
         problem, (fit,) = allowing(problem, fit, [fit])
     return problem, fit
 
@@ -109,7 +110,7 @@ def explained(
     Args:
         robot: with the time steps of its model, for the responses.
     """
-    seeds = itertools.count(10 * seed, 10)
+    seeds = itertools.count(SEEDS * seed + 10, 10)
     if not problem.rough and problem.excess(nominal.residual) < LACKING:
         progress("joint fit of the parameters")
         problem, (nominal,) = _polished(problem, refined, [nominal], seeds)

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from soro_bench.effects.catalogue import MEASUREMENT
-from soro_bench.effects.effect import Effect, EffectError, Port
+from soro_bench.effects.effect import Effect, Port
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.measurement import distorted
 from soro_bench.models.simulation import Simulation
@@ -238,11 +238,7 @@ class Robot(ABC):
         effects = [*self.known, *effects]
         if len({(e.name, e.where) for e in effects}) < len(effects):
             return False
-        try:
-            self.simulation.assign_effects([[e for e in effects if e.where.kind != "sensor"]] * self._count)
-        except EffectError:
-            return False
-        return True
+        return self.simulation.accepts([e for e in effects if e.where.kind != "sensor"])
 
     def native(self, effect: Effect) -> bool:
         """Whether an effect is in the fields of the model, and nowhere else."""

@@ -20,7 +20,7 @@ class _Sliding(Law):
     def prepare(self, elements):
         super().prepare(elements)
         self.before = np.zeros((len(self.rows), 3))
-        self.run.scaled("geom_friction", self.ids)
+        self.run.scaled("geom_friction")
 
     def reset(self, which):
         self.before[which] = self.batch.geom_xpos[self.rows[which], self.ids[which]]

@@ -1,6 +1,6 @@
 """The elements of a MuJoCo model that effects act on, and what a model needs so that they can."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -43,9 +43,10 @@ def without_unused_springs(spec: mujoco.MjSpec) -> mujoco.MjSpec:
 
 @dataclass
 class Elements:
-    """Names and sizes in a compiled model."""
+    """Names and sizes in a compiled model, whose elements stay as they are."""
 
     model: mujoco.MjModel
+    _known: dict = field(default_factory=dict, repr=False, compare=False)  # what was asked for before
 
     def ports(self, kind: str) -> list[Port]:
         """All ports of a kind; for "model" there is one, "gravity"; sensors are the recording's."""
@@ -66,6 +67,11 @@ class Elements:
         Args:
             elastic: whether every body is every one that hangs on springs or a flex.
         """
+        if (port, elastic) not in self._known:
+            self._known[port, elastic] = self._expanded(port, elastic)
+        return self._known[port, elastic]
+
+    def _expanded(self, port, elastic) -> list[Port]:
         ports = self.ports(port.kind)
         if elastic and port == Port("body", EVERY):
             ports = [p for p in ports if self._hangs(self.id(p))]
@@ -81,6 +87,11 @@ class Elements:
 
     def joints_of(self, body: int, bending_only: bool = False) -> np.ndarray:
         """Scalar joints of a body: its hinges only, where there are some and only bending counts."""
+        if (body, bending_only) not in self._known:
+            self._known[body, bending_only] = self._joints_of(body, bending_only)
+        return self._known[body, bending_only]
+
+    def _joints_of(self, body, bending_only) -> np.ndarray:
         model, start = self.model, self.model.body_jntadr[body]
         joints = np.arange(start, start + model.body_jntnum[body])
         hinges = joints[model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE]

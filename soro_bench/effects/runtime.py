@@ -77,11 +77,9 @@ class ActiveEffects:
                 raise EffectError(f"{self._claimed[key]} and {law.name} need the same spring")
             self._claimed[key] = law.name
 
-    def scaled(self, name: str, columns: np.ndarray) -> "Scaled":
-        """Columns of a model field, which laws multiply before every time step."""
-        found = self._scaled.setdefault(name, Scaled(self.batch.expand(name)))
-        found.columns = np.union1d(found.columns, columns)
-        return found
+    def scaled(self, name: str) -> None:
+        """Note that a law multiplies a model field before every time step."""
+        self._scaled.setdefault(name, Scaled(self.batch.expand(name)))
 
     def restore(self, ids: np.ndarray) -> None:
         """Model fields that effects changed become nominal again."""
@@ -117,15 +115,18 @@ class ActiveEffects:
         commands = _Commands(self, ids) if self.filters else None
         if commands:
             self._start(ids[self._starts[ids]])
-        for _ in range(nstep):
+        reads = any(law.outputs for law in self._stepped)
+        for left in range(nstep - 1, -1, -1):
             if commands:
                 commands.step()
             for field in self._scaled.values():
                 field.begin(ids)
             for law in self._stepped:
                 law.step(which[law])
-            # with the forward stages at the new state, which laws read and a persistent batch reuses
-            self.batch.step(ids, stage=mujoco.mjtStage.mjSTAGE_VEL)
+            # forward stages at the new state only where they are read: a persistent batch reuses them, but not
+            # once a law has written a field
+            between = mujoco.mjtStage.mjSTAGE_VEL if reads else mujoco.mjtStage.mjSTAGE_NONE
+            self.batch.step(ids, stage=between if left else stage)
         self.batch.ctrl[ids] = asked
 
     def _start(self, ids) -> None:
@@ -168,7 +169,6 @@ class Scaled:
 
     def __init__(self, values: np.ndarray):
         self.values, self._own = values, values.copy()
-        self.columns = np.zeros(0, int)
 
     def keep(self, ids: np.ndarray) -> None:
         """Remember the values of simulations ``ids``."""
@@ -176,8 +176,7 @@ class Scaled:
 
     def begin(self, ids: np.ndarray) -> None:
         """Begin a time step of simulations ``ids``."""
-        at = np.ix_(ids, self.columns)
-        self.values[at] = self._own[at]
+        self.values[ids] = self._own[ids]
 
 
 class _Commands:

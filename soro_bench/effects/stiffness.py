@@ -65,7 +65,7 @@ class _StrainDependent(OnJoints):
 
     def prepare(self, elements):
         super().prepare(elements)
-        self.run.scaled("jnt_stiffness", self.joints)
+        self.run.scaled("jnt_stiffness")
 
     def step(self, which):
         factor = self.factor(self.strain(), which)[which]
@@ -139,7 +139,7 @@ class _Springs:
     def share(self, run):
         """Let other laws scale the same ones in every time step."""
         for field in np.unique(self.fields):
-            run.scaled(str(field), self.columns[self.fields == field])
+            run.scaled(str(field))
 
     def scale(self, factor, which):
         for field in np.unique(self.fields):

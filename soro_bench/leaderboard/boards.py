@@ -30,8 +30,7 @@ class Board:
     """A task with fixed evaluations.
 
     Args:
-        env_id: environment.
-        metric: what is compared at the end of an episode [m].
+        env_id: environment, whose metric [m] is compared at the end of an episode.
         higher: whether more of it is better.
         conditions: evaluations by label.
         episode_steps: length of an episode; the registered one if None.
@@ -39,11 +38,15 @@ class Board:
     """
 
     env_id: str
-    metric: str
     higher: bool
     conditions: Mapping[str, Condition]
     episode_steps: int | None = None
     fixed: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def metric(self) -> str:
+        """What is compared."""
+        return task_type(self.env_id).metric
 
     def labelled(self, label: str) -> str:
         """The label, if there is such a condition."""
@@ -62,7 +65,8 @@ class Board:
     def score(self, episodes: list[Episode]) -> dict:
         """What a condition's episodes amount to: a list of values per episode, lengths in mm.
 
-        Where the simulation diverged, the last state is an accident: such an episode counts no better than its start.
+        Where the simulation diverged, the last state is an accident: such an episode counts no better than zero or, of
+        a distance, than the one at its start.
         """
         return {
             "final_mm": [round(1e3 * self._final(e), 4) for e in episodes],
@@ -72,20 +76,24 @@ class Board:
         }
 
     def _final(self, episode: Episode) -> float:
-        values = episode.signals["elevation"] if self.metric == "elevation" else episode.metric
-        first, last = float(values[0]), float(values[-1])
-        return (min if self.higher else max)(first, last) if episode.diverged else last
+        first, last = float(episode.metric[0]), float(episode.metric[-1])
+        if not episode.diverged:
+            return last
+        return min(0.0, last) if self.higher else max(first, last)
 
 
-def _trunk(env_id: str, metric: str = "distance", starts=None, fixed=None) -> Board:
-    task = task_type(env_id)
-    starts = tuple(task.evaluation if starts is None else starts)
-    conditions = {model: Condition(model, starts) for model in (task.cheap, task.accurate)}
-    return Board(env_id, metric, metric == "elevation", conditions, fixed=fixed or {})
+def _trunk(env_id: str) -> Board:
+    return Board(env_id, False, _on_both_models(env_id, task_type(env_id).evaluation))
 
 
 def _lift(mass: float) -> Board:
-    return _trunk("TrunkLift-v0", "elevation", ({"params": {"cube_mass": mass}},), {"cube_mass": mass})
+    fixed = {"cube_mass": mass}
+    return Board("TrunkLift-v0", True, _on_both_models("TrunkLift-v0", ({"params": fixed},)), fixed=fixed)
+
+
+def _on_both_models(env_id: str, starts) -> dict[str, Condition]:
+    task = task_type(env_id)
+    return {model: Condition(model, tuple(starts)) for model in (task.cheap, task.accurate)}
 
 
 def _walker(steps: int) -> Board:
@@ -93,7 +101,7 @@ def _walker(steps: int) -> Board:
     for mesh in ("coarse", "fine"):
         conditions[mesh] = Condition(mesh, ({},))
         conditions[f"{mesh}_noise"] = Condition(mesh, ({},) * NOISY_ROLLOUTS, {"observation_noise": True})
-    return Board("MultiGait-v0", "displacement", True, conditions, episode_steps=steps)
+    return Board("MultiGait-v0", True, conditions, episode_steps=steps)
 
 
 BOARDS = {

@@ -79,9 +79,8 @@ def _board_section(name: str, groups: Sequence[Group], out: Path) -> dict:
     alt = f"Interquartile mean of the final {board.metric}, with 95 % interval, of every row of the table"
     figures = [(alt, plot_scores(rows, f"{name}-scores", f"final {board.metric} [mm], {direction} is better"))]
     if any(curves_of(group) for group in groups):
-        metric = task_type(board.env_id).metric
-        alt = f"Final {metric} in training, exploration included: runs, and the median of each method"
-        figures.append((alt, plot_curves(groups, f"{name}-curves", f"final {metric} in training [mm]")))
+        alt = f"Final {board.metric} in training, exploration included: runs, and the median of each method"
+        figures.append((alt, plot_curves(groups, f"{name}-curves", f"final {board.metric} in training [mm]")))
     return {
         "name": name,
         "metric": board.metric,

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from soro_bench.effects.effect import Effect
+from soro_bench.effects.effect import Effect, EffectError
 from soro_bench.effects.runtime import ActiveEffects
 from soro_bench.parameters import ParameterSet
 
@@ -75,6 +75,14 @@ class Simulation:
         """Give each of the N simulations its own effects, from its next reset on."""
         self._effects.assign(effects)
         self.set_params(np.arange(len(effects)), self.params)
+
+    def accepts(self, effects: Sequence[Effect]) -> bool:
+        """Whether a simulation can have these effects at once; ``assign_effects`` has to follow before it goes on."""
+        try:
+            self._effects.assign([effects] + [()] * (self.batch.nsim - 1))
+        except EffectError:
+            return False
+        return True
 
     @property
     def native(self) -> bool:

@@ -28,6 +28,8 @@ from soro_bench.registration import task_type
 from soro_bench.results import metric_key
 from soro_bench.training.policy import OBSERVATION_CLIP, Policy, PolicyCard
 
+TRAINER = 2  # version of how a configuration becomes a policy; 1 let the learning rate fall in every segment anew
+
 
 @dataclass(frozen=True)
 class PPOConfig:
@@ -132,6 +134,7 @@ def _claim(folder: Path, config: PPOConfig, distribution) -> None:
     if described.pop("effects"):
         described["effects"] = [effect.to_json() for effect in effects_of(config.effects)]
     described.pop("num_threads")  # does not change the result
+    described["trainer"] = TRAINER
     for added in ("episode_steps", "final_log_std", "finite_horizon"):  # older runs do not name what is at its default
         if described[added] == getattr(PPOConfig, added):
             described.pop(added)
