@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import gumbel_r
 
-from soro_bench.diagnosis.compare import UNKNOWN
+from soro_bench.diagnosis.compare import STILL, UNKNOWN
 from soro_bench.files import read_json
 from soro_bench.proof.score import opened_labels
 
@@ -49,8 +49,9 @@ def promises(cases) -> str:
 
 def table(cases) -> str:
     """Markdown: what each case leaves."""
-    lines = ["| case | group | hidden | first answer | evidence over the next | excess, nominal | best | share |"]
-    lines.append("|---" * 8 + "|")
+    lines = ["| case | group | hidden | first answer | evidence over the next | excess, nominal | best | share | "
+             "still promised / limit |"]  # fmt: skip
+    lines.append("|---" * 9 + "|")
     for label, report in cases:
         found = sorted((h for h in report["hypotheses"] if h["names"]), key=lambda h: -h["evidence"])
         said = [" + ".join(h["names"]) for h in found]
@@ -58,7 +59,8 @@ def table(cases) -> str:
         hidden = " + ".join(e.get("law", e["name"]) for e in label["effects"]) or "none"
         nominal, best, share = shares(report)
         cells = [label["id"], label["group"], hidden, said[0] if said else "none", ahead, f"{nominal:.0f}"]
-        lines.append(f"| {' | '.join([*cells, f'{best:.0f}', f'{share:.2f}'])} |")
+        still = report["still_promised"] / (STILL[0] + STILL[1] * (nominal - best))
+        lines.append(f"| {' | '.join([*cells, f'{best:.0f}', f'{share:.2f}', f'{still:.2f}'])} |")
     return "\n".join(lines)
 
 
@@ -72,7 +74,8 @@ def log_loss(cases, nats: float, share: float) -> float:
         right = np.array([set(h["names"]) <= truth for h in named])
         if right.any() and not right.all():
             evidence = np.array([h["evidence"] for h in named])
-            tempered = evidence / (nats + share * max(min(map(left, report["hypotheses"])), 0.0))
+            excess = min(h["excess_of_all"] for h in report["hypotheses"])
+            tempered = evidence / (nats + share * max(excess, 0.0))
             chances = np.exp(tempered - tempered.max())
             found.append(-np.log(max(chances[right].sum() / chances.sum(), 1e-300)))
     return float(np.mean(found)) if found else np.nan

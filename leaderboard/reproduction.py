@@ -95,11 +95,11 @@ def tables() -> dict[str, str]:
     # ours alone: others may enter methods of the same names
     groups = {(board, g.method): g for board, members in found.items() for g in members if g.entry == ENTRY}
     planned = paper()
-    there = sum(run.result(RESULTS).exists() for run in planned)
     done = sum(run.done(RESULTS) for run in planned)
+    older = sum(run.result(RESULTS).exists() for run in planned) - done
+    state = f"{len(planned)} runs are planned, {done} are done; {older} more have results of an older trainer."
     return {
-        "state": f"**State: {len(planned)} runs are planned, {done} are done; {there - done} more have results of an older "
-        "trainer.**",
+        "state": f"**State: {state}**",
         "parameters": parameters_table(groups),
         "policies": markdown_table(groups.values()),
         "lift": lift_table(groups),

@@ -41,7 +41,7 @@ def left(robot):
     measured = Measured(actions, 0.05 * np.arange(1, STEPS + 1), values, "keypoints", "m")
     problem = Problem(robot, (measured,), SIGMA, np.ones(values.size), LowRank(np.zeros((0, values.size))))
     found = fitted(problem, guesses, (0.1,), seed=0)
-    answers = tuple(Answer(h, p, 0.0, FIT, None) for h, p in zip(found, (0.6, 0.4), strict=True))
+    answers = tuple(Answer(h, p, 0.0, FIT, None, 0.0) for h, p in zip(found, (0.6, 0.4), strict=True))
     return problem, Comparison(answers, 0.0, 1e-6)
 
 
@@ -51,7 +51,7 @@ def answers(*probabilities, residual=(0.0, 0.0)):
     for i, p in enumerate(probabilities):
         one = Suspect("coulomb_friction", Port("tendon", f"L{i}"), (1.0, 5e-4), (True, False))
         residuals = i * np.array(residual)
-        found.append(Answer(Hypothesis((one,), np.zeros(2), residuals, 0.0, None, None), p, 0.0, FIT, None))
+        found.append(Answer(Hypothesis((one,), np.zeros(2), residuals, 0.0, None, None), p, 0.0, FIT, None, 0.0))
     return found
 
 

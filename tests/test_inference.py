@@ -10,7 +10,7 @@ from soro_bench.inference import rf_dropo
 from soro_bench.inference.baseline import inferred
 from soro_bench.inference.identifiability import combinations
 from soro_bench.inference.likelihood import horizon, log_likelihood, sample_factor
-from soro_bench.inference.methods import infer
+from soro_bench.inference.methods import errors, infer
 from soro_bench.inference.replay import Replay
 from soro_bench.inference.search import EvaluationLog
 from soro_bench.parameters import FRICTION, TRUNK_MASS, WALL_OFFSET, YOUNG_MODULUS
@@ -167,6 +167,14 @@ def test_a_ratio_is_named_when_only_the_ratio_matters():
     assert "determined to" in found[0].words and found[0].exponents["friction"] == pytest.approx(0, abs=0.01)
     assert found[0].exponents["trunk_mass"] == pytest.approx(-found[0].exponents["young_modulus"], abs=1e-3)
     assert "trunk_mass * young_modulus is not determined" in found[2].words
+
+
+def test_what_a_recording_says_nothing_about_is_as_wide_as_its_box():
+    jacobian = np.zeros((10, 1, 2))
+    jacobian[:, 0, 0] = 1.0
+    assert errors(jacobian, np.full((10, 1), 1e-3)) == pytest.approx(
+        [1e-3 / np.sqrt(10), rf_dropo.LARGEST_STD], rel=1e-4
+    )
 
 
 def test_what_may_be_zero_is_determined_in_widths_of_its_box():

@@ -20,6 +20,8 @@ from soro_bench.effects.effect import Effect, Port
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from tests.arm import ARM, MAP, TRUTH, recording
 
+SURE = {"inertia": 0.0, "damping": 0.0, "zero": 0.0}  # standard deviations of what was found
+
 
 @pytest.fixture
 def paths(tmp_path):
@@ -54,16 +56,27 @@ def test_a_hidden_effect_of_any_model_is_named_at_its_place(paths, tmp_path, nam
 def test_what_is_known_of_a_robot_stays_and_what_has_changed_is_named(paths):
     friction = Effect("coulomb_friction", Port("joint", "hinge"), {"friction": 0.05, "presliding": 5e-4})
     delay = Effect("actuator_delay", Port("actuator", "motor"), {"delay": 0.03})
-    known = Earlier(dict(zip(("inertia", "damping", "zero"), TRUTH[0].tolist(), strict=True)), (friction,))
+    known = Earlier(dict(zip(SURE, TRUTH[0].tolist(), strict=True)), SURE, (friction,))
     found = diagnose(ModelRobot(*paths, threads=1, earlier=known), [recording(paths, [friction, delay], 0)])
     assert found.comparison.answers[0].names == ("actuator_delay",)
     values = found.robot.parameters(found.comparison.answers[0].hypothesis.x)
     assert list(values.values()) == pytest.approx(TRUTH[0], rel=0.05)
 
 
+def test_what_was_hardly_known_before_is_hardly_known_now(paths):
+    values = {"inertia": 1.1, "damping": 1.0, "zero": 0.0}
+    first = ModelRobot(*paths, threads=1).priors
+    again = ModelRobot(*paths, threads=1, earlier=Earlier(values, {"inertia": 1e-4, "damping": 0.1, "zero": 9.0}, ()))
+    deviations = [prior.deviation for prior in again.priors]
+    assert [prior.nominal for prior in again.priors] == [1.1, 1.0, 0.0]
+    assert deviations == pytest.approx([0.1 * first[0].deviation, np.hypot(0.1, 0.03), first[2].deviation], rel=1e-3)
+
+
 def test_a_known_effect_is_simulated_and_not_possible_twice(paths):
     friction = Effect("coulomb_friction", Port("joint", "hinge"), {"friction": 0.05})
-    knows = ModelRobot(*paths, threads=1, earlier=Earlier({"inertia": 1.0, "damping": 1.0, "zero": 0.0}, (friction,)))
+    knows = ModelRobot(
+        *paths, threads=1, earlier=Earlier({"inertia": 1.0, "damping": 1.0, "zero": 0.0}, SURE, (friction,))
+    )
     goals = np.repeat([[0.5], [-0.5]], 10, axis=0)
     nominal = np.array([[1.0, 1.0, 0.0]])
     values = [r.simulate(goals, nominal, [e]) for r, e in ((knows, ()), (ModelRobot(*paths, threads=1), (friction,)))]
@@ -74,12 +87,13 @@ def test_a_known_effect_is_simulated_and_not_possible_twice(paths):
 @pytest.mark.parametrize(
     ("known", "message"),
     [
-        (Earlier({"inertia": 1.0}, ()), "the earlier diagnosis has"),
-        (Earlier({"inertia": -1.0, "damping": 1.0, "zero": 0.0}, ()), "inertia = -1.0 was found earlier"),
-        (Earlier({"inertia": np.nan, "damping": 1.0, "zero": 0.0}, ()), "inertia = nan was found earlier"),
+        (Earlier({"inertia": 1.0}, SURE, ()), "the earlier diagnosis has"),
+        (Earlier({"inertia": -1.0, "damping": 1.0, "zero": 0.0}, SURE, ()), "inertia = -1.0 was found earlier"),
+        (Earlier({"inertia": np.nan, "damping": 1.0, "zero": 0.0}, SURE, ()), "inertia = nan was found earlier"),
         (
             Earlier(
                 {"inertia": 1.0, "damping": 1.0, "zero": 0.0},
+                SURE,
                 (Effect("coulomb_friction", Port("joint", "elbow"), {"friction": 1.0}),),
             ),
             "effects that this robot cannot have",

@@ -21,8 +21,9 @@ EFFECT, UNKNOWNS = 100.0, 50.0  # nats that a rugged fit gains by chance from on
 TEMPER = (100.0, 0.1)  # nats, and share of the excess
 # share of the excess left where the physics is as likely unknown as not, width, and what nulls leave (600 to 2,500)
 UNKNOWN = (0.25, 0.06, 2500.0)
-# logarithm of the evidence that one more effect still promises where the physics is as likely unknown as not, and width
-STILL = (math.log(170.0), 0.2)
+# evidence that one more effect still promises where the physics is as likely unknown as not: nats, and share of what is
+# explained, as no law is right to the last per mille; and the width in its logarithm
+STILL = (170.0, 0.002, 0.2)
 COMPARED = 5  # hypotheses that are simulated on held-out recordings
 
 
@@ -47,7 +48,7 @@ class Answer:
     """A hypothesis and how probable it is.
 
     evidence: natural logarithm, of all recordings, less what its effects gain by chance, but for a common constant.
-    heldout: None where no recording is held out.
+    heldout: None where no recording is held out. excess: what is left of all recordings over white noise [nats].
     """
 
     hypothesis: Hypothesis
@@ -55,6 +56,7 @@ class Answer:
     evidence: float
     train: Fit
     heldout: Fit | None
+    excess: float
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -105,8 +107,8 @@ def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> 
         tested = [unfitted.left(row) for row in residuals]
     chances = _chances(scores, detected, min(left))
     answers = [
-        Answer(h, p, e, Fit(train[0], a, problem.sensor), None if b is None else Fit(tested[0], b, problem.sensor))
-        for h, p, e, a, b in zip(hypotheses, chances, scores.tolist(), train, tested, strict=True)
+        Answer(h, p, e, Fit(train[0], a, problem.sensor), None if b is None else Fit(tested[0], b, problem.sensor), c)
+        for h, p, e, a, b, c in zip(hypotheses, chances, scores.tolist(), train, tested, left, strict=True)
     ]
     unknown = (1.0 - detected) * _unknown(problem, hypotheses, found.left)
     answers = [replace(a, probability=a.probability * (1.0 - unknown)) for a in answers]
@@ -135,5 +137,6 @@ def _unknown(problem, hypotheses, promised) -> float:
     named = expit((share - (min(left) - least) / max(left[0] - least, 1.0)) / width)
     # where all that is left is taken for noise, promises are small; where nothing was tried, the p-value judges them
     if len(hypotheses) > 1 and not problem.rough:
-        named *= expit((STILL[0] - math.log(max(promised, 1.0))) / STILL[1])
+        explained = problem.excess(hypotheses[0].residual) - min(problem.excess(h.residual) for h in hypotheses)
+        named *= expit(math.log((STILL[0] + STILL[1] * explained) / max(promised, 1.0)) / STILL[2])
     return 1.0 - float(named)

@@ -37,7 +37,7 @@ import numpy as np
 
 from soro_bench.diagnosis.robot import Prior
 from soro_bench.models.simulation import FieldWrite
-from soro_bench.recording.recording import Recording, RecordingError
+from soro_bench.recording.recording import Recording, RecordingError, latest
 from soro_bench.recording.untrusted import read_bytes
 
 _MAX_BYTES = 1_000_000
@@ -142,7 +142,7 @@ def held(recording, name, times, columns) -> np.ndarray:
     values = command.values.reshape(len(command.time), -1)
     if values.shape[1] != columns:
         raise RecordingError(f"command {name!r} has {values.shape[1]} columns; expected {columns}")
-    held = values[np.maximum(np.searchsorted(command.time, times + 1e-9, side="right") - 1, 0)]
+    held = values[np.maximum(latest(command, times), 0)]
     if np.isnan(held).any():
         raise RecordingError(f"the command {name!r} has missing numbers")
     return held

@@ -67,10 +67,12 @@ def earlier(folder: str | Path) -> Earlier:
     if not isinstance(report, dict) or report.get("schema") != SCHEMA:
         raise ValueError(f"{path} is no report of a diagnosis: its schema has to be {SCHEMA}")
     try:
-        values = {name: float(each["value"]) for name, each in report["parameters"].items()}
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path} has no parameters with values ({error!r})") from error
-    return Earlier(values, load_effects(Path(folder) / "effects.json", QUANTITIES))
+        found = report["parameters"].items()
+        values = {name: float(each["value"]) for name, each in found}
+        spread = {name: abs(float(each["ci90"][1]) - float(each["ci90"][0])) / (2 * NINETY) for name, each in found}
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} has no parameters with values and intervals ({error!r})") from error
+    return Earlier(values, spread, load_effects(Path(folder) / "effects.json", QUANTITIES))
 
 
 def posterior(diagnosis: Diagnosis) -> TruncatedNormal:
@@ -147,6 +149,7 @@ def _hypothesis(diagnosis: Diagnosis, answer: Answer) -> dict:
         "probability": answer.probability,
         "unknowns": len(hypothesis.x),
         "excess": problem.excess(hypothesis.residual),
+        "excess_of_all": answer.excess,
         "log_evidence": hypothesis.log_evidence(problem),
         "evidence": answer.evidence,
         "samples": int(problem.weight.sum()),

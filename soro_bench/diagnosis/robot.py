@@ -16,7 +16,7 @@ from soro_bench.recording.recording import Recording, RecordingError, resampled
 
 SIMULATIONS = 64  # side by side, at least
 LIMIT = 4.0  # standard deviations of the prior that a parameter, or the shape of an effect, may be off
-SAME = 0.1  # of the prior's deviation, how far a parameter of a robot may be from what was found before
+SAME = 0.1  # of the prior's deviation, how far a parameter of a robot may be from what it was before
 # time steps, in one of the given robot, of the one that is fitted and of the refined one: fitted to a trunk with far
 # shorter steps, one leaves 0.66 mm with the given steps of 10 ms and 0.29 mm with half of them
 # (benchmarks/diagnosis_floor.py)
@@ -85,19 +85,27 @@ class Prior:
             ends = np.log(ends / self.nominal) if self.logarithmic else ends - self.nominal
         return np.clip(ends / self.deviation, -LIMIT, LIMIT)
 
-    def about(self, value: float) -> "Prior":
-        """Of the same robot, for which an earlier recording has shown this value; ValueError for one out of bounds."""
+    def about(self, value: float, spread: float) -> "Prior":
+        """Of the same robot, for which an earlier recording has shown this value; ValueError for one out of bounds.
+
+        Args:
+            spread: standard deviation [of the parameter] with which it was known then.
+        """
         low, high = self.bounds
         if not low <= value <= high or (self.logarithmic and value <= 0):
             raise ValueError(f"{self.name} = {value} was found earlier; allowed is {low} to {high}")
-        return replace(self, nominal=value, deviation=SAME * self.deviation)
+        known = spread / value if self.logarithmic else spread
+        deviation = min(self.deviation, float(np.hypot(known, SAME * self.deviation)))
+        return replace(self, nominal=value, deviation=deviation)
 
 
 @dataclass(frozen=True)
 class Earlier:
-    """What an earlier diagnosis has found of the same robot: values of its parameters by name, and effects."""
+    """What an earlier diagnosis has found of the same robot: values of its parameters by name, their standard
+    deviations, and effects."""
 
     parameters: Mapping[str, float]
+    spread: Mapping[str, float]
     effects: tuple[Effect, ...]
 
 
@@ -134,7 +142,7 @@ class Robot(ABC):
             if sorted(names) != sorted(earlier.parameters):
                 raise ValueError(f"the earlier diagnosis has {sorted(earlier.parameters)}; this robot has {names}")
             self.known = earlier.effects
-            self.priors = tuple(prior.about(earlier.parameters[prior.name]) for prior in self.priors)
+            self.priors = tuple(p.about(earlier.parameters[p.name], earlier.spread[p.name]) for p in self.priors)
             if not self.accepts([]):
                 raise ValueError("the earlier diagnosis has effects that this robot cannot have")
 

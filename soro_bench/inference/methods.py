@@ -96,9 +96,18 @@ def _rf_dropo(search: Search, optimizer: str = "linearised", **settings):
                                   search.seed, progress=search.progress, **settings)  # fmt: skip
     mean = search.low + search.width * fit.mean
     # how much the parameters vary, which the likelihood is about, and how well their means are known
-    error = np.sqrt(np.diag(np.linalg.pinv(fisher(fit.jacobian, replay.deviation), hermitian=True)))
-    std = np.minimum(np.hypot(fit.std, error), rf_dropo.LARGEST_STD)
+    std = np.minimum(np.hypot(fit.std, errors(fit.jacobian, replay.deviation)), rf_dropo.LARGEST_STD)
     return TruncatedNormal(replay.names, mean, search.width * std), mean, -fit.jacobian / search.width
+
+
+def errors(jacobian: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """(d,) standard deviations with which means are known, shares of the box; its own where a recording says nothing.
+
+    Args:
+        jacobian, deviation: see :func:`soro_bench.inference.identifiability.fisher`.
+    """
+    prior = np.eye(jacobian.shape[-1]) / rf_dropo.LARGEST_STD**2
+    return np.sqrt(np.diag(np.linalg.inv(fisher(jacobian, deviation) + prior)))
 
 
 def _droid(search: Search, iterations: int = 60, popsize: int = 16):

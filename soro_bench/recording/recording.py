@@ -17,6 +17,7 @@ MAX_SIZE = 100_000  # numbers in one sample
 MAX_SIGNALS = 1000  # of commands and signals together
 MAX_ENTRIES = 1000  # of parameters, and of metadata
 MAX_TEXT = 10_000  # characters of a metadata value
+_ROUNDING = 1e-3  # of the spacing of times, by which a time stamp may be late
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
 _SHORT = re.compile(r"[ -~°µ²³]{0,32}")  # units and frames: printable
 
@@ -135,6 +136,16 @@ def resampled(signal: Signal, times: np.ndarray, max_gap: float | None = None) -
     between = (1.0 - weight[across]) * values[left] + weight[across] * values[right]
     between = np.where(usable[across], between, np.nan)
     return Signal(times, np.where((times == time[left])[across], values[left], between), signal.unit, signal.frame)
+
+
+def latest(signal: Signal, times: np.ndarray) -> np.ndarray:
+    """(n,) the number of the last sample until each of the evenly spaced times, -1 before the first.
+
+    A sample may be late by a thousandth of their spacing, as time stamps are that went through milliseconds or single
+    precision.
+    """
+    late = _ROUNDING * float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    return np.searchsorted(signal.time, times + late, side="right") - 1
 
 
 def check_name(name: str) -> str:

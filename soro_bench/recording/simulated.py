@@ -15,14 +15,13 @@ from soro_bench.envs.task import ACTION_MODES
 from soro_bench.evaluation import evaluate
 from soro_bench.recording.episode import Episode
 from soro_bench.recording.excitation import excitation
-from soro_bench.recording.recording import Recording, RecordingError, Signal
+from soro_bench.recording.recording import Recording, RecordingError, Signal, latest
 from soro_bench.registration import ENV_IDS, make_task, task_type
 from soro_bench.training.policy import Policy
 
 POLICIES = ("random", "excitation")  # and the folder or leaderboard entry of a trained one
 COMMAND = "action"  # the command that an episode is driven by
 MAX_STEPS = 100_000  # of a replay
-_ROUNDING = 1e-3  # of a control step, by which a time stamp may be late
 
 
 def record(
@@ -112,8 +111,7 @@ def recorded_actions(recording: Recording) -> tuple[str, np.ndarray]:
     steps = math.ceil(recording.duration / timestep - 1e-6)
     if not 1 <= steps <= MAX_STEPS:
         raise RecordingError(f"{recording.duration} s are {steps} control steps; expected 1 to {MAX_STEPS}")
-    # time stamps that went through milliseconds or single precision lie a little beside the steps
-    times = recording.start + timestep * (np.arange(steps) + _ROUNDING)
+    times = recording.start + timestep * np.arange(steps)
     return env_id, _held(recording.commands[COMMAND], times, action == "discrete")
 
 
@@ -173,7 +171,7 @@ def _in_turn(actions) -> Callable[[np.ndarray], np.ndarray]:
 
 def _held(command: Signal, times: np.ndarray, discrete: bool) -> np.ndarray:
     """The last action at or before each of the times."""
-    last = np.searchsorted(command.time, times, side="right") - 1
+    last = latest(command, times)
     actions = command.values[np.maximum(last, 0)]
     if np.isnan(actions).any():
         raise RecordingError(f"the command {COMMAND!r} has missing numbers")
