@@ -167,7 +167,7 @@ def test_what_to_record_next_is_in_every_report_and_in_a_file_for_the_controller
     assert table[:, 0] == pytest.approx(0.05 * np.arange(200))
     assert "record next_actions.csv (slow triangles of cable L2) to separate them" in text
     assert "slow triangles of cable L2" in (tmp_path / "report.html").read_text().split("What to record next")[1]
-    write_json_report(found, tmp_path)
+    write_json_report(replace(found, proposal=None), tmp_path)
     assert not (tmp_path / "next_actions.csv").exists()
 
 
