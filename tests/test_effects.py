@@ -268,6 +268,9 @@ def test_a_sensor_delay_shifts_a_signal_and_a_bias_moves_one_marker():
     values = np.sin(time)[:, None, None] * np.ones((1, 4, 3))
     later = MEASUREMENT["sensor_delay"].apply(time, values, {"delay": 0.1}, 0)
     assert later[10:] == pytest.approx(values[8:-2], abs=1e-12)
+    fast = np.sin(2 * np.pi * 2.0 * time)[:, None, None]  # 2 Hz, ten samples a period
+    late = MEASUREMENT["sensor_delay"].apply(time, fast, {"delay": 0.0125}, 0)[:, 0, 0]
+    assert late[2:] == pytest.approx(np.sin(2 * np.pi * 2.0 * (time[2:] - 0.0125)), abs=0.01)
     moved = MEASUREMENT["sensor_bias"].apply(time, values, {"x": 1.0, "y": 0.0, "z": 0.0}, 2)
     assert np.abs(moved - values).max(axis=(0, 2)).tolist() == [0, 0, 1, 0]
 
