@@ -45,14 +45,16 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=0)
     options = parser.parse_args()
     found = []
-    for name in options.only:
-        study = load_study(name, options.data)
+    studies = {name: load_study(name, options.data) for name in options.only}  # before hours of work, not after them
+    for name, study in studies.items():
         for seed in range(options.seeds):
             folder = options.work / f"{name}_{seed}"
             found += run_study(
                 study, folder, seed, options.threads, lambda s, n=name, k=seed: print(n, k, s, flush=True)
             )
-    others = [s for s in read_json(RESULTS) if s["study"] not in options.only] if RESULTS.exists() else []
+    new = {(s["study"], s["part"], s["seed"]) for s in found}
+    old = read_json(RESULTS) if RESULTS.exists() else []
+    others = [s for s in old if (s["study"], s["part"], s["seed"]) not in new]
     write_json(RESULTS, sorted(others + found, key=lambda s: (STUDIES.index(s["study"]), s["seed"])))
     print(HEAD + "\n" + row([s for s in found if s["seed"] == 0]))
     print(seeds_table(found))

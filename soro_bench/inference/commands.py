@@ -48,10 +48,12 @@ class Infer:
         from soro_bench.recording.parquet import load
         from soro_bench.recording.simulated import parse_params
 
+        if self.published and self.method != "rf-dropo":
+            raise ValueError(f"--published is a search of rf-dropo; {self.method} has none")
         known, restart = parse_params(self.known), self.method == "dropo"
         recording = load(self.recording)
         metadata = {"env_id": self.env, **recording.metadata} if self.env else recording.metadata
-        if self.env not in (None, metadata["env_id"]):
+        if self.env not in (None, metadata.get("env_id")):
             raise ValueError(f"{self.recording} is of {metadata['env_id']}, not of {self.env}")
         recording = replace(recording, metadata=metadata)
         replay = Replay(recording, self.infer or None, known, self.model, self.noise, restart, also=self.also)
