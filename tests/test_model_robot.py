@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from soro_bench.diagnosis.audit import audit
 from soro_bench.diagnosis.findings import unit_at
 from soro_bench.diagnosis.mapping import ModelError
 from soro_bench.diagnosis.model_robot import ModelRobot
@@ -241,6 +242,17 @@ def test_a_delayed_servo_stays_where_its_first_command_holds_it(paths):
 )
 def test_units_are_those_of_what_turns(paths, name, kind, place, unit):
     assert unit_at(ModelRobot(*paths, threads=1), QUANTITIES[name][0].unit, Port(kind, place)) == unit
+
+
+def test_what_lies_between_two_samples_is_not_measured(paths):
+    """Else every second of the robot's steps would count as another sample, with half of the noise."""
+    given = recording(paths, [], 0)
+    signal = given.signals["angle"]
+    sparse = replace(given, signals={"angle": Signal(signal.time[::2], signal.values[::2], "rad")})
+    measured = ModelRobot(*paths, threads=1).measured(sparse)
+    assert np.isfinite(measured.values[1::2]).all() and np.isnan(measured.values[::2]).all()
+    assert measured.values[1::2].ravel() == pytest.approx(signal.values[2::2])
+    assert audit(measured) == audit(replace(measured, values=measured.values[1::2], time=measured.time[1::2]))
 
 
 def test_a_recording_that_does_not_say_where_it_begins_is_refused(paths):

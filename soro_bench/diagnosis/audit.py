@@ -36,7 +36,7 @@ class Audit:
 
 def audit(measured: Measured) -> Audit:
     """Noise and gaps of a recording."""
-    values = measured.values.reshape(len(measured.values), -1)
+    values = _rows(measured.values.reshape(len(measured.values), -1))
     present = values[:, np.isfinite(values).mean(axis=0) >= _PRESENT]
     if len(values) < _SAMPLES or not present.shape[1]:
         raise RecordingError(f"too few samples: {len(values)}, {np.isfinite(values).mean():.0%} of them present; "
@@ -45,7 +45,7 @@ def audit(measured: Measured) -> Audit:
     if max(-low.min(), high.max()) > _FARTHEST or not (high > low).any():
         raise RecordingError(f"{measured.signal} is constant, or beyond {_FARTHEST:g} {measured.unit}: no moving robot")
     least = max(_LEAST_NOISE * float((high - low).max()), _step(present) / np.sqrt(12))
-    return Audit(max(noise(present), least), least, float(np.isnan(measured.values).mean()))
+    return Audit(max(noise(present), least), least, float(np.isnan(values).mean()))
 
 
 def noise(values: np.ndarray) -> float:
@@ -53,6 +53,7 @@ def noise(values: np.ndarray) -> float:
 
     From what a polynomial leaves of short windows, of those where it leaves least: the robot rests or moves evenly.
     """
+    values = _rows(values)
     windows = np.lib.stride_tricks.sliding_window_view(values, _WINDOW, axis=0)
     powers = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, _WINDOW), _DEGREE)
     squares = ((windows @ (np.eye(_WINDOW) - powers @ np.linalg.pinv(powers))) ** 2).sum(axis=2)
@@ -63,6 +64,11 @@ def noise(values: np.ndarray) -> float:
     used, freedom = count == count.max(), count.max() * (_WINDOW - _DEGREE - 1)
     sums = np.where(complete, squares, 0.0).sum(axis=1)[used]
     return float(np.sqrt(np.quantile(sums, _QUIET) / chi2.ppf(_QUIET, freedom)))
+
+
+def _rows(values: np.ndarray) -> np.ndarray:
+    """Those of the rows (T, ...) that have samples: a robot may take several steps between two of them."""
+    return values[np.isfinite(values).reshape(len(values), -1).any(axis=1)]
 
 
 def _step(values) -> float:
@@ -86,6 +92,10 @@ def outliers(residual: np.ndarray) -> np.ndarray:
     Args:
         residual: (T, P, D) measured less simulated, in standard deviations of the noise; NaN where missing.
     """
+    if not (sampled := np.isfinite(residual).any(axis=(1, 2))).all():
+        found = np.zeros(residual.shape[:2], bool)
+        found[sampled] = outliers(residual[sampled])
+        return found
     jump = np.zeros(residual.shape[:2])
     jump[1:-1] = np.linalg.norm(residual[1:-1] - 0.5 * (residual[:-2] + residual[2:]), axis=2)
     jump = np.nan_to_num(jump) / np.sqrt(1.5 * residual.shape[2])

@@ -16,6 +16,7 @@ from soro_bench.recording.recording import Recording, RecordingError, resampled
 
 SIMULATIONS = 64  # side by side, at least
 LIMIT = 4.0  # standard deviations of the prior that a parameter, or the shape of an effect, may be off
+_DENSE = 1.2  # control steps between samples, above which control steps go without one
 SAME = 0.1  # of the prior's deviation, how far a parameter of a robot may be from what it was before
 # time steps, in one of the given robot, of the one that is fitted and of the refined one: fitted to a trunk with far
 # shorter steps, one leaves 0.66 mm with the given steps of 10 ms and 0.29 mm with half of them
@@ -277,6 +278,7 @@ class Robot(ABC):
             raise RecordingError(f"{self.signal} has samples of shape {shapes}")
         times = recording.start + self.control_timestep * np.arange(1, len(actions) + 1)
         values = resampled(given, times).values.reshape(-1, *self.shape)
+        values[~_sampled(given.time, times)] = np.nan
         first = given.values[0].reshape(self.shape)
         settings = self.settings(recording, len(actions))
         return Measured(actions, times - recording.start, values, self.signal, self.unit, first, settings)
@@ -361,3 +363,15 @@ class Robot(ABC):
             value[lost] = np.nan
             values.append(value)
         return [value[:length] for value, length in zip(np.stack(values, axis=1), lengths, strict=True)]
+
+
+def _sampled(sampled: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """(T,) whether a sample belongs to each of the evenly spaced times (T,). Where samples are further apart than these
+    are, only the times next to one count: what is interpolated between them has not been measured."""
+    step = float(np.median(np.diff(times))) if len(times) > 1 else np.inf
+    if len(sampled) < 2 or np.median(np.diff(sampled)) < _DENSE * step:
+        return np.ones(len(times), bool)
+    nearest = np.round((sampled - times[0]) / step).astype(int)
+    found = np.zeros(len(times), bool)
+    found[nearest[(nearest >= 0) & (nearest < len(times))]] = True
+    return found
