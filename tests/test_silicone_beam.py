@@ -81,11 +81,11 @@ def test_nothing_is_damped_but_by_the_model():
 @pytest.mark.parametrize(
     ("name", "port", "parameters", "last_over_first"),
     [
-        ("coulomb_friction", Port("joint", "bend_y1"), {"friction": 1e-3, "presliding": 1e-3}, (1.4, 2.5)),
+        ("coulomb_friction", Port("joint", "bend_y1of4"), {"friction": 1e-3, "presliding": 1e-3}, (1.4, 2.5)),
         ("fluid_drag", Port("body", "*"), {"drag": 0.5}, (0.2, 0.6)),
         ("hysteresis", Port("body", "*"), {"ratio": 0.1, "yield_strain": 0.02}, (0.1, 0.6)),
         ("viscoelastic_creep", Port("body", "*"), {"ratio": 0.2, "time_constant": 0.05}, (0.85, 1.15)),
-        ("viscous_friction", Port("joint", "bend_y1"), {"damping": 2e-3}, (0.85, 1.15)),
+        ("viscous_friction", Port("joint", "bend_y1of4"), {"damping": 2e-3}, (0.85, 1.15)),
     ],
 )
 def test_damping_laws_show_in_how_the_decrement_changes_as_the_swing_dies_down(name, port, parameters, last_over_first):

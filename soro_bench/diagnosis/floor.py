@@ -13,6 +13,7 @@ import numpy as np
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.suspects import Suspect
+from soro_bench.effects.effect import EVERY
 
 
 def numerical_floor(problem: Problem, refined: Sequence[Robot], points: Sequence[tuple[np.ndarray, Sequence[Suspect]]]):
@@ -32,7 +33,10 @@ def _common(problem, finer, x, suspects):
     kept, parts, first = [], [x[: problem.parameters]], problem.parameters
     for suspect in suspects:
         part, first = x[first : first + suspect.size], first + suspect.size
-        if finer.accepts([suspect.effect(part)]):
+        kind, everywhere = suspect.where.kind, suspect.where.name == EVERY
+        # a law at all joints is another law where there are more of them
+        other = everywhere and len(finer.ports(kind)) != len(problem.robot.ports(kind))
+        if not other and finer.accepts([suspect.effect(part)]):
             kept.append(suspect)
             parts.append(part)
     return np.concatenate(parts), kept

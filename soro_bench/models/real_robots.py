@@ -62,7 +62,8 @@ class Chain:
         for s, length in enumerate(self.lengths):
             link = length / self.links
             for k in range(self.links):
-                body = body.add_body(name=f"link{s + 1}_{k + 1}", pos=[0, 0, ahead + link / 2])
+                # the finer model has other links, under other names: no effect at one is at the other
+                body = body.add_body(name=f"link{s + 1}_{k + 1}of{self.links}", pos=[0, 0, ahead + link / 2])
                 self._add_joints(body, link)
                 body.add_geom(
                     type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, 0, -link / 4, 0, 0, link / 2],

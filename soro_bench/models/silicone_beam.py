@@ -61,7 +61,8 @@ def silicone_beam(slices: Slices = COARSE) -> mujoco.MjSpec:
     length = LENGTH / slices.count
     body, ahead = spec.worldbody.add_body(name="clamp", pos=_CLAMP), length / 2
     for k in range(slices.count):
-        body = body.add_body(name=f"slice{k + 1}", pos=[0, 0, ahead])
+        # the finer model has other slices, under other names: no effect at one is at the other
+        body = body.add_body(name=f"slice{k + 1}of{slices.count}", pos=[0, 0, ahead])
         ahead = length
         _add_slice(body, k, slices)
     for i, place in enumerate(_MARKERS):
@@ -76,8 +77,9 @@ def _add_slice(body, k, slices):
     length, area = LENGTH / slices.count, SIDE**2
     bending, shear = YOUNG * SIDE**4 / 12 / length, SHEAR * area / length
     for axis, direction in (("x", [1, 0, 0]), ("y", [0, 1, 0])):
-        _add_joint(body, f"bend_{axis}{k + 1}", mujoco.mjtJoint.mjJNT_HINGE, direction, bending)
-        _add_joint(body, f"shear_{axis}{k + 1}", mujoco.mjtJoint.mjJNT_SLIDE, direction, shear)
+        name = f"{axis}{k + 1}of{slices.count}"
+        _add_joint(body, f"bend_{name}", mujoco.mjtJoint.mjJNT_HINGE, direction, bending)
+        _add_joint(body, f"shear_{name}", mujoco.mjtJoint.mjJNT_SLIDE, direction, shear)
     mass = DENSITY * area * length
     across = mass * (area + length**2) / 12
     body.explicitinertial = True
