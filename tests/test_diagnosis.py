@@ -115,11 +115,16 @@ def test_the_numerical_floor_has_the_effects_of_a_hypothesis(robot, actions):
     assert np.abs(numerical_floor(given, refined, [(np.append(np.zeros(5), 0.5), [gain])]) - plain).max() > 1e-6
 
 
-def test_the_numerical_floor_leaves_out_on_both_sides_what_a_finer_model_cannot_have(robot, actions, monkeypatch):
-    """Or the difference would contain the effect itself."""
+@pytest.mark.parametrize(
+    ("hook", "other"), [("accepts", lambda effects: False), ("ports", lambda kind: [Port(kind, "link")] * 20)]
+)
+def test_the_numerical_floor_leaves_out_on_both_sides_what_a_finer_model_cannot_have(
+    robot, actions, monkeypatch, hook, other
+):
+    """Or the difference would contain the effect itself. With more joints, a law at all of them is another one."""
     given, finer = problem(robot, actions[:10]), robot.refined()[0]
     plain = numerical_floor(given, [finer], [(np.zeros(5), ())])
-    monkeypatch.setattr(finer, "accepts", lambda effects: False)
+    monkeypatch.setattr(finer, hook, other)
     stiffer = suspect(robot, "stiffening", Port("body", EVERY))
     assert np.array_equal(numerical_floor(given, [finer], [(np.append(np.zeros(5), 0.5), [stiffer])]), plain)
 
