@@ -268,7 +268,7 @@ def test_sb3_adapter():
         for i in np.flatnonzero(done):
             np.testing.assert_array_equal(infos[i]["terminal_observation"], info["final_obs"][i])
             assert not np.array_equal(infos[i]["terminal_observation"], ours[i])
-            assert infos[i]["TimeLimit.truncated"] == (not terminated[i])
+            assert infos[i]["TimeLimit.truncated"]
             assert infos[i]["metric"] == info["final_info"]["distance"][i]
             assert infos[i]["episode"]["r"] == pytest.approx(returns[i])
             assert infos[i]["episode"]["l"] == 5

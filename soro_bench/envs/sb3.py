@@ -15,8 +15,9 @@ class SB3VecEnv(VecEnv):
 
     Args:
         envs: the environments.
-        finite_horizon: an episode's last step is the end, and nothing after it counts; otherwise a truncated episode
-            is taken to go on (its value is bootstrapped).
+        finite_horizon: an episode's last step is the end, and nothing after it counts; otherwise an episode is taken to
+            go on after its end, after success too (its value is bootstrapped): the published reward pays so much for
+            hovering beside a goal that success would otherwise be avoided.
     """
 
     def __init__(self, envs: SoftRobotVectorEnv, finite_horizon: bool = False):
@@ -55,7 +56,7 @@ class SB3VecEnv(VecEnv):
         for i in np.flatnonzero(done):
             infos[i] = {
                 "terminal_observation": info["final_obs"][i],
-                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]) and not self._finite_horizon,
+                "TimeLimit.truncated": not self._finite_horizon,
                 "episode": {"r": self._returns[i], "l": self._lengths[i]},
                 "metric": info["final_info"][self.envs.task.metric][i],
             }

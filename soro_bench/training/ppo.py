@@ -28,7 +28,9 @@ from soro_bench.registration import task_type
 from soro_bench.results import metric_key
 from soro_bench.training.policy import OBSERVATION_CLIP, Policy, PolicyCard
 
-TRAINER = 2  # version of how a configuration becomes a policy; 1 let the learning rate fall in every segment anew
+# version of how a configuration becomes a policy; 1 let the learning rate fall in every segment anew, and for 1 and 2
+# nothing that came after success counted
+TRAINER = 3
 
 
 @dataclass(frozen=True)
@@ -135,9 +137,6 @@ def _claim(folder: Path, config: PPOConfig, distribution) -> None:
         described["effects"] = [effect.to_json() for effect in effects_of(config.effects)]
     described.pop("num_threads")  # does not change the result
     described["trainer"] = TRAINER
-    for added in ("episode_steps", "final_log_std", "finite_horizon"):  # older runs do not name what is at its default
-        if described[added] == getattr(PPOConfig, added):
-            described.pop(added)
     path = folder / "config.json"
     if path.exists() and (found := read_json(path)) != described:
         different = sorted(key for key in found | described if found.get(key) != described.get(key))
