@@ -25,7 +25,7 @@ def curves(groups):
         median = np.median([np.interp(grid, *curve) for curve in own], axis=0)
         axes.semilogy(grid, median, color=f"C{i}", lw=1.8, label=f"{group.method} ({len(own)} runs)")
     axes.set(xlabel="environment steps", ylabel="final distance in training [mm]")
-    axes.set_yticks(ticks := (5, 10, 20, 50, 100), [str(tick) for tick in ticks])
+    axes.set_yticks(ticks := (1, 2, 5, 10, 20, 50, 100), [str(tick) for tick in ticks])
     axes.minorticks_off()
     axes.xaxis.set_major_formatter("{x:,.0f}")
     axes.grid(alpha=0.3)
