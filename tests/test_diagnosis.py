@@ -205,7 +205,7 @@ def test_an_audit_finds_what_is_alone_and_far_off():
         (np.ones((100, 21, 3)), "constant"),
         (1e300 * np.random.default_rng(0).standard_normal((100, 21, 3)), "beyond"),
         (
-            np.where(np.arange(100)[:, None, None] % 2, np.nan, np.arange(100.0)[:, None, None]) * np.ones(3),
+            np.where(np.add.outer(np.arange(100), np.arange(21)) % 2, np.nan, np.arange(100.0)[:, None])[..., None],
             "successive",
         ),
     ],

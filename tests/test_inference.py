@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from soro_bench.inference import rf_dropo
+from soro_bench.inference import baseline, rf_dropo
 from soro_bench.inference.baseline import inferred
 from soro_bench.inference.identifiability import combinations
 from soro_bench.inference.likelihood import horizon, log_likelihood, sample_factor
@@ -267,13 +267,14 @@ def test_a_posterior_holds_what_was_known(reach, tmp_path):
         assert sample.keys() == {"trunk_mass", *known} and sample["young_modulus"] == pytest.approx(4e6)
 
 
-def test_a_baseline_infers_once_and_refuses_the_recording_of_another_environment(reach, tmp_path):
+def test_a_baseline_infers_once_and_refuses_another_recording(reach, tmp_path, monkeypatch):
     save(reach[0], tmp_path / "reach.parquet")
     known = {"poisson_ratio": 0.43, "young_modulus": 3.9e6}
     method = inferred("rf-dropo", tmp_path / "reach.parquet", known)
     first = method.distribution("TrunkReach-v0", 0, tmp_path)
-    (tmp_path / "reach.parquet").unlink()
+    monkeypatch.setattr(baseline, "infer", None)
     assert method.distribution("TrunkReach-v0", 0, tmp_path).to_dict() == first.to_dict()
-    save(reach[0], tmp_path / "reach.parquet")
+    with pytest.raises(ValueError, match="inferred from another recording, model or known values"):
+        inferred("rf-dropo", tmp_path / "reach.parquet").distribution("TrunkReach-v0", 0, tmp_path)
     with pytest.raises(ValueError, match="a recording of TrunkReach-v0, not of TrunkPush-v0"):
         method.distribution("TrunkPush-v0", 0, tmp_path / "push")

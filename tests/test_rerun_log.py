@@ -87,7 +87,7 @@ def test_file_holds_every_state_of_the_robot_and_its_plots(env_id, episodes, tmp
     write_recording(tmp_path / "a.rrd", [episodes[env_id]], "a")
     counts = rows(tmp_path / "a.rrd")
     moving = ["world/skin/link00", "world/skin/link10", "world/backbone", "world/cables/L0", "world/cables/S3"]
-    for name in [*moving, "plots/distance", "plots/tension", "plots/commanded"]:
+    for name in [*moving, f"plots/{task_type(env_id).metric}", "plots/tension", "plots/commanded"]:
         assert counts[f"/episode_01/{name}"] == STEPS + 1
     for name in ("reward/reward_progress", "reward/reward_time", "action"):
         assert counts[f"/episode_01/plots/{name}"] == STEPS

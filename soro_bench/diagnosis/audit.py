@@ -37,10 +37,11 @@ class Audit:
 def audit(measured: Measured) -> Audit:
     """Noise and gaps of a recording."""
     values = _rows(measured.values.reshape(len(measured.values), -1))
-    present = values[:, np.isfinite(values).mean(axis=0) >= _PRESENT]
-    if len(values) < _SAMPLES or not present.shape[1]:
-        raise RecordingError(f"too few samples: {len(values)}, {np.isfinite(values).mean():.0%} of them present; "
+    enough = np.isfinite(values).sum(axis=0) >= _PRESENT * len(values)
+    if len(values) < _SAMPLES or not enough.any():
+        raise RecordingError(f"too few samples: {len(values)}, {np.isfinite(measured.values).mean():.0%} of all present; "
                              f"{_SAMPLES} are needed, and {_PRESENT:.0%} of some point's")  # fmt: skip
+    present = values[:, enough]
     low, high = np.nanmin(present, axis=0), np.nanmax(present, axis=0)
     if max(-low.min(), high.max()) > _FARTHEST or not (high > low).any():
         raise RecordingError(f"{measured.signal} is constant, or beyond {_FARTHEST:g} {measured.unit}: no moving robot")
