@@ -39,8 +39,9 @@ def audit(measured: Measured) -> Audit:
     values = _rows(measured.values.reshape(len(measured.values), -1))
     enough = np.isfinite(values).sum(axis=0) >= _PRESENT * len(values)
     if len(values) < _SAMPLES or not enough.any():
-        raise RecordingError(f"too few samples: {len(values)}, {np.isfinite(measured.values).mean():.0%} of all present; "
-                             f"{_SAMPLES} are needed, and {_PRESENT:.0%} of some point's")  # fmt: skip
+        share = np.isfinite(measured.values).mean()
+        raise RecordingError(f"too few samples: {len(values)}, {share:.0%} of all present; {_SAMPLES} are needed, and "
+                             f"{_PRESENT:.0%} of some point's")  # fmt: skip
     present = values[:, enough]
     low, high = np.nanmin(present, axis=0), np.nanmax(present, axis=0)
     if max(-low.min(), high.max()) > _FARTHEST or not (high > low).any():
