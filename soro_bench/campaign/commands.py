@@ -86,7 +86,7 @@ def campaign(runs, work: Path, results: Path, workers: Workers, only_plan: bool 
     from soro_bench.leaderboard.table import markdown_table
 
     missing = [run.name for run in runs if not run.done(results)]
-    console.print(f"{len(runs)} runs, {len(missing)} without a result in {results}", soft_wrap=True)
+    console.print(f"{len(runs)} runs, {len(missing)} still to be done; results in {results}", soft_wrap=True)
     if only_plan:
         return console.print("\n".join(missing), soft_wrap=True, markup=False, highlight=False)
     with CampaignBar() as bar:
