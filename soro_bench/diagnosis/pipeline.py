@@ -1,6 +1,5 @@
 """The whole diagnosis of a robot: from recordings to what is missing in its simulation."""
 
-import gc
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -86,7 +85,6 @@ def diagnose(
         RecordingError: a recording lacks something; says what.
     """
     start = time.perf_counter()
-    gc.collect()  # simulations of robots before hang in reference cycles, whose size the collector does not see
     progress("audit")
     fitted, refined = robot.shortened(FITTED), robot.refined()
     measured = tuple(robot.measured(each) for each in recordings)
