@@ -27,7 +27,7 @@ FAR_DRAWS, FAR = 3, 0.7  # replays of each refined robot at first, and their sta
 NEAR = (0.15, 0.05, 0.0)  # of the one near each fit
 # polishes at most, the excess below which none is needed (nulls leave as much), and the share that one more has to take
 # off; and their radii: a cloud as wide as the nominal fit's at first, as parameters that have absorbed an effect may be
-# far from where they belong (of stiffening, 14,000 nats were left where 5,000 should be, whatever the narrow clouds)
+# far from where they belong
 POLISHES, CLEAN, ENOUGH = 4, 1000.0, 0.1
 LACKING = 10_000.0  # nats, an excess of the nominal robot far beyond that of nulls: polishing supplies no physics
 WIDE, NARROW = (0.7, 0.15), (0.3, 0.1)
