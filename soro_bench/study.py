@@ -19,6 +19,7 @@ from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.pipeline import Diagnosis, diagnose, unexplained
 from soro_bench.diagnosis.report import earlier
 from soro_bench.diagnosis.robot import Measured
+from soro_bench.diagnosis.version import method_version
 from soro_bench.files import read_json, write_json
 from soro_bench.recording.importers import import_recording
 from soro_bench.recording.recording import Recording
@@ -102,8 +103,9 @@ def run_study(
             text = write_reports(found, part.train, folder)
             write_json(folder / SUMMARY, _summary(study, part, found, text, seed))
         summaries.append(read_json(folder / SUMMARY))
-        if (found_with := summaries[-1]["seed"]) != seed:
-            raise ValueError(f"{folder} has the results of seed {found_with}, not {seed}; give another folder")
+        for key, expected in {"seed": seed, "method": method_version()}.items():
+            if (found_with := summaries[-1].get(key)) != expected:
+                raise ValueError(f"{folder} has results of {key} {found_with}, not {expected}; give another folder")
     return summaries
 
 
@@ -118,6 +120,7 @@ def _summary(study: Study, part: Part, found: Diagnosis, text: str, seed: int) -
         "part": part.name,
         "question": part.question,
         "seed": seed,
+        "method": method_version(),
         "verdict": text,
         "noise": found.explanation.problem.sensor,
         "unit": robot.unit,

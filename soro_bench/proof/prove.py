@@ -1,14 +1,13 @@
 """The blinded challenge: cases with concealed physics are written and committed to, diagnosed, and only then scored."""
 
-import hashlib
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 
-import soro_bench
 from soro_bench.diagnosis.pipeline import diagnose
 from soro_bench.diagnosis.report import report_of
 from soro_bench.diagnosis.suite_robot import SuiteRobot
+from soro_bench.diagnosis.version import method_version
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.leaderboard.diagnosis_entry import write_entry
 from soro_bench.leaderboard.strict import require_jsonschema
@@ -21,7 +20,7 @@ from soro_bench.proof.score import markdown, opened_labels, scored
 from soro_bench.proof.unseen import unseen
 from soro_bench.recording.parquet import load
 
-METHOD, PARTS = "method.txt", ("diagnosis", "effects", "models")
+METHOD = "method.txt"
 
 Progress = Callable[[str, int, int], None]
 
@@ -69,14 +68,11 @@ def prove(
 
 
 def _check_method(path: Path) -> None:
-    """Refuse to go on with reports of another version of the method: a hash of the source files it consists of."""
-    package, digest = Path(soro_bench.__file__).parent, hashlib.sha256()
-    for file in sorted(file for part in PARTS for file in (package / part).glob("*.py")):
-        digest.update(file.read_bytes())
+    """Refuse to go on with reports of another version of the method."""
     if not path.exists():
         with replacing(path) as temporary:
-            temporary.write_text(digest.hexdigest() + "\n")
-    elif path.read_text().strip() != digest.hexdigest():
+            temporary.write_text(method_version() + "\n")
+    elif path.read_text().strip() != method_version():
         raise ValueError(f"{path.parent} has reports of another version of the method; choose another folder")
 
 
