@@ -13,6 +13,7 @@ from soro_bench.effects.bodies import rotated
 from soro_bench.effects.effect import Effect, EffectError, Quantity
 
 _ANY = (-np.inf, np.inf)
+_DEGREE = 5  # of the splines between samples
 
 
 class Fault:
@@ -119,20 +120,20 @@ def _point(effect: Effect) -> int:
 
 
 def _at(when, time, values) -> np.ndarray:
-    """Values (T, ...) at other times, by cubics through four neighbours; beyond the ends those of the ends.
+    """Values (T, ...) at other times, by a spline; beyond the ends those of the ends, and NaN from the first NaN on.
 
-    Straight lines between samples of 20 Hz would leave more of a motion of some hertz than the noise is.
+    Of a trunk at 20 Hz that is 5 ms late, straight lines leave 4,000 nats beyond 0.5 mm of noise, and this 360.
     """
+    from scipy.interpolate import make_interp_spline  # environments, which need no SciPy, have no faults of measurement
+
     when = np.clip(when, time[0], time[-1])
-    left = np.searchsorted(time, when, side="right") - 1
-    count = min(4, len(time))
-    around = np.clip(left - 1, 0, len(time) - count)[:, None] + np.arange(count)
-    near, sum_of = time[around], np.zeros((len(when), *values.shape[1:]))
-    for j in range(count):  # Lagrange's form
-        others = np.delete(near, j, axis=1)
-        weight = ((when[:, None] - others) / (near[:, [j]] - others)).prod(axis=1)
-        sum_of += weight[:, None, None] * values[around[:, j]]
-    return np.where((when == time[left])[:, None, None], values[left], sum_of)
+    sound = int(np.isfinite(values).all(axis=(1, 2)).cumprod().sum())  # samples before the first NaN
+    found = np.full((len(when), *values.shape[1:]), np.nan)
+    if sound > 1:
+        before = when <= time[sound - 1]
+        found[before] = make_interp_spline(time[:sound], values[:sound], k=min(_DEGREE, sound - 1))(when[before])
+    # bit for bit where nothing is between samples
+    return np.where(np.isin(when, time)[:, None, None], values[np.searchsorted(time, when)], found)
 
 
 def _shifted(values, p, index, when):

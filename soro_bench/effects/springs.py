@@ -9,8 +9,10 @@ times time step, 20 N s/m on a cable with 1 N of friction and 0.5 mm of preslidi
 therefore a soft spring with the same force.
 """
 
+import itertools
 from typing import ClassVar
 
+import mujoco
 import numpy as np
 
 from soro_bench.effects.effect import EffectError, Quantity
@@ -58,16 +60,24 @@ class _Friction(Law):
         length, velocity = self.batch.ten_length[rows, springs], self.batch.ten_velocity[rows, springs]
         rest = self.batch.plastic[rows, self.model.tendon_plasticadr[springs]]
         force = self.field("tendon_stiffness")[rows, springs] * (length - rest)
-        level = self.level(which)
+        shortening, lengthening = self.levels(which)
+        level = np.where(force > 0, lengthening, shortening)
         slides = (np.abs(force) >= _AT_LIMIT * level) & (force * velocity > 0)
-        force = np.where(slides, np.sign(force) * level, np.clip(force, -level, level))
-        reach = self.values["presliding"][which] * np.where(slides, _SOFTER, 1.0)
+        force = np.where(slides, np.sign(force) * level, np.clip(force, -shortening, lengthening))
+        # as stiff in both directions
+        ratio = np.divide(level, shortening, out=np.ones_like(level), where=shortening > 0)
+        reach = self.values["presliding"][which] * ratio * np.where(slides, _SOFTER, 1.0)
         self._set(which, level, reach)
         self._set_rest(which, length - reach * force / np.maximum(level, 1e-12))
 
     def level(self, which):
-        """(n,) the force at which it slips."""
+        """(n,) the force at which it slips while it becomes shorter."""
         raise NotImplementedError
+
+    def levels(self, which):
+        """The same, and (n,) the force at which it slips while it becomes longer."""
+        level = self.level(which)
+        return level, level
 
     def _set(self, which, level, reach):
         at = self.rows[which], self.springs[which]
@@ -108,40 +118,48 @@ class StribeckFriction(_Friction):
 
 
 class LoadFriction(_Friction):
-    """Dry friction in proportion to the load: on a tendon that bends round its eyelets 1 - exp(-mu angle) of its
-    tension (Euler, Eytelwein), on a joint mu times the torque of all actuators."""
+    """Dry friction in proportion to the load: on a joint mu times the torque of all actuators; a tendon that bends round
+    its eyelets has, beyond them, exp(-mu angle) of its tension while it is pulled and exp(mu angle) of it while it is
+    paid out (Euler, Eytelwein). The angle is the sum of those by which the bodies along it are bent against each other,
+    none in the model's reference configuration: there it is taken for running through straight channels, wherever a
+    model has its sites."""
 
     name = "load_friction"
     quantities = (Quantity("mu", "1", 0.1, (0.0, 10.0)), _PRESLIDING)
-    outputs = ("ten_length", "ten_velocity", "actuator_force", "qfrc_actuator", "site_xpos")
+    outputs = ("ten_length", "ten_velocity", "actuator_force", "qfrc_actuator", "xmat")
 
     def prepare(self, elements):
         super().prepare(elements)
         self.on_joint = np.array([port.kind == "joint" for port in self.ports])
         self.dofs = np.where(self.on_joint, self.model.jnt_dofadr[np.where(self.on_joint, self.ids, 0)], 0)
-        paths = [[] if joint else _sites(self.model, i) for i, joint in zip(self.ids, self.on_joint, strict=True)]
-        # of one length, the last eyelet repeated; where the tendon can bend
-        self.paths = np.zeros((len(paths), max(3, *map(len, paths))), int)
-        self.bends = np.zeros((len(paths), self.paths.shape[1] - 2), bool)
-        for row, bends, path in zip(self.paths, self.bends, paths, strict=True):
-            row[: len(path)], row[len(path) :] = path, path[-1] if len(path) else 0
-            bends[: max(0, len(path) - 2)] = True
+        paths = [[] if joint else _bends(self.model, i) for i, joint in zip(self.ids, self.on_joint, strict=True)]
+        longest = max(1, *map(len, paths))
+        # the bodies on both sides of every bend, and there the direction of the tendon, which is the same at rest; what
+        # is too short goes on with no direction
+        self.near, self.far = np.zeros((2, len(paths), longest), int)
+        self.along, self.onward = np.zeros((2, len(paths), longest, 3))
+        for i, path in enumerate(paths):
+            for k, (near, far, along, onward) in enumerate(path):
+                self.near[i, k], self.far[i, k], self.along[i, k], self.onward[i, k] = near, far, along, onward
 
     def level(self, which):
-        rows = self.rows[which]
-        torque = np.abs(self.batch.qfrc_actuator[rows, self.dofs[which]])
-        load = np.where(self.on_joint[which], torque, tension(self.batch, rows, self.actuators[which]))
-        mu = self.values["mu"][which]
-        if self.on_joint.all():
-            return load * mu
-        return load * np.where(self.on_joint[which], mu, -np.expm1(-mu * self._angle(which)))
+        return self.levels(which)[0]
+
+    def levels(self, which):
+        rows, on_joint, mu = self.rows[which], self.on_joint[which], self.values["mu"][which]
+        torque = np.abs(self.batch.qfrc_actuator[rows, self.dofs[which]]) * mu
+        if on_joint.all():
+            return torque, torque
+        load, bend = tension(self.batch, rows, self.actuators[which]), mu * self._angle(which)
+        return np.where(on_joint, torque, -np.expm1(-bend) * load), np.where(on_joint, torque, np.expm1(bend) * load)
 
     def _angle(self, which) -> np.ndarray:
-        """Sums of the angles [rad] by which tendons bend."""
-        way = np.diff(self.batch.site_xpos[self.rows[which][:, None], self.paths[which]], axis=1)
-        way /= np.maximum(np.sqrt((way * way).sum(axis=2)), 1e-12)[:, :, None]
-        turned = np.arccos(np.clip((way[:, 1:] * way[:, :-1]).sum(axis=2), -1, 1))
-        return (turned * self.bends[which]).sum(axis=1)
+        """(n,) sums of the angles [rad] by which tendons bend."""
+        turns = self.batch.xmat[self.rows[which][:, None], np.stack([self.near[which], self.far[which]])]
+        turns = turns.reshape(*turns.shape[:3], 3, 3)
+        along, onward = (turns @ np.stack([self.along[which], self.onward[which]])[..., None])[..., 0]
+        sine = np.linalg.norm(np.cross(along, onward), axis=-1)
+        return np.arctan2(sine, (along * onward).sum(axis=-1)).sum(axis=1)
 
 
 class GearFriction(_Friction):
@@ -267,10 +285,19 @@ class PlasticSet(OnJoints):
         stiffness[rows, self.joints[which]] *= 1.0 - share
 
 
-def _sites(model, tendon) -> np.ndarray:
-    """Sites along a spatial tendon."""
+def _bends(model, tendon) -> list[tuple]:
+    """Where a spatial tendon goes from one body to another: both, and its direction there at rest in their frames."""
     wraps = np.arange(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
-    return model.wrap_objid[wraps][model.wrap_type[wraps] == 3]  # mjWRAP_SITE
+    sites = model.wrap_objid[wraps][model.wrap_type[wraps] == mujoco.mjtWrap.mjWRAP_SITE]
+    data, found = mujoco.MjData(model), []
+    mujoco.mj_kinematics(model, data)
+    for i, j in itertools.pairwise(sites):
+        near, far = model.site_bodyid[[i, j]]
+        if near != far:
+            way = data.site_xpos[j] - data.site_xpos[i]
+            along = way / np.linalg.norm(way)
+            found.append((near, far, *(data.xmat[body].reshape(3, 3).T @ along for body in (near, far))))
+    return found
 
 
 class RestBend(OnJoints):
