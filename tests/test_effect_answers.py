@@ -282,6 +282,43 @@ def test_a_gear_holds_a_load_longer_than_it_lifts_it(torque, holds):
     assert (abs(sim.batch.qpos[0, 0]) < 0.01) == holds
 
 
+# --- a rope round a bend ---
+
+BEND, MU, SPRING = 1.0, 0.3, 1000.0
+ROPE = f"""<mujoco><option timestep="0.001" gravity="0 0 0" integrator="discrete"/><worldbody>
+<site name="hand" pos="-0.1 0 0"/>
+<body name="arm"><joint name="hinge" axis="0 1 0" stiffness="1e4" springref="{np.degrees(BEND)}" damping="10"/>
+<geom size="0.01" pos="0.1 0 0"/><site name="eyelet"/>
+<body name="slider" pos="0.2 0 0"><joint name="slide" type="slide" axis="1 0 0" stiffness="{SPRING}" damping="1"/>
+<geom size="0.01"/><site name="end"/></body></body></worldbody>
+<tendon><spatial name="rope"><site site="hand"/><site site="eyelet"/><site site="end"/></spatial></tendon>
+<actuator><motor tendon="rope"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("integrator", ["discrete", "implicitfast"])
+@pytest.mark.parametrize(("bent", "pulled", "released"), [
+    (0.0, 10.0, 3.0),
+    (BEND, 10.0 * np.exp(-MU * BEND), 3.0 * np.exp(MU * BEND)),
+])  # fmt: skip
+def test_a_rope_round_a_bend_pulls_less_while_it_is_pulled_and_more_while_it_is_paid_out(
+    bent, pulled, released, integrator
+):
+    """A spring at its end has what the hand pulls with times exp(-mu angle), and then exp(mu angle)."""
+    effect = Effect("load_friction", Port("tendon", "rope"), {"mu": MU, "presliding": 1e-4})
+    model = instrument(mujoco.MjSpec.from_string(ROPE.replace("discrete", integrator))).compile()
+    model.qpos_spring[model.joint("hinge").qposadr] = bent
+    sim = Simulation(model, ParameterSet(), (), 1, 1, [effect])
+    sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    sim.batch.qpos[0, 0] = bent
+    sim.begin(np.arange(1))
+    forces = []
+    for force in np.concatenate([np.linspace(0, 10, 2000), np.linspace(10, 3, 2000)]):
+        sim.batch.ctrl[:] = -force
+        sim.step(np.arange(1), 1)
+        forces.append(-SPRING * sim.batch.qpos[0, 1])
+    assert (forces[1999], forces[-1]) == pytest.approx((pulled, released), rel=0.02)
+
+
 # --- energy ---
 
 PENDULUM = """<mujoco><option timestep="0.002" integrator="implicitfast"/>

@@ -1,7 +1,7 @@
 """Laws of springs that yield or creep: friction that sticks, hysteresis, memory of the material.
 
-MuJoCo's springs with a yield threshold are ideal elasto-plastic elements, integrated implicitly: they stick, slip at
-stiffness times threshold, and never add energy. Friction is such a spring that slips after a short way, the presliding.
+MuJoCo's springs with a yield threshold are ideal elasto-plastic elements, integrated implicitly by its discrete
+integrator: they stick, slip at stiffness times threshold, and never add energy. Friction is such a spring that slips after a short way, the presliding.
 Prandtl 1928; for friction: Dahl, "A solid friction model", 1968.
 
 The integrator takes every spring for elastic during a time step: one that slips resists like a damper of stiffness
@@ -20,6 +20,7 @@ from soro_bench.effects.elements import NEVER
 from soro_bench.effects.law import Law, OnJoints, tension
 
 _SOFTER = 100.0  # a spring that slides, than one that sticks
+_STABLE = 0.25  # of inertia over the square of a time step, an explicit spring; from 4 on it would be unstable
 _AT_LIMIT = 0.999  # of the force, at which it slides
 INFINITE = (0.0, np.inf)
 _FORCE = "N or N m"
@@ -43,13 +44,19 @@ class _Friction(Law):
         if (self.model.tendon_plasticadr[self.springs] < 0).any():
             raise EffectError(f"{self.name} needs tendons without a spring of their own; see instrument()")
         self.run.claim(self, self.rows, self.springs)
+        # only the discrete integrator is implicit in stiffness
+        implicit = self.model.opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE
+        weight = self.model.tendon_invweight0[self.springs] * (0.0 if implicit else 1.0)
+        with np.errstate(divide="ignore"):
+            self.stiffest = _STABLE / (weight * self.dt**2)
         actuators = [elements.actuators_on(port) for port in self.ports]
         self.actuators = np.full((len(actuators), max(map(len, actuators), default=0)), -1)
         for i, each in enumerate(actuators):
             self.actuators[i, : len(each)] = each
 
     def write(self, which):
-        self._set(which, self.level(which), self.values["presliding"][which])
+        level = self.level(which)
+        self._set(which, level, self._presliding(which, level))
 
     def reset(self, which):
         """An episode begins without friction, wherever the spring is then."""
@@ -66,7 +73,7 @@ class _Friction(Law):
         force = np.where(slides, np.sign(force) * level, np.clip(force, -shortening, lengthening))
         # as stiff in both directions
         ratio = np.divide(level, shortening, out=np.ones_like(level), where=shortening > 0)
-        reach = self.values["presliding"][which] * ratio * np.where(slides, _SOFTER, 1.0)
+        reach = self._presliding(which, level, ratio) * np.where(slides, _SOFTER, 1.0)
         self._set(which, level, reach)
         self._set_rest(which, length - reach * force / np.maximum(level, 1e-12))
 
@@ -78,6 +85,10 @@ class _Friction(Law):
         """The same, and (n,) the force at which it slips while it becomes longer."""
         level = self.level(which)
         return level, level
+
+    def _presliding(self, which, level, ratio=1.0):
+        """(n,) how far it gives: ``ratio`` times its presliding, more where a spring would be too stiff."""
+        return np.maximum(self.values["presliding"][which] * ratio, level / self.stiffest[which])
 
     def _set(self, which, level, reach):
         at = self.rows[which], self.springs[which]
