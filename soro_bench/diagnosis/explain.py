@@ -13,7 +13,7 @@ import numpy as np
 from soro_bench.diagnosis.fit import Guess, Hypothesis, allowing, fitted
 from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.refit import distinct, persevered, polished, refitted, unique, without_one
+from soro_bench.diagnosis.refit import distinct, persevered, polished, refitted, twins, unique, without_one
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
 from soro_bench.diagnosis.suspects import Suspect, typical
@@ -189,8 +189,12 @@ def _compatible(robot, hypothesis, candidates):
 
 
 def _leads(problem, screened, leads):
-    """Where to begin the fits of the best leads."""
+    """Where to begin the fits of the best leads, and of the twins of the first: what is promised comes of slopes, of
+    which one law may have steeper ones than another that fits better."""
     best = [lead for lead in distinct(leads, LEADS, problem.robot) if lead.gain > PROMISING * leads[0].gain]
+    taken = {lead.chosen for lead in best}
+    others = [lead for lead in leads if best and twins(lead, best[0]) and lead.chosen not in taken]
+    best += [lead for lead in others if problem.robot.accepts(lead.effects)]
     return [screened.guess(lead) for lead in best]
 
 

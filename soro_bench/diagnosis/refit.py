@@ -92,13 +92,14 @@ def _tried(problem, guesses):
 
 
 def _with_twins(ranked, count):
-    """The first so many, and what says nearly the same as the first: laws of its classes at its places."""
-    first = _kind(ranked[0])
-    return ranked[:count] + [each for each in ranked[count:] if _kind(each) == first]
+    """The first so many, and the twins of the first."""
+    return ranked[:count] + [each for each in ranked[count:] if twins(each, ranked[0])]
 
 
-def _kind(one: Guess | Hypothesis):
-    return Counter((CATEGORIES[s.name], s.where) for s in one.suspects)
+def twins(one: Guess | Hypothesis | Lead, other: Guess | Hypothesis | Lead) -> bool:
+    """Whether they are laws of the same classes at the same places, which leave nearly the same traces."""
+    first, second = (Counter((CATEGORIES[s.name], s.where) for s in each.suspects) for each in (one, other))
+    return first == second
 
 
 def _scaled(x, parameters, length):

@@ -20,7 +20,7 @@ from soro_bench.effects.elements import NEVER
 from soro_bench.effects.law import Law, OnJoints, tension
 
 _SOFTER = 100.0  # a spring that slides, than one that sticks
-_STABLE = 0.25  # of inertia over the square of a time step, an explicit spring; from 4 on it would be unstable
+_STABLE = 2.0  # of inertia over the square of a time step, an explicit spring; from 4 on it would be unstable
 _AT_LIMIT = 0.999  # of the force, at which it slides
 INFINITE = (0.0, np.inf)
 _FORCE = "N or N m"
@@ -35,6 +35,7 @@ class _Friction(Law):
     fields = ("tendon_stiffness", "tendon_springyield")
     outputs = ("ten_length", "ten_velocity")
     stepped = True
+    of_load: ClassVar[bool] = False  # what holds grows with the load at once, as the level does
 
     def prepare(self, elements):
         super().prepare(elements)
@@ -66,9 +67,11 @@ class _Friction(Law):
         rows, springs = self.rows[which], self.springs[which]
         length, velocity = self.batch.ten_length[rows, springs], self.batch.ten_velocity[rows, springs]
         rest = self.batch.plastic[rows, self.model.tendon_plasticadr[springs]]
-        force = self.field("tendon_stiffness")[rows, springs] * (length - rest)
         shortening, lengthening = self.levels(which)
-        level = np.where(force > 0, lengthening, shortening)
+        level = np.where(length > rest, lengthening, shortening)
+        force = self.field("tendon_stiffness")[rows, springs] * (length - rest)
+        if self.of_load:
+            force = level * (length - rest) / self.field("tendon_springyield")[rows, springs]
         slides = (np.abs(force) >= _AT_LIMIT * level) & (force * velocity > 0)
         force = np.where(slides, np.sign(force) * level, np.clip(force, -shortening, lengthening))
         # as stiff in both directions
@@ -135,7 +138,7 @@ class LoadFriction(_Friction):
     none in the model's reference configuration: there it is taken for running through straight channels, wherever a
     model has its sites."""
 
-    name = "load_friction"
+    name, of_load = "load_friction", True
     quantities = (Quantity("mu", "1", 0.1, (0.0, 10.0)), _PRESLIDING)
     outputs = ("ten_length", "ten_velocity", "actuator_force", "qfrc_actuator", "xmat")
 
