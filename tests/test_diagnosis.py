@@ -1,9 +1,11 @@
 """Parts of the diagnosis, on short recordings of the cheap trunk."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis import compare
+from soro_bench.diagnosis import compare, refit
 from soro_bench.diagnosis.audit import audit, outliers
 from soro_bench.diagnosis.explain import Explanation
 from soro_bench.diagnosis.fit import Guess, Hypothesis, bounds, fitted
@@ -314,6 +316,31 @@ def test_what_nothing_explains_is_unknown_and_what_something_explains_is_not(rob
     assert compare._unknown(given, [poor, good], 0.0) < 0.05
     assert compare._unknown(given, [poor, good], 1000.0) > 0.95  # something else is there, which no law explains
     assert compare._unknown(given, [good], 400.0) < 0.05  # a lead that was not worth a try
+
+
+def test_a_search_leaves_the_minimum_in_which_a_fit_has_ended(monkeypatch):
+    """Of a cost with one every 0.5 standard deviations; the deepest is at 1."""
+
+    class Rugged:
+        robot = SimpleNamespace(priors=[SimpleNamespace(reach=np.array([-3.0, 3.0]))] * 2)
+
+        def residuals(self, points):
+            return np.array([10.0 * (x - 1.0) ** 2 + 3.0 * (1.0 - np.cos(4 * np.pi * (x - 1.0))) for x, _ in points])
+
+        def cost(self, residual, x):
+            return float(residual.sum())
+
+    def at(x, *_):
+        (residual,) = problem.residuals([(x, ())])
+        return Hypothesis((), x, residual, problem.cost(residual, x), np.zeros((2, 2)), np.zeros((0, 2)))
+
+    problem = Rugged()
+    monkeypatch.setattr(refit, "fitted", lambda problem, guesses, *_: [at(g.x) for g in guesses])
+    ended = at(np.array([-0.5, 2.5]))
+    (found,) = refit.searched(problem, [ended], 0)
+    assert found.x == pytest.approx([1.0, 1.0], abs=0.02)
+    monkeypatch.setattr(refit, "fitted", lambda *_: [ended])
+    assert refit.searched(problem, [found], 0) == [found]
 
 
 def test_what_is_far_beyond_the_sensors_noise_and_not_explained_is_unknown_and_not_nothing(robot, actions):

@@ -48,7 +48,7 @@ def test_a_study_writes_reports_summaries_and_a_row_and_goes_on_where_it_was(stu
     assert len(asked) == 1
     with pytest.raises(ValueError, match="results of seed 0, not 1"):
         run_study(study, tmp_path / "out", seed=1, threads=1)
-    with monkeypatch.context() as other, pytest.raises(ValueError, match="results of method .*, not newer;"):
+    with monkeypatch.context() as other, pytest.raises(ValueError, match=r"results of method .*, not newer;"):
         other.setattr(module, "method_version", lambda: "newer")
         run_study(study, tmp_path / "out", threads=1)
     for summary in (*first, *again):

@@ -13,7 +13,7 @@ import numpy as np
 from soro_bench.diagnosis.fit import Guess, Hypothesis, allowing, fitted
 from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.refit import distinct, persevered, polished, refitted, twins, unique, without_one
+from soro_bench.diagnosis.refit import distinct, persevered, polished, refitted, searched, twins, unique, without_one
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
 from soro_bench.diagnosis.suspects import Suspect, typical
@@ -136,7 +136,7 @@ def explained(
             leads += _leads(problem, first, pairs(first))
         new = refitted(problem, leads, next(seeds))
         if problem.rough:
-            new = persevered(problem, new, next(seeds))
+            new = _searched(problem, persevered(problem, new, next(seeds)), next(seeds))
         problem, new = _with_own_floor(problem, refined, new, next(seeds))
         new.sort(key=lambda h: -h.log_evidence(problem))
         if problem.rough:
@@ -157,6 +157,14 @@ def explained(
         nominal, best = _again(problem, nominal), tried[0]
     minimum, found = first.detectable(WORTH), tuple(unique(tried))
     return Explanation(problem, nominal, found, unpatched, promised, left, minimum, tuple(rounds))
+
+
+def _searched(problem, hypotheses, seed):
+    """The best hypothesis and its rivals, searched on."""
+    least = min(h.cost for h in hypotheses)
+    close = [h.cost < RIVAL * least for h in hypotheses]
+    better = iter(searched(problem, list(itertools.compress(hypotheses, close)), seed))
+    return [next(better) if near else h for h, near in zip(hypotheses, close, strict=True)]
 
 
 def _round(problem, base, offered, fitted) -> Round:

@@ -1,8 +1,8 @@
 """Laws of springs that yield or creep: friction that sticks, hysteresis, memory of the material.
 
 MuJoCo's springs with a yield threshold are ideal elasto-plastic elements, integrated implicitly by its discrete
-integrator: they stick, slip at stiffness times threshold, and never add energy. Friction is such a spring that slips after a short way, the presliding.
-Prandtl 1928; for friction: Dahl, "A solid friction model", 1968.
+integrator: they stick, slip at stiffness times threshold, and never add energy. Friction is such a spring that slips
+after a short way, the presliding. Prandtl 1928; for friction: Dahl, "A solid friction model", 1968.
 
 The integrator takes every spring for elastic during a time step: one that slips resists like a damper of stiffness
 times time step, 20 N s/m on a cable with 1 N of friction and 0.5 mm of presliding. While it slides, friction is
@@ -132,11 +132,12 @@ class StribeckFriction(_Friction):
 
 
 class LoadFriction(_Friction):
-    """Dry friction in proportion to the load: on a joint mu times the torque of all actuators; a tendon that bends round
-    its eyelets has, beyond them, exp(-mu angle) of its tension while it is pulled and exp(mu angle) of it while it is
-    paid out (Euler, Eytelwein). The angle is the sum of those by which the bodies along it are bent against each other,
-    none in the model's reference configuration: there it is taken for running through straight channels, wherever a
-    model has its sites."""
+    """Dry friction in proportion to the load: on a joint mu times the torque of all actuators; a tendon that bends
+    round its eyelets has, beyond them, exp(-mu angle) of its tension while it is pulled and exp(mu angle) of it while
+    it is paid out (Euler, Eytelwein). The angle is the sum of those by which the bodies along it are bent against each
+    other, none in the model's reference configuration: there it is taken for running through straight channels,
+    wherever a model has its sites. What holds grows with the load, as in LuGre models with a normal force (Canudas de
+    Wit, Tsiotras, "Dynamic tire friction models for vehicle traction control", 1999)."""
 
     name, of_load = "load_friction", True
     quantities = (Quantity("mu", "1", 0.1, (0.0, 10.0)), _PRESLIDING)
