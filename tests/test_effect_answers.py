@@ -319,6 +319,19 @@ def test_a_rope_round_a_bend_pulls_less_while_it_is_pulled_and_more_while_it_is_
     assert (forces[1999], forces[-1]) == pytest.approx((pulled, released), rel=0.02)
 
 
+def test_a_rope_whose_sites_coincide_or_that_cannot_slip_stays_finite():
+    """With its two last sites at one place there is no direction between them; exp(mu angle) would be infinite."""
+    effect = Effect("load_friction", Port("tendon", "rope"), {"mu": 10.0})
+    xml = ROPE.replace('<site name="eyelet"/>', '<site name="eyelet" pos="0.2 0 0"/>')
+    sim = Simulation(instrument(mujoco.MjSpec.from_string(xml)).compile(), ParameterSet(), (), 1, 1, [effect])
+    sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    sim.begin(np.arange(1))
+    sim.batch.ctrl[:] = -10.0
+    sim.step(np.arange(1), 500)
+    assert np.isfinite(sim.batch.qpos).all()
+    assert sim.batch.qpos[0, 0] > 0.5  # it is bent, and has not pulled the slider through
+
+
 # --- energy ---
 
 PENDULUM = """<mujoco><option timestep="0.002" integrator="implicitfast"/>

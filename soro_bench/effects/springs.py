@@ -22,6 +22,7 @@ from soro_bench.effects.law import Law, OnJoints, tension
 _SOFTER = 100.0  # a spring that slides, than one that sticks
 _STABLE = 2.0  # of inertia over the square of a time step, an explicit spring; from 4 on it would be unstable
 _AT_LIMIT = 0.999  # of the force, at which it slides
+_LARGEST_BEND = 50.0  # of mu times angle: nothing slips long before, and exp(mu angle) stays finite
 INFINITE = (0.0, np.inf)
 _FORCE = "N or N m"
 _PRESLIDING = Quantity("presliding", "m or rad", 5e-4, (1e-6, 0.1))  # LuGre bristles deflect by 1e-5 to 1e-3 m
@@ -165,7 +166,8 @@ class LoadFriction(_Friction):
         torque = np.abs(self.batch.qfrc_actuator[rows, self.dofs[which]]) * mu
         if on_joint.all():
             return torque, torque
-        load, bend = tension(self.batch, rows, self.actuators[which]), mu * self._angle(which)
+        load = tension(self.batch, rows, self.actuators[which])
+        bend = np.minimum(mu * self._angle(which), _LARGEST_BEND)
         return np.where(on_joint, torque, -np.expm1(-bend) * load), np.where(on_joint, torque, np.expm1(bend) * load)
 
     def _angle(self, which) -> np.ndarray:
@@ -308,8 +310,8 @@ def _bends(model, tendon) -> list[tuple]:
     mujoco.mj_kinematics(model, data)
     for i, j in itertools.pairwise(sites):
         near, far = model.site_bodyid[[i, j]]
-        if near != far:
-            way = data.site_xpos[j] - data.site_xpos[i]
+        way = data.site_xpos[j] - data.site_xpos[i]
+        if near != far and way.any():  # two sites at one place say no direction
             along = way / np.linalg.norm(way)
             found.append((near, far, *(data.xmat[body].reshape(3, 3).T @ along for body in (near, far))))
     return found
