@@ -356,6 +356,27 @@ def test_what_is_far_beyond_the_sensors_noise_and_not_explained_is_unknown_and_n
     assert found.unknown > 0.9
 
 
+@pytest.mark.parametrize("share, first", [(0.004, "coulomb_friction"), (0.04, "stribeck_friction")])
+def test_a_law_with_more_unknowns_has_to_explain_more_than_what_no_law_has_quite_right(robot, actions, share, first):
+    """Stribeck friction contains Coulomb friction, so it never explains less."""
+    given = problem(robot, actions)
+    noise = np.random.default_rng(0).standard_normal(given.weight.size)
+    all_of_it = 100_000.0
+
+    def leaving(excess, *suspects):
+        residual = noise * np.sqrt((noise.size + 2.0 * excess) / (noise @ noise))
+        size = given.parameters + sum(s.size for s in suspects)
+        none = np.zeros((size, noise.size))
+        return Hypothesis(suspects, np.zeros(size), residual, excess, none, none[:0])
+
+    where = Port("tendon", "L0")
+    coulomb = Suspect("coulomb_friction", where, (1.0, 1e-3), (True, False))
+    stribeck = Suspect("stribeck_friction", where, (1.0, 1.5, 0.01, 1e-3), (True, False, False, False))
+    found = (leaving(0.0, stribeck), leaving(share * all_of_it, coulomb))
+    compared = compare.compared(Explanation(given, leaving(all_of_it), found, 0.0, all_of_it, 0.0, ()), None)
+    assert compared.answers[0].names == (first,)
+
+
 def test_a_lead_like_those_of_nulls_is_no_detection():
     assert compare.p_value(100.0) > 0.1
     assert compare.p_value(1000.0) < 1e-3

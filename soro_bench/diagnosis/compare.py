@@ -18,6 +18,9 @@ from soro_bench.diagnosis.problem import Problem
 # evidence that the best lead promises where nothing is missing (42 to 384 in eight cases): a Gumbel distribution
 GUMBEL_LOCATION, GUMBEL_SCALE = 130.0, 100.0
 EFFECT, UNKNOWNS = 100.0, 50.0  # nats that a rugged fit gains by chance from one more effect, from each unknown of it
+# of what is explained, by which each unknown of an effect has to improve on laws with fewer: what a law has not quite
+# right, one that contains it can always take up (0.35 per cent by two more, 8 where they are real: docs/diagnosis.md)
+SPARE = 0.005
 TEMPER = (100.0, 0.1)  # nats, and share of the excess
 # share of the excess left where the physics is as likely unknown as not, width, and what nulls leave (600 to 2,500)
 UNKNOWN = (0.25, 0.06, 2500.0)
@@ -47,7 +50,8 @@ class Fit:
 class Answer:
     """A hypothesis and how probable it is.
 
-    evidence: natural logarithm, of all recordings, less what its effects gain by chance, but for a common constant.
+    evidence: natural logarithm, of all recordings, less what its effects gain by chance and by what no law has quite
+        right, but for a common constant.
     heldout: None where no recording is held out. excess: what is left of all recordings over white noise [nats].
     """
 
@@ -105,6 +109,7 @@ def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> 
         excess = [unfitted.excess(row) for row in residuals]
         scores, left = scores - excess, [a + b for a, b in zip(left, excess, strict=True)]
         tested = [unfitted.left(row) for row in residuals]
+    scores = scores - SPARE * (left[0] - min(left)) * np.array([_unknowns(h) for h in hypotheses])
     chances = _chances(scores, detected, min(left))
     answers = [
         Answer(h, p, e, Fit(train[0], a, problem.sensor), None if b is None else Fit(tested[0], b, problem.sensor), c)
@@ -116,7 +121,11 @@ def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> 
 
 
 def _chance(hypothesis) -> float:
-    return sum(EFFECT + UNKNOWNS * suspect.size for suspect in hypothesis.suspects)
+    return EFFECT * len(hypothesis.suspects) + UNKNOWNS * _unknowns(hypothesis)
+
+
+def _unknowns(hypothesis) -> int:
+    return sum(suspect.size for suspect in hypothesis.suspects)
 
 
 def _chances(scores, detected, excess):
