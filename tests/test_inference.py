@@ -1,5 +1,6 @@
 """Inference of physical parameters from recordings."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -110,6 +111,18 @@ def test_simulations_of_a_bayes_sim_that_was_killed_are_not_repeated(reach, tmp_
     infer("bayes-sim", replay, tmp_path / "cut.log", simulations=70).save(tmp_path / "cut.json")
     for suffix in ("json", "log"):
         assert (tmp_path / f"cut.{suffix}").read_bytes() == (tmp_path / f"whole.{suffix}").read_bytes()
+
+
+def test_simulations_of_bayes_sim_are_as_noisy_as_the_recording(reach, tmp_path):
+    summaries = []
+    for noise in (0.0, 5e-4):
+        replay = Replay(reach[0], names=("trunk_mass",), noise=noise, threads=1)
+        infer("bayes-sim", replay, tmp_path / f"{noise}.log", simulations=64)
+        entry = json.loads((tmp_path / f"{noise}.log").read_text().splitlines()[1])
+        summaries.append(np.reshape(entry["values"], entry["shape"]))
+    signals = replay.measured.shape[1]
+    means = (summaries[1] - summaries[0])[:, -2 * signals : -signals]  # over time, of what noise adds
+    assert (means / replay.sensor_noise).std() == pytest.approx(1 / np.sqrt(replay.steps), rel=0.2)
 
 
 def test_the_log_of_another_inference_is_refused(reach, tmp_path):

@@ -164,12 +164,15 @@ def _bayes_sim(search: Search, features: str = "mdn", simulations: int = 1000, s
     points = np.random.default_rng(search.seed).random((simulations, search.dimension))
     measured = np.nan_to_num(replay.measured)
     parts = search.parts(points[search.log.known * SIMULATIONS :], replay.steps)
+
+    def simulated(first):
+        signals = measured - next(parts)
+        return bayes_sim.summarise(signals + _sensor_noise(replay, len(signals), [search.seed, first]), replay.actions)
+
     summaries = []
     for first in range(0, simulations, SIMULATIONS):
-        summaries.append(search.log(
-            lambda _: bayes_sim.summarise(measured - next(parts), replay.actions),
-            points[first : first + SIMULATIONS], "summary",
-        ))  # fmt: skip
+        some = points[first : first + SIMULATIONS]
+        summaries.append(search.log(lambda _, first=first: simulated(first), some, "summary"))
         search.progress(min(first + SIMULATIONS, simulations), simulations, np.nan)
     summaries = np.concatenate(summaries)
     sane = np.isfinite(summaries).all(axis=1)
@@ -178,6 +181,12 @@ def _bayes_sim(search: Search, features: str = "mdn", simulations: int = 1000, s
     values = search.low + search.width * drawn.mean(axis=0)
     distribution = TruncatedNormal(replay.names, values, search.width * drawn.std(axis=0))
     return distribution, values, _slope(search, drawn.mean(axis=0))
+
+
+def _sensor_noise(replay, count, seed) -> np.ndarray:
+    """(count, T, k) what the sensor would add to simulations, where the recording has samples."""
+    normal = np.random.default_rng(seed).standard_normal((count, *replay.measured.shape))
+    return np.where(np.isnan(replay.measured), 0.0, replay.sensor_noise * normal)
 
 
 _FUNCTIONS = {"rf-dropo": _rf_dropo, "dropo": _rf_dropo, "droid": _droid, "sysid": _sysid, "bayes-sim": _bayes_sim}

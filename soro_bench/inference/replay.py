@@ -68,7 +68,7 @@ class Replay:
 
     def _read(self, recording, noise) -> None:
         times = recording.start + self._task.control_timestep * np.arange(1, len(self.actions) + 1)
-        measured, deviation, self.groups, first = [], [], [], 0
+        measured, deviation, sensor, self.groups, first = [], [], [], [], 0
         for name in self.signal_names:
             if name not in recording.signals:
                 raise RecordingError(f"the recording has no {name}; it has {', '.join(recording.names)}")
@@ -78,9 +78,11 @@ class Replay:
             rows = signal.values.reshape(len(times), -1)
             measured.append(rows)
             # orientations come from the same markers: their noise grows with that of positions
-            noisier = 1.0 if signal.unit == "N" else np.hypot(1.0, noise / RESOLUTION["m"])
-            deviation.append(np.full_like(rows, RESOLUTION[signal.unit] * noisier))
+            noisy = 0.0 if signal.unit == "N" else RESOLUTION[signal.unit] * noise / RESOLUTION["m"]
+            sensor += [noisy] * rows.shape[1]
+            deviation.append(np.full_like(rows, np.hypot(RESOLUTION[signal.unit], noisy)))
             self.groups.append(slice(first, first := first + rows.shape[1]))
+        self.sensor_noise = np.array(sensor)  # (k,) standard deviations
         self.measured = np.concatenate(measured, axis=1)  # (T, k), NaN where missing
         self.deviation = np.concatenate(deviation, axis=1)  # (T, k), of what is measured from what is simulated
         self.deviation[np.isnan(self.measured)] = MISSING
