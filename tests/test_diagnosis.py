@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis import compare, refit
+from soro_bench.diagnosis import compare, explain, refit
 from soro_bench.diagnosis.audit import audit, outliers
 from soro_bench.diagnosis.explain import Explanation
 from soro_bench.diagnosis.fit import Guess, Hypothesis, bounds, fitted
@@ -14,7 +14,7 @@ from soro_bench.diagnosis.localise import intervals, regimes, windows
 from soro_bench.diagnosis.probe import _pushes, _responses, places
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Measured
-from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
+from soro_bench.diagnosis.screen import Lead, evidence, pairs, responses, singles
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import Suspect, suspect, suspects
 from soro_bench.effects.effect import EVERY, Port
@@ -341,6 +341,27 @@ def test_a_search_leaves_the_minimum_in_which_a_fit_has_ended(monkeypatch):
     assert found.x == pytest.approx([1.0, 1.0], abs=0.02)
     monkeypatch.setattr(refit, "fitted", lambda *_: [ended])
     assert refit.searched(problem, [found], 0) == [found]
+
+
+def test_laws_of_the_class_and_place_of_the_best_lead_are_tried_whatever_they_promise(robot):
+    promised = [("stribeck_friction", "L0", 1000.0), ("viscous_friction", "L1", 500.0), ("viscous_friction", "L0", 200.0),
+                ("coulomb_friction", "L0", 20.0), ("coulomb_friction", "L1", 10.0)]  # fmt: skip
+    offered = []
+    for name, cable, gain in promised:
+        one = suspect(robot, name, Port("tendon", cable))
+        offered.append(Lead((one,), gain, np.full(one.size, 0.2), (len(offered),)))
+    screened = SimpleNamespace(guess=lambda lead: lead)
+    tried = explain._leads(SimpleNamespace(robot=robot), screened, offered)
+    assert [lead.chosen for lead in tried] == [(0,), (1,), (3,)]
+
+
+def test_the_best_hypothesis_and_its_rivals_are_searched_on_and_keep_their_places(monkeypatch):
+    asked = []
+    monkeypatch.setattr(explain, "searched", lambda problem, some, seed: asked.extend(some) or [h.name for h in some])
+    given = [SimpleNamespace(name=name, cost=cost) for name, cost in (("far", 50.0), ("best", 10.0), ("rival", 19.0))]
+    found = explain._searched(None, given, 0)
+    assert [h.name for h in asked] == ["best", "rival"]
+    assert found == [given[0], "best", "rival"]
 
 
 def test_what_is_far_beyond_the_sensors_noise_and_not_explained_is_unknown_and_not_nothing(robot, actions):
