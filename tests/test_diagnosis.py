@@ -344,8 +344,9 @@ def test_a_search_leaves_the_minimum_in_which_a_fit_has_ended(monkeypatch):
 
 
 def test_laws_of_the_class_and_place_of_the_best_lead_are_tried_whatever_they_promise(robot):
-    promised = [("stribeck_friction", "L0", 1000.0), ("viscous_friction", "L1", 500.0), ("viscous_friction", "L0", 200.0),
-                ("coulomb_friction", "L0", 20.0), ("coulomb_friction", "L1", 10.0)]  # fmt: skip
+    promised = [("stribeck_friction", "L0", 1000.0), ("viscous_friction", "L1", 500.0),
+                ("viscous_friction", "L0", 200.0), ("coulomb_friction", "L0", 20.0),
+                ("coulomb_friction", "L1", 10.0)]  # fmt: skip
     offered = []
     for name, cable, gain in promised:
         one = suspect(robot, name, Port("tendon", cable))
