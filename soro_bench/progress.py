@@ -16,25 +16,51 @@ from rich.text import Text
 
 console = Console()
 LOG_INTERVAL = 600.0  # s
+SLOW = 7200.0  # s, over which the speed of slow steps is estimated
 
 
 class StageBars:
-    """Progress bars of stages that follow one another."""
+    """Progress bars of stages that follow one another. Where nobody looks, in a log file, a line every ten minutes."""
 
     def __enter__(self):
+        # some stages take minutes for each step, so their speed shows over hours only
         self._progress = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
-                                  TimeElapsedColumn(), TimeRemainingColumn(), console=console)  # fmt: skip
-        self._progress.start()
+                                  TimeElapsedColumn(), TimeRemainingColumn(), console=console,
+                                  speed_estimate_period=SLOW)  # fmt: skip
         self._tasks: dict[str, int] = {}
+        self._log = _Log()
+        if console.is_terminal:
+            self._progress.start()
         return self
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         if stage not in self._tasks:
             self._tasks[stage] = self._progress.add_task(stage, total=total)
         self._progress.update(self._tasks[stage], completed=done)
+        if not console.is_terminal:
+            left = self._progress.tasks[self._tasks[stage]].time_remaining
+            self._log(f"{stage}: {done} of {total}{_hours(left)}", done == total)
 
     def __exit__(self, *_):
-        self._progress.stop()
+        if console.is_terminal:
+            self._progress.stop()
+
+
+class _Log:
+    """Prints one line every ten minutes, and the last one of a stage."""
+
+    def __init__(self):
+        self._told = -LOG_INTERVAL
+
+    def __call__(self, line: str, last: bool) -> None:
+        if last or time.monotonic() - self._told > LOG_INTERVAL:
+            self._told = time.monotonic()
+            console.print(line, soft_wrap=True, highlight=False)
+
+
+def _hours(left: float | None) -> str:
+    """The time that is left [s], if it is known."""
+    return "" if left is None else f", {left / 3600:.1f} h left"
 
 
 class InferenceBar:
@@ -95,7 +121,7 @@ class CampaignBar:
         # runs report every checkpoint, so their speed shows over many minutes only
         self._progress = Progress(TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.1f} %"),
                                   TimeElapsedColumn(), TimeRemainingColumn(), speed_estimate_period=1800)  # fmt: skip
-        self._task, self._told = None, 0.0
+        self._task, self._log = None, _Log()
         self._live = Live(self._progress, console=console)
         if console.is_terminal:
             self._live.start()
@@ -107,10 +133,9 @@ class CampaignBar:
         self._progress.update(self._task, completed=share)
         if console.is_terminal:
             self._live.update(Group(self._progress, Text("\n".join(active))))
-        elif time.monotonic() - self._told > LOG_INTERVAL or share == 1.0:
-            self._told, left = time.monotonic(), self._progress.tasks[0].time_remaining
-            when = "" if left is None else f", {left / 3600:.1f} h left"
-            console.print(f"{100 * share:.1f} %{when}; {'; '.join(active)}", soft_wrap=True, highlight=False)
+        else:
+            left = _hours(self._progress.tasks[0].time_remaining)
+            self._log(f"{100 * share:.1f} %{left}; {'; '.join(active)}", share == 1.0)
 
     def __exit__(self, *_):
         if console.is_terminal:
