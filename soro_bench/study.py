@@ -1,8 +1,8 @@
 """Studies of real robots: what a diagnosis says of their recordings, and how far simulations are off before and after.
 
 A study is a TOML file of ``assets/studies``: a model, its mapping, how its recordings are imported, and parts. A part
-names recordings to explain and held-out ones, as files with what their import adds to the mapping; one that comes
-``after`` another begins with what that has found.
+names recordings to explain, held-out ones and unseen ones, as files with what their import adds to the mapping; one
+that comes ``after`` another begins with what that has found.
 """
 
 import tomllib
@@ -30,13 +30,14 @@ STUDIES = ("opencr_tdcr", "asl_trunk", "bam_servo", "silicone_beam")
 
 @dataclass(frozen=True)
 class Part:
-    """Recordings to be explained, and those to test the explanation on."""
+    """Recordings to be explained, those on which answers are compared too, and those that have no say in them."""
 
     name: str
     question: str
     train: tuple[Recording, ...]
     heldout: tuple[Recording, ...]
     after: str | None
+    unseen: tuple[Recording, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,7 @@ def load_study(name: str, data: str | Path) -> Study:
             _recordings(folder, table["import"], part["train"]),
             _recordings(folder, table["import"], part.get("heldout", [])),
             part.get("after"),
+            _recordings(folder, table["import"], part.get("unseen", [])),
         )
         for key, part in table["parts"].items()
     )
@@ -111,7 +113,7 @@ def run_study(
 
 def _summary(study: Study, part: Part, found: Diagnosis, text: str, seed: int) -> dict:
     robot = found.explanation.problem.robot
-    sets = {"train": part.train, "heldout": part.heldout}
+    sets = {"train": part.train, "heldout": part.heldout, "unseen": part.unseen}
     measured = {key: tuple(robot.measured(each) for each in some) for key, some in sets.items() if some}
     unfitted = replace(found.explanation.nominal, x=np.zeros(len(robot.priors)))
     hypotheses = {"nominal": unfitted, "parameters": found.explanation.nominal}
@@ -169,7 +171,7 @@ HEAD = (
 
 
 def row(summaries: Sequence[dict]) -> str:
-    """Rows of a Markdown table with ``HEAD``: errors of training and held-out data, three kinds of each."""
+    """Rows of a Markdown table with ``HEAD``: errors of training, held-out and unseen data, three kinds of each."""
     lines = []
     for summary in summaries:
         best, *others = summary["answers"]

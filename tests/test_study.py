@@ -29,8 +29,12 @@ def test_errors_of_known_residuals():
 def study(tmp_path):
     (tmp_path / "arm.xml").write_text(ARM)
     (tmp_path / "map.toml").write_text(MAP)
-    given, other = (recording((tmp_path / "arm.xml", tmp_path / "map.toml"), [], seed) for seed in (0, 1))
-    parts = (Part("first", "some motion", (given,), (other,), None), Part("again", "once more", (given,), (), "first"))
+    files = tmp_path / "arm.xml", tmp_path / "map.toml"
+    given, other, third = (recording(files, [], seed) for seed in (0, 1, 2))
+    parts = (
+        Part("first", "some motion", (given,), (other,), None, (third,)),
+        Part("again", "once more", (given,), (), "first"),
+    )
     return Study("arm", "an arm", tmp_path / "arm.xml", tmp_path / "map.toml", parts)
 
 
@@ -39,7 +43,8 @@ def test_a_study_writes_reports_summaries_and_a_row_and_goes_on_where_it_was(stu
     assert [(s["part"], s["answers"][0]["effects"]) for s in first] == [("first", []), ("again", [])]
     assert first[0]["parameters"]["heldout"]["mean_absolute"] == pytest.approx(4e-4, rel=0.2)
     assert (tmp_path / "out" / "again" / "report.html").exists()
-    assert row(first).count("\n") == 3
+    assert first[0]["answers"][0]["unseen"]["mean_absolute"] == pytest.approx(4e-4, rel=0.2)
+    assert row(first).count("\n") == 4
     asked = []
     own = module.diagnose
     monkeypatch.setattr(module, "diagnose", lambda *arguments: asked.append(1) or own(*arguments))
