@@ -72,6 +72,32 @@ def test_a_network_may_pick_its_discrete_action_itself():
     )
 
 
+def test_networks_may_be_normalised_between_layers():
+    """Layer normalisation, whole as PyTorch 2 exports it, and in parts as older exporters do."""
+    ones, zeros = np.ones(OUTPUTS), np.zeros(OUTPUTS)
+    weights = [numpy_helper.from_array(value, name) for name, value in {
+        "ones": ones, "zeros": zeros, "two": np.array(2.0), "tiny": np.array(1e-5)}.items()]  # fmt: skip
+    whole = [helper.make_node("LayerNormalization", ["answer", "ones", "zeros"], ["normal"], axis=-1, epsilon=1e-5)]
+    parts = [
+        helper.make_node("ReduceMean", ["answer"], ["mid"], axes=[-1]),
+        helper.make_node("Sub", ["answer", "mid"], ["off"]),
+        helper.make_node("Pow", ["off", "two"], ["square"]),
+        helper.make_node("ReduceMean", ["square"], ["variance"], axes=[-1]),
+        helper.make_node("Add", ["variance", "tiny"], ["sum"]),
+        helper.make_node("Sqrt", ["sum"], ["width"]),
+        helper.make_node("Div", ["off", "width"], ["normal"]),
+    ]
+    observations = np.random.default_rng(1).normal(size=(20, INPUTS))
+    plain = Policy(card(), {**tensors()})
+    answer = (observations - plain.tensors["mean"]) / plain.tensors["std"]
+    answer = np.tanh(answer @ plain.tensors["w0"].T + plain.tensors["b0"]) @ plain.tensors["w1"].T + plain.tensors["b1"]
+    off = answer - answer.mean(axis=1, keepdims=True)
+    expected = np.clip(off / np.sqrt((off**2).mean(axis=1, keepdims=True) + 1e-5), -1, 1)
+    for nodes in (whole, parts):
+        made = model(nodes, "normal", weights=weights)
+        np.testing.assert_allclose(loaded(made).act(observations), expected, atol=1e-6)
+
+
 def test_its_bytes_are_written_as_they_came():
     data = model().SerializeToString()
     assert OnnxPolicy.from_bytes(card(), data, "policy.onnx").to_bytes() == data

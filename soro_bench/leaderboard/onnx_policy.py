@@ -13,9 +13,9 @@ from soro_bench.training.policy import MAX_BYTES, PolicyCard
 MAX_NODES = 1000
 MAX_VALUES = 1_000_000  # numbers in all results of nodes together
 OPERATORS = frozenset({
-    "Add", "ArgMax", "Cast", "Clip", "Concat", "Constant", "Div", "Elu", "Flatten", "Gemm", "Identity", "LeakyRelu",
-    "MatMul", "Mul", "Relu", "Reshape", "Sigmoid", "Softmax", "Softplus", "Squeeze", "Sub", "Tanh", "Transpose",
-    "Unsqueeze",
+    "Add", "ArgMax", "BatchNormalization", "Cast", "Clip", "Concat", "Constant", "Div", "Elu", "Erf", "Flatten", "Gelu",
+    "Gemm", "Identity", "LayerNormalization", "LeakyRelu", "MatMul", "Max", "Min", "Mul", "Pow", "ReduceMean", "Relu",
+    "Reshape", "Sigmoid", "Softmax", "Softplus", "Sqrt", "Squeeze", "Sub", "Tanh", "Transpose", "Unsqueeze",
 })  # fmt: skip
 _DOMAINS = ("", "ai.onnx")  # two names of the default one
 
