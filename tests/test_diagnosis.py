@@ -17,7 +17,7 @@ from soro_bench.diagnosis.robot import Measured
 from soro_bench.diagnosis.screen import Lead, evidence, pairs, responses, singles
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import Suspect, suspect, suspects
-from soro_bench.effects.effect import EVERY, Port
+from soro_bench.effects.effect import EVERY, Effect, Port
 from soro_bench.inference.clouds import LowRank
 from soro_bench.models.trunk_geometry import CABLE_NAMES
 from soro_bench.recording.recording import Recording, RecordingError, Signal
@@ -376,6 +376,14 @@ def test_what_is_far_beyond_the_sensors_noise_and_not_explained_is_unknown_and_n
     found = compare.compared(Explanation(given, nominal, (lead,), 0.0, 0.0, 0.0, ()), None)
     assert found.p_value == 0.0
     assert found.unknown > 0.9
+
+
+def test_a_late_sensor_shows_where_the_robot_was_before_it_moved(robot, actions):
+    late = Effect("sensor_delay", Port("sensor", robot.signal), {"delay": robot.control_timestep})
+    nominal = np.array([[prior.nominal for prior in robot.priors]] * 2)
+    plain, delayed = robot.simulate(actions, nominal, [(), (late,)])
+    robot._begin(nominal[:1], None)
+    np.testing.assert_allclose(delayed, np.concatenate([robot._read(1), plain[:-1]]), atol=1e-12)
 
 
 @pytest.mark.parametrize("share, first", [(0.004, "coulomb_friction"), (0.04, "stribeck_friction")])

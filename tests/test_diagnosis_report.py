@@ -123,8 +123,8 @@ def test_parameters_far_from_their_nominal_values_are_pointed_out(payload):
 
 
 @pytest.mark.parametrize("name, where, said", [
-    ("sensor_delay", Port("sensor", "keypoints"), "tell it from actuator_delay at every actuator: only clocks can"),
-    ("actuator_delay", Port("actuator", "*"), "tell it from sensor_delay: only clocks can"),
+    ("sensor_delay", Port("sensor", "keypoints"), "tells it from actuator_delay at every actuator; clocks do"),
+    ("actuator_delay", Port("actuator", "*"), "tells it from sensor_delay; clocks do"),
     ("actuator_delay", Port("actuator", "L0"), ""),
     ("payload", Port("body", "vertebra7"), ""),
 ])  # fmt: skip

@@ -7,6 +7,7 @@ import pytest
 from soro_bench.files import write_json
 from soro_bench.proof import prove
 from soro_bench.proof.ablation_score import ablation_rows, by_bic
+from soro_bench.proof.magnitude import magnitude_errors
 from soro_bench.proof.score import markdown, opened_labels, scored
 
 
@@ -65,7 +66,32 @@ def test_what_is_right_is_counted_and_what_is_wrong_is_listed():
 )
 def test_places(truth, said, right):
     found, _ = values([label(0, **truth)], [report(**said)])
-    assert found["place right"] == float(right)
+    assert found["of right names: place right"] == float(right)
+
+
+def test_places_of_cables_and_segments_are_counted_apart_from_those_that_cannot_be_wrong():
+    labels = [label(0), label(1, name="actuator_saturation", kind="actuator", place="L2"),
+              label(2, name="base_tilt", kind="model", place="gravity")]  # fmt: skip
+    reports = [report(), report("actuator_saturation", kind="actuator", place="L1"),
+               report("base_tilt", kind="model", place="gravity")]  # fmt: skip
+    found, card = values(labels, reports)
+    assert found["of right names: segment or keypoint within one"] == 1.0
+    assert found["of right names: cable right"] == 0.0
+    assert [gate["cases"] for gate in card["gates"] if gate["gate"].startswith("of right names: ")] == [3, 1, 1]
+
+
+def test_no_alarm_of_forty_is_not_certain():
+    """The exact upper end is 1 - 0.025 ** (1 / 40)."""
+    labels = [label(i, "none") for i in range(40)]
+    _, card = values(labels, [report("none", "none", verdict="none_detected")] * 40)
+    (alarms,) = (gate for gate in card["gates"] if gate["gate"] == "false alarms")
+    assert alarms["interval"] == pytest.approx([0.0, 1 - 0.025 ** (1 / 40)])
+
+
+def test_a_gain_that_is_taken_for_none_is_all_wrong():
+    truth = {"name": "actuator_gain", "parameters": {"gain": {"value": 0.85}}}
+    said = {"name": "actuator_gain", "parameters": {"gain": {"value": 1.0, "ci90": [0.98, 1.02]}}}
+    assert magnitude_errors(truth, said) == (pytest.approx(1.0), False)
 
 
 def test_what_comes_after_nothing_is_not_among_the_first_three_if_it_is_the_fourth():

@@ -60,7 +60,7 @@ class ModelRobot(Robot):
         self._substeps = round(self.control_timestep / compiled.opt.timestep)
         if self._substeps < 1 or abs(self._substeps * compiled.opt.timestep / self.control_timestep - 1) > 1e-6:
             raise ModelError(f"control_timestep {self.control_timestep} s is no multiple of {compiled.opt.timestep} s")
-        self._settle = round(number("[robot] settle", settings.get("settle", 0.0), 0, 1e4) / self.control_timestep)
+        self.settling = round(number("[robot] settle", settings.get("settle", 0.0), 0, 1e4) / self.control_timestep)
         self._accurate = settings.get("accurate")
         self._commands = []
         for name, entry in table["commands"].items():
@@ -164,7 +164,7 @@ class ModelRobot(Robot):
         if self._initial and start is not None:
             batch.qpos[np.ix_(ids, self._model.jnt_qposadr[self._initial])] = start.reshape(len(ids), -1)
         self.simulation.begin(ids)
-        self._bad[ids], self._settled = self.simulation.bad_states(ids), False
+        self._bad[ids] = self.simulation.bad_states(ids)
 
     def _set(self, ids, settings):
         if len(ids):
@@ -176,9 +176,7 @@ class ModelRobot(Robot):
     def _step(self, actions):
         ids = np.arange(len(actions))
         self.simulation.batch.ctrl[ids] = actions
-        for _ in range(1 if self._settled else 1 + self._settle):
-            self.simulation.step(ids, self._substeps)
-        self._settled = True
+        self.simulation.step(ids, self._substeps)
         return self.simulation.bad_states(ids) > self._bad[ids]
 
     def _read(self, count):

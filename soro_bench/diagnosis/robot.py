@@ -122,6 +122,7 @@ class Robot(ABC):
         priors: of its parameters.
         pneumatic: whether its actuators fill chambers.
         known: effects that it is known to have, whatever else is missing.
+        settling: control steps under its first action before a recording begins.
     """
 
     name: str
@@ -135,6 +136,7 @@ class Robot(ABC):
     priors: tuple[Prior, ...]
     pneumatic: bool = False
     known: tuple[Effect, ...] = ()
+    settling: int = 0
 
     def _remember(self, earlier: Earlier | None) -> None:
         """Begin where an earlier diagnosis of the robot ended; ValueError if it was that of another one."""
@@ -329,17 +331,17 @@ class Robot(ABC):
             driven, rows = [drives[k] for k, _ in some], [i for _, i in some]
             found = self._roll_out(driven, parameters[rows], [physics[i] for i in rows], before_step)
             values |= dict(zip(some, found, strict=True))
-        times = [self.control_timestep * np.arange(1, len(drive.actions) + 1) for drive in drives]
+        times = [self.control_timestep * np.arange(len(drive.actions) + 1) for drive in drives]
         return [
             np.stack([
-                distorted(MEASUREMENT, each, time, values[k, i], self.signal)
+                distorted(MEASUREMENT, each, time, values[k, i], self.signal)[1:]
                 for i, each in zip(first, effects, strict=True)
             ])
             for k, time in enumerate(times)
         ]
 
     def _roll_out(self, drives, parameters, physics, before_step):
-        """[(T, P, D)] of n replays, each with its own drive."""
+        """[(1 + T, P, D)] of n replays, each with its own drive: before the first step, and after every one."""
         n, lengths = len(drives), [len(drive.actions) for drive in drives]
         # the shorter ones go on with their last row
         rows = np.minimum(np.arange(max(lengths)), np.array(lengths)[:, None] - 1)
@@ -356,13 +358,17 @@ class Robot(ABC):
             if settings is not None:
                 before = settings[:, step - 1] if step else np.nan
                 self._set(ids := np.flatnonzero((settings[:, step] != before).any(axis=1)), settings[ids, step])
+            if step == 0:
+                for _ in range(self.settling):
+                    self._step(actions[:, 0])
+                values.append(self._read(n).copy())
             if before_step:
                 before_step(step)
             lost |= self._step(actions[:, step])
             value = self._read(n).copy()
             value[lost] = np.nan
             values.append(value)
-        return [value[:length] for value, length in zip(np.stack(values, axis=1), lengths, strict=True)]
+        return [value[: 1 + length] for value, length in zip(np.stack(values, axis=1), lengths, strict=True)]
 
 
 def _sampled(sampled: np.ndarray, times: np.ndarray) -> np.ndarray:

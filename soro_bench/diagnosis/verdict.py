@@ -105,12 +105,12 @@ def _sentence(diagnosis: Diagnosis, finding: Finding) -> str:
 
 
 def _twin(finding: Finding) -> str:
-    """What no recording can tell from the finding, as a sentence; nothing if there is no such thing."""
-    # all commands or all measurements late: either way what is measured is late by as much
+    """What hardly any recording can tell from the finding, as a sentence; nothing if there is no such thing."""
+    # all commands or all measurements late: either way what follows from a command is measured late by as much
     if finding.effect.name == "sensor_delay":
         twin = "actuator_delay at every actuator"
     elif finding.effect.name == "actuator_delay" and finding.effect.where.name == EVERY:
         twin = "sensor_delay"
     else:
         return ""
-    return f" No recording can tell it from {twin}: only clocks can."
+    return f" Only motion that no command began tells it from {twin}; clocks do."

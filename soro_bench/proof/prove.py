@@ -1,6 +1,6 @@
 """The blinded challenge: cases with concealed physics are written and committed to, diagnosed, and only then scored."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from itertools import product
 from pathlib import Path
 
@@ -49,21 +49,26 @@ def prove(
     todo = [(cases / name, reports / f"{name}.json") for name in names]
     for i, _ in enumerate(each(diagnosed, todo, workers)):
         progress("cases diagnosed", i + 1, len(todo))
+    text = _scorecard(folder, ())
     todo = [
         (ablation, cases / name, folder / ablation / f"{name}.json")
         for ablation, name in product(ABLATIONS if ablations else (), names[:ablations])
     ]
     for i, _ in enumerate(each(ablated, todo, workers)):
         progress("ablations", i + 1, len(todo))
-    labels, found = opened_labels(cases), _read_all(reports)
+    return _scorecard(folder, ABLATIONS) if ablations else text
+
+
+def _scorecard(folder: Path, ablations: Iterable[str]) -> str:
+    """Open the labels and write scorecard and entry; returns the scorecard."""
+    labels, found = opened_labels(folder / "cases"), _read_all(folder / "reports")
     card = scored(labels, found)
-    others = {ablation: _read_all(folder / ablation) for ablation in (ABLATIONS if ablations else ())}
-    card["ablations"] = ablation_rows(labels, found, others)
+    card["ablations"] = ablation_rows(labels, found, {ablation: _read_all(folder / ablation) for ablation in ablations})
     write_json(folder / "scorecard.json", card)
     text = f"{markdown(card)}\n\n{ablation_score.markdown(card['ablations'])}"
     with replacing(folder / "scorecard.md") as temporary:
         temporary.write_text(text + "\n")
-    write_entry(folder / "entry.json", "soro_bench", "soro-bench diagnose", cases, card)
+    write_entry(folder / "entry.json", "soro_bench", "soro-bench diagnose", folder / "cases", card)
     return text
 
 
