@@ -5,10 +5,8 @@
 Trains on the cheap model, evaluates on both, writes policies, results and rerun recordings; goes on where it stopped.
 """
 
-import tyro
-
-from soro_bench.campaign.commands import Baseline
+from soro_bench.campaign.commands import Baseline, script
 from soro_bench.training.methods import ORACLE
 
 if __name__ == "__main__":
-    tyro.cli(Baseline, description=__doc__).run(ORACLE)
+    script(Baseline, ORACLE, __doc__)

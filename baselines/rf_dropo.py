@@ -8,9 +8,7 @@ Trains on the cheap model, evaluates on both; writes posteriors, policies, resul
 it stopped.
 """
 
-import tyro
-
-from soro_bench.campaign.commands import InferenceBaseline
+from soro_bench.campaign.commands import InferenceBaseline, script
 
 if __name__ == "__main__":
-    tyro.cli(InferenceBaseline, description=__doc__).run("rf-dropo")
+    script(InferenceBaseline, "rf-dropo", __doc__)

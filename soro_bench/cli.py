@@ -1,6 +1,8 @@
 """The ``soro-bench`` command."""
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 try:
@@ -57,14 +59,21 @@ COMMANDS = {
 }
 
 
-def main() -> None:
-    """Entry point: one clear line for what a user can mend, no traceback."""
+@contextmanager
+def plain_errors(program: str) -> Iterator[None]:
+    """One clear line for what a user can mend, no traceback."""
     try:
-        tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="soro-bench").run()
+        yield
     except (ValueError, OSError, ImportError) as error:
-        sys.exit(f"soro-bench: {error}")
+        sys.exit(f"{program}: {error}")
     except KeyboardInterrupt:
-        sys.exit("soro-bench: interrupted; the same command goes on from the last checkpoint")
+        sys.exit(f"{program}: interrupted; the same command goes on from the last checkpoint")
+
+
+def main() -> None:
+    """Entry point."""
+    with plain_errors("soro-bench"):
+        tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="soro-bench").run()
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ import pickle
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ pytest.importorskip("jsonschema", reason="needs the board extra")
 
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.entry import card_of, policy_of, read_entry, thinned_curve, write_entry
+from soro_bench.leaderboard.gather import gather_control
 from soro_bench.leaderboard.verify import verify_control
 from soro_bench.recording.episode import Episode
 from soro_bench.recording.simulated import record
@@ -79,6 +81,9 @@ def _set(*keys, value):
         (_set("board", value="MoonLanding-v0"), ("board is 'MoonLanding-v0'", "TrunkReach-v0")),
         (_set("seed", value=-1), ("seed is -1", "minimum 0")),
         (_set("seed", value=True), ("seed is True", "integer")),
+        (_set("seed", value=0.0), ("seed is 0.0", "an integer, written as one")),
+        (_set("seed", value=1), ("policy.file is 'seed0.safetensors'", "seed1.safetensors")),
+        (_set("evaluations", "cable", "diverged", value=3), ("cable.diverged is 3", "2 at most")),
         (_set("entry", value="../../etc"), ("entry is '../../etc'", "pattern")),
         (_set("method", value="<script>"), ("method is '<script>'", "pattern")),
         (_set("trained_on", value=9 * "very long "), ("trained_on is", "maxLength 80")),
@@ -206,6 +211,21 @@ def test_a_right_entry_is_confirmed_and_an_edited_score_found(tmp_path):
     assert verify_control(path, ["cable"], 1)["cable"].endswith("0.25 mm, success of 1 of 2")
     with pytest.raises(ValueError, match=says(str(path), "'flex' was not entered", "cable")):
         verify_control(path, ["flex"])
+
+
+def test_a_folder_of_results_with_what_is_no_policy_or_comes_twice_is_refused(tmp_path):
+    first = true_entry(tmp_path)
+    gather_control(tmp_path)
+    second = write_entry(tmp_path, BOARD, "ours", replace(policy(), card=replace(CARD, seed=1)), scores(3.0, 4.0))
+    with pytest.raises(ValueError, match=says(str(second), "its policy is that of", str(first))):
+        gather_control(tmp_path)
+    put_policy(second, "seed1.safetensors", pickle.dumps(Trap()))
+    with pytest.raises(ValueError, match=says("seed1.safetensors", "no valid policy")):
+        gather_control(tmp_path)
+    flat = {**policy().tensors, "std": np.zeros(66)}
+    put_policy(second, "seed1.safetensors", Policy(CARD, flat).to_bytes())
+    with pytest.raises(ValueError, match=says("seed1.safetensors", "std has 0.0; positive")):
+        gather_control(tmp_path)
 
 
 def test_a_policy_for_other_observations_is_refused_in_words(tmp_path):

@@ -39,8 +39,20 @@ def test_a_diagnosis_is_scored_again_and_what_was_edited_is_found(tmp_path, monk
     found = verify_diagnosis(path, cases, tmp_path / "reports")
     assert found["gates"].startswith("differs") and found["confusion"] == "same"
     (tmp_path / "reports" / "case_001.json").write_text('{"effects": []}')
-    with pytest.raises(ValueError, match=says("case_001.json", "no report of a diagnosis")):
+    with pytest.raises(ValueError, match=says("case_001.json", "cannot be scored")):
         verify_diagnosis(path, cases, tmp_path / "reports")
+    edit(path, lambda entry: entry["ablations"].append({"variant": "invented", "cases": 3}))
+    write_json(tmp_path / "reports" / "case_001.json", wrong)
+    assert verify_diagnosis(path, cases, tmp_path / "reports")["ablations"].startswith("not verified")
     (tmp_path / "reports" / "case_001.json").unlink()
     with pytest.raises(ValueError, match=says("case_001.json", "missing; every case needs its report")):
         verify_diagnosis(path, cases, tmp_path / "reports")
+
+
+@pytest.mark.parametrize("labels", [{"seed": 1}, {"cases": [{}]}, {"cases": [1]}, {"cases": [label(0)]}])
+def test_labels_that_say_too_little_are_named(tmp_path, labels):
+    path = tmp_path / "cases" / "sealed" / "labels.json"
+    write_json(path, labels)
+    (tmp_path / "cases" / "commitment.txt").write_text(hashlib.sha256(path.read_bytes()).hexdigest() + "\n")
+    with pytest.raises(ValueError, match=says("labels.json", "cannot be scored")):
+        diagnosis_entry.opened(tmp_path / "cases")

@@ -137,6 +137,22 @@ def _lying():
     return made
 
 
+def _values_that_double(times):
+    """Integers of a weight, which inference of shapes might follow."""
+    names = ["sizes", *(f"long{i}" for i in range(times))]
+    nodes = [helper.make_node("Concat", [a, a], [b], axis=0) for a, b in pairwise(names)]
+    nodes += [helper.make_node("Reshape", ["answer", names[-1]], ["again"])]
+    return model(nodes, "again", weights=[numpy_helper.from_array(np.ones(2, np.int64), "sizes")])
+
+
+def _much_to_read(times):
+    """Nodes that all read the same large weight."""
+    wide = numpy_helper.from_array(np.zeros((OUTPUTS, 100_000)), "wide")
+    nodes = [helper.make_node("ReduceMean", ["wide"], [f"mean{i}"]) for i in range(times)]
+    nodes += [helper.make_node("Identity", ["answer"], ["again"])]
+    return model(nodes, "again", weights=[wide])
+
+
 def _shape_from_input():
     nodes = [
         helper.make_node("Cast", ["observation"], ["sizes"], to=TensorProto.INT64),
@@ -164,6 +180,9 @@ def _nan():
         (_lying, ("numbers; allowed: 1000000",)),
         (lambda: _doubling(MAX_NODES), ("nodes; allowed: 1000",)),
         (_shape_from_input, ("fixed sizes are needed",)),
+        (lambda: _values_that_double(30), ("fixed sizes are needed",)),
+        (lambda: _much_to_read(70), ("read 2.1e+07 numbers; allowed: 20000000",)),
+        (lambda: model(opsets=(("", 6),)), ("version 6 of the operators", "13 and later")),
         (lambda: model([helper.make_node("Identity", ["hidden"], ["answer"])]), ("a name twice",)),
         (lambda: model(shape=("n", "k")), ("no array (n, k)",)),
         (lambda: model(shape=(INPUTS,)), ("no array (n, k)",)),

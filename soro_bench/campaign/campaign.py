@@ -65,7 +65,8 @@ def state(runs: Sequence[Run], work: Path, results: Path) -> tuple[float, list[s
 
 
 def _cost(run: Run) -> float:
-    return run.config.total_steps * _COST[run.config.env_id] * (_ACCURATE if run.config.model == "flex" else 1.0)
+    model = _ACCURATE if run.config.model == "flex" else 1.0
+    return run.config.total_steps * _COST.get(run.config.env_id, 1.0) * model
 
 
 def _last_row(path: Path) -> dict | None:

@@ -1,6 +1,7 @@
 """``soro-bench run``, and the scripts in baselines/, which are campaigns of one method."""
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -72,10 +73,28 @@ class InferenceBaseline(Baseline):
     def run(self, method: str) -> None:
         from soro_bench.campaign.plan import recording_path
         from soro_bench.inference.baseline import inferred
+        from soro_bench.leaderboard.boards import BOARDS
         from soro_bench.recording.simulated import parse_params
 
-        recording = self.recording or recording_path(self.board)
-        super().run(inferred(method, recording, parse_params(self.known), self.replay_model, self.noise))
+        env_id = BOARDS[self.board].env_id if self.board in BOARDS else self.board
+        found = inferred(method, self.recording or recording_path(env_id), parse_params(self.known), self.replay_model,
+                         self.noise)  # fmt: skip
+        super().run(replace(found, name=self._named(found.name)))
+
+    def _named(self, method: str) -> str:
+        """The method with the options that differ from the defaults: other options are another method."""
+        noise = [f"noise_{self.noise:g}"] if self.noise else []
+        recording = [self.recording.stem] if self.recording else []
+        options = [*self.known, *([self.replay_model] if self.replay_model else []), *noise, *recording]
+        return "_".join([method, *(re.sub(r"[^A-Za-z0-9.+-]+", "_", option) for option in options)])
+
+
+def script(options: type[Baseline], method, description: str) -> None:
+    """What a script of baselines/ does with its command line."""
+    from soro_bench.cli import plain_errors
+
+    with plain_errors("baselines"):
+        tyro.cli(options, description=description).run(method)
 
 
 def campaign(runs, work: Path, results: Path, workers: Workers, only_plan: bool = False) -> None:

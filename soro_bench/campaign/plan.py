@@ -1,6 +1,6 @@
 """What ``soro-bench run`` runs."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,12 +23,14 @@ UNMODELLED = {"young_modulus": 0.8 * ALL_PARAMETERS["young_modulus"].nominal}
 
 
 def runs_of(
-    board: str, method: Method, seeds: Iterable[int], steps: int | None = None, model: str | None = None
+    board: str, method: Method, seeds: Sequence[int], steps: int | None = None, model: str | None = None
 ) -> list[Run]:
     """A run for every seed; steps and model are by default what the board's environment is learned with."""
     if board not in BOARDS:
         raise ValueError(f"there is no board {board!r}; there are {', '.join(BOARDS)}")
     env_id = BOARDS[board].env_id
+    if not seeds:
+        raise ValueError("no seeds; say one or more, such as --seeds 0 1 2")
     config = default_config(env_id, steps, **({} if model is None else {"model": model}))
     return [Run(board, method, replace(config, seed=seed)) for seed in seeds]
 
@@ -48,8 +50,12 @@ PRESETS = {"quick": quick, "paper": paper}
 
 
 def recording_path(env_id: str) -> Path:
-    """The recording that methods infer parameters from, of the accurate model with nominal ones."""
-    return asset_path(f"recordings/{env_id}.parquet")
+    """The recording that methods infer parameters from, of the accurate model with nominal ones; ValueError for an
+    environment that has none."""
+    try:
+        return asset_path(f"recordings/{env_id}.parquet")
+    except FileNotFoundError as error:
+        raise ValueError(f"no recording of {env_id} comes with the suite; say which one: --recording") from error
 
 
 def _identified(board: str) -> list[Run]:

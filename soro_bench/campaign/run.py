@@ -10,7 +10,7 @@ from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.entry import thinned_curve, write_entry
 from soro_bench.parallel import processors
 from soro_bench.parameters import ALL_PARAMETERS
-from soro_bench.randomization import Distribution, from_dict, holding
+from soro_bench.randomization import Distribution, Gaussian, from_dict, holding
 from soro_bench.recording.rerun_log import write_recording
 from soro_bench.registration import task_type
 from soro_bench.training.methods import Method
@@ -43,10 +43,12 @@ class Run:
         entry, config = read_json(path), self.config
         asked = {"steps": config.num_segments * config.segment_steps, "trained_on": config.model,
                  "action": config.action}  # fmt: skip
+        if not isinstance(entry, dict) or not {*asked, "training"} <= entry.keys():
+            raise ValueError(f"{path} is no entry of a run; remove it, or choose another --out")
         for name, value in asked.items():
             if entry[name] != value:
                 raise ValueError(f"{path} was trained with {name} {entry[name]}, not {value}; choose another --out")
-        return entry.get("training", {}).get("trainer") == TRAINER
+        return entry["training"].get("trainer") == TRAINER
 
     @property
     def name(self) -> str:
@@ -98,13 +100,16 @@ def _check_fixed(board: str, distribution: dict | None, folder: Path) -> None:
     """Refuse a policy that was not trained with what the task of its board gives."""
     fixed = BOARDS[board].fixed
     given = from_dict(distribution) if distribution else None
-    if given is None:
-        fits = all(ALL_PARAMETERS[name].nominal == value for name, value in fixed.items())
-    else:
-        fits = not fixed or holding(given, fixed).to_dict() == given.to_dict()
-    if not fits:
+    if not all(_holds(given, name, value) for name, value in fixed.items()):
         wanted = ", ".join(f"{name} = {value:g}" for name, value in fixed.items())
         raise ValueError(f"{folder} was not trained with what {board} gives: {wanted} in every episode")
+
+
+def _holds(given: Distribution | None, name: str, value: float) -> bool:
+    """Whether a parameter always had a value in training."""
+    if given is None or name not in given.names:
+        return ALL_PARAMETERS[name].nominal == value
+    return not isinstance(given, Gaussian) and holding(given, {name: value}).to_dict() == given.to_dict()
 
 
 def _training(folder: Path, env_id: str) -> dict:

@@ -13,6 +13,7 @@ from soro_bench.recording.episode import Episode
 from soro_bench.registration import task_type
 from soro_bench.training.policy import Policy
 
+_FAR = 1000.0  # m, the largest length that an entry may have
 NOISY_ROLLOUTS = 5  # of the walker, with observation noise; as in the paper's figure 6
 
 
@@ -71,7 +72,7 @@ class Board:
         return {
             "final_mm": [round(1e3 * self._final(e), 4) for e in episodes],
             "return": [round(e.total_reward, 4) for e in episodes],
-            "success": [e.is_success for e in episodes],
+            "success": [e.is_success and not e.diverged for e in episodes],
             "diverged": sum(e.diverged for e in episodes),
         }
 
@@ -79,7 +80,7 @@ class Board:
         first, last = float(episode.metric[0]), float(episode.metric[-1])
         if not episode.diverged:
             return last
-        return min(0.0, last) if self.higher else max(first, last)
+        return max(min(0.0, last), -_FAR) if self.higher else min(max(first, last), _FAR)
 
 
 def _trunk(env_id: str) -> Board:

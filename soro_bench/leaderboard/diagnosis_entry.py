@@ -40,33 +40,35 @@ def write_entry(path: str | Path, entry: str, method: str, cases: str | Path, ca
 
 def opened(cases: Path) -> dict:
     """Which set of cases a folder holds, after its labels and the commitment to them."""
-    labels = opened_labels(cases)
-    return {
-        "seed": read_strict(cases / "sealed" / "labels.json", 100_000_000)["seed"],
-        "count": len(labels),
-        "nulls": sum(label["group"] == "none" for label in labels),
-        "commitment": (cases / "commitment.txt").read_text().strip(),
-    }
+    with _called(path := cases / "sealed" / "labels.json"):
+        labels = opened_labels(cases)
+        return {
+            "seed": read_strict(path, 100_000_000)["seed"],
+            "count": len(labels),
+            "nulls": sum(label["group"] == "none" for label in labels),
+            "commitment": (cases / "commitment.txt").read_text().strip(),
+        }
 
 
 def rescored(cases: Path, reports: Path) -> dict:
     """The scorecard of the reports of a set; ValueError names a case whose report is missing or says too little."""
-    labels, found = opened_labels(cases), {}
-    for label in labels:
-        path = reports / f"{label['id']}.json"
+    with _called(cases / "sealed" / "labels.json"):
+        labels, found = {label["id"]: label for label in opened_labels(cases)}, {}
+    for name, label in labels.items():
+        path = reports / f"{name}.json"
         if not path.is_file():
             raise ValueError(f"{path} is missing; every case needs its report")
-        found[label["id"]] = read_strict(path, REPORT_BYTES)
+        found[name] = read_strict(path, REPORT_BYTES)
         with _called(path):
-            case_row(label, found[label["id"]])
+            case_row(label, found[name])
     with _called(reports):
-        return scored(labels, found)
+        return scored(list(labels.values()), found)
 
 
 @contextmanager
 def _called(path: Path) -> Iterator[None]:
-    """Name the file in whatever goes wrong with a stranger's report."""
+    """Name the file in whatever goes wrong with what a stranger has written."""
     try:
         yield
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
-        raise ValueError(f"{path} is no report of a diagnosis: {type(error).__name__} {str(error)[:200]}") from error
+        raise ValueError(f"{path} cannot be scored: {type(error).__name__} {str(error)[:200]}") from error

@@ -35,6 +35,10 @@ def check_entry(entry: dict, path: str | Path) -> None:
     check(entry, SCHEMA, path)
     if (board := BOARDS.get(entry["board"])) is None:
         raise ValueError(f"{path}: board is {entry['board']!r}; allowed: {', '.join(BOARDS)}")
+    if not isinstance(seed := entry["seed"], int):
+        raise ValueError(f"{path}: seed is {seed!r}; allowed: an integer, written as one")
+    if Path(file := entry["policy"]["file"]).stem != f"seed{seed}":
+        raise ValueError(f"{path}: policy.file is {file!r}; allowed: seed{seed}.safetensors or seed{seed}.onnx")
     for label, scores in entry["evaluations"].items():
         _check_scores(board, label, scores, path)
     curve = entry.get("training", {}).get("curve", {"steps": (), "final_mm": ()})
@@ -49,6 +53,8 @@ def _check_scores(board: Board, label: str, scores: dict, path) -> None:
     for name in ("final_mm", "return", "success"):
         if (found := len(scores[name])) != starts:
             raise ValueError(f"{path}: evaluations.{label}.{name} has {found} values; allowed: {starts}, one a start")
+    if scores["diverged"] > starts:
+        raise ValueError(f"{path}: evaluations.{label}.diverged is {scores['diverged']}; allowed: {starts} at most")
 
 
 def card_of(entry: dict) -> PolicyCard:

@@ -9,7 +9,7 @@ import numpy as np
 
 from soro_bench.leaderboard import diagnosis_entry
 from soro_bench.leaderboard.boards import BOARDS
-from soro_bench.leaderboard.entry import check_entry, policy_bytes
+from soro_bench.leaderboard.entry import check_entry, policy_of
 from soro_bench.leaderboard.strict import read_strict
 
 DIAGNOSIS = "diagnosis"  # folder of that track, beside those of the boards
@@ -52,7 +52,7 @@ def gather_control(results: str | Path) -> dict[str, list[Group]]:
             expected = results / entry["board"] / entry["entry"] / entry["method"] / f"seed{entry['seed']}.json"
             if path != expected:
                 raise ValueError(f"{path} holds what belongs to {expected}")
-            policy_bytes(path, entry)
+            policy_of(path, entry)  # refuses what is none
             found[entry["board"], entry["entry"], entry["method"]].append((path, entry))
     groups = defaultdict(list)
     for (board, entry, method), members in found.items():
@@ -68,6 +68,10 @@ def _check_alike(group: Group) -> None:
         for path, other in others:
             if other[key] != one[key]:
                 raise ValueError(f"{path}: {key} is {other[key]!r}; allowed: {one[key]!r}, as in {first}")
+    seen = {}
+    for path, entry in group.entries:
+        if (twin := seen.setdefault(entry["policy"]["sha256"], path)) != path:
+            raise ValueError(f"{path}: its policy is that of {twin}; every seed needs a training of its own")
 
 
 def gather_diagnosis(results: str | Path) -> list[dict]:

@@ -12,6 +12,8 @@ from soro_bench.training.policy import MAX_BYTES, PolicyCard
 
 MAX_NODES = 1000
 MAX_VALUES = 1_000_000  # numbers in all results of nodes together
+MAX_READ = 20_000_000  # numbers that all nodes read together: as many as a layer has weights
+FIRST_OPSET = 13  # of older ones, shapes are inferred without broadcasting, and so too small
 OPERATORS = frozenset({
     "Add", "ArgMax", "BatchNormalization", "Cast", "Clip", "Concat", "Constant", "Div", "Elu", "Erf", "Flatten", "Gelu",
     "Gemm", "Identity", "LayerNormalization", "LeakyRelu", "MatMul", "Max", "Min", "Mul", "Pow", "ReduceMean", "Relu",
@@ -78,6 +80,8 @@ def _check_parts(model) -> None:
     domains = {o.domain for o in model.opset_import} | {node.domain for node in model.graph.node}
     if foreign := sorted(domains - set(_DOMAINS)):
         raise ValueError(f"it needs the operators of {foreign[0]!r}; only the default domain is allowed")
+    if (oldest := min((o.version for o in model.opset_import), default=0)) < FIRST_OPSET:
+        raise ValueError(f"it uses version {oldest} of the operators; allowed: {FIRST_OPSET} and later")
     if unknown := sorted({node.op_type for node in model.graph.node} - OPERATORS):
         raise ValueError(f"it has the operator {unknown[0]!r}; allowed: {', '.join(sorted(OPERATORS))}")
     if len(model.graph.node) > MAX_NODES:
@@ -110,16 +114,19 @@ def _with_known_shapes(onnx, model):
     # what the file says of shapes inside may be wrong
     del model.graph.value_info[:]
     model.graph.output[0].type.tensor_type.ClearField("shape")
-    model = onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True, data_prop=True)
-    shapes = {v.name: v.type.tensor_type.shape.dim for v in (*model.graph.value_info, *model.graph.output)}
-    total = 0.0
-    for node in model.graph.node:
-        for name in node.output if node.op_type != "Constant" else ():  # which the file's size bounds
-            if name not in shapes or not all(dim.HasField("dim_value") for dim in shapes[name]):
-                raise ValueError(f"the size of {name[:40]!r} depends on values; fixed sizes are needed")
-            total += np.prod([float(dim.dim_value) for dim in shapes[name]])
-    if total > MAX_VALUES:
+    model = onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True)
+    sizes = {weight.name: float(np.prod(weight.dims)) for weight in model.graph.initializer}
+    for value in (*model.graph.input, *model.graph.value_info, *model.graph.output):
+        dims = value.type.tensor_type.shape.dim
+        if value.type.tensor_type.HasField("shape") and all(dim.HasField("dim_value") for dim in dims):
+            sizes[value.name] = float(np.prod([float(dim.dim_value) for dim in dims]))
+    nodes = [node for node in model.graph.node if node.op_type != "Constant"]  # which the file's size bounds
+    if unknown := [name for node in nodes for name in node.output if name not in sizes]:
+        raise ValueError(f"the size of {unknown[0][:40]!r} depends on values; fixed sizes are needed")
+    if (total := sum(sizes[name] for node in nodes for name in node.output)) > MAX_VALUES:
         raise ValueError(f"its nodes give {total:.3g} numbers; allowed: {MAX_VALUES}")
+    if (total := sum(sizes.get(name, 0.0) for node in nodes for name in node.input)) > MAX_READ:
+        raise ValueError(f"its nodes read {total:.3g} numbers; allowed: {MAX_READ}")
     return model
 
 

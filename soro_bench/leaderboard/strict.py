@@ -5,6 +5,7 @@ import math
 import os
 import reprlib
 import stat
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
@@ -58,8 +59,8 @@ def _said(error) -> str:
 def _object(pairs) -> dict:
     found = dict(pairs)
     if len(found) < len(pairs):
-        names = [name for name, _ in pairs]
-        raise ValueError(f"the name {reprlib.repr(next(n for n in names if names.count(n) > 1))} comes twice")
+        name, _ = Counter(name for name, _ in pairs).most_common(1)[0]
+        raise ValueError(f"the name {reprlib.repr(name)} comes twice")
     for text in (*found, *found.values()):
         if isinstance(text, str) and not text.isprintable():
             raise ValueError(f"{reprlib.repr(text)} has characters that cannot be shown")

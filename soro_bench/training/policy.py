@@ -114,6 +114,8 @@ class Policy:
             size = bias.shape
         if not shapes_fit or not all(np.isfinite(value).all() for value in self.tensors.values()):
             raise ValueError(f"{source} holds no valid policy: its layers do not fit together or are not finite")
+        if (smallest := self.tensors["std"].min()) <= 0:
+            raise ValueError(f"{source} holds no valid policy: its std has {smallest}; positive numbers are needed")
 
 
 OBSERVATION_CLIP = 10.0  # standard deviations

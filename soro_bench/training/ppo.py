@@ -96,6 +96,8 @@ _TASK_DEFAULTS = {
 def default_config(env_id: str, steps: int | None = None, **changes) -> PPOConfig:
     """The configuration found best for an environment, with ``changes``; ``steps`` replaces its number of steps."""
     if steps is not None:
+        if steps < 1:
+            raise ValueError(f"{steps} steps of training; at least 1 is needed")
         changes["total_steps"] = steps
     return PPOConfig(env_id, **{"model": task_type(env_id).cheap, **_TASK_DEFAULTS.get(env_id, {}), **changes})
 
@@ -140,7 +142,10 @@ def _claim(folder: Path, config: PPOConfig, distribution) -> None:
     path = folder / "config.json"
     if path.exists() and (found := read_json(path)) != described:
         different = sorted(key for key in found | described if found.get(key) != described.get(key))
-        raise ValueError(f"{folder} holds a run with another {', '.join(different)}; choose another folder")
+        if different != ["trainer"]:
+            raise ValueError(f"{folder} holds a run with another {', '.join(different)}; choose another folder")
+        for old in ("checkpoint.pt", "curve.csv", "policy.json", "policy.safetensors"):  # it is trained anew
+            (folder / old).unlink(missing_ok=True)
     write_json(path, described)
 
 
@@ -249,12 +254,13 @@ def _save_checkpoint(folder: Path, segment: int, agent: PPO, env: VecNormalize, 
         "count": float(env.obs_rms.count),
         "curve": curve.rows,
     }
-    with replacing(folder / "checkpoint.pt") as temporary:
-        torch.save(checkpoint, temporary)
+    # the curve first: with a later checkpoint than its rows it would stay short
     with replacing(folder / "curve.csv") as temporary, temporary.open("w", newline="") as file:
         writer = csv.DictWriter(file, curve.rows[0])
         writer.writeheader()
         writer.writerows(curve.rows)
+    with replacing(folder / "checkpoint.pt") as temporary:
+        torch.save(checkpoint, temporary)
 
 
 def _load_checkpoint(folder: Path, agent: PPO, env: VecNormalize, curve: _Curve) -> int:
