@@ -20,7 +20,9 @@ from rich.progress import Progress
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.pipeline import diagnose
 from soro_bench.diagnosis.suite_robot import SuiteRobot
+from soro_bench.diagnosis.version import method_version
 from soro_bench.effects.effect import EVERY, Effect, Port, save_effects
+from soro_bench.envs.task import effects_of
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.leaderboard.statistics import interval
 from soro_bench.models import trunk
@@ -37,7 +39,7 @@ from soro_bench.training.methods import METHODS
 from soro_bench.training.policy import Policy
 from soro_bench.training.ppo import default_config, train
 
-ENV_ID, KIND = "TrunkReach-v0", "fine"
+ENV_ID, MODEL, KIND = "TrunkReach-v0", "cable", "fine"
 DURATIONS = {"train": 30.0, "heldout": 12.0}  # s
 METHOD_NAMES = ("nominal", "udr", "patched", "oracle")
 
@@ -75,11 +77,12 @@ CONCEALED = {
 
 
 def diagnosed(name: str, folder: Path) -> None:
-    """The report of a concealed robot, in a folder; nothing is done again."""
+    """The report of a concealed robot, in a folder; what is there is kept if it is of this version of the method."""
     if (folder / "report.html").exists():
+        _same(folder / "method.json", {"method": method_version()})
         return
     robot, recordings = Robot(KIND, CONCEALED[name].parameters, [CONCEALED[name].law()]), {}
-    space = make_task(ENV_ID, 1, 1, action="continuous").single_action_space
+    space = make_task(ENV_ID, 1, 1, MODEL, action="continuous").single_action_space
     actions = {
         "train": excitation(space, CONTROL_TIMESTEP, DURATIONS["train"]),
         "heldout": manoeuvre(DURATIONS["heldout"], 1),
@@ -88,7 +91,16 @@ def diagnosed(name: str, folder: Path) -> None:
         points = robot.run(rows).at(CONTROL_TIMESTEP * np.arange(len(rows) + 1))
         recordings[role] = recording(rows, points, np.random.default_rng([k, 2]))
     found = diagnose(SuiteRobot(ENV_ID), [recordings["train"]], [recordings["heldout"]])
+    write_json(folder / "method.json", {"method": method_version()})
     write_reports(found, [recordings["train"]], folder)
+
+
+def _same(path: Path, expected: dict) -> None:
+    """Refuse what was computed otherwise."""
+    found = read_json(path)
+    for key, value in expected.items():
+        if found.get(key) != value:
+            raise ValueError(f"{path} has {key} {found.get(key)}, not {value}; choose another --out")
 
 
 def training(name: str, method: str, seed: int, folder: Path) -> tuple[Distribution | None, Path | None]:
@@ -108,7 +120,10 @@ def training(name: str, method: str, seed: int, folder: Path) -> tuple[Distribut
 def result(name: str, method: str, seed: int, folder: Path, steps: int, progress) -> dict:
     """Train one policy and run it on the concealed robot; what is there is read."""
     path = folder / name / method / f"seed{seed}.json"
-    if not path.exists():
+    about = {"robot": name, "method": method, "seed": seed, "steps": steps}
+    if path.exists():
+        _same(path, about)
+    else:
         distribution, effects = training(name, method, seed, folder / name)
         config = default_config(ENV_ID, steps, method=method, seed=seed, effects=effects and str(effects))
         # those that know nothing of the robot serve for all of them
@@ -116,13 +131,15 @@ def result(name: str, method: str, seed: int, folder: Path, steps: int, progress
         train(config, policy, distribution, progress)
         robot = Robot(KIND, CONCEALED[name].parameters, [CONCEALED[name].law()])
         distances = final_distances(Policy.load(policy).act, robot)
-        write_json(path, {"robot": name, "method": method, "seed": seed, "distances_m": distances.tolist()})
+        with_effects = [effect.name for effect in effects_of(str(effects))] if effects else []
+        write_json(path, about | {"effects": with_effects, "distances_m": distances.tolist()})
     return read_json(path)
 
 
 def table(results: list[dict]) -> str:
-    """Markdown: mean final distance [mm], its 95 % interval over seeds, and the share of the gap that is closed."""
-    lines = ["| concealed | nominal | UDR | patched | oracle | gap closed |", "|---" * 6 + "|"]
+    """Markdown: mean final distance [mm], its 95 % interval over seeds, the share of the gap that is closed, and the
+    effects that the patched robot has."""
+    lines = ["| concealed | nominal | UDR | patched | oracle | gap closed | patched with |", "|---" * 7 + "|"]
     for name in dict.fromkeys(r["robot"] for r in results):
         cells, means = [], {}
         for method in METHOD_NAMES:
@@ -132,7 +149,8 @@ def table(results: list[dict]) -> str:
             cells.append(f"{means[method]:.2f}" + (f" [{spread[0]:.2f}, {spread[1]:.2f}]" if spread else ""))
         gap = means["nominal"] - means["oracle"]
         closed = f"{(means['nominal'] - means['patched']) / gap:.0%}" if gap > 0 else "no gap"
-        lines.append(f"| {name} | {' | '.join(cells)} | {closed} |")
+        patch = next(r["effects"] for r in results if (r["robot"], r["method"]) == (name, "patched"))
+        lines.append(f"| {name} | {' | '.join(cells)} | {closed} | {', '.join(patch) or 'nothing'} |")
     return "\n".join(lines)
 
 

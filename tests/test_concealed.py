@@ -276,3 +276,25 @@ def test_a_policy_sees_on_a_concealed_robot_what_the_environment_shows(monkeypat
         assert np.allclose(one, shown, atol=0.01)  # the environment's time step is eight times as long
         shown, _, _, _, info = env.step(np.full(8, 0.5, np.float32))
     assert distance == pytest.approx(info["distance"], abs=0.01)
+
+
+def test_an_episode_that_diverges_counts_as_one_without_motion(monkeypatch):
+    class Wild:
+        """Jumps away, and is not sound."""
+
+        tip = np.zeros(3)
+
+        def begin(self, steps):
+            self.tip = np.zeros(3)
+
+        def keypoints(self):
+            return np.repeat(self.tip[None], 21, axis=0)
+
+        def advance(self, action):
+            self.tip = self.tip + 1.0
+
+        def check(self, points):
+            raise Diverged("the simulation diverged")
+
+    monkeypatch.setattr(closed_loop, "EVALUATION_GOALS", [np.array([0.0, 0.0, 0.12])])
+    assert closed_loop.final_distances(lambda observations: np.zeros((1, 8)), Wild()) == pytest.approx([0.12])

@@ -6,13 +6,14 @@ import numpy as np
 
 from soro_bench.envs.trunk import SUCCESS_DISTANCE
 from soro_bench.envs.trunk_reach import EVALUATION_GOALS
-from soro_bench.proof.robot import Robot
+from soro_bench.proof.robot import Diverged, Robot
 
 STEPS = 100  # of an episode, as registered
 
 
 def final_distances(act: Callable[[np.ndarray], np.ndarray], robot: Robot) -> np.ndarray:
-    """(27,) m, from the tip to each of the fixed goals when the episode ends: at 1 mm, or after 100 steps.
+    """(27,) m, from the tip to each of the fixed goals when the episode ends: at 1 mm, or after 100 steps. An episode
+    in which the simulation diverges counts as one without motion.
 
     Args:
         act: observations (1, 66) as TrunkReach gives them to actions (1, 8).
@@ -22,10 +23,18 @@ def final_distances(act: Callable[[np.ndarray], np.ndarray], robot: Robot) -> np
 
 def _final_distance(act, robot, goal) -> float:
     robot.begin(STEPS)
+    start = distance = _distance(robot, goal)
     for _ in range(STEPS):
-        points = robot.keypoints()
-        if np.linalg.norm(points[-1] - goal) <= SUCCESS_DISTANCE:
+        if distance <= SUCCESS_DISTANCE:
             break
-        robot.advance(act(np.append(points.ravel(), goal)[None])[0])
-    robot.check(points := robot.keypoints())
-    return float(np.linalg.norm(points[-1] - goal))
+        robot.advance(act(np.append(robot.keypoints().ravel(), goal)[None])[0])
+        distance = _distance(robot, goal)
+    try:
+        robot.check(robot.keypoints())
+    except Diverged:
+        return start
+    return distance
+
+
+def _distance(robot, goal) -> float:
+    return float(np.linalg.norm(robot.keypoints()[-1] - goal))
