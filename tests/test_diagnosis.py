@@ -356,6 +356,12 @@ def test_laws_of_the_class_and_place_of_the_best_lead_are_tried_whatever_they_pr
     assert [lead.chosen for lead in tried] == [(0,), (1,), (3,)]
 
 
+def test_of_fits_of_the_same_laws_the_best_one_stays_in_the_place_of_the_first(robot):
+    one, other = (suspect(robot, "coulomb_friction", Port("tendon", cable)) for cable in ("L0", "L1"))
+    given = [SimpleNamespace(suspects=s, cost=c) for s, c in (((one,), 5.0), ((other,), 4.0), ((one,), 3.0))]
+    assert explain._cheapest(given) == [given[2], given[1]]
+
+
 def test_the_best_hypothesis_and_its_rivals_are_searched_on_and_keep_their_places(monkeypatch):
     asked = []
     monkeypatch.setattr(explain, "searched", lambda problem, some, seed: asked.extend(some) or [h.name for h in some])

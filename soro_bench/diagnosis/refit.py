@@ -45,8 +45,13 @@ def unique(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     """The first of those that name the same laws at the same places, which began elsewhere."""
     first = {}
     for h in hypotheses:
-        first.setdefault(frozenset((s.name, s.where) for s in h.suspects), h)
+        first.setdefault(laws(h), h)
     return list(first.values())
+
+
+def laws(hypothesis: Hypothesis) -> frozenset:
+    """Its laws with their places."""
+    return frozenset((s.name, s.where) for s in hypothesis.suspects)
 
 
 def polished(problem: Problem, hypotheses: Sequence[Hypothesis], radii: Sequence[float], seed: int) -> list[Hypothesis]:
