@@ -64,6 +64,8 @@ def plain_errors(program: str) -> Iterator[None]:
     """One clear line for what a user can mend, no traceback."""
     try:
         yield
+    except ModuleNotFoundError as error:
+        sys.exit(f"{program}: {error}: pip install 'soro_bench[all]'")
     except (ValueError, OSError, ImportError) as error:
         sys.exit(f"{program}: {error}")
     except KeyboardInterrupt:

@@ -24,6 +24,12 @@ def replacing(path: str | Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def check_output(path: Path, suffix: str) -> None:
+    """ValueError if a file that is to be written has another suffix: it would take the place of something else."""
+    if path.suffix != suffix:
+        raise ValueError(f"{path}: expected a name that ends in {suffix}")
+
+
 def write_json(path: str | Path, data) -> None:
     """Write ``data`` as indented JSON; NaN and infinity are refused."""
     text = json.dumps(data, indent=2, allow_nan=False) + "\n"

@@ -1,5 +1,6 @@
 """Options that several commands take."""
 
+import re
 from typing import Annotated
 
 import tyro
@@ -8,3 +9,11 @@ from soro_bench.parallel import Workers
 
 EnvId = Annotated[str, tyro.conf.Positional]
 Parallel = Annotated[Workers, tyro.conf.arg(name="")]  # --jobs, --backend, --scheduler
+
+FOLDER = r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,59}$"  # what a leaderboard calls methods and entries, which are folders there
+
+
+def check_name(what: str, name: str) -> None:
+    """ValueError if a method or an entry could not be called so."""
+    if not re.fullmatch(FOLDER, name):
+        raise ValueError(f"{what} {name!r}: up to 60 letters, digits and ._+- are allowed, a letter or digit first")

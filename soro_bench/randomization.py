@@ -4,7 +4,6 @@ The three families of the published study: uniform boxes, independent normals tr
 a full Gaussian. Samples never leave the parameters' bounds.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from soro_bench.files import read_json
 from soro_bench.parameters import ALL_PARAMETERS, Parameter
 
 
@@ -30,11 +30,15 @@ def _bounds(names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     unknown = [name for name in names if name not in ALL_PARAMETERS]
     if unknown:
         raise ValueError(f"unknown parameter {unknown[0]!r}; there are {', '.join(ALL_PARAMETERS)}")
+    if twice := [name for i, name in enumerate(names) if name in names[:i]]:
+        raise ValueError(f"the parameter {twice[0]!r} comes twice")
     return tuple(np.array([ALL_PARAMETERS[name].bounds for name in names]).reshape(-1, 2).T)
 
 
-def _finite(label: str, names: Sequence[str], values: np.ndarray) -> np.ndarray:
-    values = np.asarray(values, float)
+def _finite(label: str, names: Sequence[str], values: np.ndarray, axes: int = 1) -> np.ndarray:
+    values, needed = np.asarray(values, float), (len(names),) * axes
+    if values.shape != needed:
+        raise ValueError(f"{label} of {', '.join(names)} has the shape {values.shape}; {needed} is needed")
     for name, value in zip(names, values.reshape(len(names), -1), strict=True):
         if not np.isfinite(value).all():
             raise ValueError(f"{label} of {name} is {value}; it has to be finite")
@@ -51,7 +55,8 @@ class Uniform:
 
     def __post_init__(self):
         lowest, highest = _bounds(self.names)
-        for name, low, high, least, most in zip(self.names, self.low, self.high, lowest, highest, strict=True):
+        ends = (_finite(label, self.names, getattr(self, label)) for label in ("low", "high"))
+        for name, low, high, least, most in zip(self.names, *ends, lowest, highest, strict=True):
             if not least <= low <= high <= most:
                 raise ValueError(f"{name}: [{low}, {high}] is no interval inside the bounds [{least}, {most}]")
 
@@ -113,10 +118,9 @@ class Gaussian:
 
     def __post_init__(self):
         _bounds(self.names)
-        if _finite("mean", self.names, self.mean).shape != (len(self.names),):
-            raise ValueError(f"the mean {np.asarray(self.mean).tolist()} has to be {len(self.names)} numbers")
-        cov = _finite("covariance", self.names, self.cov)
-        if cov.shape != (len(self.names),) * 2 or not np.allclose(cov, cov.T):
+        _finite("mean", self.names, self.mean)
+        cov = _finite("covariance", self.names, self.cov, axes=2)
+        if not np.allclose(cov, cov.T):
             raise ValueError(f"the covariance has to be a symmetric {len(self.names)} x {len(self.names)} matrix")
         # scaled by the variances, as the parameters' units differ by many orders of magnitude
         scale = np.sqrt(np.maximum(np.diag(cov), np.finfo(float).tiny))
@@ -175,6 +179,8 @@ def random_box(parameters: Sequence[Parameter], rng: np.random.Generator) -> Uni
 
 def from_dict(data: Mapping) -> Distribution:
     """The distribution that ``to_dict`` described; ValueError for anything else."""
+    if not isinstance(data, Mapping):
+        raise ValueError(f"{data!r} is no JSON object"[:200])
     kind = data.get("type")
     try:
         if kind == "gaussian":
@@ -193,6 +199,6 @@ def from_dict(data: Mapping) -> Distribution:
 def load(path: str | Path) -> Distribution:
     """Read a distribution from a JSON file."""
     try:
-        return from_dict(json.loads(Path(path).read_text()))
-    except (ValueError, AttributeError) as error:
+        return from_dict(read_json(path))
+    except ValueError as error:
         raise ValueError(f"{path} is no distribution: {error}") from error

@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+from soro_bench.envs.wrappers import DomainRandomization
 from soro_bench.randomization import Gaussian, TruncatedNormal, Uniform, from_dict, load
 from tests.recordings import says
 
@@ -32,11 +33,36 @@ def test_render_mode(env_id):
         gymnasium.make(env_id, render_mode="ascii")
 
 
-@pytest.mark.parametrize("num_envs", [0, -1])
-def test_number_of_environments(num_envs):
-    """A vector environment without simulations."""
-    with pytest.raises(ValueError, match=says(f"num_envs = {num_envs}", "at least 1")):
-        gymnasium.make_vec("TrunkReach-v0", num_envs=num_envs)
+@pytest.mark.parametrize(
+    ("argument", "parts"),
+    [
+        ({"num_envs": 0}, ("num_envs = 0", "1 or more")),
+        ({"num_envs": -1}, ("num_envs = -1", "1 or more")),
+        ({"num_envs": 1.5}, ("num_envs = 1.5", "an integer")),
+        ({"num_threads": -1}, ("num_threads = -1", "0 or more")),
+        ({"max_episode_steps": 0}, ("max_episode_steps 0", "1 or more, or -1")),
+        ({"max_episode_steps": "a"}, ("max_episode_steps 'a'", "an integer")),
+        ({"model": ["flex"]}, ("model ['flex']", "flex, cable")),
+        ({"effects": [5]}, ("effects [5]", "a list of Effect")),
+    ],
+)
+def test_arguments_of_a_vector_environment(argument, parts):
+    """Numbers that are none, or too small; things of another kind."""
+    with pytest.raises(ValueError, match=says(*parts)):
+        gymnasium.make_vec("TrunkReach-v0", **argument)
+
+
+def test_noise_that_is_neither_on_nor_off():
+    with pytest.raises(ValueError, match=says("observation_noise = 'no'", "True or False")):
+        gymnasium.make("MultiGait-v0", mesh="coarse", observation_noise="no")
+
+
+def test_a_distribution_that_is_none_and_an_environment_of_others():
+    env = gymnasium.make("TrunkReach-v0", model="cable")
+    with pytest.raises(ValueError, match=says("{'trunk_mass': (0, 1)} is no distribution", "Uniform")):
+        DomainRandomization(env, {"trunk_mass": (0, 1)})
+    with pytest.raises(ValueError, match=says("CartPole", "no environment of soro_bench")):
+        DomainRandomization(gymnasium.make("CartPole-v1"), Uniform(("trunk_mass",), [0.1], [0.2]))
 
 
 OPTIONS = [
@@ -54,6 +80,7 @@ OPTIONS = [
     ({"params": {"trunk_mass": "heavy"}}, ("trunk_mass = heavy", "[0.001, 2.0] kg")),
     ({"params": {"trunk_mass": None}}, ("trunk_mass = None", "[0.001, 2.0] kg")),
     ({"params": 0.42}, ("params 0.42", "dict", "trunk_mass")),
+    (5, ("reset options 5", "a dict")),
 ]
 
 
@@ -165,12 +192,14 @@ def test_number_of_seeds(seed):
         (lambda: Uniform(("mass",), [0.1], [0.2]), ("parameter 'mass'", "trunk_mass")),
         (lambda: Uniform(("trunk_mass",), [0.2], [0.1]), ("trunk_mass: [0.2, 0.1]", "[0.001, 2.0]")),
         (lambda: Uniform(("trunk_mass",), [0.1], [5.0]), ("trunk_mass: [0.1, 5.0]", "[0.001, 2.0]")),
-        (lambda: Uniform(("trunk_mass",), [np.nan], [1.0]), ("trunk_mass: [nan, 1.0]", "[0.001, 2.0]")),
+        (lambda: Uniform(("trunk_mass",), [np.nan], [1.0]), ("low of trunk_mass is [nan]", "finite")),
+        (lambda: Uniform(("trunk_mass", "friction"), [0.1], [0.2]), ("low of trunk_mass, friction", "(2,) is needed")),
+        (lambda: Uniform(("friction", "friction"), [0.1, 0.2], [0.2, 0.3]), ("parameter 'friction' comes twice",)),
         (lambda: TruncatedNormal(("trunk_mass",), [0.4], [-0.1]), ("trunk_mass", "-0.1", "negative")),
         (lambda: TruncatedNormal(("trunk_mass",), [np.inf], [0.1]), ("trunk_mass", "inf", "finite")),
         (lambda: TruncatedNormal(("trunk_mass",), [9.0], [0.1]), ("trunk_mass: 9.0 +- 2 * 0.1", "[0.001, 2.0]")),
-        (lambda: Gaussian(("trunk_mass",), [0.4], [[1, 0], [0, 1]]), ("covariance", "symmetric 1 x 1")),
-        (lambda: Gaussian(("trunk_mass",), [0.4, 0.3], [[1]]), ("mean [0.4, 0.3]", "1 numbers")),
+        (lambda: Gaussian(("trunk_mass",), [0.4], [[1, 0], [0, 1]]), ("covariance of trunk_mass", "(1, 1) is needed")),
+        (lambda: Gaussian(("trunk_mass",), [0.4, 0.3], [[1]]), ("mean of trunk_mass", "(1,) is needed")),
         (lambda: Gaussian(("trunk_mass", "friction"), [0.4, 0.3], [[1, 2], [0, 1]]), ("symmetric 2 x 2",)),
         (lambda: Gaussian(("trunk_mass", "friction"), [0.4, 0.3], [[1, 2], [2, 1]]), ("positive semi-definite", "-1")),
         (lambda: Gaussian(("trunk_mass",), [0.4], [[np.nan]]), ("covariance of trunk_mass", "finite")),

@@ -285,3 +285,33 @@ def test_sb3_adapter_needs_same_step():
 
     with pytest.raises(ValueError, match="SameStep"):
         SB3VecEnv(gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable"))
+
+
+def test_a_simulation_that_was_never_reset_is_not_stepped():
+    envs = gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable")
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"\[0, 1\]"):
+        envs.step([1, 2])
+    envs.reset(seed=0, options={"reset_mask": np.array([True, False])})
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"\[1\]"):
+        envs.step([1, 2])
+
+
+def test_generators_and_seeds_are_those_of_synchronous_environments():
+    ours = gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable")
+    theirs = gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable", vectorization_mode="sync")
+    for envs in (ours, theirs):
+        envs.reset(seed=5)
+    assert ours.np_random_seed == theirs.np_random_seed == (5, 6)
+    assert [rng.random() for rng in ours.np_random] == [rng.random() for rng in theirs.np_random]
+
+
+def test_minus_one_step_is_no_limit():
+    envs = gymnasium.make_vec("TrunkReach-v0", num_envs=1, model="cable", max_episode_steps=-1)
+    envs.reset(seed=0)
+    assert not any(envs.step([1])[3][0] for _ in range(3))
+
+
+def test_a_randomised_environment_is_made_again_from_its_spec():
+    env = make_randomized("TrunkReach-v0", model="cable")
+    again = gymnasium.make(env.spec)
+    assert env.reset(seed=0)[1] == again.reset(seed=0)[1]

@@ -76,10 +76,12 @@ class MultiGaitTask(Task):
             raise TypeError(
                 f"unknown argument {name}={value!r}; this environment takes mesh, action, observation_noise and effects"
             )
-        if mesh not in RESOLUTIONS:
+        if not isinstance(mesh, str) or mesh not in RESOLUTIONS:
             raise ValueError(f"unknown mesh {mesh!r}; there are {', '.join(RESOLUTIONS)}")
         if action not in ACTION_MODES:
             raise ValueError(f"unknown action mode {action!r}; there are {', '.join(ACTION_MODES)}")
+        if not isinstance(observation_noise, bool | np.bool_):
+            raise ValueError(f"observation_noise = {observation_noise!r}; True or False is needed")
         # its joints are sliders of mesh nodes, which have no springs: nothing to instrument
         model = _compiled(mesh)
         super().__init__(model, [_parameter_map(mesh)], num_envs, num_threads, effects_of(effects))

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 
-from soro_bench.envs.task import Task
+from soro_bench.envs.task import Task, checked_options
 
 _ONLY = np.arange(1)
 
@@ -32,7 +32,7 @@ class SoftRobotEnv(gymnasium.Env):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         super().reset(seed=seed)
-        observation, info = self.task.reset(_ONLY, [self.np_random], [options or {}])
+        observation, info = self.task.reset(_ONLY, [self.np_random], [checked_options(options)])
         if self.render_mode == "human":
             self.render()
         return observation[0], _row(info)

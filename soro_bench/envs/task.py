@@ -27,13 +27,28 @@ STATE = ("qpos", "qvel", "act", "qacc_warmstart")  # what a simulation goes on f
 def effects_of(effects: Sequence[Effect] | str | Path | None) -> tuple[Effect, ...] | None:
     """Effects as they are, or those of an effects file; with a warning, those that a diagnosis has found in the
     measurement are left out, as nothing is measured here."""
-    if effects is None or not isinstance(effects, str | Path):
-        return effects if effects is None else tuple(effects)
+    if effects is None:
+        return None
+    if not isinstance(effects, str | Path):
+        return _checked_effects(effects)
     found = load_effects(effects, QUANTITIES)
     physics = tuple(effect for effect in found if effect.where.kind != "sensor")
     if faults := ", ".join(effect.name for effect in found if effect not in physics):
         logger.warn(f"{effects} has faults of measurement, which do nothing here: {faults}")
     return physics
+
+
+def _checked_effects(effects) -> tuple[Effect, ...]:
+    if not isinstance(effects, Sequence) or not all(isinstance(effect, Effect) for effect in effects):
+        raise ValueError(f"effects {effects!r}: a list of Effect, or an effects file, is needed")
+    return tuple(effects)
+
+
+def checked_options(options: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """Reset options, none of them for None; ValueError for anything but a dict."""
+    if options is not None and not isinstance(options, Mapping):
+        raise ValueError(f"reset options {options!r}: a dict is needed")
+    return options or {}
 
 
 @dataclass
@@ -77,8 +92,9 @@ class Task(ABC):
         num_threads: int,
         effects: Sequence[Effect] | None = None,
     ):
-        if num_envs < 1:
-            raise ValueError(f"num_envs = {num_envs}; at least 1 is needed")
+        for name, value, least in (("num_envs", num_envs, 1), ("num_threads", num_threads, 0)):
+            if not isinstance(value, int | np.integer) or value < least:
+                raise ValueError(f"{name} = {value!r}; an integer of {least} or more is needed")
         self.num_envs = num_envs
         self.model = model
         self.sim = Simulation(model, self.parameters, maps, num_envs, num_threads, effects)
@@ -129,6 +145,8 @@ class Task(ABC):
 
     def randomize(self, distribution: Distribution) -> None:
         """Draw the parameters of every episode from ``distribution`` from the next reset on."""
+        if not hasattr(distribution, "names") or not hasattr(distribution, "sample"):
+            raise ValueError(f"{distribution!r} is no distribution of parameters, such as soro_bench's Uniform")
         self.parameters.check_names(distribution.names)
         self._distribution = distribution
 

@@ -71,7 +71,7 @@ class TrunkTask(Task):
     ):
         for name, value in unknown.items():
             raise TypeError(f"unknown argument {name}={value!r}; this environment takes model, action and effects")
-        if model not in trunk.VARIANTS:
+        if not isinstance(model, str) or model not in trunk.VARIANTS:
             raise ValueError(f"unknown model {model!r}; there are {', '.join(trunk.VARIANTS)}")
         if action not in ACTION_MODES:
             raise ValueError(f"unknown action mode {action!r}; there are {', '.join(ACTION_MODES)}")

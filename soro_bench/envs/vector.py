@@ -4,12 +4,13 @@ import operator
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
+import gymnasium
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from soro_bench.envs.task import Task
+from soro_bench.envs.task import Task, checked_options
 
 
 class SoftRobotVectorEnv(VectorEnv):
@@ -20,7 +21,7 @@ class SoftRobotVectorEnv(VectorEnv):
 
     Args:
         num_envs: number of simulations.
-        max_episode_steps: steps after which an episode is truncated.
+        max_episode_steps: steps after which an episode is truncated; None or -1: never.
         num_threads: threads, 0 for all processors; results do not depend on it.
         autoreset_mode: Gymnasium's "NextStep" (default), "SameStep" or "Disabled".
         task_options: what the task takes: model, action.
@@ -38,17 +39,29 @@ class SoftRobotVectorEnv(VectorEnv):
     ):
         self.task = self.task_type(num_envs=num_envs, num_threads=num_threads, **task_options)
         self.num_envs = num_envs
-        self._max_steps = np.inf if max_episode_steps is None else max_episode_steps
+        self._max_steps = _limit(max_episode_steps)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.single_observation_space = self.task.single_observation_space
         self.single_action_space = self.task.single_action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._rngs = [seeding.np_random()[0] for _ in range(num_envs)]  # until reset(seed=...)
+        pairs = [seeding.np_random() for _ in range(num_envs)]  # until reset(seed=...)
+        self._rngs, self._seeds = [rng for rng, _ in pairs], [seed for _, seed in pairs]
         self._observation = np.zeros(self.observation_space.shape, self.observation_space.dtype)
         self._elapsed = np.zeros(num_envs, int)
         self._done = np.zeros(num_envs, bool)
+        self._begun = np.zeros(num_envs, bool)
+
+    @property
+    def np_random(self) -> tuple[np.random.Generator, ...]:
+        """The generators of all environments."""
+        return tuple(self._rngs)
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:
+        """What they were seeded with."""
+        return tuple(self._seeds)
 
     def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None):
         """As Gymnasium's; ``options["reset_mask"]`` (num_envs,) picks the simulations to reset."""
@@ -60,19 +73,22 @@ class SoftRobotVectorEnv(VectorEnv):
             seeds = list(seed)
         if len(seeds) != self.num_envs:
             raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments")
-        options = dict(options or {})
+        options = dict(checked_options(options))
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
             raise ValueError(f"reset_mask {mask.tolist()} has to be {self.num_envs} booleans")
         ids = np.flatnonzero(mask)
         for i in ids:
             if seeds[i] is not None:
-                self._rngs[i], _ = seeding.np_random(operator.index(seeds[i]))
+                self._rngs[i], self._seeds[i] = seeding.np_random(operator.index(seeds[i]))
         info: dict[str, Any] = {}
         self._restart(ids, [_options_of(options, i, self.num_envs) for i in ids], info)
         return self._observation.copy(), info
 
     def step(self, actions):
+        if not self._begun.all():
+            waiting = np.flatnonzero(~self._begun).tolist()
+            raise gymnasium.error.ResetNeeded(f"environments {waiting} were never reset; reset them first")
         actions = self.task.check_actions(actions, self.num_envs)
         if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
             raise ValueError(f"environments {np.flatnonzero(self._done).tolist()} are done; reset them first")
@@ -103,7 +119,17 @@ class SoftRobotVectorEnv(VectorEnv):
         self._observation[ids], rows = self.task.reset(ids, [self._rngs[i] for i in ids], options)
         self._elapsed[ids] = 0
         self._done[ids] = False
+        self._begun[ids] = True
         _scatter(info, rows, ids, self.num_envs)
+
+
+def _limit(max_episode_steps: int | None) -> float:
+    """Steps after which an episode is truncated, as Gymnasium understands them."""
+    if max_episode_steps in (None, -1):
+        return np.inf
+    if not isinstance(max_episode_steps, int | np.integer) or max_episode_steps < 1:
+        raise ValueError(f"max_episode_steps {max_episode_steps!r}: an integer of 1 or more, or -1 for none, is needed")
+    return int(max_episode_steps)
 
 
 def _options_of(options: Mapping[str, Any], i: int, num_envs: int) -> dict[str, Any]:

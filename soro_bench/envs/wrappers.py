@@ -1,12 +1,13 @@
 """Domain randomisation as Gymnasium wrappers."""
 
 import gymnasium
+from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv, VectorWrapper
 
 from soro_bench.randomization import Distribution
 
 
-class DomainRandomization(gymnasium.Wrapper):
+class DomainRandomization(gymnasium.Wrapper, RecordConstructorArgs):
     """Draw the physical parameters of every episode from a distribution.
 
     ``reset(options={"params": {...}})`` still fixes the parameters it names. The draws come from the environment's own
@@ -14,8 +15,9 @@ class DomainRandomization(gymnasium.Wrapper):
     """
 
     def __init__(self, env: gymnasium.Env, distribution: Distribution):
+        RecordConstructorArgs.__init__(self, distribution=distribution)
         super().__init__(env)
-        env.unwrapped.task.randomize(distribution)
+        _task(env).randomize(distribution)
 
 
 class VectorDomainRandomization(VectorWrapper):
@@ -23,4 +25,10 @@ class VectorDomainRandomization(VectorWrapper):
 
     def __init__(self, env: VectorEnv, distribution: Distribution):
         super().__init__(env)
-        env.unwrapped.task.randomize(distribution)
+        _task(env).randomize(distribution)
+
+
+def _task(env):
+    if not hasattr(env.unwrapped, "task"):
+        raise ValueError(f"{env.unwrapped} is no environment of soro_bench, made with the default vectorization_mode")
+    return env.unwrapped.task

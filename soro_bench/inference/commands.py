@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from soro_bench.files import check_output
 from soro_bench.options import Parallel
 from soro_bench.parallel import HERE
 from soro_bench.progress import InferenceBar, console
@@ -42,12 +43,15 @@ class Infer:
     workers: Parallel = HERE
 
     def run(self) -> None:
+        import matplotlib  # noqa: F401  before the work, not after it
+
         from soro_bench.inference.methods import infer
         from soro_bench.inference.replay import Replay
         from soro_bench.inference.report import write_report
         from soro_bench.recording.parquet import load
         from soro_bench.recording.simulated import parse_params
 
+        check_output(self.out, ".json")
         if self.published and self.method != "rf-dropo":
             raise ValueError(f"--published is a search of rf-dropo; {self.method} has none")
         known, restart = parse_params(self.known), self.method == "dropo"

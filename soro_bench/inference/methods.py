@@ -17,6 +17,7 @@ from soro_bench.inference.search import EvaluationLog, cma_search
 from soro_bench.parallel import HERE, Workers, each
 from soro_bench.randomization import Distribution, Gaussian, TruncatedNormal
 
+LEAST_SIMULATIONS = 50  # of BayesSim, whose network would learn nothing from fewer
 METHODS = ("rf-dropo", "bayes-sim", "dropo", "droid", "sysid")
 Progress = Callable[[int, int, float], None]
 
@@ -80,6 +81,10 @@ def infer(
     """
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; there are {', '.join(METHODS)}")
+    if seed < 0:
+        raise ValueError(f"seed {seed}: 0 or more is needed")
+    if (simulations := settings.get("simulations", LEAST_SIMULATIONS)) < LEAST_SIMULATIONS:
+        raise ValueError(f"{simulations} simulations; at least {LEAST_SIMULATIONS} are needed")
     title = json.dumps([method, seed, settings, replay.fingerprint()])
     search = Search(replay, EvaluationLog(work, hashlib.sha256(title.encode()).hexdigest()), seed, progress, workers)
     distribution, estimate, jacobian = _FUNCTIONS[method](search, **settings)

@@ -1,6 +1,7 @@
 """A recording replayed in simulation under other parameters: the one call that every inference method makes."""
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 
@@ -47,6 +48,8 @@ class Replay:
         threads: int = 0,
         also: Sequence[str] = (),
     ):
+        if not 0.0 <= noise < math.inf:
+            raise ValueError(f"noise {noise}: a standard deviation [m] of 0 or more is needed")
         env_id, self.actions = recorded_actions(recording)
         kind, metadata = task_type(env_id), recording.metadata
         self.model = model or metadata.get("model") or kind.accurate

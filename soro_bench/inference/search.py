@@ -37,8 +37,11 @@ class EvaluationLog:
         except (ValueError, TypeError) as error:
             raise ValueError(f"{path} is no log of evaluations ({error}); remove it, or choose another file") from error
         if header != {"title": title}:
-            raise ValueError(f"{path} is the log of another inference; remove it, or choose another file")
-        os.truncate(self._path, self._path.stat().st_size - len(cut_off))
+            if self._entries:
+                raise ValueError(f"{path} is the log of another inference; remove it, or choose another file")
+            self._path.write_text(json.dumps({"title": title}) + "\n")  # one that failed before it began
+        else:
+            os.truncate(self._path, self._path.stat().st_size - len(cut_off))
 
     @property
     def known(self) -> int:

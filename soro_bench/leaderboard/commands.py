@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from soro_bench.options import check_name
 from soro_bench.progress import console
 
 
@@ -49,7 +50,10 @@ class Enter:
         from soro_bench.leaderboard.boards import board_of
         from soro_bench.training.policy import Policy
 
-        board, _ = board_of(Policy.load(self.policy).card.env_id, self.board)
+        card = Policy.load(self.policy).card
+        for what, name in {"entry": self.entry, "method": card.method}.items():  # before the work, not after it
+            check_name(what, name)
+        board, _ = board_of(card.env_id, self.board)
         with console.status(f"evaluation on {board} ..."):
             path = enter(self.policy, board, self.entry, self.results)
         console.print(f"{path}", soft_wrap=True, markup=False, highlight=False)

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import tyro
 from rich.table import Table
 
+from soro_bench.files import check_output
 from soro_bench.options import EnvId
 from soro_bench.progress import console
 
@@ -39,6 +40,7 @@ class Record:
         from soro_bench.recording.parquet import save
         from soro_bench.recording.simulated import parse_params, record
 
+        check_output(self.out, ".parquet")
         recording = record(
             self.env, self.policy, self.model, self.action, parse_params(self.params), self.steps, self.seed,
             self.noise, self.full_state,
@@ -64,6 +66,7 @@ class Import:
         from soro_bench.recording.importers import import_recording
         from soro_bench.recording.parquet import save
 
+        check_output(self.out, ".parquet")
         selection = {} if self.episode is None else {"episode": self.episode}
         recording = import_recording(self.file, self.mapping, **selection)
         save(recording, self.out)
@@ -107,11 +110,14 @@ class View:
         from soro_bench.recording.rerun_log import open_viewer
 
         path = self.recording
+        if path.suffix not in (".rrd", ".parquet") or not path.is_file():
+            raise ValueError(f"{path} is no recording; expected is a file .rrd or .parquet")
         if path.suffix == ".parquet":
             from soro_bench.recording.comparison import write_comparison
             from soro_bench.recording.parquet import load
 
             path = self.out or path.with_suffix(".rrd")
+            check_output(path, ".rrd")
             write_comparison(load(self.recording), path, self.recording.stem)
             console.print(f"{path}", soft_wrap=True, markup=False, highlight=False)
         if self.open:

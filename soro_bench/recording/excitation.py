@@ -7,6 +7,7 @@ where it began.
 """
 
 import csv
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -45,6 +46,8 @@ def excitation(space: spaces.Box, timestep: float, duration: float | None = None
     """
     if not isinstance(space, spaces.Box):
         raise ValueError("an excitation needs continuous actions")
+    if duration is not None and not 0.0 < duration < math.inf:
+        raise ValueError(f"a duration of {duration} s; a positive number is needed")
     channels, least = space.shape[0], shortest(space.shape[0])
     steps = max(round(_DURATION / timestep), least) if duration is None else int(duration / timestep + 1e-9)
     if steps < least:

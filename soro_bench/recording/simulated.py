@@ -120,6 +120,8 @@ def parse_params(pairs: Sequence[str]) -> dict[str, float]:
     params = {}
     for pair in pairs:
         name, _, value = pair.partition("=")
+        if name in params:
+            raise ValueError(f"{name} is given twice, {params[name]:g} and {value}")
         try:
             params[name] = float(value)
         except ValueError:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from soro_bench.options import EnvId
+from soro_bench.options import EnvId, check_name
 from soro_bench.progress import TrainingBars, console
 from soro_bench.registration import task_type
 
@@ -43,6 +43,7 @@ class Train:
         given = {"model": self.model, "action": self.action, "effects": self.effects and str(self.effects)}
         changes = {name: value for name, value in given.items() if value is not None}
         name = self.name or ("own" if self.randomization or self.effects else self.method)
+        check_name("name", name)
         config = default_config(self.env, self.steps, method=name, seed=self.seed, **changes)
         box = METHODS[self.method].distribution(self.env, self.seed, self.out)
         distribution = load(self.randomization) if self.randomization else box

@@ -117,10 +117,11 @@ def train(
         progress: called after every rollout with steps done, steps in total and the newest row of the curve.
     """
     folder = Path(folder)
-    _claim(folder, config, distribution)
+    described = _claim(folder, config, distribution)
     torch.set_num_threads(1)  # sums would depend on the number; networks this small gain nothing from more
     env = _make_env(config, distribution)
     agent = _make_agent(config, env)
+    write_json(folder / "config.json", described)  # only now: what cannot be trained claims no folder
     curve = _Curve()
     first = _load_checkpoint(folder, agent, env, curve) if (folder / "checkpoint.pt").exists() else 0
     for segment in range(first, config.num_segments):
@@ -132,7 +133,8 @@ def train(
     return policy
 
 
-def _claim(folder: Path, config: PPOConfig, distribution) -> None:
+def _claim(folder: Path, config: PPOConfig, distribution) -> dict:
+    """What is trained into a folder; ValueError if that is not what has been."""
     described = asdict(config) | {"distribution": distribution.to_dict() if distribution else None}
     described["hidden"] = list(config.hidden)
     if described.pop("effects"):
@@ -146,7 +148,7 @@ def _claim(folder: Path, config: PPOConfig, distribution) -> None:
             raise ValueError(f"{folder} holds a run with another {', '.join(different)}; choose another folder")
         for old in ("checkpoint.pt", "curve.csv", "policy.json", "policy.safetensors"):  # it is trained anew
             (folder / old).unlink(missing_ok=True)
-    write_json(path, described)
+    return described
 
 
 def _make_env(config: PPOConfig, distribution) -> VecNormalize:
