@@ -54,6 +54,21 @@ def test_a_recording_is_made_viewed_and_inferred_from(call, tmp_path):
     assert json.loads(posterior.read_text())["estimate"]["trunk_mass"] == pytest.approx(0.3, rel=0.01)
 
 
+@pytest.mark.parametrize("arguments", [
+    ("record", "TrunkReach-v0", "--out", "log.csv"),
+    ("import", "log.csv", "--out", "log.csv"),
+    ("infer", "rf-dropo", "log.parquet", "--out", "log.parquet"),
+    ("view", "log.parquet", "--out", "log.parquet", "--no-open"),
+])  # fmt: skip
+def test_what_is_written_takes_the_place_of_nothing_else(call, tmp_path, monkeypatch, arguments):
+    monkeypatch.chdir(tmp_path)
+    for name in ("log.csv", "log.parquet"):
+        (tmp_path / name).write_text("measured")
+    with pytest.raises(SystemExit, match=r"log\..*: expected a name that ends in "):
+        call(*arguments)
+    assert [(tmp_path / name).read_text() for name in ("log.csv", "log.parquet")] == ["measured"] * 2
+
+
 def test_a_campaign_is_planned_without_being_run(call, tmp_path):
     text = call("run", "--preset", "quick", "--plan", "--out", tmp_path)
     assert "TrunkReach-v0" in text

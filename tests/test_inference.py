@@ -209,6 +209,30 @@ def test_a_log_whose_writer_was_killed_at_once_begins_anew(tmp_path):
     assert path.read_bytes().endswith(b"}\n")
 
 
+def test_a_log_of_another_inference_that_never_began_is_replaced(tmp_path):
+    path = tmp_path / "log.jsonl"
+    EvaluationLog(path, "seed -1")
+    assert EvaluationLog(path, "seed 0").known == 0
+    assert json.loads(path.read_text()) == {"title": "seed 0"}
+    path.write_text('{"mine": 1}\n')
+    with pytest.raises(ValueError, match="log of another inference"):
+        EvaluationLog(path, "seed 0")
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"noise": -1.0}, "noise -1.0: a standard"),
+        ({"noise": np.nan}, "noise nan"),
+        ({"seed": -1}, "seed -1: 0 or more"),
+        ({"simulations": 3}, "3 simulations; at least 50"),
+    ],
+)
+def test_settings_without_sense_are_named(reach, settings, message):
+    with pytest.raises(ValueError, match=message):
+        infer("bayes-sim", Replay(reach[0], noise=settings.pop("noise", 0.0)), **settings)
+
+
 def test_the_posterior_of_bayes_sim_narrows_around_the_truth():
     from soro_bench.inference import bayes_sim
 

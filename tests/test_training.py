@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -115,6 +116,21 @@ def test_a_folder_with_another_run_is_refused(trained):
     with pytest.raises(ValueError, match="another distribution"):
         train(CONFIG, trained, Uniform(("trunk_mass",), np.array([0.1]), np.array([0.2])))
     assert (trained / "config.json").read_bytes() == before
+
+
+def test_what_cannot_be_trained_claims_no_folder(tmp_path):
+    with pytest.raises(ValueError, match="unknown model 'cabel'"):
+        train(replace(CONFIG, model="cabel"), tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_of_an_older_trainer_begins_anew(trained, tmp_path):
+    shutil.copytree(trained, tmp_path, dirs_exist_ok=True)
+    path = tmp_path / "config.json"
+    path.write_text(path.read_text().replace(f'"trainer": {ppo.TRAINER}', '"trainer": 1'))
+    (tmp_path / "checkpoint.pt").write_bytes(b"of the older trainer")
+    train(CONFIG, tmp_path)
+    assert _bytes(tmp_path) == _bytes(trained)
 
 
 def test_exported_policy_acts_as_the_trained_network(trained):

@@ -37,7 +37,7 @@ class EvaluationLog:
         except (ValueError, TypeError) as error:
             raise ValueError(f"{path} is no log of evaluations ({error}); remove it, or choose another file") from error
         if header != {"title": title}:
-            if self._entries:
+            if self._entries or not isinstance(header, dict) or set(header) != {"title"}:
                 raise ValueError(f"{path} is the log of another inference; remove it, or choose another file")
             self._path.write_text(json.dumps({"title": title}) + "\n")  # one that failed before it began
         else:
