@@ -3,7 +3,8 @@ and how fits converge.
 
     python benchmarks/diagnosis_floor.py
 
-Prints the first tables of docs/diagnosis_measured.md. The recorded robots are those of soro_bench.proof, 30 s of excitation.
+Prints the first tables of docs/diagnosis_measured.md. The recorded robots are those of soro_bench.proof, 30 s of
+excitation.
 """
 
 import numpy as np

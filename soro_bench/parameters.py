@@ -22,16 +22,20 @@ class Parameter:
 
 
 # Nominal values and search boxes: Tiboni et al., IROS 2023, Tables I and II, and their configuration files
-# (docs/reference_tasks.md). The published upper end of Poisson's ratio, 0.5, is singular in linear elasticity.
+# (docs/reference_tasks.md). The published upper end of Poisson's ratio, 0.5, is singular in linear elasticity. Bounds
+# without a reason of their own are chosen somewhat beyond the boxes, over which random actions are tried
+# (docs/performance.md).
 TRUNK_MASS = Parameter(
     "trunk_mass", "kg", 0.42, (0.005, 1.0), (0.001, 2.0),
     "mass of the whole trunk; 83 % of it moves, the rest sits in the clamp",
 )  # fmt: skip
 YOUNG_MODULUS = Parameter("young_modulus", "Pa", 4.5e6, (2e6, 7e6), (1e6, 1e7), "Young's modulus of the trunk")
 POISSON_RATIO = Parameter("poisson_ratio", "1", 0.45, (0.40, 0.495), (0.40, 0.495), "Poisson's ratio of the trunk")
-# The reference simulator's Rayleigh stiffness coefficient is 0.1 s; not randomised in the published studies.
+# The reference simulator's Rayleigh stiffness coefficient is 0.1 s; not randomised in the published studies; the box
+# is half to twice that.
 DAMPING = Parameter("damping", "s", 0.1, (0.05, 0.2), (0.02, 0.5), "damping of the trunk per stiffness (Rayleigh)")
-# Not in the reference, whose cables are rigid but pull on soft mesh nodes: 1 N stretches a long cable by 0.1 mm.
+# Not in the reference, whose cables are rigid but pull on soft mesh nodes: chosen, not measured; 1 N stretches a long
+# cable by 0.1 mm. The box is half to twice that.
 CABLE_STIFFNESS = Parameter(
     "cable_stiffness", "N/m", 1e4, (5e3, 2e4), (1e3, 2e4), "stiffness of a long cable and what it pulls on"
 )

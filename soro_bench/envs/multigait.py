@@ -189,11 +189,12 @@ class MultiGaitEnv(SoftRobotEnv):
     * `mesh`: "coarse" (110 nodes, to train on), "fine" (340, the default, to evaluate on), "finest" (708).
     * `action`: "discrete" or "continuous".
     * `observation_noise`: False or True.
+    * `effects`: physics that the model leaves out, a list of `Effect` or an effects file (docs/effects.md).
     * `reset(options={"params": {...}})` takes robot_mass, pdms_poisson_ratio, pdms_young_modulus,
       ecoflex_poisson_ratio, ecoflex_young_modulus.
 
     ## Version history
-    * v0: after the paper. Steps of 0.6 s, as in the older published code; the paper's take 3 s (docs/multigait.md
+    * v0: after the paper. Steps of 0.6 s, as in SofaGym's multigaitrobot-v0; the paper's take 3 s (docs/multigait.md
       compares). The published reward is clipped at zero, which also pays for rocking to and fro; this one is not. The
       published observation averages points of the chambers; this is the centre of mass.
     """

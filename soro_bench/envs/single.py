@@ -15,7 +15,7 @@ class SoftRobotEnv(gymnasium.Env):
 
     Args:
         render_mode: None, "human" (MuJoCo's viewer) or "rgb_array" (480 x 640 pixels).
-        task_options: what the task takes: model, action.
+        task_options: what the task takes: model (or mesh), action, effects.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 20}

@@ -24,7 +24,7 @@ class SoftRobotVectorEnv(VectorEnv):
         max_episode_steps: steps after which an episode is truncated; None or -1: never.
         num_threads: threads, 0 for all processors; results do not depend on it.
         autoreset_mode: Gymnasium's "NextStep" (default), "SameStep" or "Disabled".
-        task_options: what the task takes: model, action.
+        task_options: what the task takes: model (or mesh), action, effects.
     """
 
     task_type: ClassVar[type[Task]]
