@@ -1,7 +1,8 @@
-"""Writing files so that nobody ever sees half of one."""
+"""Writing files so that nobody ever sees half of one, and reading them whatever they hold."""
 
 import json
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -37,12 +38,25 @@ def write_json(path: str | Path, data) -> None:
         temporary.write_text(text)
 
 
+def read_bytes(path: str | Path, max_bytes: int, links: bool = True) -> bytes:
+    """The content of a regular file of at most ``max_bytes``, which may be a link; ValueError for anything else."""
+    if not links and Path(path).is_symlink():
+        raise ValueError(f"{path} is a link; a regular file is needed")
+    # without waiting for a writer, if it is a pipe, and without following a link that has just come
+    names = ("O_NONBLOCK", "O_BINARY", *([] if links else ["O_NOFOLLOW"]))
+    handle = os.open(path, os.O_RDONLY | sum(getattr(os, name, 0) for name in names))
+    with open(handle, "rb") as file:
+        if not stat.S_ISREG((found := os.fstat(handle)).st_mode):
+            raise ValueError(f"{path} is no regular file")
+        if found.st_size > max_bytes:
+            raise ValueError(f"{path} has {found.st_size} bytes; at most {max_bytes} are read")
+        return file.read(max_bytes)
+
+
 def read_json(path: str | Path, max_bytes: int = 10_000_000):
     """Read a JSON file of at most ``max_bytes``; ValueError says what is wrong with it."""
-    path = Path(path)
-    if (size := path.stat().st_size) > max_bytes:
-        raise ValueError(f"{path} has {size} bytes; at most {max_bytes} are read")
+    data = read_bytes(path, max_bytes)
     try:
-        return json.loads(path.read_text())
+        return json.loads(data)
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         raise ValueError(f"{path} is no JSON file: {error}") from error

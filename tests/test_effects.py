@@ -67,12 +67,13 @@ def motion(task, steps=30, seed=0):
     """(N, steps, 21, 3) keypoints of N trunks that get the same random actions, each held for five steps."""
     ids, rng = np.arange(task.num_envs), np.random.default_rng(seed)
     task.reset(ids, [np.random.default_rng(0)] * task.num_envs, [{"goal": [0.05, 0.05, 0.15]}] * task.num_envs)
-    rows = []
+    rows, bad = [], task.sim.bad_states(ids)
     for step in range(steps):
         if step % 5 == 0:
             action = rng.uniform(-1, 1, (1, 8)).astype(np.float32)
         task.step(ids, np.repeat(action, task.num_envs, axis=0))
         rows.append(task.keypoints(ids).copy())
+    assert (task.sim.bad_states(ids) == bad).all()  # MuJoCo begins anew from a state that is not finite
     return np.stack(rows, axis=1)
 
 
@@ -218,6 +219,31 @@ def test_hysteresis_needs_a_spring_and_creep_relaxes_with_its_time_constant():
     times = 0.002 * np.arange(1, 4001)
     expected = 1.0 - 0.5 * np.exp(-times / (2 * 0.5))
     assert np.abs(way - expected)[1000:].max() < 0.01
+
+
+def test_hysteresis_is_a_spring_beside_that_slips():
+    """A torque of 0.6 on springs of 1 and 0.5, of which the latter slips at 0.1 rad: (0.6 - 0.05) / 1."""
+    spec = mujoco.MjSpec.from_string(SERVO)
+    spec.joint("hinge").stiffness[0] = 1.0
+    law = on_hinge("hysteresis", ratio=0.5, yield_strain=0.1)
+    sim = flat(Simulation(instrument(spec).compile(), ParameterSet(), (), 1, 1, [law]))
+    way = turn(sim, torque=lambda step: 0.6 * min(1.0, step / 4000), steps=6000)
+    assert way[-1] == pytest.approx(0.55, rel=0.02)
+
+
+@pytest.mark.parametrize(("torque", "slips"), [(0.45, False), (0.55, True)])
+def test_stribeck_friction_breaks_away_at_its_static_level(torque, slips):
+    law = on_hinge("stribeck_friction", friction=0.25, static_ratio=2.0, stribeck_velocity=0.02, presliding=2e-3)
+    sim = flat(servo([law]))
+    assert (turn(sim, torque=lambda step: torque * min(1.0, step / 3000), steps=6000)[-1] > 0.1) == slips
+
+
+def test_a_lag_is_behind_a_ramp_by_its_time_constant():
+    ramp = 0.001 * np.arange(1500)  # 0.5 rad/s
+    late = flat(servo([Effect("actuator_lag", Port("actuator", "servo"), {"time_constant": 0.05})]))
+    way = turn(late, angle=lambda step: ramp[step], steps=1500)
+    expected = turn(flat(servo(())), angle=lambda step: ramp[step] - 0.025, steps=1500)
+    assert way[-500:] == pytest.approx(expected[-500:], abs=1e-3)
 
 
 def test_laws_that_scale_one_spring_all_act():

@@ -50,6 +50,8 @@ def test_what_is_right_is_counted_and_what_is_wrong_is_listed():
     assert found["false alarms"] == 0.5
     assert found["class right"] == pytest.approx(2 / 3)
     assert {"truth": "payload", "said": "base_tilt", "cases": 1} in card["confusion"]
+    met = {gate["gate"]: gate["met"] for gate in card["gates"]}
+    assert (met["detected"], met["false alarms"], met["first answer right"]) == (True, False, False)
     assert "MISSED" in markdown(card)
 
 
@@ -78,6 +80,36 @@ def test_places_of_cables_and_segments_are_counted_apart_from_those_that_cannot_
     assert found["of right names: segment or keypoint within one"] == 1.0
     assert found["of right names: cable right"] == 0.0
     assert [gate["cases"] for gate in card["gates"] if gate["gate"].startswith("of right names: ")] == [3, 1, 1]
+
+
+def test_a_fault_of_measurement_that_is_taken_for_physics_is_confused_and_not_covered():
+    labels = [label(0), label(1, "measurement", "sensor_delay", "measurement", "sensor", "keypoints")]
+    found, _ = values(labels, [report(), report()])
+    assert found["physics and measurement confused"] == 0.5
+    assert found["of those with a name for it: physics and measurement confused"] == 0.5
+    assert found["truth in the 90 % set, at least"] == 0.5
+    missed = values(labels, [report(), report("none", "none", verdict="none_detected")])[0]
+    assert missed["physics and measurement confused"] == 0.5
+    assert missed["of those with a name for it: physics and measurement confused"] == 0.0
+
+
+def test_a_name_for_what_has_none_is_no_abstention():
+    hidden = label(0, "unknown", "unknown", "unknown")
+    assert values([hidden], [report()])[0]["unknown called unknown"] == 0.0
+    assert (
+        values([hidden], [report("unknown", "unknown", verdict="unknown_physics")])[0]["unknown called unknown"] == 1.0
+    )
+
+
+@pytest.mark.parametrize(("name", "own", "exact", "other", "found"), [
+    ("stiffness_drift", "rate", 0.01, "rate", 0.6),  # 1/s and 1/min
+    ("clock_skew", "skew", 0.002, "rate", -0.002),
+    ("viscous_friction", "drag", 12.0, "damping", 12.0),
+])  # fmt: skip
+def test_magnitudes_are_compared_in_one_unit(name, own, exact, other, found):
+    truth = {"name": name, "parameters": {own: {"value": exact}}}
+    said = {"name": name, "parameters": {other: {"value": found, "ci90": sorted([0.9 * found, 1.1 * found])}}}
+    assert magnitude_errors(truth, said) == (pytest.approx(0.0, abs=1e-12), True)
 
 
 def test_no_alarm_of_forty_is_not_certain():

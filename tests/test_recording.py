@@ -229,7 +229,7 @@ def test_a_list_of_millions_in_a_few_bytes_is_refused(tmp_path):
 
 def test_file_size_is_bounded(tmp_path):
     save(example(), tmp_path / "a.parquet")
-    with pytest.raises(RecordingError, match="more than 100 bytes"):
+    with pytest.raises(RecordingError, match="bytes; at most 100 are read"):
         load(tmp_path / "a.parquet", max_bytes=100)
 
 

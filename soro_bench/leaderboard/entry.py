@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from soro_bench.files import replacing, write_json
+from soro_bench.files import read_bytes, replacing, write_json
 from soro_bench.leaderboard.boards import BOARDS, Board
 from soro_bench.leaderboard.onnx_policy import OnnxPolicy
-from soro_bench.leaderboard.strict import check, read_bytes, read_strict
+from soro_bench.leaderboard.strict import check, read_strict
 from soro_bench.report import read_curve
 from soro_bench.results import versions
 from soro_bench.training.policy import MAX_BYTES, Policy, PolicyCard
@@ -66,7 +66,7 @@ def card_of(entry: dict) -> PolicyCard:
 def policy_bytes(path: str | Path, entry: dict) -> bytes:
     """The content of the policy file beside the entry ``path``; ValueError if it is not what was entered."""
     file = Path(path).parent / entry["policy"]["file"]
-    data = read_bytes(file, MAX_BYTES)
+    data = read_bytes(file, MAX_BYTES, links=False)
     if (found := hashlib.sha256(data).hexdigest()) != (entered := entry["policy"]["sha256"]):
         raise ValueError(f"{file} has the SHA-256 {found}; {path} says {entered}")
     return data

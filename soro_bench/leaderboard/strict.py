@@ -1,35 +1,21 @@
-"""Files from strangers: regular, of bounded size, and JSON that says one thing only; ValueError names what is wrong."""
+"""JSON from strangers, which says one thing only; ValueError names what is wrong."""
 
 import json
 import math
-import os
 import reprlib
-import stat
 from collections import Counter
 from functools import cache
 from pathlib import Path
+
+from soro_bench.files import read_bytes
 
 ENTRY_BYTES = 1_000_000
 REPORT_BYTES = 10_000_000
 
 
-def read_bytes(path: str | Path, max_bytes: int) -> bytes:
-    """The content of a regular file that is no link and has at most ``max_bytes``."""
-    if Path(path).is_symlink():
-        raise ValueError(f"{path} is a link; a regular file is needed")
-    # neither following a link that has just come nor waiting for the writer of a pipe
-    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
-    with open(handle, "rb") as file:
-        if not stat.S_ISREG((found := os.fstat(handle)).st_mode):
-            raise ValueError(f"{path} is no regular file")
-        if found.st_size > max_bytes:
-            raise ValueError(f"{path} has {found.st_size} bytes; at most {max_bytes} are read")
-        return file.read(max_bytes)
-
-
 def read_strict(path: str | Path, max_bytes: int = ENTRY_BYTES) -> dict:
     """A JSON object without NaN, infinity, a name that comes twice or characters that cannot be shown."""
-    data = read_bytes(path, max_bytes)
+    data = read_bytes(path, max_bytes, links=False)
     try:
         found = json.loads(
             data.decode(), object_pairs_hook=_object, parse_constant=_finite, parse_float=_finite, parse_int=_integer

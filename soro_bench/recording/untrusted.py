@@ -1,8 +1,6 @@
 """Files from strangers: bounded size, and one kind of error whatever is wrong with them."""
 
 import csv
-import os
-import stat
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +8,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
+from soro_bench import files
 from soro_bench.recording.recording import RecordingError
 
 MAX_BYTES = 200_000_000  # of a file
@@ -34,12 +33,7 @@ def named_errors(path: str | Path) -> Iterator[None]:
 
 def read_bytes(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
     """The content of a regular file; FileNotFoundError, or RecordingError if it is no file or too large."""
-    # without waiting for a writer, if it is a pipe
-    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    with open(handle, "rb") as file:
-        if not stat.S_ISREG(os.fstat(handle).st_mode):
-            raise RecordingError(f"{path} is no regular file")
-        data = file.read(max_bytes + 1)
-    if len(data) > max_bytes:
-        raise RecordingError(f"{path} has more than {max_bytes} bytes, which is what is read at most")
-    return data
+    try:
+        return files.read_bytes(path, max_bytes)
+    except ValueError as error:
+        raise RecordingError(str(error)) from error

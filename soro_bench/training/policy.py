@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from soro_bench.files import read_json, replacing, write_json
+from soro_bench.files import read_bytes, read_json, replacing, write_json
 
 _WEIGHTS, _CARD = "policy.safetensors", "policy.json"
 MAX_BYTES = 100_000_000  # of a policy file
@@ -81,13 +81,11 @@ class Policy:
         for name in (_WEIGHTS, _CARD):
             if not (path / name).is_file():
                 raise ValueError(f"{path} holds no policy: {name} is missing")
-        if (size := (path / _WEIGHTS).stat().st_size) > MAX_BYTES:
-            raise ValueError(f"{path / _WEIGHTS} has {size} bytes; at most {MAX_BYTES} are read")
         try:
             card = PolicyCard(**read_json(path / _CARD))
         except TypeError as error:
             raise ValueError(f"{path} holds no valid policy: {error}") from error
-        return cls.from_bytes(card, (path / _WEIGHTS).read_bytes(), path)
+        return cls.from_bytes(card, read_bytes(path / _WEIGHTS, MAX_BYTES), path)
 
     @classmethod
     def from_bytes(cls, card: PolicyCard, data: bytes, source: str | Path) -> "Policy":

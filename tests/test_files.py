@@ -1,0 +1,39 @@
+"""Files: nobody ever sees half of one, and none from a stranger is read without end."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from soro_bench.diagnosis.mapping import read_mapping
+from soro_bench.effects.catalogue import QUANTITIES
+from soro_bench.effects.effect import load_effects
+from soro_bench.files import read_json, write_json
+from soro_bench.randomization import load
+
+
+def test_json_that_is_cut_off_in_the_middle_leaves_the_old_file(tmp_path, monkeypatch):
+    write_json(path := tmp_path / "a.json", 1)
+
+    def half(self, text):
+        self.write_bytes(b"{")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "write_text", half)
+    with pytest.raises(KeyboardInterrupt):
+        write_json(path, 2)
+    assert path.read_bytes() == b"1\n" and list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("read", [read_json, load, lambda path: load_effects(path, QUANTITIES), read_mapping])
+def test_what_is_huge_or_no_file_is_refused_at_once(tmp_path, read):
+    """A link to a device has no size, and a pipe may never end."""
+    with (tmp_path / "huge").open("wb") as file:
+        file.truncate(1_000_000_000)
+    with pytest.raises(ValueError, match="1000000000 bytes; at most"):
+        read(tmp_path / "huge")
+    (tmp_path / "device").symlink_to("/dev/zero")
+    os.mkfifo(tmp_path / "pipe")
+    for name in ("device", "pipe"):
+        with pytest.raises(ValueError, match="no regular file"):
+            read(tmp_path / name)
