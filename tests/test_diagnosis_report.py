@@ -11,7 +11,7 @@ pytest.importorskip("pyarrow")
 pytest.importorskip("rerun")
 pytest.importorskip("matplotlib")
 
-from soro_bench.diagnosis import pipeline
+from soro_bench.diagnosis import page, pipeline
 from soro_bench.diagnosis.findings import Finding
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.probe import places
@@ -22,6 +22,7 @@ from soro_bench.diagnosis.suspects import suspect, suspects
 from soro_bench.diagnosis.verdict import _twin, verdict
 from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Effect, Port, load_effects
+from soro_bench.proof.unseen import unseen
 from soro_bench.randomization import load
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 
@@ -92,6 +93,8 @@ def test_a_hidden_payload_is_named_with_its_place_and_mass_and_the_held_out_fit_
     assert report["fit"]["heldout"]["rmse_after"] < report["fit"]["heldout"]["rmse_before"]
     assert sum(e["probability"] for e in report["effects"]) >= 1 - 1e-9
     assert "payload at body vertebra7" in text
+    low, high = first["parameters"]["mass"]["ci90"]
+    assert 0.5 * 0.04 < low < 0.04 < high < 2 * 0.04
     (effect,) = load_effects(tmp_path / "effects.json", QUANTITIES)
     assert effect.name == "payload"
     assert (report["model_patch"], report["model_patch_effects"]) == ("patched_model.xml", ["payload"])
@@ -192,6 +195,30 @@ def test_recordings_that_are_too_long_are_refused(robot, monkeypatch):
         pipeline.diagnose(robot, [recording(robot, [], 0)])
 
 
+def test_motion_that_was_not_seen_is_explained_by_the_patch(robot, payload):
+    found, _ = payload
+    hidden = [Effect("payload", Port("body", "vertebra7"), {"mass": 0.04})]
+    after = unseen(found, recording(robot, hidden, 2))
+    assert after["rmse_after"] < 0.7 * after["rmse_before"]
+    assert after["fve"] > 0.8
+
+
+def test_names_of_a_strangers_model_are_shown_and_not_executed():
+    where = {"kind": "body", "name": "<script>alert(1)</script>"}
+    effect = {
+        "probability": 1.0,
+        "name": "payload",
+        "where": where,
+        "parameters": {},
+        "evidence": ["<b>"],
+        "against": [],
+    }
+    parameters = {"<i>": {"value": 1.0, "ci90": [0.0, 2.0], "unit": "<u>", "prior_tension_sd": 0.0}}
+    text = page._effects_table({"effects": [effect]}) + page._parameters_table({"parameters": parameters})
+    assert not any(tag in text for tag in ("<script", "<b>", "<i>", "<u>"))
+    assert "&lt;script&gt;alert(1)" in text
+
+
 def test_outliers_alone_are_a_fault_of_the_measurement(robot, monkeypatch):
     def with_outliers(robot, hidden, seed, own=recording):
         given = own(robot, hidden, seed)
@@ -205,7 +232,8 @@ def test_outliers_alone_are_a_fault_of_the_measurement(robot, monkeypatch):
     assert report["effects"][0]["parameters"]["share"]["value"] == pytest.approx(3 / (60 * 21))
 
 
-def test_the_same_seed_gives_the_same_report(robot, monkeypatch):
+def test_the_same_seed_gives_the_same_report_with_one_thread_or_two(robot, monkeypatch):
     hidden = [suspect(robot, "backlash", Port("actuator", "L2")).effect(np.array([0.3]))]
-    first, second = (report_of(diagnosed(robot, monkeypatch, hidden)) for _ in range(2))
+    robots = (robot, SuiteRobot("TrunkReach-v0", threads=2))
+    first, second = (report_of(diagnosed(each, monkeypatch, hidden)) for each in robots)
     assert {**first, "seconds": 0} == {**second, "seconds": 0}

@@ -6,7 +6,7 @@ import pytest
 
 from soro_bench.effects.catalogue import MEASUREMENT
 from soro_bench.effects.effect import Effect, Port
-from soro_bench.effects.elements import instrument
+from soro_bench.effects.elements import Elements, instrument
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.simulation import Simulation
@@ -202,14 +202,21 @@ MATERIAL = {
     "mullins_softening": ({"softening": 0.5, "strain": 0.05}, [neck_laws.Mullins(0.5, 0.05)]),
     "viscoelastic_creep": ({"ratio": 0.5, "time_constant": 0.5}, [neck_laws.Creep(0.5, 0.5)]),
     "plastic_set": ({"softness": 20.0, "share": 0.5}, [neck_laws.PlasticSet(k, 0.05, 0.5) for k in range(10)]),
-    "hysteresis": ({"ratio": 0.5, "yield_strain": 0.05}, None),
+    # a spring that does not slip here: on `cable` each joint slips by itself, which the other code's necks do not
+    "hysteresis": (
+        {"ratio": 0.5, "yield_strain": 3.0},
+        [neck_laws.Hysteresis(k, 3.0 * 0.5 * geo.BEND[1][k], 3.0) for k in range(10)],
+    ),
 }
 
 
-@pytest.mark.parametrize("name", [name for name, (_, law) in MATERIAL.items() if law])
+@pytest.mark.parametrize("name", MATERIAL)
 @pytest.mark.parametrize(("model", "kind"), [("cable", "fine"), ("flex", "flex")])
-def test_a_law_of_the_material_does_what_it_does_in_another_code(name, model, kind):
-    """That of the concealed robots, which shares nothing with the effects. Bent to and fro by the cables."""
+def test_a_law_of_the_material_does_what_it_does_in_another_code(name, model, kind, monkeypatch):
+    """That of the concealed robots, which shares nothing with the effects. Bent to and fro by the cables; hysteresis of
+    one slider."""
+    monkeypatch.setattr(neck_laws, "_YIELDS", np.ones(1))
+    monkeypatch.setattr(neck_laws, "_SHARES", np.ones(1))
     parameters, laws = MATERIAL[name]
     actions = np.zeros((60, 8), np.float32)
     actions[:15, [0, 4]], actions[15:30, [0, 4]], actions[35:45, [1, 5]] = 1.0, -1.0, 1.0
@@ -242,6 +249,26 @@ def test_a_material_without_magnitude_moves_the_flex_model_bit_for_bit_as_before
     parameters, _ = MATERIAL[name]
     none = {**parameters, next(iter(parameters)): 0.0}
     assert sag([Effect(name, Port("body", "*"), none)], "flex") == sag((), "flex")
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"), [("local_stiffness", {"factor": 0.5}), ("stiffness_drift", {"rate": 1.0})]
+)
+def test_a_law_at_a_flex_changes_that_flex_and_no_other(name, parameters):
+    """And not at all without magnitude."""
+    model = make_task("TrunkReach-v0", 1, 1, "flex", effects=()).model
+    port = Elements(model).ports("flex")[3]
+    null = {"factor": 1.0} if "factor" in parameters else {"rate": 0.0}
+    assert sag([Effect(name, port, null)], "flex") == sag((), "flex")
+    stiffness = []
+    for effects in ([Effect(name, port, null)], [Effect(name, port, parameters)]):
+        task = make_task("TrunkReach-v0", 1, 1, "flex", action="continuous", effects=effects)
+        task.reset(np.arange(1), [np.random.default_rng(0)], [{}])
+        task.step(np.arange(1), np.zeros((1, 8), np.float32))
+        stiffness.append(task.sim.batch.expand("flex_stiffness")[0].copy())
+    changed = np.flatnonzero(stiffness[0] != stiffness[1])
+    first, last = model.flex_stiffnessadr[3:5]
+    assert len(changed) and first <= changed.min() and changed.max() < last
 
 
 def test_a_neck_at_rest_elsewhere_bends_by_that_angle_on_either_model():

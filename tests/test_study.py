@@ -45,6 +45,8 @@ def test_a_study_writes_reports_summaries_and_a_row_and_goes_on_where_it_was(stu
     assert (tmp_path / "out" / "again" / "report.html").exists()
     assert first[0]["answers"][0]["unseen"]["mean_absolute"] == pytest.approx(4e-4, rel=0.2)
     assert row(first).count("\n") == 4
+    # the second part begins where the first one ended
+    assert first[1]["nominal"]["train"]["mean_absolute"] < 0.3 * first[0]["nominal"]["train"]["mean_absolute"]
     asked = []
     own = module.diagnose
     monkeypatch.setattr(module, "diagnose", lambda *arguments: asked.append(1) or own(*arguments))
@@ -66,6 +68,13 @@ def test_an_unknown_study_and_missing_recordings_are_named(tmp_path):
         load_study("moon", tmp_path)
     with pytest.raises(FileNotFoundError, match=r"no v4_train.csv in .*opencr_tdcr; soro-bench data"):
         load_study("opencr_tdcr", tmp_path)
+
+
+def test_a_part_has_its_recordings_to_explain_to_hold_out_and_never_to_see(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_recordings", lambda folder, usual, entries: tuple(e["files"] for e in entries))
+    (part,) = load_study("bam_servo", tmp_path).parts
+    assert [len(files) for files in (part.train, part.heldout, part.unseen)] == [2, 2, 2]
+    assert "kp200_sin_sin" in part.unseen[0] and "kp200_lift" in part.heldout[0] and "kp100" in part.train[0]
 
 
 @pytest.mark.parametrize("name", STUDIES)
