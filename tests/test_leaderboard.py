@@ -1,5 +1,6 @@
 """Entries of the leaderboard: written, read, refused, verified."""
 
+import json
 import os
 import pickle
 import shutil
@@ -13,10 +14,12 @@ import pytest
 
 pytest.importorskip("jsonschema", reason="needs the board extra")
 
+import soro_bench
 from soro_bench.leaderboard.boards import BOARDS
-from soro_bench.leaderboard.entry import card_of, policy_of, read_entry, thinned_curve, write_entry
+from soro_bench.leaderboard.entry import SCHEMA, card_of, policy_of, read_entry, thinned_curve, write_entry
 from soro_bench.leaderboard.gather import gather_control
 from soro_bench.leaderboard.verify import verify_control
+from soro_bench.options import FOLDER
 from soro_bench.recording.episode import Episode
 from soro_bench.recording.simulated import record
 from soro_bench.training.policy import Policy
@@ -226,6 +229,11 @@ def test_a_folder_of_results_with_what_is_no_policy_or_comes_twice_is_refused(tm
     put_policy(second, "seed1.safetensors", Policy(CARD, flat).to_bytes())
     with pytest.raises(ValueError, match=says("seed1.safetensors", "std has 0.0; positive")):
         gather_control(tmp_path)
+
+
+def test_names_are_checked_before_training_as_they_are_in_an_entry():
+    schema = json.loads((Path(soro_bench.__file__).parent / "leaderboard" / SCHEMA).read_text())
+    assert schema["$defs"]["folder"]["pattern"] == FOLDER
 
 
 def test_a_policy_for_other_observations_is_refused_in_words(tmp_path):

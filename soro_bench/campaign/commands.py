@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from soro_bench.options import Parallel
+from soro_bench.options import Parallel, check_name
 from soro_bench.parallel import Workers
 from soro_bench.progress import CampaignBar, console
 
@@ -79,7 +79,8 @@ class InferenceBaseline(Baseline):
         env_id = BOARDS[self.board].env_id if self.board in BOARDS else self.board
         found = inferred(method, self.recording or recording_path(env_id), parse_params(self.known), self.replay_model,
                          self.noise)  # fmt: skip
-        super().run(replace(found, name=self._named(found.name)))
+        check_name("the method", name := self._named(found.name))  # before the work, not after it
+        super().run(replace(found, name=name))
 
     def _named(self, method: str) -> str:
         """The method with the options that differ from the defaults: other options are another method."""
