@@ -1,0 +1,195 @@
+"""Known answers of the laws, on an arm of one hinge with a motor and a servo."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.elements import instrument
+from soro_bench.models.simulation import Simulation
+from soro_bench.parameters import ParameterSet
+
+SERVO = """<mujoco><option timestep="0.002" integrator="implicitfast"/>
+<worldbody><body name="arm"><joint name="hinge" axis="0 1 0" damping="0.01"/>
+<geom name="arm" type="capsule" size="0.01" fromto="0 0 0 0.2 0 0" mass="0.1" contype="0" conaffinity="0"/></body>
+</worldbody><actuator><motor name="motor" joint="hinge" ctrlrange="-5 5" ctrllimited="true"/>
+<general name="servo" joint="hinge" gainprm="4" biasprm="0 -4 -0.1" biastype="affine" forcerange="-9 9"
+forcelimited="true" ctrlrange="-2 2" ctrllimited="true"/></actuator></mujoco>"""
+WEIGHT = 0.0981  # N m about the hinge, of the arm held level
+
+
+def servo(effects, timestep=0.002):
+    spec = mujoco.MjSpec.from_string(SERVO)
+    spec.option.timestep = timestep
+    return Simulation(instrument(spec).compile(), ParameterSet(), (), 1, 1, effects)
+
+
+def turn(sim, torque=0.0, angle=None, steps=500, velocity=0.0):
+    """(steps,) angles of the hinge under a torque, or with the servo commanded to angles."""
+    ids, batch = np.arange(1), sim.batch
+    batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    batch.qvel[:] = velocity
+    sim.begin(ids)
+    if angle is None:
+        sim.set_params(ids, np.zeros((1, 0)))
+        batch.expand("actuator_gainprm")[:, 1] = 0
+        batch.expand("actuator_biasprm")[:, 1] = 0
+    way = []
+    for step in range(steps):
+        batch.ctrl[0] = [torque(step) if callable(torque) else torque, 0.0 if angle is None else angle(step)]
+        sim.step(ids, 1)
+        way.append(batch.qpos[0, 0])
+    return np.array(way)
+
+
+def on_hinge(name, **values):
+    return Effect(name, Port("joint", "hinge"), values)
+
+
+def flat(sim):
+    """Without weight."""
+    sim.batch.expand("opt.gravity")[:] = 0
+    return sim
+
+
+def test_dry_friction_sticks_below_its_force_and_slips_above():
+    sim = flat(servo([on_hinge("coulomb_friction", friction=0.5)]))
+    held = turn(sim, torque=lambda step: 0.49 * min(1.0, step / 3000), steps=6000)
+    assert np.ptp(held[5000:]) < 1e-9  # it does not creep
+    assert abs(held[-1]) < 0.003
+    assert turn(sim, torque=lambda step: 0.51 * min(1.0, step / 3000), steps=6000)[-1] > 0.1
+
+
+def test_dry_friction_stops_what_is_moving_without_adding_energy():
+    sim = flat(servo([on_hinge("coulomb_friction", friction=0.05, presliding=2e-3)]))
+    way = turn(sim, velocity=2.0, steps=1500)
+    speed = np.abs(np.diff(way)) / 0.002
+    inertia = 0.1 * 0.2**2 / 3  # of the arm about the hinge, nearly
+    assert speed[-1] < 1e-3
+    assert way.max() == pytest.approx(0.5 * inertia * 2.0**2 / 0.05, rel=0.25)  # less by the damper
+    assert (np.diff(np.maximum.accumulate(speed[::-1])[::-1]) <= 1e-9).all()
+
+
+def test_hysteresis_needs_a_spring_and_creep_relaxes_with_its_time_constant():
+    spec = mujoco.MjSpec.from_string(SERVO)
+    spec.joint("hinge").stiffness[0] = 1.0
+    creep = on_hinge("viscoelastic_creep", ratio=1.0, time_constant=0.5)
+    sim = flat(Simulation(instrument(spec).compile(), ParameterSet(), (), 1, 1, [creep]))
+    way = turn(sim, torque=1.0, steps=4000)
+    # standard linear solid: 1/(k + k1) at once, 1/k in the end, with the time constant (k + k1)/k * tau
+    times = 0.002 * np.arange(1, 4001)
+    expected = 1.0 - 0.5 * np.exp(-times / (2 * 0.5))
+    assert np.abs(way - expected)[1000:].max() < 0.01
+
+
+def test_hysteresis_is_a_spring_beside_that_slips():
+    """A torque of 0.6 on springs of 1 and 0.5, of which the latter slips at 0.1 rad: (0.6 - 0.05) / 1."""
+    spec = mujoco.MjSpec.from_string(SERVO)
+    spec.joint("hinge").stiffness[0] = 1.0
+    law = on_hinge("hysteresis", ratio=0.5, yield_strain=0.1)
+    sim = flat(Simulation(instrument(spec).compile(), ParameterSet(), (), 1, 1, [law]))
+    way = turn(sim, torque=lambda step: 0.6 * min(1.0, step / 4000), steps=6000)
+    assert way[-1] == pytest.approx(0.55, rel=0.02)
+
+
+@pytest.mark.parametrize(("torque", "slips"), [(0.45, False), (0.55, True)])
+def test_stribeck_friction_breaks_away_at_its_static_level(torque, slips):
+    law = on_hinge("stribeck_friction", friction=0.25, static_ratio=2.0, stribeck_velocity=0.02, presliding=2e-3)
+    sim = flat(servo([law]))
+    assert (turn(sim, torque=lambda step: torque * min(1.0, step / 3000), steps=6000)[-1] > 0.1) == slips
+
+
+def test_a_lag_is_behind_a_ramp_by_its_time_constant():
+    ramp = 0.001 * np.arange(1500)  # 0.5 rad/s
+    late = flat(servo([Effect("actuator_lag", Port("actuator", "servo"), {"time_constant": 0.05})]))
+    way = turn(late, angle=lambda step: ramp[step], steps=1500)
+    expected = turn(flat(servo(())), angle=lambda step: ramp[step] - 0.025, steps=1500)
+    assert way[-500:] == pytest.approx(expected[-500:], abs=1e-3)
+
+
+def test_laws_that_scale_one_spring_all_act():
+    spec = mujoco.MjSpec.from_string(SERVO)
+    spec.joint("hinge").stiffness[0] = 1.0
+    laws = [on_hinge("stiffening", beta=4.0), on_hinge("stiffness_drift", rate=-3.0),
+            on_hinge("plastic_set", softness=5.0, share=0.5)]  # fmt: skip
+    sim = flat(Simulation(instrument(spec).compile(), ParameterSet(), (), 1, 1, laws))
+    angle = turn(sim, torque=lambda step: 0.3 * min(1.0, step / 4000), steps=5000)[-1]
+    # one half of the spring has yielded at 0.2 rad; the other has lost a half after 10 s
+    assert 0.5 * 0.2 + 0.25 * angle * (1.0 + 4.0 * angle**2) == pytest.approx(0.3, rel=1e-3)
+
+
+def test_viscous_friction_is_a_damper():
+    sim = flat(servo([on_hinge("viscous_friction", damping=0.09)]))
+    way = turn(sim, torque=0.1, steps=3000)
+    assert np.diff(way)[-1] / 0.002 == pytest.approx(0.1 / (0.01 + 0.09), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "expected"),
+    [
+        ("actuator_gain", {"gain": 0.5}, lambda u: 0.5 * u),
+        ("pretension", {"offset": 0.1}, lambda u: u + 0.1),
+        ("actuator_deadband", {"width": 0.2}, lambda u: np.sign(u) * np.maximum(np.abs(u) - 0.2, 0)),
+        ("actuator_delay", {"delay": 0.1}, lambda u: np.concatenate([np.zeros(50), u[:-50]])),
+    ],
+)
+def test_a_command_law_gives_what_other_commands_would(name, values, expected):
+    commands = 0.8 * np.sin(2 * np.pi * 0.002 * np.arange(1000))
+    changed = expected(commands)
+    faulty = flat(servo([Effect(name, Port("actuator", "servo"), values)]))
+    way = turn(faulty, angle=lambda step: commands[step], steps=1000)
+    assert way == pytest.approx(turn(flat(servo(())), angle=lambda step: changed[step], steps=1000), abs=1e-12)
+
+
+def test_backlash_waits_for_its_width_after_a_reversal():
+    sim = flat(servo([Effect("backlash", Port("actuator", "servo"), {"width": 0.2})]))
+    ramp = np.concatenate([np.linspace(0, 1, 2000), np.linspace(1, 0, 2000)])
+    way = turn(sim, angle=lambda step: ramp[step], steps=4000)
+    assert way[1999] == pytest.approx(0.9, abs=0.02)
+    assert np.abs(way[2300] - 0.9) < 0.005  # the command has come back by 0.15 only
+    assert way[3999] == pytest.approx(0.1, abs=0.02)
+
+
+def on_servo(name, **values):
+    return Effect(name, Port("actuator", "servo"), values)
+
+
+def test_a_compliant_servo_gives_way_by_its_compliance_more():
+    """The arm hangs level on a servo of 4 N m/rad with 0.5 rad/(N m) behind it: 0.25 + 0.5 rad per N m."""
+    sim = flat(servo([on_servo("compliance", compliance=0.5)]))
+    assert turn(sim, torque=0.1, angle=lambda step: 0.0, steps=3000)[-1] == pytest.approx(0.075, rel=1e-3)
+
+
+@pytest.mark.parametrize(("torque", "holds"), [(0.85, True), (0.95, False)])
+def test_a_saturated_servo_holds_what_is_left_of_its_force(torque, holds):
+    """A tenth of its 9 N m is 0.9 N m."""
+    sim = flat(servo([on_servo("actuator_saturation", loss=0.9)]))
+    # it gives way by no more than 0.9 / 4 rad while it holds
+    assert (turn(sim, torque=torque, angle=lambda step: 0.0, steps=3000)[-1] < 0.25) == holds
+
+
+@pytest.mark.parametrize("angle", [0.1, -0.1])
+def test_on_a_tilted_base_the_arm_hangs_that_much_to_the_side(angle):
+    tilt = Effect("base_tilt", Port("model", "gravity"), {"about_x": 0.0, "about_y": angle, "about_z": 0.0})
+    ends = [turn(servo(effects), steps=6000)[-1] for effects in ((), [tilt])]
+    assert ends[0] == pytest.approx(np.pi / 2, abs=1e-3)  # straight down
+    assert ends[1] - ends[0] == pytest.approx(angle, abs=1e-3)
+
+
+@pytest.mark.parametrize(("torque", "lifts"), [(1.2, False), (1.3, True)])
+def test_a_joint_that_drags_with_its_load_loses_a_share_of_the_torque(torque, lifts):
+    """Of a motor that lifts the level arm a fifth is lost: it needs a quarter more than the weight."""
+    sim = servo([on_hinge("load_friction", mu=0.2, presliding=1e-3)])
+    way = turn(sim, torque=-torque * WEIGHT, steps=1500)
+    assert (way[-1] < -0.01) == lifts
+
+
+def test_what_falls_through_a_fluid_ends_at_the_speed_at_which_drag_is_its_weight():
+    xml = """<mujoco><option timestep="0.002"/><worldbody><body name="ball"><freejoint/><geom size="0.01" mass="0.1"/>
+    </body></worldbody></mujoco>"""
+    drag = Effect("fluid_drag", Port("body", "ball"), {"drag": 0.05})
+    sim = Simulation(instrument(mujoco.MjSpec.from_string(xml)).compile(), ParameterSet(), (), 1, 1, [drag])
+    sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    sim.begin(np.arange(1))
+    sim.step(np.arange(1), 1500)
+    assert sim.batch.qvel[0, 2] == pytest.approx(-np.sqrt(0.1 * 9.81 / 0.05), rel=1e-3)
