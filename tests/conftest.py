@@ -1,4 +1,4 @@
-"""Fixtures that run a test for every environment, model and action mode."""
+"""Fixtures that run a test for every environment, model and action mode, and commands as a shell would."""
 
 import pytest
 
@@ -20,3 +20,16 @@ def model(request):
 @pytest.fixture(params=ACTION_MODES)
 def action(request):
     return request.param
+
+
+@pytest.fixture
+def call(monkeypatch, capsys):
+    """Run a command of soro-bench and return what it prints."""
+    cli = pytest.importorskip("soro_bench.cli", reason="needs the train extra", exc_type=ImportError)
+
+    def call(*arguments) -> str:
+        monkeypatch.setattr("sys.argv", ["soro-bench", *map(str, arguments)])
+        cli.main()
+        return capsys.readouterr().out
+
+    return call

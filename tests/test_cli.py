@@ -9,20 +9,8 @@ pytest.importorskip("tyro", reason="needs the train extra")
 pytest.importorskip("pyarrow", reason="needs the train extra")
 pytest.importorskip("rerun", reason="needs the train extra")
 
-from soro_bench import cli
 from soro_bench.registration import ENV_IDS, task_type
-
-
-@pytest.fixture
-def call(monkeypatch, capsys):
-    """Run a command and return what it prints."""
-
-    def call(*arguments) -> str:
-        monkeypatch.setattr("sys.argv", ["soro-bench", *map(str, arguments)])
-        cli.main()
-        return capsys.readouterr().out
-
-    return call
+from tests.entries import policy
 
 
 def test_list_shows_every_environment(call):
@@ -78,3 +66,24 @@ def test_a_campaign_is_planned_without_being_run(call, tmp_path):
 def test_an_error_is_one_line(call):
     with pytest.raises(SystemExit, match="soro-bench: 60 steps are too few for an excitation; it needs 364"):
         call("excite", "TrunkReach-v0", "--duration", "3", "--out", "a.csv")
+
+
+@pytest.mark.parametrize("arguments", [
+    ("train", "TrunkReach-v0", "--name", "../mine"),
+    ("leaderboard", "enter", "POLICY", "--entry", "../mine"),
+])  # fmt: skip
+def test_names_that_no_entry_could_have_are_refused_before_the_work(call, tmp_path, monkeypatch, arguments):
+    def work(*_, **__):
+        raise AssertionError("it began to work")
+
+    monkeypatch.setattr("soro_bench.training.ppo.train", work)
+    monkeypatch.setattr("soro_bench.campaign.run.enter", work)
+    policy().save(tmp_path)
+    arguments = [tmp_path if each == "POLICY" else each for each in arguments]
+    with pytest.raises(SystemExit, match=r"'../mine': up to 60 letters, digits"):
+        call(*arguments)
+
+
+def test_a_study_without_its_recordings_says_which_is_missing(call, tmp_path):
+    with pytest.raises(SystemExit, match=r"no v4_train.csv in .*opencr_tdcr; soro-bench data"):
+        call("study", "opencr_tdcr", "--data", tmp_path, "--out", tmp_path / "out")

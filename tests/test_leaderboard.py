@@ -231,7 +231,7 @@ def test_a_folder_of_results_with_what_is_no_policy_or_comes_twice_is_refused(tm
         gather_control(tmp_path)
 
 
-def test_names_are_checked_before_training_as_they_are_in_an_entry():
+def test_commands_and_entries_allow_the_same_names():
     schema = json.loads((Path(soro_bench.__file__).parent / "leaderboard" / SCHEMA).read_text())
     assert schema["$defs"]["folder"]["pattern"] == FOLDER
 

@@ -18,6 +18,7 @@ from soro_bench.diagnosis.robot import Earlier
 from soro_bench.diagnosis.suspects import suspects
 from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Effect, Port
+from soro_bench.recording.parquet import save
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from tests.arm import ARM, MAP, TRUTH, recording
 
@@ -161,11 +162,16 @@ def test_a_recording_without_a_setting_is_refused(paths, metadata):
         with_gain(paths, 'metadata = "gain"').measured(replace(given, metadata=metadata))
 
 
-def test_an_arm_without_hidden_effects_lacks_nothing_and_its_parameters_are_found(paths):
-    found = diagnose(ModelRobot(*paths, threads=1), [recording(paths, [], 0)])
-    assert found.verdict == "none_detected"
-    values = found.robot.parameters(found.comparison.answers[0].hypothesis.x)
-    assert list(values.values()) == pytest.approx(TRUTH[0], rel=0.05)
+def test_the_command_says_of_an_arm_without_hidden_effects_that_nothing_is_missing(paths, tmp_path, call):
+    """And finds its parameters."""
+    model, mapping = paths
+    save(recording(paths, [], 0), tmp_path / "train.parquet")
+    said = call("diagnose", tmp_path / "train.parquet", "--model", model, "--map", mapping, "--out", tmp_path / "out")
+    assert "Nothing is missing" in said
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["verdict"] == "none_detected"
+    values = [each["value"] for each in report["parameters"].values()]
+    assert values == pytest.approx(TRUTH[0], rel=0.05)
 
 
 def test_parameters_change_the_fields_they_name(paths):

@@ -38,7 +38,7 @@ def study(tmp_path):
     return Study("arm", "an arm", tmp_path / "arm.xml", tmp_path / "map.toml", parts)
 
 
-def test_a_study_writes_reports_summaries_and_a_row_and_goes_on_where_it_was(study, tmp_path, monkeypatch):
+def test_a_study_writes_reports_summaries_and_a_row_and_goes_on_where_it_was(study, tmp_path, monkeypatch, call):
     first = run_study(study, tmp_path / "out", threads=1)
     assert [(s["part"], s["answers"][0]["effects"]) for s in first] == [("first", []), ("again", [])]
     assert first[0]["parameters"]["heldout"]["mean_absolute"] == pytest.approx(4e-4, rel=0.2)
@@ -58,6 +58,9 @@ def test_a_study_writes_reports_summaries_and_a_row_and_goes_on_where_it_was(stu
     with monkeypatch.context() as other, pytest.raises(ValueError, match=r"results of method .*, not newer;"):
         other.setattr(module, "method_version", lambda: "newer")
         run_study(study, tmp_path / "out", threads=1)
+    monkeypatch.setattr(module, "load_study", lambda name, data: study)
+    assert first[1]["verdict"] in call("study", "arm", "--out", tmp_path / "out")  # all is there
+    assert (tmp_path / "out" / "row.md").read_text() == row(again)
     for summary in (*first, *again):
         summary.pop("seconds")
     assert json.dumps(again) == json.dumps(first)
