@@ -17,7 +17,7 @@ from soro_bench.parameters import Parameter
 from soro_bench.registration import ENV_IDS, task_type
 
 DOCS = Path(__file__).parent
-SOURCES = """Boxes of what the study randomises, here or in another task, are where it searches; other boxes, and all \
+SOURCES = """The search box of what the study randomises, here or in another task, is its own; other boxes, and all \
 bounds, are ours. The published boxes of Poisson's ratio go further, to where linear elasticity is singular (trunk) or \
 beyond (membrane). Published values and their sources: [reference_tasks.md](../reference_tasks.md). Reasons for ours: \
 the comments in [parameters.py](../../soro_bench/parameters.py)."""

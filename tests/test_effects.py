@@ -1,6 +1,7 @@
 """Effects: what each law does on the trunk, and the files of effects."""
 
 import json
+import re
 from pathlib import Path
 
 import gymnasium
@@ -165,10 +166,12 @@ def test_a_sensor_delay_shifts_a_signal_and_a_bias_moves_one_marker():
 # --- files and environments ---
 
 
-def test_the_documentation_has_every_effect_with_its_class():
+def test_the_documentation_has_every_effect_with_its_class_and_parameters():
     text = (Path(__file__).parents[1] / "docs" / "effects.md").read_text()
     for name, category in CATEGORIES.items():
-        assert f"| `{name}` | {category} |" in text
+        (row,) = (line for line in text.splitlines() if line.startswith(f"| `{name}` | {category} |"))
+        parameters = row.rsplit("|", 2)[1]
+        assert [q.name for q in QUANTITIES[name] if not re.search(rf"\b{q.name}\b", parameters)] == []
 
 
 def test_an_environment_with_an_effects_file_differs_and_without_effects_does_not(tmp_path):

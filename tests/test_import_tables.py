@@ -1,6 +1,7 @@
 """Recordings from tables: CSV and NPZ files."""
 
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -267,3 +268,13 @@ def test_damaged_npz(tmp_path):
         import_recording(path, mapping)
     with pytest.raises(RecordingError, match="needs a mapping"):
         import_recording(path)
+
+
+def test_the_mapping_of_the_documentation_imports_its_table(tmp_path):
+    page = (Path(__file__).parents[1] / "docs" / "recordings.md").read_text()
+    (tmp_path / "take7.csv").write_text("Take 7" + page.split("```\nTake 7")[1].split("```")[0])
+    (tmp_path / "take7.toml").write_text(page.split("```toml")[1].split("```")[0])
+    recording = import_recording(tmp_path / "take7.csv", tmp_path / "take7.toml")
+    assert recording.commands["action"].values.tolist() == [[0.5, -0.5, *[0.0] * 6]]
+    assert recording.signals["markers"].values[0, 0] == pytest.approx([0.0016, 0.002, 0.1001])
+    assert recording.signals["force"].values == pytest.approx([0.251, 0.253])
