@@ -1,6 +1,7 @@
 """How late a robot follows its commands, from its recordings alone.
 
     python benchmarks/command_lag.py --data data/real [--study asl_trunk --part random --signal disks]
+    python benchmarks/command_lag.py --data data/real --signal motor_angles     # of the last motor
 
 The last point of a signal is fitted as a linear function of the commands some time earlier, for every lag up to 0.5 s;
 prints the best one, and the errors without any. No model is used: a simulation with a delay has to be better than this.
@@ -22,7 +23,7 @@ def rows(recording: Recording, name: str, lag: float) -> tuple[np.ndarray, np.nd
     (command,), signal = recording.commands.values(), recording.signals[name]
     late = signal.time - lag >= command.time[0]
     columns = [np.interp(signal.time[late] - lag, command.time, each) for each in command.values.T]
-    return np.stack([*columns, np.ones(late.sum())], axis=1), signal.values[late, -1]
+    return np.stack([*columns, np.ones(late.sum())], axis=1), signal.values[late, -1].reshape(late.sum(), -1)
 
 
 def errors(train, heldout, name: str, lag: float) -> tuple[float, float]:
@@ -43,8 +44,9 @@ def main() -> None:
     (part,) = [p for p in load_study(options.study, options.data).parts if p.name == options.part]
     found = {lag: errors(part.train, part.heldout, options.signal, lag) for lag in LAGS}
     best = min(found, key=lambda lag: found[lag][0])
+    unit = f"1e-3 {part.train[0].signals[options.signal].unit}"
     for lag in (0.0, best):
-        print(f"lag {lag:.2f} s: {1e3 * found[lag][0]:.1f} mm, held out {1e3 * found[lag][1]:.1f} mm")
+        print(f"lag {lag:.2f} s: {1e3 * found[lag][0]:.1f} {unit}, held out {1e3 * found[lag][1]:.1f} {unit}")
 
 
 if __name__ == "__main__":

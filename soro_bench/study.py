@@ -5,6 +5,7 @@ names recordings to explain, held-out ones and unseen ones, as files with what t
 that comes ``after`` another begins with what that has found.
 """
 
+import hashlib
 import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -25,6 +26,7 @@ from soro_bench.recording.importers import import_recording
 from soro_bench.recording.recording import Recording
 
 SUMMARY = "summary.json"
+METHOD = method_version()  # of the sources that this process has loaded, whatever happens to the files later
 STUDIES = ("opencr_tdcr", "asl_trunk", "bam_servo", "silicone_beam")
 
 
@@ -92,8 +94,12 @@ def _recordings(folder: Path, usual: str, entries: Sequence[dict]) -> tuple[Reco
 def run_study(
     study: Study, out: str | Path, seed: int = 0, threads: int = 0, progress: Callable[[str], None] = lambda _: None
 ) -> list[dict]:
-    """Diagnose the parts that have no summary in the folder ``out`` yet; the summaries of all of them."""
-    summaries = []
+    """Diagnose the parts that have no summary in the folder ``out`` yet; the summaries of all of them.
+
+    Raises:
+        ValueError: a summary there is of another seed, version of the method, model, mapping or recording.
+    """
+    check_summaries(study, out, seed)
     for part in study.parts:
         folder = Path(out) / part.name
         if not (folder / SUMMARY).exists():
@@ -103,12 +109,37 @@ def run_study(
                 robot, part.train, part.heldout, seed, lambda stage, p=part: progress(f"{p.name}: {stage}")
             )
             text = write_reports(found, part.train, folder)
-            write_json(folder / SUMMARY, _summary(study, part, found, text, seed))
-        summaries.append(read_json(folder / SUMMARY))
-        for key, expected in {"seed": seed, "method": method_version()}.items():
-            if (found_with := summaries[-1].get(key)) != expected:
-                raise ValueError(f"{folder} has results of {key} {found_with}, not {expected}; give another folder")
-    return summaries
+            summary = _summary(study, part, found, text, seed)
+            summary["known"] = [effect.to_json() for effect in known.effects] if known else []
+            write_json(folder / SUMMARY, summary)
+    return [read_json(Path(out) / part.name / SUMMARY) for part in study.parts]
+
+
+def check_summaries(study: Study, out: str | Path, seed: int) -> None:
+    """Refuse what is in a folder if it would not come out the same; see :func:`run_study`."""
+    for part in study.parts:
+        path = Path(out) / part.name / SUMMARY
+        if not path.exists():
+            continue
+        summary = read_json(path)
+        for key, expected in {"seed": seed, "method": METHOD, "inputs": _inputs(study, part)}.items():
+            if (found := summary.get(key)) != expected:
+                raise ValueError(f"{path.parent} has results of {key} {found}, not {expected}; give another folder")
+
+
+def _inputs(study: Study, part: Part) -> str:
+    """A hash of models, mapping and recordings."""
+    digest = hashlib.sha256()
+    finer = tomllib.loads(study.map.read_text())["robot"].get("accurate")
+    for path in (study.model, study.map, *([study.map.parent / finer] if finer else [])):
+        digest.update(path.read_bytes())
+    for recordings in (part.train, part.heldout, part.unseen):
+        digest.update(f"{len(recordings)}, {part.after}".encode())
+        for recording in recordings:
+            digest.update(repr(sorted(recording.metadata.items())).encode())
+            for name, signal in sorted({**recording.commands, **recording.signals}.items()):
+                digest.update(name.encode() + signal.time.tobytes() + signal.values.tobytes())
+    return digest.hexdigest()
 
 
 def _summary(study: Study, part: Part, found: Diagnosis, text: str, seed: int) -> dict:
@@ -122,7 +153,8 @@ def _summary(study: Study, part: Part, found: Diagnosis, text: str, seed: int) -
         "part": part.name,
         "question": part.question,
         "seed": seed,
-        "method": method_version(),
+        "method": METHOD,
+        "inputs": _inputs(study, part),
         "verdict": text,
         "noise": found.explanation.problem.sensor,
         "unit": robot.unit,
@@ -163,6 +195,7 @@ def errors(residual: np.ndarray, seen: np.ndarray) -> dict[str, float]:
     }
 
 
+# of every error the mean absolute one, the last point's rms, and that without its mean
 HEAD = (
     "| robot, part | data | nominal | parameters fitted | patched | what is missing | considered too | noise |\n"
     + "|---" * 8
@@ -178,7 +211,7 @@ def row(summaries: Sequence[dict]) -> str:
         for key in summary["parameters"]:
             cells = [_three(summary["nominal"][key]), _three(summary["parameters"][key]), _three(best[key])]
             named, lost = (_named(best), "; ".join(map(_named, others))) if key == "train" else ("", "")
-            name = f"{summary['study']}, {summary['part']}" if key == "train" else ""
+            name = f"{summary['study']}, {summary['part']}{_known(summary)}" if key == "train" else ""
             noise = f"{summary['noise']:.2g} {summary['unit']}" if key == "train" else ""
             lines.append(f"| {' | '.join([name, key, *cells, named, lost, noise])} |")
     return "\n".join(lines) + "\n"
@@ -190,5 +223,16 @@ def _three(found: dict) -> str:
 
 def _named(answer: dict) -> str:
     effects = answer["effects"]
-    names = " + ".join(f"{e['name']} at {e['where']['name']}" for e in effects) or "nothing"
-    return f"{names} ({answer['probability']:.2f})"
+    return f"{' + '.join(map(named, effects)) or 'nothing'} ({answer['probability']:.2f})"
+
+
+def _known(summary: dict) -> str:
+    known = " + ".join(map(named, summary["known"]))
+    return f", with {known} known before" if known else ""
+
+
+def named(effect: dict) -> str:
+    """An effect of a summary and its place, in words."""
+    where = effect["where"]
+    point = "" if where.get("index") is None else f"[{where['index']}]"
+    return f"{effect['name']} at {where['name']}{point}"

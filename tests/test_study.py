@@ -56,8 +56,12 @@ def test_a_study_writes_reports_summaries_and_a_row_and_goes_on_where_it_was(stu
     with pytest.raises(ValueError, match="results of seed 0, not 1"):
         run_study(study, tmp_path / "out", seed=1, threads=1)
     with monkeypatch.context() as other, pytest.raises(ValueError, match=r"results of method .*, not newer;"):
-        other.setattr(module, "method_version", lambda: "newer")
+        other.setattr(module, "METHOD", "newer")
         run_study(study, tmp_path / "out", threads=1)
+    study.map.write_text(MAP + "# another")
+    with pytest.raises(ValueError, match=r"results of inputs "):
+        run_study(study, tmp_path / "out", threads=1)
+    study.map.write_text(MAP)
     monkeypatch.setattr(module, "load_study", lambda name, data: study)
     assert first[1]["verdict"] in call("study", "arm", "--out", tmp_path / "out")  # all is there
     assert (tmp_path / "out" / "row.md").read_text() == row(again)
