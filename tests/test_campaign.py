@@ -42,7 +42,7 @@ def test_the_paper_has_a_run_for_every_cell_of_its_tables():
     names = {run.name for run in runs}
     assert len(names) == len(runs)
     for board in ("TrunkReach-v0", "TrunkPush-v0"):
-        for method in ("oracle", "rf_dropo", "rf_dropo_cable", "bayes_sim", "bayes_sim_variance"):
+        for method in ("oracle", "rf_dropo", "rf_dropo_cable", "dr_box", "bayes_sim", "bayes_sim_variance"):
             assert {f"{board}/{method}/seed{k}" for k in SEEDS} <= names
         assert {f"{board}/udr/seed{k}" for k in BOXES} <= names
     for method in ("rf_dropo_unmodelled", "bayes_sim_unmodelled"):
@@ -114,6 +114,17 @@ def test_a_run_ends_in_an_entry_whose_policy_is_the_trained_one(small_board, tmp
         assert (work / run.name / "evaluation_cable.rrd").exists()
     assert read_json(runs[0].result(results))["distribution"] is None
     from_dict(read_json(runs[1].result(results))["distribution"])
+
+
+def test_a_run_that_fails_costs_no_other(small_board, tmp_path):
+    def fails(*_):
+        raise ValueError("no distribution")
+
+    runs = [Run("TrunkReach-v0", method, TINY) for method in (Method("broken", fails), ORACLE)]
+    with pytest.raises(ValueError, match=r"1 of 2 runs failed:\nTrunkReach-v0/broken/seed0: no distribution"):
+        carry_out_all(runs, tmp_path, tmp_path / "results", HERE)
+    assert [run.done(tmp_path / "results") for run in runs] == [False, True]
+    assert "no distribution" in (tmp_path / runs[0].name / "error.txt").read_text()
 
 
 def test_an_environment_without_a_board_or_with_others_is_an_error_in_words():

@@ -70,6 +70,11 @@ def test_learning_rate_and_exploration_end_with_the_training_and_not_with_a_segm
     assert deviations == pytest.approx([-1.0, -1.5, -2.0])
 
 
+def test_observations_that_hardly_vary_are_not_blown_up(trained, tmp_path):
+    train(replace(CONFIG, observation_floor=0.1), tmp_path)
+    assert Policy.load(tmp_path).tensors["std"].min() >= 0.1 > Policy.load(trained).tensors["std"].min()
+
+
 def test_discrete_actions_have_no_deviation_to_lead(tmp_path):
     train(replace(CONFIG, total_steps=200, action="discrete", final_log_std=-2.0), tmp_path)
 

@@ -1,12 +1,14 @@
 """Carry out many runs, by as many processes or machines as there are, and show how far they are."""
 
 import csv
+import traceback
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Event, Thread
 
 from soro_bench.campaign.run import Run, carry_out
+from soro_bench.files import replacing
 from soro_bench.parallel import Workers, each
 
 TRAINING = 0.95  # of a run; the rest is its evaluation
@@ -22,18 +24,35 @@ Progress = Callable[[float, list[str]], None]
 def carry_out_all(
     runs: Sequence[Run], work: Path, results: Path, workers: Workers, progress: Progress = lambda share, rows: None
 ) -> None:
-    """Carry out the runs that are not done; what a run writes does not depend on the others.
-
-    ValueError if there is an entry that was trained with other settings than its run has.
+    """Carry out the runs that are not done; what a run writes does not depend on the others, nor does whether it fails.
 
     ``progress`` is called every few seconds with the share of the work that is done and a line for each active run.
+
+    Raises:
+        ValueError: there is an entry that was trained with other settings than its run has; or, when all others are
+            done, some runs have failed (error.txt in their folders says more).
+        ChildProcessError: a process died (:func:`soro_bench.parallel.each`).
     """
     work, results = Path(work).resolve(), Path(results).resolve()  # the same for the workers of a cluster
     todo = [run for run in runs if not run.done(results)]
     with _watching(runs, work, results, progress):
-        for _ in each(carry_out, [(run, work, results) for run in todo], workers):
-            pass
+        said = list(each(attempted, [(run, work, results) for run in todo], workers))
     progress(*state(runs, work, results))
+    if failures := [failure for failure in said if failure]:
+        raise ValueError(f"{len(failures)} of {len(todo)} runs failed:\n" + "\n".join(failures))
+
+
+def attempted(run: Run, work: Path, results: Path) -> str | None:
+    """Carry out a run; its name and what went wrong, if something did: it is nothing that others have to wait for."""
+    log = work / run.name / "error.txt"
+    log.unlink(missing_ok=True)
+    try:
+        carry_out(run, work, results)
+    except Exception as error:
+        with replacing(log) as temporary:
+            temporary.write_text(traceback.format_exc())
+        return f"{run.name}: {error}"
+    return None
 
 
 def state(runs: Sequence[Run], work: Path, results: Path) -> tuple[float, list[str]]:

@@ -63,7 +63,9 @@ def _identified(board: str) -> list[Run]:
     rf_dropo, bayes_sim = (inferred(method, recording) for method in ("rf-dropo", "bayes-sim"))
     # the cheap model explains the recording as well as it can: parameters that make up for what it simplifies
     cheaply = replace(inferred("rf-dropo", recording, model=task.cheap), name=f"{rf_dropo.name}_{task.cheap}")
-    three = (ORACLE, rf_dropo, cheaply, bayes_sim, variance_for_deviation(bayes_sim))
+    # what wide randomisation does by itself, about no inferred value
+    box = fixed("dr_box", search_box(task.randomized))
+    three = (ORACLE, rf_dropo, cheaply, box, bayes_sim, variance_for_deviation(bayes_sim))
     runs = [run for method in three for run in runs_of(board, method, SEEDS)]
     return runs + runs_of(board, udr(), BOXES)
 

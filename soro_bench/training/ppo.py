@@ -56,6 +56,7 @@ class PPOConfig:
     initial_log_std: float = -1.0  # of continuous actions
     final_log_std: float | None = None  # approached linearly; None lets PPO learn it
     finite_horizon: bool = False  # what comes after the last step does not count
+    observation_floor: float = 1e-4  # standard deviation under which an observation is not blown up
     hidden: tuple[int, ...] = (128, 128)
     num_threads: int = 0
     effects: str | None = None  # an effects file: physics that the model leaves out
@@ -86,6 +87,8 @@ _TASK_DEFAULTS = {
         "learning_rate": 1e-3,
         "discount": 1.0,
         "finite_horizon": True,
+        # four times the noise that it may be observed with: sideways the mirror image does not move in training at all
+        "observation_floor": 2e-3,
         "gae_lambda": 0.95,
         "entropy_coefficient": 0.01,
         "hidden": (64, 64),
@@ -166,7 +169,10 @@ def _make_env(config: PPOConfig, distribution) -> VecNormalize:
     )
     if distribution is not None:
         envs.unwrapped.task.randomize(distribution)
-    return VecNormalize(SB3VecEnv(envs.unwrapped, config.finite_horizon), norm_reward=False, clip_obs=OBSERVATION_CLIP)
+    return VecNormalize(
+        SB3VecEnv(envs.unwrapped, config.finite_horizon), norm_reward=False, clip_obs=OBSERVATION_CLIP,
+        epsilon=config.observation_floor**2,
+    )  # fmt: skip
 
 
 def _make_agent(config: PPOConfig, env: VecNormalize) -> PPO:
