@@ -31,7 +31,6 @@ NUM_KNOTS = 10
 DUE = KNOT_STEPS * np.arange(1, NUM_KNOTS + 1)
 HELD_STEPS = 10  # the elevation counts that is held through the last 0.5 s
 BEND_LIMITS = geo.CABLE_LIMITS[[0, 1, 4, 5]]  # m
-HALF_SIZE = np.array([0.028, 0.0105, 0.0175])  # m, of the object
 STATE_FIELDS = ("qpos", "qvel", "act", "qacc_warmstart", "time")
 STILL = 0.006  # m, an object whose path in the last 0.15 s is shorter is not in flight
 STILL_STEPS = 3
@@ -43,12 +42,8 @@ def heights(task, ids):
 
     The lean is the angle between the vertical and the face normal nearest to it.
     """
-    w, x, y, z = task.signals(ids)["object_quaternion"].T
-    # the vertical in the object's frame
-    up = np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=1)
-    elevation = task.elevation(ids)
-    clearance = elevation + HALF_SIZE[1] - np.abs(up) @ HALF_SIZE
-    return np.stack([elevation, clearance, np.arccos(np.minimum(np.abs(up).max(axis=1), 1.0))], axis=1)
+    lean = np.arccos(np.minimum(np.abs(task.vertical(ids)).max(axis=1), 1.0))
+    return np.stack([task.elevation(ids), task.clearance(ids), lean], axis=1)
 
 
 class Archive:

@@ -275,7 +275,7 @@ def test_info(make, env_id, model):
     """Reset and step report parameters and distance, steps also success, divergence and reward terms."""
     env = make(env_id, model=model)
     _, info = env.reset(seed=0)
-    extra = {"elevation"} if env_id == "TrunkLift-v0" else set()
+    extra = {"elevation", "clearance"} if env_id == "TrunkLift-v0" else set()
     assert set(info) == {"params", "distance"} | extra
     *_, info = env.step(0)
     assert set(info) == STEP_INFO | extra
@@ -311,6 +311,7 @@ def test_object_comes_to_rest(make, env_id, model):
     np.testing.assert_allclose(observation[[66, 68]], [0, 0.1] if "Push" in env_id else [-0.03, 0.12], atol=1e-4)
     if env_id == "TrunkLift-v0":
         assert info["elevation"] == pytest.approx(0, abs=2e-4)
+        assert info["clearance"] == pytest.approx(0, abs=2e-4)
 
 
 @pytest.mark.parametrize(("env_id", "size"), [("TrunkPush-v0", (35, 35, 35)), ("TrunkLift-v0", (56, 21, 35))])

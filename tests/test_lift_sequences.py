@@ -25,3 +25,5 @@ def test_sequence_holds_the_recorded_elevation(path):
     assert len(elevation) == 100 and not any(info["diverged"] for *_, info in steps)
     assert elevation[-HELD_STEPS:].min() == pytest.approx(sequence["elevation_held_mm"], abs=TOLERANCE)
     assert elevation[-1] == pytest.approx(sequence["elevation_end_mm"], abs=TOLERANCE)
+    clearance = 1e3 * np.array([info["clearance"] for *_, info in steps])
+    assert clearance[-HELD_STEPS:].min() == pytest.approx(sequence["lowest_corner_held_mm"], abs=TOLERANCE)

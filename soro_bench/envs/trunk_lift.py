@@ -25,7 +25,7 @@ class TrunkLiftTask(ObjectTask):
     randomized = (WALL_OFFSET,)
     evaluation = tuple({"params": {"cube_mass": mass}} for mass in (0.05, 0.1))  # kg, published
 
-    signal_units: ClassVar = {**ObjectTask.signal_units, "elevation": ("m", "world")}
+    signal_units: ClassVar = {**ObjectTask.signal_units, "elevation": ("m", "world"), "clearance": ("m", "world")}
 
     def distance(self, ids):
         position = self.object_position(ids)
@@ -38,9 +38,22 @@ class TrunkLiftTask(ObjectTask):
         whose definition is in neither paper nor code."""
         return self.object_position(ids)[:, 1] - REST_HEIGHT
 
+    def clearance(self, ids) -> np.ndarray:
+        """(n,) rise of the object's lowest corner [m] above its rest: zero where it is tipped, not lifted."""
+        half = self.model.geom("object").size
+        return self.elevation(ids) + half[1] - np.abs(self.vertical(ids)) @ half
+
+    def vertical(self, ids) -> np.ndarray:
+        """(n, 3) unit vector up, in the object's frame."""
+        x, y, z, w = self._object_pose(ids)[:, 3:].T
+        return np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=1)
+
     def signals(self, ids):
-        """As for every object task, and elevation (n,) [m]."""
-        return {**super().signals(ids), "elevation": self.elevation(ids)}
+        """As for every object task, elevation (n,) and clearance (n,) [m]."""
+        return {**super().signals(ids), **self._heights(ids)}
+
+    def _heights(self, ids):
+        return {"elevation": self.elevation(ids), "clearance": self.clearance(ids)}
 
     def _scene_parameters(self, model):
         return (*super()._scene_parameters(model), WallOffset(model))
@@ -49,7 +62,7 @@ class TrunkLiftTask(ObjectTask):
         return GOAL
 
     def _info(self, ids):
-        return {**super()._info(ids), "elevation": self.elevation(ids)}
+        return {**super()._info(ids), **self._heights(ids)}
 
 
 class TrunkLiftEnv(SoftRobotEnv):
@@ -77,7 +90,8 @@ class TrunkLiftEnv(SoftRobotEnv):
     As in :class:`TrunkReachEnv`; `params` also takes cube_mass (published: 0.05 and 0.1 kg), friction and wall_offset
     (published randomisation: uniform in +-0.03 m; -0.2 puts the wall out of reach).
 
-    `info` also has `elevation` [m], the rise of the object's centre above its rest.
+    `info` also has `elevation` [m], the rise of the object's centre above its rest, and `clearance` [m], that of its
+    lowest corner: an object that is rolled onto a narrower face has the former only.
 
     ## Version history
     * v0: after the paper, see :class:`TrunkReachEnv`. The wall is not observed, as the paper says (the published code
