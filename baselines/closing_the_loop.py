@@ -32,12 +32,12 @@ from soro_bench.proof.cases import recording
 from soro_bench.proof.closed_loop import final_distances
 from soro_bench.proof.manoeuvre import manoeuvre
 from soro_bench.proof.robot import CONTROL_TIMESTEP, Law, Robot
-from soro_bench.randomization import Distribution, TruncatedNormal, load
+from soro_bench.randomization import Distribution, holding, load
 from soro_bench.recording.excitation import excitation
 from soro_bench.registration import make_task
 from soro_bench.training.methods import METHODS
 from soro_bench.training.policy import Policy
-from soro_bench.training.ppo import default_config, train
+from soro_bench.training.ppo import TRAINER, default_config, train
 
 ENV_ID, MODEL, KIND = "TrunkReach-v0", "cable", "fine"
 DURATIONS = {"train": 30.0, "heldout": 12.0}  # s
@@ -110,17 +110,15 @@ def training(name: str, method: str, seed: int, folder: Path) -> tuple[Distribut
     if method == "oracle":
         path = folder / "truth.json"
         save_effects([CONCEALED[name].effect], path)
-        values = CONCEALED[name].parameters
-        return TruncatedNormal(
-            tuple(values), np.array(list(values.values())), 1e-6 * np.array(list(values.values()))
-        ), path
+        return holding(None, CONCEALED[name].parameters), path
     return METHODS["udr" if method == "udr" else "oracle"].distribution(ENV_ID, seed, folder), None
 
 
 def result(name: str, method: str, seed: int, folder: Path, steps: int, progress) -> dict:
     """Train one policy and run it on the concealed robot; what is there is read."""
     path = folder / name / method / f"seed{seed}.json"
-    about = {"robot": name, "method": method, "seed": seed, "steps": steps}
+    about = {"robot": name, "method": method, "seed": seed, "steps": steps, "trainer": TRAINER,
+             "diagnosis": method_version()}  # fmt: skip
     if path.exists():
         _same(path, about)
     else:

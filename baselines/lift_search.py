@@ -174,8 +174,7 @@ class Explorer:
             self.archive.offer(key, knots=knots[i].copy(), used=int(used[i]), score=score, state=state[i])
 
     def _nearest_axis(self):
-        w, x, y, z = self.task.signals(self._ids)["object_quaternion"].T
-        return np.abs([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)]).argmax(axis=0)
+        return np.abs(self.task.vertical(self._ids)).argmax(axis=1)
 
     def _load(self, states):
         batch, first = self.task.sim.batch, 0
@@ -197,7 +196,8 @@ class Judge:
 
     def __init__(self, task, params):
         self._task = task
-        self._params = (params, {**params, "cube_mass": 1.0001 * params["cube_mass"], "friction": 0.9999 * 0.9})
+        friction = TrunkLiftTask.parameters.parameters["friction"].nominal
+        self._params = (params, {**params, "cube_mass": 1.0001 * params["cube_mass"], "friction": 0.9999 * friction})
 
     def play(self, actions, params):
         """(n, t, 3) heights of actions (n, t, 8)."""
@@ -263,7 +263,7 @@ def search(options) -> None:
     archive = Archive.load(archive_file) if archive_file.exists() else Archive()
     explorer = Explorer(task, params, archive, np.random.default_rng([options.seed, len(archive)]))
     judge = Judge(task, params)
-    starts = [p for p in (options.start, sequence_file) if p is not None and p.exists()]
+    starts = [*([options.start] if options.start else []), *([sequence_file] if sequence_file.exists() else [])]
     known = [np.array(read_json(path)["knots_m"]) for path in starts]
     for plan in [*known, None]:
         explorer.restart(plan)

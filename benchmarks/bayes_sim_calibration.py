@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from soro_bench.assets import asset_path
 from soro_bench.files import write_json
 from soro_bench.inference import bayes_sim
 from soro_bench.inference.replay import Replay
@@ -30,7 +31,7 @@ def main() -> None:
     rows = []
     print("| environment | features | SBC, p per parameter | TARP, p |\n|---|---|---|---|")
     for env_id in options.envs:
-        replay = Replay(load(ROOT / "baselines" / "recordings" / f"{env_id}.parquet"), model=options.model)
+        replay = Replay(load(asset_path(f"recordings/{env_id}.parquet")), model=options.model)
         low, high = np.array([p.search for p in replay.parameters]).T
         points = np.random.default_rng(0).random((options.simulations + options.checks, len(low)))
         signals = replay.simulate(low + points * (high - low))

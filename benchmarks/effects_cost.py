@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from soro_bench.diagnosis.robot import Robot
+from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import suspects
 from soro_bench.registration import make_task
 
@@ -31,7 +31,7 @@ def main() -> None:
     parser.add_argument("--model", default="cable")
     parser.add_argument("--repeats", type=int, default=5)
     options = parser.parse_args()
-    robot = Robot("TrunkReach-v0", options.model, threads=1)
+    robot = SuiteRobot("TrunkReach-v0", options.model, threads=1)
     task = make_task("TrunkReach-v0", SIMULATIONS, 1, options.model, action="continuous", effects=())
     actions = np.repeat(np.random.default_rng(0).uniform(-1, 1, (STEPS // 5, 8)), 5, axis=0).astype(np.float32)
     first = {one.name: one for one in reversed(suspects(robot)) if one.where.kind != "sensor"}

@@ -85,8 +85,10 @@ def table():
 def displacement(observations, way, config) -> float:
     """What the trained policy walks [mm], without exploration."""
     env = Table(observations, way, config.num_envs, config.finite_horizon)
-    normalised = VecNormalize(env, norm_reward=False, clip_obs=OBSERVATION_CLIP)
+    floor = config.observation_floor**2
+    normalised = VecNormalize(env, norm_reward=False, clip_obs=OBSERVATION_CLIP, epsilon=floor)
     agent = _make_agent(config, normalised)
+    agent.lr_schedule = lambda _: config.learning_rate * (1.0 - agent.num_timesteps / config.total_steps)
     agent.learn(config.total_steps)
     place = 0
     for length in range(STEPS):

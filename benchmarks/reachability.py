@@ -21,6 +21,7 @@ from soro_bench.envs.trunk_reach import EVALUATION_GOALS, TrunkReachTask
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.models.trunk import VARIANTS
 from soro_bench.planning import ReachPlan, ReachPlanner
+from soro_bench.report import pyplot
 
 ROOT = Path(__file__).parents[1]
 RANDOM_MOVES = {"cable": 512, "flex": 0}  # flex starts from the plans for cable
@@ -122,11 +123,7 @@ def print_table(result: dict) -> None:
 
 def plot(results: Path, path: Path) -> None:
     """Final distance per goal, one row of bars per model."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
+    plt = pyplot()
     figure, axes = plt.subplots(figsize=(11, 3.6), layout="constrained")
     files = [results / f"reachability_{model}.json" for model in VARIANTS]
     found = [read_json(file) for file in files if file.exists()]

@@ -19,7 +19,7 @@ import numpy as np
 from stable_baselines3 import PPO
 
 from soro_bench.envs.sb3 import SB3VecEnv
-from soro_bench.registration import task_type
+from soro_bench.registration import make_task, task_type
 from soro_bench.training.ppo import default_config, train
 
 PUBLISHED_STEPS = 2_000_000
@@ -47,7 +47,7 @@ def timed(spent: Counter, owner: type, method: str):
 
 def bare_rate(env_id: str, model: str) -> float:
     """Environment steps per second of a loop of mj_step, random controls, on one thread."""
-    task = task_type(env_id)(1, model=model)
+    task = make_task(env_id, 1, 1, model)
     simulated = task.sim.batch.get_model(0)
     substeps = round(task.control_timestep / simulated.opt.timestep)
     data, rng = mujoco.MjData(simulated), np.random.default_rng(0)
@@ -76,10 +76,11 @@ def trained(env_id: str, model: str, steps: int, threads: int) -> dict:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--env", default="TrunkReach-v0")
-    parser.add_argument("--model", default="cable")
+    parser.add_argument("--model", help="the cheap one by default")
     parser.add_argument("--steps", type=int, default=64_000)
     parser.add_argument("--repeats", type=int, default=3)
     options = parser.parse_args()
+    options.model = options.model or task_type(options.env).cheap
     rows = {threads: [] for threads in (1, 2)}
     bare = []
     for _ in range(options.repeats):

@@ -18,6 +18,7 @@ from soro_bench.models import walker
 from soro_bench.models.simulation import Simulation
 from soro_bench.models.walker_mesh import CHAMBERS, RESOLUTIONS, TIP_INNER, TIP_OUTER, build_mesh
 from soro_bench.parameters import ParameterSet
+from soro_bench.report import pyplot
 
 DOCS = Path(__file__).parents[1] / "docs"
 RAMP, SETTLE = 2.0, 1.0  # s
@@ -118,8 +119,7 @@ def main() -> None:
 
 
 def plot(shapes) -> None:
-    import matplotlib.pyplot as plt
-
+    plt = pyplot()
     figure, axes = plt.subplots(1, 2, figsize=(8, 3.4), layout="constrained", sharex=True)
     for ax, what in zip(axes, ("arch", "curl"), strict=True):
         for mesh, shape in shapes.items():

@@ -5,9 +5,15 @@ Importing the package registers its environments with Gymnasium.
 
 import os
 import sys
+from ctypes.util import find_library
 
-# MuJoCo picks its OpenGL platform at import; without a display only EGL can draw.
-if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+# MuJoCo picks its OpenGL platform at import; without a display only EGL can draw. Where EGL is missing, MuJoCo would
+# not even be imported with it.
+if (
+    sys.platform.startswith("linux")
+    and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    and find_library("EGL")
+):
     os.environ.setdefault("MUJOCO_GL", "egl")
 
 from soro_bench.registration import ENV_IDS, register_envs

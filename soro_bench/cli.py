@@ -67,6 +67,8 @@ def plain_errors(program: str) -> Iterator[None]:
     except ModuleNotFoundError as error:
         sys.exit(f"{program}: {error}: pip install 'soro_bench[all]'")
     except (ValueError, OSError, ImportError) as error:
+        if sys.flags.dev_mode:  # PYTHONDEVMODE=1: the traceback, to find out where it comes from
+            raise
         sys.exit(f"{program}: {error}")
     except KeyboardInterrupt:
         sys.exit(f"{program}: interrupted; the same command goes on from the last checkpoint")

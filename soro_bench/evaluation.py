@@ -39,7 +39,7 @@ def evaluate(
     """
     starts = task_type(env_id).evaluation if starts is None else starts
     task = make_task(env_id, len(starts), num_threads, model, action=action, **options)
-    # evaluation starts leave nothing to chance but what the task itself draws
+    # evaluation starts fix all but the noise of observations; others may leave more open
     rngs = [np.random.default_rng(seed + i) for i in range(len(starts))]
     everyone = np.arange(len(starts))
     observation, info = task.reset(everyone, rngs, starts)
@@ -51,7 +51,7 @@ def evaluate(
         step = task.step(running, actions)
         observation[running] = step.observation
         _record(recorders, running, task, step.info, actions)
-        running = running[~(step.terminated & stop_when_solved | step.diverged)]
+        running = running[~(step.diverged | (step.terminated & stop_when_solved))]
         if len(running) == 0:
             break
     return [recorder.episode(env_id, model, task, i) for i, recorder in enumerate(recorders)]

@@ -164,10 +164,10 @@ class ReachPlanner:
             yield sum(not plan.solved for plan in self.plans)
 
     def improve(self) -> Iterator[int]:
-        """Run CMA-ES for every unsolved goal; yields the number of unsolved goals after each iteration, forever.
+        """Run CMA-ES for every unsolved goal; yields the number of unsolved goals after each iteration.
 
         The first search of a goal varies the eight displacements of a held move; later ones, from the best plan so
-        far, a swing of four knots and a held move in turn.
+        far, a swing of four knots, or a held move in turn as long as the best plan is one.
         """
         while unsolved := [g for g, plan in enumerate(self.plans) if not plan.solved]:
             for due in (HOLD, SWING):

@@ -45,7 +45,7 @@ def _finite(label: str, names: Sequence[str], values: np.ndarray, axes: int = 1)
     return values
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)  # arrays have no truth value; to_dict() compares
 class Uniform:
     """Independent uniform distributions on [low, high]."""
 
@@ -67,7 +67,7 @@ class Uniform:
         return {"type": "uniform", **_columns(self.names, low=self.low, high=self.high)}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TruncatedNormal:
     """Independent normals, truncated at mean +- 2 std and at the parameters' bounds."""
 
@@ -108,7 +108,7 @@ def _truncated_normal_quantile(u, mean, std, least, most) -> float:
     return float(np.clip(normal.inv_cdf(p), low, high))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Gaussian:
     """A normal distribution with full covariance, clipped to the parameters' bounds as published."""
 

@@ -1,5 +1,6 @@
 """The package: its assets, its registration, and what importing it does not need."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -60,3 +61,14 @@ def test_assets_inside_the_package(tmp_path):
     shutil.copytree(CHECKOUT / "assets", tmp_path / "soro_bench" / "assets", dirs_exist_ok=True)
     found = run_python(f"{USE}; from soro_bench.assets import mjcf_path; print(mjcf_path('push.xml'))", tmp_path)
     assert Path(found).resolve() == (tmp_path / "soro_bench/assets/mjcf/push.xml").resolve()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="EGL is asked for on Linux only")
+def test_without_egl_the_package_is_imported_all_the_same():
+    """With MUJOCO_GL=egl MuJoCo could not be."""
+    code = "import ctypes.util, os; ctypes.util.find_library = lambda _: None; import soro_bench; print(os.environ)"
+    hidden = ("DISPLAY", "WAYLAND_DISPLAY", "MUJOCO_GL")
+    environment = {name: value for name, value in os.environ.items() if name not in hidden}
+    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120)
+    assert run.returncode == 0, run.stderr
+    assert "MUJOCO_GL" not in run.stdout

@@ -77,7 +77,8 @@ class InferenceBaseline(Baseline):
         from soro_bench.recording.simulated import parse_params
 
         env_id = BOARDS[self.board].env_id if self.board in BOARDS else self.board
-        found = inferred(method, self.recording or recording_path(env_id), parse_params(self.known), self.replay_model,
+        recording = self.recording.resolve() if self.recording else recording_path(env_id)  # workers start elsewhere
+        found = inferred(method, recording, parse_params(self.known), self.replay_model,
                          self.noise)  # fmt: skip
         check_name("the method", name := self._named(found.name))  # before the work, not after it
         super().run(replace(found, name=name))

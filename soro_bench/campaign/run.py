@@ -22,7 +22,10 @@ ENTRY = "ppo"  # whose the results are, on the leaderboard
 
 @dataclass(frozen=True)
 class Run:
-    """A policy of a board: by which method the training parameters are chosen, and how it is trained."""
+    """A policy of a board: by which method the training parameters are chosen, and how it is trained.
+
+    Environment, method and length of episodes in ``config`` are replaced by those of board and method.
+    """
 
     board: str
     method: Method

@@ -32,7 +32,7 @@ class _Camera:
         self._snapshot = _Snapshot(sim)
         try:
             self._renderer = mujoco.Renderer(self._snapshot.model, _HEIGHT, _WIDTH)
-        except mujoco.FatalError as error:
+        except (mujoco.FatalError, ImportError, RuntimeError) as error:  # by what of OpenGL is missing
             raise RuntimeError(_HINT) from error
         self._camera = self._snapshot.model.camera("review").id
 

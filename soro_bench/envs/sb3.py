@@ -38,6 +38,8 @@ class SB3VecEnv(VecEnv):
         return [None if seed is None else seed + i for i in range(self.num_envs)]
 
     def reset(self):
+        if any(self._options):
+            raise ValueError("reset options go to the environments themselves; Stable-Baselines3's are for one each")
         observation, _ = self.envs.reset(seed=self._seed)
         self._seed = None
         self._returns[:] = 0
@@ -58,7 +60,7 @@ class SB3VecEnv(VecEnv):
                 "terminal_observation": info["final_obs"][i],
                 "TimeLimit.truncated": not self._finite_horizon,
                 "episode": {"r": self._returns[i], "l": self._lengths[i]},
-                "metric": info["final_info"][self.envs.task.metric][i],
+                "metric": info["final_info"][self.envs.unwrapped.task.metric][i],
             }
         self._returns[done] = 0
         self._lengths[done] = 0

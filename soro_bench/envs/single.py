@@ -42,7 +42,7 @@ class SoftRobotEnv(gymnasium.Env):
         step = self.task.step(_ONLY, checked)
         if self.render_mode == "human":
             self.render()
-        # a state that left the reals is MuJoCo's failure, not the policy's: the episode is cut, not ended
+        # a state that MuJoCo gave up, or that left the space of observations: the episode is cut, not ended
         return (
             step.observation[0],
             float(step.reward[0]),

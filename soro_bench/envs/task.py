@@ -146,7 +146,7 @@ class Task(ABC):
     def randomize(self, distribution: Distribution) -> None:
         """Draw the parameters of every episode from ``distribution`` from the next reset on."""
         if not hasattr(distribution, "names") or not hasattr(distribution, "sample"):
-            raise ValueError(f"{distribution!r} is no distribution of parameters, such as soro_bench's Uniform")
+            raise ValueError(f"{distribution!r} is no distribution, such as soro_bench.randomization.Uniform")
         self.parameters.check_names(distribution.names)
         self._distribution = distribution
 
@@ -157,7 +157,7 @@ class Task(ABC):
         return {name: getattr(self.sim.batch, name)[ids] for name in STATE}
 
     def set_state(self, ids: np.ndarray, state: Mapping[str, np.ndarray]) -> None:
-        """Continue simulations ``ids`` from a state; its parameters stay what they are."""
+        """Continue simulations ``ids`` from a state; parameters, goals and what rewards count from stay."""
         for name in STATE:
             self.sim.batch.bind(name)
             getattr(self.sim.batch, name)[ids] = state[name]

@@ -41,7 +41,7 @@ class TrunkLiftTask(ObjectTask):
     def clearance(self, ids) -> np.ndarray:
         """(n,) rise of the object's lowest corner [m] above its rest: zero where it is tipped, not lifted."""
         half = self.model.geom("object").size
-        return self.elevation(ids) + half[1] - np.abs(self.vertical(ids)) @ half
+        return self.elevation(ids) + half[1] - (np.abs(self.vertical(ids)) * half).sum(axis=1)
 
     def vertical(self, ids) -> np.ndarray:
         """(n, 3) unit vector up, in the object's frame."""

@@ -107,7 +107,7 @@ class SoftRobotVectorEnv(VectorEnv):
         self._done = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
             done = np.flatnonzero(self._done)
-            final = {"final_obs": self._observation[done], "final_info": _take(info, done)}
+            final = {"final_obs": self._observation[done], "final_info": _moved_out(info, done)}
             _scatter(info, final, done, self.num_envs)
             self._restart(done, [{}] * len(done), info)
         return self._observation.copy(), reward, terminated, truncated, info
@@ -155,12 +155,12 @@ def _scatter(info: dict, rows: Mapping[str, Any], ids: np.ndarray, num_envs: int
         info.setdefault(f"_{key}", np.zeros(num_envs, bool))[ids] = True
 
 
-def _take(info: Mapping[str, Any], ids: np.ndarray) -> dict[str, Any]:
+def _moved_out(info: Mapping[str, Any], ids: np.ndarray) -> dict[str, Any]:
     """Rows ``ids`` of every array of ``info``, whose masks then no longer count them."""
     taken = {}
     for key, value in info.items():
         if key.startswith("_"):
             value[ids] = False
         else:
-            taken[key] = _take(value, ids) if isinstance(value, Mapping) else value[ids]
+            taken[key] = _moved_out(value, ids) if isinstance(value, Mapping) else value[ids]
     return taken

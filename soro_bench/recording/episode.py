@@ -21,14 +21,14 @@ class Episode:
     signals: dict[str, np.ndarray]
     actions: np.ndarray  # (T,) or (T, nu)
     rewards: dict[str, np.ndarray]  # reward_<term>: (T,)
-    metric_name: str  # distance or displacement
+    metric_name: str  # distance, displacement or elevation
     metric: np.ndarray  # (T + 1,) m
     is_success: bool
     diverged: bool
 
     @property
     def final_metric(self) -> float:
-        """The published metric [m]: the final distance (trunk), or displacement (walker)."""
+        """The published metric [m]: what ``metric_name`` says, at the end."""
         return float(self.metric[-1])
 
     @property

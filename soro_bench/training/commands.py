@@ -27,7 +27,7 @@ class Train:
     --effects."""
     seed: int = 0
     steps: int | None = None
-    """Environment steps; what the environment needs by default."""
+    """Environment steps, rounded up to whole segments (docs/training.md); what the environment needs by default."""
     model: str | None = None
     """The environment's model or mesh to train on; the cheap one by default."""
     action: Literal["discrete", "continuous"] | None = None
@@ -67,7 +67,7 @@ class Evaluate:
 
     def run(self) -> None:
         from soro_bench.campaign.run import record_evaluations
-        from soro_bench.files import write_json
+        from soro_bench.files import read_json, write_json
         from soro_bench.leaderboard.boards import board_of
         from soro_bench.training.policy import Policy
 
@@ -76,8 +76,11 @@ class Evaluate:
             raise ValueError(f"{out} is an entry: say with --out where its results go")
         name, board = board_of(policy.card.env_id, self.board)
         label = self.on or task_type(board.env_id).accurate
+        path = out / f"evaluation_{label}.json"
+        if path.exists() and (other := read_json(path)["board"]) != name:
+            raise ValueError(f"{path} is of {other}: say with --out where the results on {name} go")
         scores = record_evaluations(policy, name, (board.labelled(label),), out)
-        write_json(out / f"evaluation_{label}.json", {"board": name, **scores})
+        write_json(path, {"board": name, **scores})
         final = scores[label]["final_mm"]
         mean, solved = sum(final) / len(final), sum(scores[label]["success"])
         said = f"{name} on {label}: final {board.metric} {mean:.2f} mm, mean of {len(final)} episodes; {solved} solved"

@@ -123,6 +123,8 @@ def train(
     described = _claim(folder, config, distribution)
     torch.set_num_threads(1)  # sums would depend on the number; networks this small gain nothing from more
     env = _make_env(config, distribution)
+    if (steps := env.unwrapped.envs.spec.max_episode_steps) > config.rollout_steps * config.rollouts_per_segment:
+        raise ValueError(f"no episode of {steps} steps ends in a segment; raise rollout_steps or rollouts_per_segment")
     agent = _make_agent(config, env)
     write_json(folder / "config.json", described)  # only now: what cannot be trained claims no folder
     curve = _Curve()
