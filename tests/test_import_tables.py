@@ -98,6 +98,8 @@ def test_a_command_is_one_until_its_numbers_leave_where_they_were(csv):
     np.testing.assert_array_equal(recording.signals["x"].time, range(5))
     kept = csv(table, mapping.replace("0.0026", "0.01")).commands["held"]
     assert kept.values.tolist() == [1]
+    with pytest.raises(RecordingError, match="first sample has gaps"):
+        csv(table.replace("0,5,1", "0,,1"), mapping)
 
 
 def test_a_recording_can_begin_later_than_its_file(csv):
@@ -116,6 +118,12 @@ def test_a_recording_can_begin_later_than_its_file(csv):
     assert float(recording.metadata["start_time"]) == 5.3
     with pytest.raises(RecordingError, match=r"signals.f has nothing from \[time\] begin = 9"):
         csv("t,f\n0,1\n1,2\n", mapping.replace("0.3", "9.0"))
+
+
+def test_a_row_of_empty_cells_counts_and_an_empty_line_does_not(csv):
+    mapping = '[time]\ninterval = 1.0\n[signals.f]\ncolumns = ["f"]\nunit = "N"\n'
+    signal = csv("f,g\n0,0\n1,1\n,\n\n3,3\n", mapping).signals["f"]
+    assert (signal.time.tolist(), signal.values.tolist()) == ([0, 1, 3], [0, 1, 3])
 
 
 def test_csv_of_counted_rows_of_some_trials(csv):

@@ -172,6 +172,30 @@ def test_a_missing_sample_says_nothing(reach):
     assert (residual[4, 9:12] == 0).all() and (residual[4, 12:] != 0).any()
 
 
+def test_what_lies_between_two_samples_is_no_measurement(reach):
+    recording, _ = reach
+    given = recording.signals["keypoints"]
+    half = Signal(given.time[1::2], given.values[1::2], "m", "world")
+    replay = Replay(replace(recording, signals={"keypoints": half}), threads=1)
+    assert np.isnan(replay.measured).all(axis=1).sum() == STEPS // 2
+
+
+def test_a_quaternion_and_its_negative_are_the_same_orientation():
+    recording = record("TrunkPush-v0", model="cable", steps=4)
+    turned = recording.signals["object_quaternion"]
+    jumping = replace(turned, values=turned.values * np.array([1, -1, -1, 1, -1])[:, None])
+    same = replace(recording, signals={**recording.signals, "object_quaternion": jumping})
+    assert np.array_equal(*(Replay(one, threads=1).measured for one in (recording, same)))
+
+
+def test_what_a_fit_leaves_widens_what_is_said_to_be_determined(reach):
+    recording, _ = reach
+    far = Replay(recording, known={"young_modulus": 8e6, "poisson_ratio": 0.45}, threads=1)
+    near = Replay(recording, known={"young_modulus": 3.9e6, "poisson_ratio": 0.43}, threads=1)
+    widths = [infer("sysid", replay).combinations[0].relative_std for replay in (far, near)]
+    assert widths[0] > 10 * widths[1]
+
+
 def test_a_ratio_is_named_when_only_the_ratio_matters():
     # what is measured depends on the logarithm of mass / E, and a hundred times less on friction
     d_log = np.array([[1.0, -1.0, 0.0], [0.5, -0.5, 0.01]])
@@ -289,6 +313,12 @@ def test_a_recording_without_what_is_needed_is_refused(reach):
     recording, _ = reach
     with pytest.raises(RecordingError, match=r"no keypoints; it has tension"):
         Replay(replace(recording, signals={"tension": recording.signals["tension"]}))
+    given = recording.signals["keypoints"]
+    for wrong in (replace(given, frame="camera"), replace(given, values=given.values[:, :20])):
+        with pytest.raises(
+            RecordingError, match=r"keypoints is in 'm', frame .*; expected are 'm', 'world', \(21, 3\)"
+        ):
+            Replay(replace(recording, signals={"keypoints": wrong}))
     without = {name: signal for name, signal in recording.signals.items() if not name.startswith("state.")}
     with pytest.raises(RecordingError, match="--full-state"):
         Replay(replace(recording, signals=without), restart=True)

@@ -195,6 +195,11 @@ def test_a_file_that_could_do_more_than_a_network_is_refused(make, parts):
         loaded(make())
 
 
+def test_a_file_that_is_too_large_to_be_parsed_is_refused():
+    with pytest.raises(ValueError, match=says("policy.onnx has 5000001 bytes; at most 5000000 are read")):
+        OnnxPolicy.from_bytes(card(), bytes(5_000_001), "policy.onnx")
+
+
 @pytest.mark.parametrize("data", [b"", b"\x80\x04pickle", b"\x00" * 100, model().SerializeToString()[:300]])
 def test_bytes_that_are_no_model_are_refused(data):
     with pytest.raises(ValueError, match=says("policy.onnx holds no valid policy")):

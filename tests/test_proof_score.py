@@ -156,6 +156,12 @@ def test_calibration_compares_what_is_stated_with_what_is_right():
     assert values(labels, reports)[0]["expected calibration error"] == pytest.approx(0.25)
 
 
+def test_probabilities_that_are_right_have_an_error_of_calibration_by_chance():
+    """Of four cases at one half: none, one quarter or one half off with chances of 6, 8 and 2 in 16."""
+    found = values([label(i) for i in range(4)], [report(chance=0.5)] * 4)[0]
+    assert found["the same of probabilities that are right, by chance"] == pytest.approx(8 / 64 + 2 / 32, abs=0.03)
+
+
 def test_parameters_that_hide_an_effect_are_seen():
     _, card = values([label(0)], [report()])
     assert card["cases"][0]["concealed"] == pytest.approx(1 - 3 * (0.6**2 - 0.5**2) / 2.0**2)

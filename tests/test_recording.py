@@ -227,6 +227,13 @@ def test_a_list_of_millions_in_a_few_bytes_is_refused(tmp_path):
         load(path, max_bytes=10_000_000)
 
 
+def test_columns_without_rows_are_counted_too(tmp_path):
+    path = tmp_path / "wide.parquet"
+    pq.ParquetWriter(path, pa.schema([pa.field(f"c{i}", pa.float64()) for i in range(5001)])).close()
+    with pytest.raises(RecordingError, match="5001 columns; at most 5000"):
+        load(path)
+
+
 def test_file_size_is_bounded(tmp_path):
     save(example(), tmp_path / "a.parquet")
     with pytest.raises(RecordingError, match="bytes; at most 100 are read"):

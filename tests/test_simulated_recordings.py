@@ -61,7 +61,7 @@ def test_every_signal_has_a_unit(env_id):
     assert task.signals(np.arange(1)).keys() == task.signal_units.keys()
 
 
-def test_noise_is_seeded_and_falls_on_positions_only():
+def test_noise_is_seeded_and_falls_on_positions_and_orientations_only():
     clean, noisy, again, other = (
         record("TrunkReach-v0", model="cable", steps=20, seed=1, noise=noise) for noise in (0.0, 1e-3, 1e-3, 2e-3)
     )
@@ -71,6 +71,9 @@ def test_noise_is_seeded_and_falls_on_positions_only():
         if name in ("keypoints", "link_position"):
             assert np.std(difference) == pytest.approx(1e-3, rel=0.15)
             np.testing.assert_allclose(other.signals[name].values - values, 2 * difference, atol=1e-12)
+        elif name == "link_quaternion":  # three of four numbers turn it
+            assert np.std(difference) == pytest.approx(1e-3 / 0.025 * np.sqrt(3 / 4), rel=0.15)
+            assert np.linalg.norm(noisy.signals[name].values, axis=-1) == pytest.approx(1.0)
         else:
             assert not difference.any()
     assert noisy.metadata["noise"] == "0.001"

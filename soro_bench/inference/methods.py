@@ -154,8 +154,9 @@ def _sysid(search: Search, max_iterations: int = 30, start: float | None = None)
     _, result = sysid.optimize(params, residual, verbose=False, max_iters=max_iterations, eps=1e-4, **quiet)
     best = np.clip(np.asarray(result.x, float).ravel(), 0, 1)
     slope = _slope(search, best)
-    white = search.log(lambda p: search.residuals(p[None], steps) / replay.deviation, best, "residual").ravel()
-    jacobian = (slope * search.width / replay.deviation[..., None]).reshape(-1, search.dimension)
+    white = search.log(lambda p: search.residuals(p[None], steps) / replay.deviation, best, "residual")[0]
+    seen = ~np.isnan(replay.measured)  # mujoco.sysid's variance counts every row
+    white, jacobian = white[seen], (slope * search.width / replay.deviation[..., None])[seen]
     covariance, _ = sysid.calculate_intervals([white], jacobian)
     scale = np.outer(search.width, search.width)
     values = search.low + search.width * best
@@ -168,10 +169,11 @@ def _bayes_sim(search: Search, features: str = "mdn", simulations: int = 1000, s
     replay = search.replay
     points = np.random.default_rng(search.seed).random((simulations, search.dimension))
     measured = np.nan_to_num(replay.measured)
-    parts = search.parts(points[search.log.known * SIMULATIONS :], replay.steps)
+    # an entry of the log is SIMULATIONS points, and those that it has are not simulated again
+    to_come = search.parts(points[search.log.known * SIMULATIONS :], replay.steps)
 
     def simulated(first):
-        signals = measured - next(parts)
+        signals = measured - next(to_come)
         return bayes_sim.summarise(signals + _sensor_noise(replay, len(signals), [search.seed, first]), replay.actions)
 
     summaries = []
@@ -208,12 +210,15 @@ def _posterior(method, search, distribution: Distribution, estimate, slope, sett
     residual = search.log(lambda p: search.residuals(p[None], steps)[0], search.point(estimate), "fit")
     fit = {name: float(np.sqrt((residual[:, group] ** 2).mean()))
            for name, group in zip(replay.signal_names, replay.groups, strict=True)}  # fmt: skip
+    # what the fit leaves is the deviation that it has, if it is more than was expected
+    left = (residual / replay.deviation)[~np.isnan(replay.measured)]
+    deviation = max(1.0, float(np.sqrt((left**2).mean()))) * replay.deviation
     return Posterior(
         method=method,
         distribution=_with_known(distribution, replay.known),
         estimate=dict(zip(replay.names, map(float, estimate), strict=True)),
         fit=fit,
-        combinations=combinations(slope, replay.deviation, replay.parameters, estimate),
+        combinations=combinations(slope, deviation, replay.parameters, estimate),
         known=replay.known,
         model=replay.model,
         replay=replay.fingerprint(),

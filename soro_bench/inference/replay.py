@@ -3,13 +3,14 @@
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from soro_bench.parallel import processors
 from soro_bench.parameters import Parameter
-from soro_bench.recording.recording import Recording, RecordingError, resampled
+from soro_bench.recording.recording import Recording, RecordingError, Signal, resampled, sampled
 from soro_bench.recording.simulated import recorded_actions
 from soro_bench.registration import make_task, task_type
 
@@ -72,13 +73,14 @@ class Replay:
     def _read(self, recording, noise) -> None:
         times = recording.start + self._task.control_timestep * np.arange(1, len(self.actions) + 1)
         measured, deviation, sensor, self.groups, first = [], [], [], [], 0
+        simulated = self._task.signals(np.arange(1))
         for name in self.signal_names:
             if name not in recording.signals:
                 raise RecordingError(f"the recording has no {name}; it has {', '.join(recording.names)}")
-            signal = resampled(recording.signals[name], times)
-            if signal.unit not in RESOLUTION:
-                raise RecordingError(f"{name} is in {signal.unit!r}; allowed are {', '.join(RESOLUTION)}")
+            given = _checked(name, recording.signals[name], self._task.signal_units[name], simulated[name][0].shape)
+            signal = resampled(given, times)
             rows = signal.values.reshape(len(times), -1)
+            rows = np.where(sampled(given.time, times)[:, None], rows, np.nan)
             measured.append(rows)
             # orientations come from the same markers: their noise grows with that of positions
             noisy = 0.0 if signal.unit == "N" else RESOLUTION[signal.unit] * noise / RESOLUTION["m"]
@@ -153,6 +155,27 @@ class Replay:
     def _measure(self, ids):
         signals = self._task.signals(ids)
         return np.concatenate([signals[name].reshape(len(ids), -1) for name in self.signal_names], axis=1)
+
+
+def _checked(name: str, signal: Signal, kind: tuple[str, str], shape: tuple[int, ...]) -> Signal:
+    """The signal, quaternions without jumps to their negatives; RecordingError if it is not what is simulated."""
+    if (signal.unit, signal.frame) != kind or signal.values.shape[1:] != shape:
+        raise RecordingError(
+            f"{name} is in {signal.unit!r}, frame {signal.frame!r}, with samples of shape {signal.values.shape[1:]}; "
+            f"expected are {kind[0]!r}, {kind[1]!r}, {shape}"
+        )
+    if signal.unit not in RESOLUTION:
+        raise RecordingError(f"{name} is in {signal.unit!r}; allowed are {', '.join(RESOLUTION)}")
+    return replace(signal, values=_continuous(signal.values)) if name == "object_quaternion" else signal
+
+
+def _continuous(quaternions: np.ndarray) -> np.ndarray:
+    """(T, 4) quaternions w, x, y, z, each of the sign nearer to the one before it; the first turns by less than pi."""
+    found, before = quaternions.copy(), np.array([1.0, 0.0, 0.0, 0.0])
+    for i in np.flatnonzero(~np.isnan(found).any(axis=1)):
+        found[i] *= -1.0 if found[i] @ before < 0 else 1.0
+        before = found[i]
+    return found
 
 
 @lru_cache(4)

@@ -34,17 +34,16 @@ Predict = Callable[[np.ndarray, int], np.ndarray]  # residuals (N, T, k) of poin
 class Fit:
     """A distribution on the unit cube of the search box.
 
-    mean, std: (d,); log_likelihood of the whole recording; jacobian (T, k, d) of what is measured there.
+    mean, std: (d,); jacobian (T, k, d) of what is measured there.
     """
 
     mean: np.ndarray
     std: np.ndarray
-    log_likelihood: float
     jacobian: np.ndarray
 
 
-def sampled(residuals, deviation, dimension, log: EvaluationLog, seed=0, iterations=500, samples=100, transitions=None,
-            popsize=None, progress=lambda *_: None) -> Fit:  # fmt: skip
+def sampled(residuals, deviation, dimension, log: EvaluationLog, seed=0, iterations=500, samples=100, popsize=None,
+            progress=lambda *_: None) -> Fit:  # fmt: skip
     """The published search.
 
     Args:
@@ -52,36 +51,32 @@ def sampled(residuals, deviation, dimension, log: EvaluationLog, seed=0, iterati
         deviation: (T, k), of the measurement.
         dimension: d.
         log: of the costs.
-        seed: of the samples, the transitions and CMA-ES.
+        seed: of the samples and CMA-ES.
         iterations: of CMA-ES.
         samples: K replays per candidate, a quasi-random sample that is the same for all candidates.
-        transitions: L, how many of the steps an iteration looks at, drawn at random; all by default.
         popsize: candidates per iteration; CMA-ES's own choice by default.
         progress: see :func:`cma_search`.
     """
-    steps, rng = len(deviation), np.random.default_rng(seed)
+    steps = len(deviation)
     quantiles = qmc.Sobol(dimension, rng=seed).random_base2((samples - 1).bit_length())[:samples]
     normal = _truncated_normal(quantiles)
     popsize = popsize or 4 + int(3 * np.log(2 * dimension))
 
     def cost(points, share):
         until = horizon(share, steps) if share < 1 else steps
-        chosen = np.arange(until)
-        if transitions and transitions < until and share < 1:
-            chosen = np.sort(rng.choice(until, transitions, replace=False))
 
         def costs(points):
             mean, std = _unpack(points)
             cloud = np.clip(mean[:, None] + std[:, None] * normal, 0, 1)
             found = residuals(cloud.reshape(-1, dimension), until).reshape(len(points), samples, until, -1)
-            return np.array([-_sampled_log_likelihood(one[:, chosen], deviation[chosen]) for one in found])
+            return np.array([-_sampled_log_likelihood(one, deviation[:until]) for one in found])
 
-        return log(costs, points, f"{until} {chosen.tolist()}")
+        return log(costs, points, f"{until}")
 
     best = cma_search(cost, 2 * dimension, iterations, popsize, seed, progress)
     mean, std = (row[0] for row in _unpack(best[None]))
     jacobian = log(lambda m: jacobian_at(residuals, m, steps), mean, "jacobian")
-    return Fit(mean, std, -float(cost(best[None], 1.0)[0]), jacobian)
+    return Fit(mean, std, jacobian)
 
 
 def linearised(residuals, deviation, groups, dimension, log: EvaluationLog, seed=0, starts=8,
@@ -120,7 +115,7 @@ def refined(residuals, deviation, mean, log: EvaluationLog) -> Fit:
         if np.abs(shift).max() < 1e-7:
             break
     _, std = _best_gaussian(residual, jacobian, deviation, mean, std, 0.0)
-    return Fit(mean, std, _linear_log_likelihood(residual, jacobian, std, deviation), jacobian)
+    return Fit(mean, std, jacobian)
 
 
 def _best_gaussian(residual, jacobian, deviation, mean, std, reach):

@@ -79,7 +79,7 @@ class Verify:
         for path in self.entries:
             try:
                 lines = self._verified(path)
-            except ValueError as error:  # the others are verified all the same
+            except (ValueError, OSError) as error:  # the others are verified all the same
                 lines = {"refused": f"differs: {error}"}
             for part, found in lines.items():
                 console.print(f"{path}: {part}: {found}", soft_wrap=True, markup=False, highlight=False)

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from soro_bench.training.policy import MAX_BYTES, PolicyCard
+from soro_bench.training.policy import PolicyCard
 
+MAX_BYTES = 5_000_000  # of a file; parsed, nodes without content take some seventy times as much
 MAX_NODES = 1000
 MAX_VALUES = 1_000_000  # numbers in all results of nodes together
 MAX_READ = 20_000_000  # numbers that all nodes read together: as many as a layer has weights

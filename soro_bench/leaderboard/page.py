@@ -76,8 +76,10 @@ def _board_section(name: str, groups: Sequence[Group], out: Path) -> dict:
             rows[label].sort(key=lambda row: row["iqm"], reverse=board.higher)
             _compare(rows[label], board.higher)
     direction = "higher" if board.higher else "lower"
-    alt = f"Interquartile mean of the final {board.metric}, with 95 % interval, of every row of the table"
-    figures = [(alt, plot_scores(rows, f"{name}-scores", f"final {board.metric} [mm], {direction} is better"))]
+    figures = []
+    if rows:  # none where the seeds of every method were evaluated on different models
+        alt = f"Interquartile mean of the final {board.metric}, with 95 % interval, of every row of the table"
+        figures.append((alt, plot_scores(rows, f"{name}-scores", f"final {board.metric} [mm], {direction} is better")))
     if any(curves_of(group) for group in groups):
         alt = f"Final {board.metric} in training, exploration included: runs, and the median of each method"
         figures.append((alt, plot_curves(groups, f"{name}-curves", f"final {board.metric} in training [mm]")))

@@ -64,7 +64,8 @@ def plot_curves(groups: Sequence[Group], name: str, label: str) -> str:
                 look = {"color": color_of(i), "ls": "-" if i < len(_COLORS) else "--"}
                 for steps, final in curves:
                     axes.plot(steps, final, **look, alpha=0.3, lw=0.7)
-                grid = max((steps for steps, _ in curves), key=len)
+                grid = np.array(max((steps for steps, _ in curves), key=len))
+                grid = grid[grid <= min(steps[-1] for steps, _ in curves)]  # of all runs, not of those that go on
                 median = np.median([np.interp(grid, *curve) for curve in curves], axis=0)
                 axes.plot(grid, median, **look, lw=1.8, label=title_of(group))
         axes.set(xlabel="environment steps", ylabel=label)

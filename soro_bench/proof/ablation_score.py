@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from soro_bench.proof.score import case_row, hidden, shows
+from soro_bench.proof.score import absorbed, case_row, shows
 
 _COLUMNS = ("false alarms", "first answer right", "class right", "right where parameters hide 90 %",
             "variance of unseen motion explained", "rms on unseen motion [mm]")  # fmt: skip
@@ -29,7 +29,7 @@ def ablation_rows(labels: Sequence[dict], reports: Mapping[str, dict], others: M
         **others,
     }
     # the same cases for all, by how the whole method saw them
-    hard = {label["id"] for label in chosen if hidden(case_row(label, reports[label["id"]]))}
+    hard = {label["id"] for label in chosen if absorbed(case_row(label, reports[label["id"]]))}
     rows = [
         {"variant": name, "cases": len(chosen), **_figures(chosen, found, hard)} for name, found in variants.items()
     ]

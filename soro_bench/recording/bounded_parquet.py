@@ -1,5 +1,6 @@
 """Parquet files from strangers, in bounded memory."""
 
+import itertools
 import struct
 from collections.abc import Sequence
 
@@ -8,11 +9,10 @@ import pyarrow.parquet as pq
 
 from soro_bench.recording.parquet_pages import Footer, decoded_bytes, read_footer
 from soro_bench.recording.recording import RecordingError
-from soro_bench.recording.untrusted import MAX_BYTES, MAX_COLUMNS, MAX_ROWS
+from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, MAX_COLUMNS, MAX_ROWS
 
 _MAX_ROW_GROUPS = 10_000
 _MAX_FOOTER = 1_000_000  # bytes; grows some hundredfold in memory
-_EXPANSION = 4  # decoded bytes per byte that a file may have
 _MAX_DEPTH = 20  # of the schema
 _NUMBERS = {"BOOLEAN", "INT32", "INT64", "FLOAT", "DOUBLE"}
 _MAGIC = b"PAR1"
@@ -29,7 +29,7 @@ class BoundedParquet:
     """
 
     def __init__(self, data: bytes, max_bytes: int = MAX_BYTES):
-        self._data, self._budget, self._footer = data, _EXPANSION * max_bytes, _footer(data)
+        self._data, self._budget, self._footer = data, EXPANSION * max_bytes, _footer(data)
         self.num_row_groups = len(self._footer.groups)
         for label, count, most in (
             ("rows", self._footer.num_rows, MAX_ROWS),
@@ -51,8 +51,13 @@ class BoundedParquet:
         names = self.schema.names
         if any(len(group) != len(self._file.schema) for group in self._footer.groups):
             raise RecordingError("a row group has not all columns")
+        if len(names) > MAX_COLUMNS:  # without a row group the footer does not count them
+            raise RecordingError(f"{len(names)} columns; at most {MAX_COLUMNS} are read")
         if len(set(names)) < len(names):
             raise RecordingError("two columns have the same name")
+        sizes = [_num_leaves(field.type) for field in self.schema]
+        firsts = [0, *itertools.accumulate(sizes)]
+        self._leaves = dict(zip(names, zip(firsts, sizes, strict=False), strict=True))  # the first leaf below a field
 
     def read(self, names: Sequence[str], row_groups: Sequence[int] | None = None) -> pa.Table:
         """Columns of numbers, or of lists of numbers, of some row groups (all by default)."""
@@ -71,15 +76,12 @@ class BoundedParquet:
 
     def _leaf(self, name: str) -> int:
         """Index of the one column of numbers below a field."""
-        if name not in self.schema.names:
+        if name not in self._leaves:
             raise RecordingError(f"no column {name!r}; there are {', '.join(self.schema.names[:20])}")
-        first = 0
-        for field in self.schema:
-            if field.name == name:
-                break
-            first += _num_leaves(field.type)
-        if _num_leaves(field.type) != 1 or self._file.schema.column(first).physical_type not in _NUMBERS:
-            raise RecordingError(f"column {name!r} has type {str(field.type)[:80]}; expected numbers or lists of them")
+        first, size = self._leaves[name]
+        if size != 1 or self._file.schema.column(first).physical_type not in _NUMBERS:
+            kind = str(self.schema.field(name).type)[:80]
+            raise RecordingError(f"column {name!r} has type {kind}; expected numbers or lists of them")
         return first
 
     def _spend(self, column) -> None:

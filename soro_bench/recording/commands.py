@@ -32,7 +32,7 @@ class Record:
     """The environment's length by default; 30 s, or as long as it needs, for an excitation."""
     seed: int = 0
     noise: float = 0.0
-    """Standard deviation [m] of normal noise on all positions."""
+    """Standard deviation [m] of normal noise on all positions; orientations are as noisy as 25 mm off the centre."""
     full_state: bool = False
     """Record the simulation's whole state too, which DROPO restarts from."""
 

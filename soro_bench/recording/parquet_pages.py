@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from soro_bench.recording.recording import RecordingError
 
 _BYTES_PER_VALUE = 12  # a number of 8 bytes and two levels
+_BYTES_PER_PAGE = 1000  # for what an empty one costs too
+_MAX_HEADER = 100_000  # bytes of a page's; grows some seventyfold in memory
 _MAX_DEPTH = 10
 _MAX_SIZE = 2**62
 # fields of the structs, as numbered by the format
@@ -62,13 +64,13 @@ def decoded_bytes(data: bytes, column: Column) -> int:
     total = values = 0
     position = column.start
     while position < column.end:
-        header = _Thrift(data, position, column.end)
+        header = _Thrift(data, position, min(column.end, position + _MAX_HEADER))
         page = header.struct()
         count = sum(_size(page[i], 1) for i in _PAGES_OF_DATA if i in page)
         values += count
         if _PAGE_DICTIONARY in page:
             count += _size(page[_PAGE_DICTIONARY], 1)
-        total += _size(page, _PAGE_UNCOMPRESSED) + _BYTES_PER_VALUE * count
+        total += _size(page, _PAGE_UNCOMPRESSED) + _BYTES_PER_VALUE * count + _BYTES_PER_PAGE
         position = header.position + _size(page, _PAGE_COMPRESSED)
     if position != column.end or values != column.num_values:
         raise RecordingError("the pages of a column are not as the footer says")

@@ -17,6 +17,7 @@ MAX_SIZE = 100_000  # numbers in one sample
 MAX_SIGNALS = 1000  # of commands and signals together
 MAX_ENTRIES = 1000  # of parameters, and of metadata
 MAX_TEXT = 10_000  # characters of a metadata value
+_DENSE = 1.2  # of the spacing of times, above which samples are apart
 _ROUNDING = 1e-3  # of the spacing of times, by which a time stamp may be late
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
 _SHORT = re.compile(r"[ -~°µ²³]{0,32}")  # units and frames: printable
@@ -136,6 +137,21 @@ def resampled(signal: Signal, times: np.ndarray, max_gap: float | None = None) -
     between = (1.0 - weight[across]) * values[left] + weight[across] * values[right]
     between = np.where(usable[across], between, np.nan)
     return Signal(times, np.where((times == time[left])[across], values[left], between), signal.unit, signal.frame)
+
+
+def sampled(sampling: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """(T,) whether a sample belongs to each of the evenly spaced times (T,).
+
+    Where samples, at times ``sampling`` [s], are further apart than these are, only the times next to one count: what
+    is interpolated between them has not been measured.
+    """
+    step = float(np.median(np.diff(times))) if len(times) > 1 else np.inf
+    if len(sampling) < 2 or np.median(np.diff(sampling)) < _DENSE * step:
+        return np.ones(len(times), bool)
+    nearest = np.round((sampling - times[0]) / step).astype(int)
+    found = np.zeros(len(times), bool)
+    found[nearest[(nearest >= 0) & (nearest < len(times))]] = True
+    return found
 
 
 def latest(signal: Signal, times: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import os
 import subprocess
 import sys
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +23,7 @@ from soro_bench.recording.trunk_drawing import draw_trunk
 from soro_bench.recording.walker_drawing import draw_walker
 
 APPLICATION_ID = "soro_bench"
+SWITCHED_OFF = "rerun is switched off by the environment variable RERUN"
 DRAWINGS = {"Trunk": draw_trunk, "MultiGait": draw_walker}  # by how the environment's id begins
 
 
@@ -46,11 +47,12 @@ def write_recording(
         raise ValueError("a recording needs at least one episode")
     points = points or {}
     drawings = [_draw(episode) for episode in episodes]
-    identity = _recording_id(episodes, title, points)
     # without properties, which hold the time of writing; in memory, so that a full disk raises below
-    recording = rr.RecordingStream(APPLICATION_ID, recording_id=identity, send_properties=False)
+    recording = rr.RecordingStream(
+        APPLICATION_ID, recording_id=_recording_id(episodes, title, points), send_properties=False
+    )
     if not recording.is_enabled():
-        raise RuntimeError("rerun is switched off by the environment variable RERUN")
+        raise RuntimeError(SWITCHED_OFF)
     memory = recording.memory_recording()
     recording.send_blueprint(layout(episodes, drawings))
     recording.send_recording_name(title)
@@ -97,10 +99,13 @@ def _draw(episode: Episode) -> Drawing:
 
 
 def _recording_id(episodes, title, points) -> str:
-    """From title and content: the viewer takes files of one id for parts of one recording."""
+    measured = [each.positions for each in points.values()]
+    return identity(title, [*(episode.metric for episode in episodes), *measured])
+
+
+def identity(title: str, content: Iterable[np.ndarray]) -> str:
+    """The id of a recording: the viewer takes files of one id for parts of one recording."""
     digest = hashlib.sha256(title.encode())
-    for episode in episodes:
-        digest.update(np.ascontiguousarray(episode.metric).tobytes())
-    for measured in points.values():
-        digest.update(np.ascontiguousarray(measured.positions).tobytes())
+    for array in content:
+        digest.update(np.ascontiguousarray(array).tobytes())
     return str(uuid.UUID(bytes=digest.digest()[:16]))

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.files import replacing
-from soro_bench.recording.rerun_log import APPLICATION_ID, require_rerun
+from soro_bench.recording.rerun_log import APPLICATION_ID, SWITCHED_OFF, identity, require_rerun
 
 
 def write_signals(path: str | Path, title: str, time: np.ndarray, runs: Mapping[str, np.ndarray]) -> None:
@@ -19,7 +19,9 @@ def write_signals(path: str | Path, title: str, time: np.ndarray, runs: Mapping[
     require_rerun()
     import rerun as rr
 
-    recording = rr.RecordingStream(APPLICATION_ID, recording_id=title, send_properties=False)
+    recording = rr.RecordingStream(APPLICATION_ID, recording_id=identity(title, runs.values()), send_properties=False)
+    if not recording.is_enabled():
+        raise RuntimeError(SWITCHED_OFF)
     memory = recording.memory_recording()
     recording.send_recording_name(title)
     stamps = [rr.TimeColumn("time", duration=time)]

@@ -22,6 +22,7 @@ from soro_bench.training.policy import Policy
 POLICIES = ("random", "excitation")  # and the folder or leaderboard entry of a trained one
 COMMAND = "action"  # the command that an episode is driven by
 MAX_STEPS = 100_000  # of a replay
+MARKER_DISTANCE = 0.025  # m: orientations are as noisy as those of markers so far off the centre
 
 
 def record(
@@ -45,7 +46,8 @@ def record(
         steps: the episode does not end before; by default what the environment is registered with, and 30 s (or what
             it takes) for an excitation.
         seed: of the goal, the actions and the noise.
-        noise: m, standard deviation of normal noise on every number of all positions.
+        noise: m, standard deviation of normal noise on every number of all positions; orientations are as noisy as
+            those of markers 25 mm off the centre.
         full_state: whether to record the simulation's whole state too, as signals named state.qpos and so on.
 
     Raises:
@@ -137,11 +139,15 @@ def _run(act, env_id, model, action, start, steps, seed=0, full_state=False, **o
 
 
 def _recording(episode, action, noise, seed, metadata) -> Recording:
-    rng, units, signals = np.random.default_rng((seed, 2)), task_type(episode.env_id).signal_units, {}
+    rng, turns = np.random.default_rng((seed, 2)), np.random.default_rng((seed, 3))
+    units, signals = task_type(episode.env_id).signal_units, {}
     for name, values in sorted(episode.signals.items()):
         unit, frame = units.get(name, ("1", ""))  # the parts of the state have several
         if noise and (unit, frame) == ("m", "world"):
             values = values + noise * rng.standard_normal(values.shape)
+        if noise and (unit, frame) == ("1", "world"):  # orientations
+            values = values + noise / MARKER_DISTANCE * turns.standard_normal(values.shape)
+            values /= np.linalg.norm(values, axis=-1, keepdims=True)
         signals[name] = Signal(episode.time, values, unit, frame)
     commands = {COMMAND: Signal(episode.time[: len(episode.actions)], episode.actions, "1")}
     metadata |= {"env_id": episode.env_id, "model": episode.model, "action": action, "noise": repr(float(noise))}

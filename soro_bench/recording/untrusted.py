@@ -12,6 +12,7 @@ from soro_bench import files
 from soro_bench.recording.recording import RecordingError
 
 MAX_BYTES = 200_000_000  # of a file
+EXPANSION = 4  # decoded bytes per byte that a file may have
 MAX_ROWS = 10_000_000
 MAX_COLUMNS = 5000
 _BROKEN = (

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.recording.importers.mapping import Source, load_mapping, texts, typed
-from soro_bench.recording.importers.units import si
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.untrusted import MAX_BYTES, MAX_COLUMNS, MAX_ROWS, named_errors, read_bytes
 
@@ -28,9 +27,7 @@ def import_csv(path: str | Path, mapping: str | Path | None, max_bytes: int = MA
     with named_errors(path):
         table = _Table(data.decode("utf-8-sig"), spec.format)
         time_column = typed("[time]", spec.time, "column", "")
-        unit, to_seconds = si(spec.time.get("unit", "s"))
-        if unit != "s":
-            raise RecordingError(f"[time] unit = {spec.time['unit']!r} is no unit of time")
+        to_seconds = spec.to_seconds()
 
         def read(source: Source):
             column = typed("it has", source.place, "time", time_column)
@@ -137,7 +134,7 @@ class _Table:
     def _all_rows(self, start):
         yield from start
         for row in self._rows:
-            if any(cell.strip() for cell in row):
+            if len(row) > 1 or any(cell.strip() for cell in row):  # a row of empty cells counts, an empty line does not
                 yield row
 
     def _position(self, name) -> int:

@@ -65,7 +65,14 @@ class FileMapping:
     parameters: dict[str, float] = field(default_factory=dict)
     metadata: dict[str, str] = field(default_factory=dict)
 
-    def recording(self, read, source: str) -> Recording:
+    def to_seconds(self) -> float:
+        """What a number of [time] unit is [s]."""
+        unit, factor = si(self.time.get("unit", "s"))
+        if unit != "s":
+            raise RecordingError(f"[time] unit = {self.time['unit']!r} is no unit of time")
+        return factor
+
+    def recording(self, read, file_name: str) -> Recording:
         """The recording whose signals ``read(source)`` gives as (T,) times [s] and (T, ...) numbers.
 
         Time is counted from the first sample of all, or from [time] begin after it; the metadata keep where that was,
@@ -74,9 +81,11 @@ class FileMapping:
         begin = _positive("[time] begin", self.time["begin"]) if "begin" in self.time else 0.0
         until, found = _positive("[time] until", self.time.get("until", math.inf)), {}
         for group, sources in (("commands", self.commands), ("signals", self.signals)):
-            for name, place in sources.items():
-                time, numbers = _named(f"{group}.{name}", read, place)
-                found[group, name] = time if place.leaves else _shifted(time, place.shift), numbers
+            for name, source in sources.items():
+                time, numbers = _named(f"{group}.{name}", read, source)
+                if not source.leaves:  # which shifts by itself
+                    time = _shifted(time, source.shift)
+                found[group, name] = time, numbers
         start = min((time[0] for time, _ in found.values() if len(time)), default=0)
         groups = {"commands": {}, "signals": {}}
         for (group, name), (time, numbers) in found.items():
@@ -85,7 +94,7 @@ class FileMapping:
             if len(time) and not kept.any():
                 raise RecordingError(f"{group}.{name} has nothing from [time] begin = {begin:g} to until = {until:g}")
             groups[group][name] = _named(f"{group}.{name}", build, np.maximum(since[kept], 0.0), numbers[kept])
-        metadata = {"source": source[:200], "start_time": repr(float(seconds(start) + begin)), **self.metadata}
+        metadata = {"source": file_name[:200], "start_time": repr(float(seconds(start) + begin)), **self.metadata}
         return Recording(**groups, parameters=self.parameters, metadata=metadata)
 
     def counted(self, rows: int) -> np.ndarray:
@@ -177,6 +186,8 @@ def _source(entry, place_keys) -> Source:
 def _staying(time, values, distance, shift) -> Signal:
     """1 until the values (T, ...) are further than a distance from the first ones, a time [s] after that 0."""
     rows = values.reshape(len(values), -1)
+    if np.isnan(rows[0]).any():
+        raise RecordingError("its first sample has gaps; leaves counts from it")
     away = np.linalg.norm(rows - rows[0], axis=1)
     if not (beyond := np.flatnonzero(away > distance)).size:
         return Signal(time[:1], np.ones(1), "1")

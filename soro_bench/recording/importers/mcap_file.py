@@ -9,14 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from soro_bench.recording.importers.mapping import Source, load_mapping, texts
-from soro_bench.recording.importers.units import si
+from soro_bench.recording.importers.mapping import FileMapping, Source, load_mapping, texts
 from soro_bench.recording.recording import MAX_SIZE, Recording, RecordingError
-from soro_bench.recording.untrusted import MAX_BYTES, named_errors, read_bytes
+from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, named_errors, read_bytes
 
 _PLACE = ("topic", "fields", "time")
 _CLOCKS = ("log_time", "publish_time")
-_EXPANSION = 4  # bytes of messages per byte that a file may have
 _MAX_NUMBERS = 50_000_000
 _MAX_CHUNK = 64_000_000  # bytes of a chunk or another record
 _MAX_MESSAGE = 5_000_000  # bytes
@@ -31,8 +29,8 @@ def import_mcap(path: str | Path, mapping: str | Path | None, max_bytes: int = M
     data = read_bytes(path, max_bytes)
     with named_errors(path):
         sources = [*spec.commands.values(), *spec.signals.values()]
-        collectors = {id(source): _Collector(source, spec.time) for source in sources}
-        for channel, message in _messages(data, _EXPANSION * max_bytes):
+        collectors = {id(source): _Collector(source, spec) for source in sources}
+        for channel, message in _messages(data, EXPANSION * max_bytes):
             for collector in collectors.values():
                 if collector.topic == channel.topic:
                     collector.add(channel, message)
@@ -44,18 +42,16 @@ def import_mcap(path: str | Path, mapping: str | Path | None, max_bytes: int = M
 class _Collector:
     """The samples of one command or signal."""
 
-    def __init__(self, source: Source, time):
+    def __init__(self, source: Source, spec: FileMapping):
         self.topic = source.place.get("topic")
         if not isinstance(self.topic, str):
             raise RecordingError(f"topic is {ascii(self.topic)[:80]}; expected a text")
         self._fields = [_steps(text) for text in texts("fields", source.place.get("fields"))]
-        clock = source.place.get("time", time.get("source", "log_time"))
+        clock = source.place.get("time", spec.time.get("source", "log_time"))
         if not isinstance(clock, str):
             raise RecordingError(f"time is {ascii(clock)[:80]}; expected log_time, publish_time or a field")
         self._clock = clock if clock in _CLOCKS else _steps(clock)
-        unit, self._to_seconds = si(time.get("unit", "s"))
-        if unit != "s":
-            raise RecordingError(f"[time] unit = {time['unit']!r} is no unit of time")
+        self._to_seconds = spec.to_seconds()
         self._times, self._numbers = array("q"), array("d")  # lists would take four times the memory
         self._size = 0  # numbers in a sample
         self.count = 0

@@ -9,12 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.recording.importers.mapping import FileMapping, Source, load_mapping, texts
-from soro_bench.recording.importers.units import si
 from soro_bench.recording.recording import Recording, RecordingError
-from soro_bench.recording.untrusted import MAX_BYTES, MAX_ROWS, named_errors, read_bytes
+from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, MAX_ROWS, named_errors, read_bytes
 
 _PLACE = ("arrays", "time")
-_EXPANSION = 4  # bytes of arrays per byte that a file may have
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # those that NumPy writes
 _SUFFIX = ".npy"
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)  # the last is: encrypted
@@ -27,11 +25,9 @@ def import_npz(path: str | Path, mapping: str | Path | None, max_bytes: int = MA
     spec = load_mapping(mapping, _PLACE, ("array", "unit", "interval"))
     data = read_bytes(path, max_bytes)
     with named_errors(path):
-        unit, to_seconds = si(spec.time.get("unit", "s"))
-        if unit != "s":
-            raise RecordingError(f"[time] unit = {spec.time['unit']!r} is no unit of time")
+        to_seconds = spec.to_seconds()
         try:
-            archive = _Archive(data, _EXPANSION * max_bytes)
+            archive = _Archive(data, EXPANSION * max_bytes)
             return spec.recording(lambda source: _samples(archive, spec, source, to_seconds), Path(path).name)
         except _DAMAGED as error:
             raise RecordingError(f"is no NPZ file: {str(error)[:200]}") from error
