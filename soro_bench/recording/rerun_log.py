@@ -23,8 +23,8 @@ from soro_bench.recording.trunk_drawing import draw_trunk
 from soro_bench.recording.walker_drawing import draw_walker
 
 APPLICATION_ID = "soro_bench"
-SWITCHED_OFF = "rerun is switched off by the environment variable RERUN"
 DRAWINGS = {"Trunk": draw_trunk, "MultiGait": draw_walker}  # by how the environment's id begins
+SWITCHED_OFF = "rerun is switched off by the environment variable RERUN"
 
 
 def write_recording(
