@@ -9,6 +9,7 @@ soro_bench/models/walker.py and writes heights over inflation to docs/results/wa
 docs/images/walker_shapes.png.
 """
 
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +95,8 @@ def calibrate(height, target: float, start: float) -> float:
 
 
 def main() -> None:
+    # no options, but it writes files of this repository: --help must not
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     reference = FreeBody("coarse")
     growth = {"coarse": walker.GROWTH["coarse"]}
     arch, curl = reference.arch(growth["coarse"]), reference.curl(growth["coarse"])

@@ -87,3 +87,10 @@ def test_names_that_no_entry_could_have_are_refused_before_the_work(call, tmp_pa
 def test_a_study_without_its_recordings_says_which_is_missing(call, tmp_path):
     with pytest.raises(SystemExit, match=r"no v4_train.csv in .*opencr_tdcr; soro-bench data"):
         call("study", "opencr_tdcr", "--data", tmp_path, "--out", tmp_path / "out")
+
+
+def test_the_evaluation_of_another_board_is_not_replaced(call, tmp_path):
+    policy().save(tmp_path)
+    (tmp_path / "evaluation_cable.json").write_text('{"board": "another"}')
+    with pytest.raises(SystemExit, match=r"evaluation_cable.json is of another: say with --out"):
+        call("evaluate", tmp_path, "--on", "cable")

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+pytest.importorskip("pyarrow", reason="needs the train extra")
+
 from soro_bench.diagnosis.audit import audit
 from soro_bench.diagnosis.findings import unit_at
 from soro_bench.diagnosis.mapping import ModelError

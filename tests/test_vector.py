@@ -254,7 +254,7 @@ def test_sb3_adapter():
     def make():
         return make_vector("TrunkReach-v0", 3, model="cable", max_episode_steps=5, autoreset_mode="SameStep").unwrapped
 
-    adapter, envs = SB3VecEnv(make()), make()
+    adapter, envs = SB3VecEnv(gymnasium.vector.VectorWrapper(make())), make()  # a wrapper hides the task
     adapter.seed(3)
     np.testing.assert_array_equal(adapter.reset(), envs.reset(seed=3)[0])
     returns = np.zeros(3)
@@ -278,13 +278,17 @@ def test_sb3_adapter():
     adapter.close()
 
 
-def test_sb3_adapter_needs_same_step():
-    """The SB3 adapter refuses an autoreset mode in which terminal observations would be lost."""
+def test_sb3_adapter_refuses_what_it_would_lose():
+    """An autoreset mode without terminal observations, and options for the reset."""
     pytest.importorskip("stable_baselines3", reason="needs the train extra")
     from soro_bench.envs.sb3 import SB3VecEnv
 
     with pytest.raises(ValueError, match="SameStep"):
         SB3VecEnv(gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable"))
+    envs = SB3VecEnv(gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable", autoreset_mode="SameStep"))
+    envs.set_options({"goal": [0.0, 0.0, 0.18]})
+    with pytest.raises(ValueError, match="reset options go to the environments"):
+        envs.reset()
 
 
 def test_a_simulation_that_was_never_reset_is_not_stepped():

@@ -77,7 +77,7 @@ class Evaluate:
         name, board = board_of(policy.card.env_id, self.board)
         label = self.on or task_type(board.env_id).accurate
         path = out / f"evaluation_{label}.json"
-        if path.exists() and (other := read_json(path)["board"]) != name:
+        if path.exists() and (other := read_json(path).get("board")) != name:
             raise ValueError(f"{path} is of {other}: say with --out where the results on {name} go")
         scores = record_evaluations(policy, name, (board.labelled(label),), out)
         write_json(path, {"board": name, **scores})

@@ -87,7 +87,7 @@ _TASK_DEFAULTS = {
         "learning_rate": 1e-3,
         "discount": 1.0,
         "finite_horizon": True,
-        # four times the noise that it may be observed with: sideways the mirror image does not move in training at all
+        # four times the noise that it may be observed with: the symmetric walker is not trained to move sideways
         "observation_floor": 2e-3,
         "gae_lambda": 0.95,
         "entropy_coefficient": 0.01,
