@@ -20,7 +20,8 @@ def test_list_shows_every_environment(call):
 
 @pytest.mark.parametrize("env_id", ENV_IDS)
 def test_excite_writes_actions_for_every_robot(call, tmp_path, env_id):
-    call("excite", env_id, "--out", tmp_path / "actions.csv")
+    text = call("excite", env_id, "--out", tmp_path / "actions.csv")
+    assert f"soro-bench diagnose RECORDING --env {env_id} --out FOLDER" in text
     table = np.loadtxt(tmp_path / "actions.csv", delimiter=",", skiprows=1)
     task = task_type(env_id)
     assert table.shape[1] == 1 + len(task.moves)

@@ -13,6 +13,7 @@ pytest.importorskip("matplotlib")
 
 from soro_bench.diagnosis import page, pipeline
 from soro_bench.diagnosis.findings import Finding
+from soro_bench.diagnosis.localise import left_over, residual_map
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.probe import places
 from soro_bench.diagnosis.propose import Proposal, motions
@@ -93,6 +94,8 @@ def test_a_hidden_payload_is_named_with_its_place_and_mass_and_the_held_out_fit_
     assert report["fit"]["heldout"]["rmse_after"] < report["fit"]["heldout"]["rmse_before"]
     assert sum(e["probability"] for e in report["effects"]) >= 1 - 1e-9
     assert "payload at body vertebra7" in text
+    assert found.explanation.minimum  # of what could come beside it, which another one there could not
+    assert not any(one.name == "payload" and one.where.name == "vertebra7" for one, _ in found.explanation.minimum)
     low, high = first["parameters"]["mass"]["ci90"]
     assert 0.5 * 0.04 < low < 0.04 < high < 2 * 0.04
     (effect,) = load_effects(tmp_path / "effects.json", QUANTITIES)
@@ -112,6 +115,29 @@ def test_a_hidden_payload_is_named_with_its_place_and_mass_and_the_held_out_fit_
     # three seconds do not tell the body from the next one for sure
     assert report["next_recording"]["separates"] == [["payload at body vertebra7", "payload at body vertebra8"]]
     assert (tmp_path / "next_actions.csv").exists()
+
+
+def test_both_robots_of_the_comparison_have_what_is_known(payload, tmp_path, monkeypatch):
+    found, given = payload
+    known, shown = Effect("actuator_delay", Port("actuator", "*"), {"delay": 0.02}), []
+    monkeypatch.setattr(found.robot, "known", (known,))
+    monkeypatch.setattr(page, "replay", lambda *_, effects: shown.append(list(effects)))
+    monkeypatch.setattr(page, "write_recording", lambda *_: None)
+    page._write_comparison(found, given[0], tmp_path / "comparison.rrd")
+    assert [[e.name for e in effects] for effects in shown] == [["actuator_delay"], ["actuator_delay", "payload"]]
+
+
+def test_what_is_left_has_gaps_where_nothing_was_measured(payload):
+    problem, residual = payload[0].explanation.problem, payload[0].explanation.nominal.residual
+    weight = problem.weight.reshape(STEPS, 21, 3).copy()
+    weight[:20, 4], weight[20:25, 5] = 0.0, 0.0
+    gaps = replace(problem, weight=weight.ravel())
+    before, after = (residual_map(one, residual) for one in (problem, gaps))
+    assert np.isnan(after[0, 4])
+    assert np.isfinite(np.delete(after, 4, axis=1)).all()
+    seen = left_over(problem, residual)[25:40, 5]
+    assert after[1, 5] == pytest.approx(np.sqrt((seen**2).mean()))
+    np.testing.assert_array_equal(before[:, :4], after[:, :4])
 
 
 def test_parameters_far_from_their_nominal_values_are_pointed_out(payload):

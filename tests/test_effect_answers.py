@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from soro_bench.effects.catalogue import MEASUREMENT
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.effect import Effect, EffectError, Port
 from soro_bench.effects.elements import Elements, instrument
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
@@ -18,7 +18,7 @@ from soro_bench.registration import make_task
 TIMESTEP, FRICTION, GRAVITY = 0.001, 0.3, 9.81
 BLOCK = f"""<mujoco><option timestep="{TIMESTEP}"/>
 <default><geom friction="{FRICTION} 0 0" solref="0.004 1"/></default>
-<worldbody><geom type="plane" size="5 5 0.1"/><body name="block" pos="0 0 0.009996"><freejoint/>
+<worldbody><geom name="ground" type="plane" size="5 5 0.1"/><body name="block" pos="0 0 0.009996"><freejoint/>
 <geom name="block" type="box" size="0.05 0.05 0.01" mass="0.2"/></body></worldbody></mujoco>"""
 
 # three chambers: actuators that integrate the rate of their pressure
@@ -64,6 +64,12 @@ def test_stiction_holds_what_rests_and_not_what_slides(excess, velocity, rests):
     acceleration = GRAVITY * (0.45 - FRICTION) / np.hypot(1, 0.45)
     expected = 0.0 if rests else velocity + 0.5 * acceleration
     assert way[-1, 0] == pytest.approx(expected, rel=0.05, abs=0.01)
+
+
+@pytest.mark.parametrize("name", ["anisotropic_friction", "stiction"])
+def test_friction_that_depends_on_a_velocity_needs_a_geom_that_moves(name):
+    with pytest.raises(EffectError, match="geom ground never moves"):
+        slide([Effect(name, Port("geom", "ground"), {})])
 
 
 @pytest.mark.parametrize(("pull", "holds"), [(0.8, True), (1.2, False)])

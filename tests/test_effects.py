@@ -212,6 +212,7 @@ GOOD = {"name": "backlash", "where": {"kind": "actuator", "name": "L0"}, "parame
     [
         ([], "schema"),
         ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "name": "magic"}]}, "unknown effect"),
+        ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "name": []}]}, "unknown effect"),
         ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "where": "L0"}]}, "where"),
         ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "parameters": {"width": -1}}]}, "allowed is"),
         ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "parameters": {}}]}, "needs its width"),

@@ -94,6 +94,18 @@ def test_a_known_effect_is_simulated_and_not_possible_twice(paths):
     assert not knows.accepts([friction])
 
 
+def test_a_finer_model_without_a_place_for_what_is_known_is_left_out(paths):
+    model, mapping = paths
+    string = '<tendon><fixed name="string"><joint joint="hinge" coef="0.1"/></fixed></tendon>'
+    model.with_name("finer.xml").write_text(ARM)
+    model.write_text(ARM.replace("<actuator>", f"{string}<actuator>"))
+    mapping.write_text(MAP.replace("[robot]", '[robot]\naccurate = "finer.xml"'))
+    friction = Effect("coulomb_friction", Port("tendon", "string"), {"friction": 0.1, "presliding": 1e-3})
+    values = {"inertia": 1.0, "damping": 1.0, "zero": 0.0}
+    plain, knows = (ModelRobot(*paths, threads=1, earlier=Earlier(values, SURE, known)) for known in ((), (friction,)))
+    assert [len(robot.refined()) for robot in (plain, knows)] == [2, 1]
+
+
 @pytest.mark.parametrize(
     ("known", "message"),
     [
@@ -157,11 +169,19 @@ def test_settings_of_a_recording_scale_fields(paths):
     assert changed[0, -1, 0, 0] == pytest.approx(at_half[0, -1, 0, 0], rel=0.1)
 
 
-@pytest.mark.parametrize("metadata", [{}, {"gain": "large"}])
+@pytest.mark.parametrize("metadata", [{}, *({"gain": text} for text in ("large", "nan", "inf", "-1"))])
 def test_a_recording_without_a_setting_is_refused(paths, metadata):
     given = recording(paths, [], 0)
     with pytest.raises(RecordingError, match=r"'gain' of the recording is .*; a number is needed"):
         with_gain(paths, 'metadata = "gain"').measured(replace(given, metadata=metadata))
+
+
+def test_a_setting_that_is_negative_at_times_is_refused(paths):
+    given = recording(paths, [], 0)
+    times = given.commands["goal"].time
+    changing = {**given.commands, "gain": Signal(times, np.where(times < 0.4, 1.0, -1.0))}
+    with pytest.raises(RecordingError, match="'gain' is a setting"):
+        with_gain(paths, 'command = "gain"').measured(replace(given, commands=changing))
 
 
 def test_the_command_says_of_an_arm_without_hidden_effects_that_nothing_is_missing(paths, tmp_path, call):
@@ -289,6 +309,8 @@ def test_a_recording_that_does_not_say_where_it_begins_is_refused(paths):
         ("body_mass:arm", "body_mass:leg*", "no body of the model is called 'leg*'"),
         ("deviation = 0.2", 'deviation = "large"', "expected a number"),
         ("[robot]", "[robot", "no TOML file"),
+        ("[robot]", "[robot]\naccurate = 3", "accurate is 3; expected a model"),
+        ("[robot]", '[robot]\naccurate = "finer.xml"', "accurate is 'finer.xml'; expected a model"),
         (
             "[initial]",
             '[settings.gain]\nfields = ["actuator_gainprm[0]:motor"]\n[initial]',

@@ -114,7 +114,7 @@ def test_a_motor_of_the_trunk_pulls_one_tendon_and_lets_go_of_the_other():
 @pytest.mark.parametrize("name", list(ROBOTS))
 def test_the_mapping_fits_the_model_and_its_finer_one(name):
     one = robot(name)
-    (finer,) = one.accurate()
+    finer = one.accurate()
     assert [prior.name for prior in finer.priors] == [prior.name for prior in one.priors]
     assert finer.shape == one.shape
 

@@ -29,7 +29,8 @@ class Excite:
         task = make_task(self.env, 1, 1, task_type(self.env).cheap, action="continuous")
         actions = excitation(task.single_action_space, task.control_timestep, self.duration, self.seed)
         write_actions(self.out, task.control_timestep, actions)
-        console.print(f"{self.out}: replay it on the robot, record what it does, and: soro-bench diagnose RECORDING")
+        command = f"soro-bench diagnose RECORDING --env {self.env} --out FOLDER"
+        console.print(f"{self.out}: replay it on the robot, record what it does, and: {command}", soft_wrap=True)
 
 
 @dataclass

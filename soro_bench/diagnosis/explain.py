@@ -77,7 +77,8 @@ class Explanation:
         had a say in that.
     promised: the evidence that the best lead promised on top of the nominal robot.
     left: the same on top of the best of all.
-    minimum: of each suspect, the coordinate of its first magnitude that would just have been worth a look.
+    minimum: of each suspect, the coordinate of its first magnitude that would just have been worth a look beside the
+        best hypothesis.
     rounds: how it came about.
     """
 
@@ -165,7 +166,7 @@ def explained(
         if number > 1:
             tried[1:1] = without_one(problem, tried[0], next(seeds))
         nominal, best = _again(problem, nominal), tried[0]
-    minimum, found = first.detectable(WORTH), tuple(_cheapest(tried))
+    minimum, found = screened.detectable(_worth(problem, nominal, best)), tuple(_cheapest(tried))
     return Explanation(problem, nominal, found, unpatched, promised, left, minimum, tuple(rounds))
 
 

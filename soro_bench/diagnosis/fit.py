@@ -70,9 +70,7 @@ class Guess:
     slope: np.ndarray | None = None
 
 
-def fitted(
-    problem: Problem, guesses: Sequence[Guess], scales: Sequence[float], seed: int, progress=lambda: None
-) -> list[Hypothesis]:
+def fitted(problem: Problem, guesses: Sequence[Guess], scales: Sequence[float], seed: int) -> list[Hypothesis]:
     """The most probable unknowns of several hypotheses, whose replays run together.
 
     Args:
@@ -93,7 +91,6 @@ def fitted(
         best = news
         guesses = [replace(g, x=h.x, slope=g.slope if g.slope is None else h.slope)
                    for g, h in zip(guesses, best, strict=True)]  # fmt: skip
-        progress()
     return best
 
 

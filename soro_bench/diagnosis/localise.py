@@ -23,12 +23,22 @@ class Regime:
 
 
 def residual_map(problem: Problem, residual: np.ndarray) -> np.ndarray:
-    """(windows, points) rms [signal's unit] of what the numerical floor does not explain, of the first recording."""
-    first = problem.recordings[0]
-    left = problem.sigma * problem.floor.without(residual)[: first.values.size].reshape(first.values.shape)
-    size = max(1, round(WINDOW / float(np.median(np.diff(first.time)))))
+    """(windows, points) rms [signal's unit] of what the numerical floor does not explain, of the first recording; NaN
+    where nothing was measured."""
+    left = left_over(problem, residual)
+    size = max(1, round(WINDOW / float(np.median(np.diff(problem.recordings[0].time)))))
     count = len(left) // size
-    return np.sqrt((left[: count * size].reshape(count, size, *left.shape[1:]) ** 2).mean(axis=(1, 3)))
+    windows = left[: count * size].reshape(count, size, *left.shape[1:])
+    seen = np.isfinite(windows).sum(axis=(1, 3))
+    return np.sqrt(np.nansum(windows**2, axis=(1, 3)) / np.where(seen, seen, np.nan))
+
+
+def left_over(problem: Problem, residual: np.ndarray) -> np.ndarray:
+    """(T, P, D) [signal's unit] what the numerical floor does not explain, of the first recording; NaN where nothing
+    was measured."""
+    first = problem.recordings[0]
+    left = np.where(problem.weight > 0, problem.sigma * problem.floor.without(residual), np.nan)
+    return left[: first.values.size].reshape(first.values.shape)
 
 
 def explained_over_time(problem: Problem, before: Hypothesis, after: Hypothesis) -> np.ndarray:

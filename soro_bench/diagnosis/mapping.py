@@ -31,6 +31,7 @@ import re
 import tomllib
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -90,13 +91,19 @@ class Setting:
     def values(self, recording: Recording, times: np.ndarray) -> np.ndarray:
         """(T,) values at times [s]; RecordingError says what the recording lacks."""
         if self.command:
-            return held(recording, self.command, times, 1)[:, 0] / self.reference
+            values = held(recording, self.command, times, 1)[:, 0]
+            if not (np.isfinite(values) & (values >= 0)).all():
+                raise RecordingError(f"the command {self.command!r} is a setting; it has to be finite and not negative")
+            return values / self.reference
         text = recording.metadata.get(self.metadata)
         try:
-            return np.full(len(times), float(text) / self.reference)
-        except (TypeError, ValueError) as error:
-            message = f"metadata {self.metadata!r} of the recording is {text!r}; a number is needed"
-            raise RecordingError(message) from error
+            value = float(text)
+        except (TypeError, ValueError):
+            value = np.nan
+        if not 0.0 <= value < np.inf:
+            raise RecordingError(f"metadata {self.metadata!r} of the recording is {text!r}; a number is needed, not "
+                                 "negative")  # fmt: skip
+        return np.full(len(times), value / self.reference)
 
 
 class Fields:
@@ -132,6 +139,17 @@ def read_mapping(path) -> dict:
         if allowed is not None:
             _check_keys(f"[{section}]", entries, allowed)
     return table
+
+
+def accurate_of(settings, mapping) -> Path | None:
+    """The finer model that the section [robot] of a mapping names, from the mapping's folder."""
+    name = settings.get("accurate")
+    if name is None:
+        return None
+    path = Path(mapping).parent / name if isinstance(name, str) else None
+    if path is None or not path.is_file():
+        raise ModelError(f"[robot] accurate is {name!r}; expected a model in the folder of the mapping, or below it")
+    return path
 
 
 def held(recording, name, times, columns) -> np.ndarray:

@@ -7,6 +7,7 @@ import numpy as np
 
 from soro_bench.diagnosis.mapping import (
     ModelError,
+    accurate_of,
     element,
     held,
     joint,
@@ -61,7 +62,7 @@ class ModelRobot(Robot):
         if self._substeps < 1 or abs(self._substeps * compiled.opt.timestep / self.control_timestep - 1) > 1e-6:
             raise ModelError(f"control_timestep {self.control_timestep} s is no multiple of {compiled.opt.timestep} s")
         self.settling = round(number("[robot] settle", settings.get("settle", 0.0), 0, 1e4) / self.control_timestep)
-        self._accurate = settings.get("accurate")
+        self._accurate = accurate_of(settings, mapping)
         self._commands = []
         for name, entry in table["commands"].items():
             actuators = names_of(f"commands.{name}", entry, "actuators")
@@ -83,12 +84,11 @@ class ModelRobot(Robot):
         """The same model with shorter time steps."""
         return ModelRobot(*self._paths, self.threads, factor, self._earlier)
 
-    def accurate(self) -> list[Robot]:
+    def accurate(self) -> Robot | None:
         """By the model that the mapping calls accurate, if it does."""
         if self._accurate is None:
-            return []
-        mapping = self._paths[1]
-        return [ModelRobot(mapping.parent / self._accurate, mapping, self.threads, earlier=self._earlier)]
+            return None
+        return ModelRobot(self._accurate, self._paths[1], self.threads, earlier=self._earlier)
 
     def spec(self) -> mujoco.MjSpec:
         """The model of the file, with what effects need."""

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.diagnosis.findings import NINETY, findings
-from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.force import Curve, force_against_state
-from soro_bench.diagnosis.localise import explained_over_time, residual_map
+from soro_bench.diagnosis.localise import explained_over_time, left_over, residual_map
 from soro_bench.diagnosis.patch import REMAINING, kept, patch
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.report import write_json_report
@@ -57,7 +56,7 @@ def _write_comparison(diagnosis, recording, path) -> None:
     explanation, model = diagnosis.explanation, diagnosis.robot.model_name
     episodes = []
     for hypothesis, effects in ((explanation.nominal, []), (kept(diagnosis), patch(diagnosis))):
-        physics = [effect for effect in effects if effect.where.kind != "sensor"]
+        physics = [each for each in (*diagnosis.robot.known, *effects) if each.where.kind != "sensor"]
         fitted = replace(recording, parameters=diagnosis.robot.parameters(hypothesis.x))
         episodes.append(replay(fitted, model, effects=physics))
     write_recording(path, episodes, "before, and after the diagnosis", measured_points(recording))
@@ -205,8 +204,8 @@ def _overlay(diagnosis) -> str:
     explanation = diagnosis.explanation
     problem, best = explanation.problem, diagnosis.comparison.answers[0].hypothesis
     measured = problem.recordings[0]
-    before, after = (_left(problem, h) for h in (explanation.nominal, best))
-    point = int((before**2).sum(axis=(0, 2)).argmax())
+    before, after = (left_over(problem, h.residual) for h in (explanation.nominal, best))
+    point = int(np.nansum(before**2, axis=(0, 2)).argmax())
     (scale, unit), rows = _scale(diagnosis), before.shape[2]
     figure, axes = pyplot().subplots(rows, 1, figsize=(9, 1 + 1.5 * rows), sharex=True, layout="constrained")
     axes = np.atleast_1d(axes)
@@ -254,13 +253,6 @@ def _curve(curve: Curve) -> str:
     axes.set(xlabel=curve.labels[0], ylabel=curve.labels[1])
     axes.legend(frameon=False, ncols=2)
     return _image(figure)
-
-
-def _left(problem, hypothesis: Hypothesis) -> np.ndarray:
-    """(T, P, D) [signal's unit] of the first recording, numerical error taken off."""
-    first = problem.recordings[0]
-    left = problem.sigma * problem.floor.without(hypothesis.residual)
-    return left[: first.values.size].reshape(first.values.shape)
 
 
 def _scale(diagnosis) -> tuple[float, str]:

@@ -35,9 +35,9 @@ def distinct(leads: Sequence[Lead], count: int, robot: Robot) -> list[Lead]:
     return chosen
 
 
-def refitted(problem: Problem, guesses: Sequence[Guess], seed: int, progress=lambda: None) -> list[Hypothesis]:
+def refitted(problem: Problem, guesses: Sequence[Guess], seed: int) -> list[Hypothesis]:
     """The hypotheses that remain, the best first."""
-    found = fitted(problem, _tried(problem, guesses), (SCALE,), seed, progress)
+    found = fitted(problem, _tried(problem, guesses), (SCALE,), seed)
     return _with_twins(unique(sorted(found, key=lambda h: -h.log_evidence(problem))), KEPT)
 
 

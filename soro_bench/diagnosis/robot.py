@@ -12,11 +12,10 @@ from soro_bench.effects.effect import Effect, Port
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.measurement import distorted
 from soro_bench.models.simulation import Simulation
-from soro_bench.recording.recording import Recording, RecordingError, resampled
+from soro_bench.recording.recording import Recording, RecordingError, resampled, sampled
 
 SIMULATIONS = 64  # side by side, at least
 LIMIT = 4.0  # standard deviations of the prior that a parameter, or the shape of an effect, may be off
-_DENSE = 1.2  # control steps between samples, above which control steps go without one
 SAME = 0.1  # of the prior's deviation, how far a parameter of a robot may be from what it was before
 # time steps, in one of the given robot, of the one that is fitted and of the refined one: fitted to a trunk with far
 # shorter steps, one leaves 0.66 mm with the given steps of 10 ms and 0.29 mm with half of them
@@ -110,6 +109,10 @@ class Earlier:
     effects: tuple[Effect, ...]
 
 
+class CannotHave(ValueError):
+    """A robot cannot have the effects that an earlier diagnosis has found."""
+
+
 class Robot(ABC):
     """A robot with ``SIMULATIONS`` simulations or more. Subclasses set the attributes and implement the hooks below.
 
@@ -147,7 +150,7 @@ class Robot(ABC):
             self.known = earlier.effects
             self.priors = tuple(p.about(earlier.parameters[p.name], earlier.spread[p.name]) for p in self.priors)
             if not self.accepts([]):
-                raise ValueError("the earlier diagnosis has effects that this robot cannot have")
+                raise CannotHave("the earlier diagnosis has effects that this robot cannot have")
 
     @property
     def elements(self) -> Elements:
@@ -164,12 +167,17 @@ class Robot(ABC):
         """The same robot with time steps that are shorter by a factor than those of its model."""
 
     @abstractmethod
-    def accurate(self) -> "list[Robot]":
-        """The same robot by more accurate models, if there are any."""
+    def accurate(self) -> "Robot | None":
+        """The same robot by a more accurate model, if there is one; CannotHave if that lacks a place for what is
+        known."""
 
     def refined(self) -> "list[Robot]":
         """The same robot simulated more accurately."""
-        return [self.shortened(REFINED), *self.accurate()]
+        try:
+            finer = self.accurate()
+        except CannotHave:  # its parts are others; that of shorter time steps has the same
+            finer = None
+        return [self.shortened(REFINED), *([finer] if finer else [])]
 
     @abstractmethod
     def spec(self) -> mujoco.MjSpec:
@@ -280,7 +288,7 @@ class Robot(ABC):
             raise RecordingError(f"{self.signal} has samples of shape {shapes}")
         times = recording.start + self.control_timestep * np.arange(1, len(actions) + 1)
         values = resampled(given, times).values.reshape(-1, *self.shape)
-        values[~_sampled(given.time, times)] = np.nan
+        values[~sampled(given.time, times)] = np.nan
         first = given.values[0].reshape(self.shape)
         settings = self.settings(recording, len(actions))
         return Measured(actions, times - recording.start, values, self.signal, self.unit, first, settings)
@@ -369,15 +377,3 @@ class Robot(ABC):
             value[lost] = np.nan
             values.append(value)
         return [value[: 1 + length] for value, length in zip(np.stack(values, axis=1), lengths, strict=True)]
-
-
-def _sampled(sampled: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """(T,) whether a sample belongs to each of the evenly spaced times (T,). Where samples are further apart than these
-    are, only the times next to one count: what is interpolated between them has not been measured."""
-    step = float(np.median(np.diff(times))) if len(times) > 1 else np.inf
-    if len(sampled) < 2 or np.median(np.diff(sampled)) < _DENSE * step:
-        return np.ones(len(times), bool)
-    nearest = np.round((sampled - times[0]) / step).astype(int)
-    found = np.zeros(len(times), bool)
-    found[nearest[(nearest >= 0) & (nearest < len(times))]] = True
-    return found

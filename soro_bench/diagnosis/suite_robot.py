@@ -56,10 +56,10 @@ class SuiteRobot(Robot):
         """The same robot with shorter time steps."""
         return SuiteRobot(self.env_id, self.model_name, self.threads, factor, self._earlier)
 
-    def accurate(self) -> list[Robot]:
+    def accurate(self) -> Robot | None:
         """By the accurate model of the suite, unless its signal has other points, as those of another mesh are."""
         other = SuiteRobot(self.env_id, task_type(self.env_id).accurate, self.threads, earlier=self._earlier)
-        return [other] if other.shape == self.shape else []
+        return other if other.shape == self.shape else None
 
     def spec(self) -> mujoco.MjSpec:
         """The model of the task's scene, with what effects need."""

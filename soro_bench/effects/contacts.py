@@ -4,7 +4,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from soro_bench.effects.effect import Quantity
+from soro_bench.effects.effect import EffectError, Quantity
 from soro_bench.effects.law import Law
 
 _REACH = 1e-3  # m, far beyond the micrometres by which a contact opens before it tears
@@ -19,6 +19,9 @@ class _Sliding(Law):
 
     def prepare(self, elements):
         super().prepare(elements)
+        for port, geom in zip(self.ports, self.ids, strict=True):
+            if self.model.body_weldid[self.model.geom_bodyid[geom]] == 0:
+                raise EffectError(f"{self.name} depends on how fast a geom moves; {port} never moves")
         self.before = np.zeros((len(self.rows), 3))
         self.run.scaled("geom_friction")
 

@@ -80,7 +80,7 @@ def effect_from(data, quantities: Mapping[str, Sequence[Quantity]]) -> Effect:
     if not isinstance(data, dict) or data.keys() != {"name", "where", "parameters"}:
         raise EffectError(f"an effect has name, where and parameters; this one is {_brief(data)}")
     name, where = data["name"], data["where"]
-    if name not in quantities:
+    if not isinstance(name, str) or name not in quantities:
         raise EffectError(f"unknown effect {_brief(name)}; there are {', '.join(sorted(quantities))}")
     valid = isinstance(where, dict) and where.keys() - {"index"} == {"kind", "name"} and where["kind"] in KINDS
     valid = valid and isinstance(where["name"], str) and type(where.get("index", 0)) is int

@@ -46,7 +46,7 @@ class TrunkVariant:
     timestep: float  # s
     iterations: int
     tolerance: float
-    # kg m^2, on top of each vertebra's own 1e-6 to 1e-5: opposing taut cables buckle the necks to and fro, at a
+    # kg m^2, on top of each vertebra's own 3e-7 to 4e-6: opposing taut cables buckle the necks to and fro, at a
     # frequency that no affordable time step resolves (docs/models.md has the counts)
     added_inertia: float
 

@@ -11,7 +11,6 @@ import numpy as np
 
 NUM_NECKS = 10
 LENGTH = 0.195  # m [SofaGym]
-CLAMP_LENGTH = 0.020  # m, fixed nodes [SofaGym]
 PITCH = 0.0174853  # m, distance from one neck to the next [SofaGym]
 NECK_LENGTH = 0.006  # m [SofaGym]
 NECK_START = 0.021 + PITCH * np.arange(NUM_NECKS)  # m, proximal face of each neck [SofaGym]
@@ -32,7 +31,8 @@ CABLE_RATE = 0.1  # m/s: 1 mm every 10 ms [SofaGym]
 # 21 keypoints on the axis: the clamped end and both faces of every neck. [SofaGym]
 KEYPOINT_Z = np.concatenate([[0.0], np.column_stack([NECK_START, NECK_END]).ravel()])
 
-# The reference spreads mass equally over 709 mesh nodes: nodes per vertebra, the rest is clamped. [SofaGym]
+# The reference spreads mass equally over 709 mesh nodes: nodes of each vertebra, from the middle of the neck before it.
+# The rest sit in the clamp here; the reference fixes only those up to z = 20 mm. [SofaGym]
 VERTEBRA_MASS_SHARE = np.array([89, 73, 71, 66, 67, 62, 53, 42, 33, 31]) / 709
 
 # Outer radius of the mesh [SofaGym]

@@ -32,7 +32,7 @@ ITERATIONS = 10
 TOLERANCE = 1e-5
 # Feet carry the body's internal stress: with MuJoCo's default of 1 they creep, a fifth of the displacement of a gait
 FRICTION_IMPEDANCE_RATIO = 100
-UPWARD_GROWTH = 0.5  # of the growth along the chamber
+UPWARD_GROWTH = 0.5  # of the growth along the chamber: assumed, the calibration of GROWTH goes with it
 # Growth of each mesh's chambers at full inflation: (centre, leg), calibrated by benchmarks/walker_calibration.py
 GROWTH = {"coarse": (0.55, 0.55), "fine": (0.8526, 0.7271), "finest": (0.6235, 0.4456)}
 # m. The reference gives none; its membrane elements have the thickness 1 in a scene in millimetres.

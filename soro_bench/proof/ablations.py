@@ -48,9 +48,10 @@ class Calibrated(SuiteRobot):
         """As the robot's, with the same parameters."""
         return self._same(super().shortened(factor))
 
-    def accurate(self) -> list[Robot]:
+    def accurate(self) -> Robot | None:
         """As the robot's, with the same parameters."""
-        return [self._same(each) for each in super().accurate()]
+        finer = super().accurate()
+        return finer and self._same(finer)
 
     def _same(self, robot: Robot) -> Robot:
         robot.priors = self.priors
