@@ -3,7 +3,7 @@
     soro-bench prove --out FOLDER --count 40 --seed 1    # any seed but that of a final set
     python benchmarks/diagnosis_thresholds.py FOLDER
 
-It opens the labels, so it is not for a final set. It works on the cases that have a report.
+It opens the labels, so a set that is still to be scored is none for it. It works on the cases that have a report.
 """
 
 import argparse

@@ -46,10 +46,10 @@ MOST = 3  # effects
 # leads that are tried, the share of the best one's promise that they have to make, and hypotheses of a round with
 # floors of their own
 LEADS, PROMISING, FLOORS = 6, 0.3, 2
-# natural logarithm of the evidence that a lead has to promise (eight nulls promise 42 to 384 at most); the share of
+# natural logarithm of the evidence that a lead has to promise (40 nulls promise 85 at most, but for one); the share of
 # what is left: where physics has no name in the catalogue, one effect after the other would explain a little of it; and
 # the share of what is explained: no law is quite right (what still promises 0.2 per cent is called unknown, compare.py)
-WORTH, WORTH_SHARE, LAW_SHARE = 600.0, 0.05, 0.005
+WORTH, WORTH_SHARE, LAW_SHARE = 400.0, 0.05, 0.005
 
 
 @dataclass(frozen=True)
@@ -163,9 +163,15 @@ def explained(
         screened = evidence(problem, tried[0], possible, found)
         left = singles(screened)[0].gain
         rounds.append(_round(problem, best, offered, tried[: len(new)]))
+        nominal, without = _again(problem, nominal), without_one(problem, tried[0], next(seeds))
         if number > 1:
-            tried[1:1] = without_one(problem, tried[0], next(seeds))
-        nominal, best = _again(problem, nominal), tried[0]
+            tried[1:1] = without
+        else:
+            before, nominal = nominal, min(nominal, *without, key=lambda h: h.cost)
+            if not problem.rough and nominal.cost < before.cost - WORTH and problem.excess(nominal.residual) < CLEAN:
+                # the effect has only led to parameters that explain everything without it
+                return explained(problem, nominal, robot, refined, candidates, seed + 1, progress)
+        best = tried[0]
     minimum, found = screened.detectable(_worth(problem, nominal, best)), tuple(_cheapest(tried))
     return Explanation(problem, nominal, found, unpatched, promised, left, minimum, tuple(rounds))
 

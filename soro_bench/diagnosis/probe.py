@@ -23,7 +23,7 @@ from soro_bench.diagnosis.localise import WINDOWS, windows
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import SIMULATIONS, Robot
 from soro_bench.diagnosis.screen import responses
-from soro_bench.diagnosis.suspects import MAGNITUDE_DEVIATION, suspect, typical
+from soro_bench.diagnosis.suspects import suspect, typical
 from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Port
 
@@ -176,7 +176,7 @@ def _setpoints(problem, robot, base) -> list[tuple[_Offset, np.ndarray]]:
     moved = [each for each in moved if robot.accepts([*base.effects(problem.parameters), typical(each)])]
     (quantity,) = QUANTITIES["pretension"]
     return [
-        (_Offset(each.where, quantity.name, robot.setpoint_unit, each.typical[0]), rows[0] / MAGNITUDE_DEVIATION)
+        (_Offset(each.where, quantity.name, robot.setpoint_unit, each.typical[0]), rows[0] * each.simulated[0])
         for each, rows in zip(moved, responses(problem, base, moved, robot) if moved else [], strict=True)
     ]
 

@@ -116,13 +116,14 @@ def without_one(problem: Problem, hypothesis: Hypothesis, seed: int) -> list[Hyp
 
 
 def _tried(problem, guesses):
-    """The guesses that really explain most, with the shares of their magnitudes that do."""
-    scaled = [replace(g, x=_scaled(g.x, problem.parameters, length)) for g in guesses for length in _LENGTHS]
-    residuals = problem.residuals([(g.x, g.suspects) for g in scaled])
-    costs = np.array([problem.cost(row, g.x) for row, g in zip(residuals, scaled, strict=True)])
-    best = costs.reshape(len(guesses), -1)
+    """The guesses that really explain most, each begun where it does: at shares of its estimated magnitudes, or, as
+    laws that set in at a threshold may do nothing there, at those with which its last suspect was screened."""
+    starts = [[*(_scaled(g.x, problem.parameters, length) for length in _LENGTHS), _screened(g)] for g in guesses]
+    points = [(x, g.suspects) for g, some in zip(guesses, starts, strict=True) for x in some]
+    costs = [problem.cost(row, x) for row, (x, _) in zip(problem.residuals(points), points, strict=True)]
+    best = np.reshape(costs, (len(guesses), -1))
     order = np.argsort(best.min(axis=1))
-    return _with_twins([scaled[i * len(_LENGTHS) + int(best[i].argmin())] for i in order], _TRIED)
+    return _with_twins([replace(guesses[i], x=starts[i][int(best[i].argmin())]) for i in order], _TRIED)
 
 
 def _with_twins(ranked, count):
@@ -134,6 +135,11 @@ def twins(one: Guess | Hypothesis | Lead, other: Guess | Hypothesis | Lead) -> b
     """Whether they are laws of the same classes at the same places, which leave nearly the same traces."""
     first, second = (Counter((CATEGORIES[s.name], s.where) for s in each.suspects) for each in (one, other))
     return first == second
+
+
+def _screened(guess):
+    last = guess.suspects[-1]
+    return np.concatenate([guess.x[: -last.size], last.simulated])
 
 
 def _scaled(x, parameters, length):

@@ -21,7 +21,7 @@ from soro_bench.diagnosis.pipeline import ALPHA, Diagnosis
 from soro_bench.diagnosis.propose import DURATION, Proposal
 from soro_bench.diagnosis.robot import LIMIT, Earlier
 from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.diagnosis.suspects import MAGNITUDE_DEVIATION, Suspect
+from soro_bench.diagnosis.suspects import Suspect
 from soro_bench.effects.catalogue import CATEGORIES, QUANTITIES
 from soro_bench.effects.effect import load_effects, save_effects
 from soro_bench.files import read_json, write_json
@@ -243,7 +243,7 @@ def detectable(diagnosis: Diagnosis) -> dict:
         if x > LIMIT:
             continue
         q = QUANTITIES[suspect.name][0]
-        change = MAGNITUDE_DEVIATION * x * (suspect.typical[0] - q.null)
+        change = float(suspect.deviations[0]) * x
         if not q.bounds[0] <= q.null + change <= q.bounds[1]:
             continue
         value = abs(change)

@@ -12,7 +12,7 @@ import numpy as np
 from soro_bench.diagnosis.fit import Guess, Hypothesis
 from soro_bench.diagnosis.problem import DIVERGED, Problem
 from soro_bench.diagnosis.robot import Robot
-from soro_bench.diagnosis.suspects import MAGNITUDE_DEVIATION, Suspect, effects_at
+from soro_bench.diagnosis.suspects import Suspect, effects_at
 from soro_bench.effects.effect import Effect
 
 
@@ -99,8 +99,7 @@ def responses(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect],
     points, shares = [], []
     for candidate in candidates:
         for column in np.flatnonzero(candidate.magnitudes):
-            x = np.zeros(candidate.size)
-            x[column] = 1.0 / MAGNITUDE_DEVIATION
+            x = np.where(np.arange(candidate.size) == column, candidate.simulated, 0.0)
             points.append((np.concatenate([base.x, x]), (*base.suspects, candidate)))
             shares.append(x[column])
     without, *simulated = problem.simulated(robot, [(base.x, base.suspects), *points])

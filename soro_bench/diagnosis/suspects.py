@@ -9,7 +9,7 @@ from soro_bench.diagnosis.robot import LIMIT, Robot
 from soro_bench.effects.catalogue import ALL, PHYSICS, QUANTITIES
 from soro_bench.effects.effect import EVERY, Effect, Port
 
-MAGNITUDE_DEVIATION, SECOND_DEVIATION = 5.0, 0.7  # of effects: in typical magnitudes, in logarithms
+MAGNITUDE_DEVIATION, SECOND_DEVIATION = 5.0, 0.7  # of effects: in typical magnitudes at most, in logarithms
 PNEUMATIC = ("pressure_leak", "pressure_asymmetry", "supply_coupling")
 
 
@@ -30,28 +30,44 @@ class Suspect:
         return len(self.typical)
 
     @property
+    def deviations(self) -> np.ndarray:
+        """(size,) standard deviations of the priors: of magnitudes in their units, of others in logarithms.
+
+        A magnitude that ends somewhere, as a share does, is at most as far as that from nothing: clouds that are wider
+        than all there is would only see both ends.
+        """
+        found = np.full(self.size, SECOND_DEVIATION)
+        for i, (q, typical) in enumerate(zip(QUANTITIES[self.name], self.typical, strict=True)):
+            if self.magnitudes[i]:
+                most = q.bounds[1] - q.null if q.null == q.bounds[0] else np.inf
+                found[i] = min(MAGNITUDE_DEVIATION * (typical - q.null), most)
+        return found
+
+    @property
+    def simulated(self) -> np.ndarray:
+        """(size,) the coordinates of the effect of typical magnitudes."""
+        null = np.array([q.null for q in QUANTITIES[self.name]])
+        return np.where(self.magnitudes, (np.array(self.typical) - null) / self.deviations, 0.0)
+
+    @property
     def bounds(self) -> np.ndarray:
         """(2, size) the least and the largest coordinates: beyond them the quantities stay at their bounds, so that no
         slope would lead back."""
-        found = []
-        for q, typical, magnitude in zip(QUANTITIES[self.name], self.typical, self.magnitudes, strict=True):
+        found, columns = [], zip(QUANTITIES[self.name], self.typical, self.magnitudes, self.deviations, strict=True)
+        for q, typical, magnitude, deviation in columns:
             ends = np.array(q.bounds)
             if magnitude:
-                found.append(np.sort((ends - q.null) / (MAGNITUDE_DEVIATION * (typical - q.null))))
+                found.append(np.sort((ends - q.null) / deviation))
             else:
                 with np.errstate(divide="ignore"):  # the logarithm of zero
-                    found.append(np.clip(np.log(ends / typical) / SECOND_DEVIATION, -LIMIT, LIMIT))
+                    found.append(np.clip(np.log(ends / typical) / deviation, -LIMIT, LIMIT))
         return np.array(found).T
 
     def effect(self, x: np.ndarray) -> Effect:
         """The effect at coordinates x (size,), in standard deviations of their priors."""
-        values = {}
-        for q, typical, magnitude, one in zip(QUANTITIES[self.name], self.typical, self.magnitudes, x, strict=True):
-            if magnitude:
-                value = q.null + MAGNITUDE_DEVIATION * one * (typical - q.null)
-            else:
-                value = typical * np.exp(SECOND_DEVIATION * one)
-            values[q.name] = float(np.clip(value, *q.bounds))
+        values, moved = {}, self.deviations * x
+        for q, typical, magnitude, by in zip(QUANTITIES[self.name], self.typical, self.magnitudes, moved, strict=True):
+            values[q.name] = float(np.clip(q.null + by if magnitude else typical * np.exp(by), *q.bounds))
         return Effect(self.name, self.where, values)
 
 
@@ -105,7 +121,7 @@ def suspect(robot: Robot, name: str, where: Port) -> Suspect:
 
 def typical(one: Suspect) -> Effect:
     """The effect of typical magnitudes."""
-    return one.effect(np.array(one.magnitudes) / MAGNITUDE_DEVIATION)
+    return one.effect(one.simulated)
 
 
 def variants(one: Suspect) -> list[Suspect]:

@@ -214,7 +214,7 @@ class ActuatorSaturation(Law):
     """An actuator that is weaker than its model: it gives only a share of the force that it should at most."""
 
     name, category, kinds = "actuator_saturation", "amplitude", ("actuator",)
-    quantities = (Quantity("loss", "1", 0.7, (0.0, 1.0)),)
+    quantities = (Quantity("loss", "1", 0.7, (0.0, 1.0), also=(0.4, 0.88)),)
     fields: ClassVar = ("actuator_forcerange",)
 
     def prepare(self, elements):
