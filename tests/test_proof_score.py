@@ -167,6 +167,15 @@ def test_parameters_that_hide_an_effect_are_seen():
     assert card["cases"][0]["concealed"] == pytest.approx(1 - 3 * (0.6**2 - 0.5**2) / 2.0**2)
 
 
+def test_errors_are_compared_apart_for_the_two_kinds_of_robots():
+    labels = [label(0), label(1) | {"robot": "flex"}, label(2, "none") | {"robot": "flex"}]
+    same = report()
+    same["unseen"] = same["unseen"] | {"rmse_after": 6e-4}
+    found, _ = values(labels, [report(), same, report("none", "none", verdict="none_detected")])
+    errors = [value for gate, value in found.items() if "error after over before" in gate]
+    assert errors == pytest.approx([5 / 6, 1.0])
+
+
 def test_labels_that_were_changed_after_the_commitment_are_refused(tmp_path):
     path = tmp_path / "sealed" / "labels.json"
     write_json(path, {"cases": [label(0)]})

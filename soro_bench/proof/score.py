@@ -80,6 +80,7 @@ def case_row(label: dict, report: dict) -> dict:
         "magnitude_inside": inside,
         "fve_unseen": report["unseen"] and report["unseen"]["fve"],
         "fve_unseen_raw": report["unseen"] and _raw_explained(report["unseen"]),
+        "error_left": report["unseen"] and report["unseen"]["rmse_after"] / report["unseen"]["rmse_before"],
         "change_unseen_mm": label["change_mm"]["task"],
         "concealed": concealed,
         "seconds": report["seconds"],
@@ -186,6 +187,10 @@ def shows(row) -> bool:
     return row["group"] in ("one", "two") and row["change_unseen_mm"] >= _FAINT
 
 
+def _shows_on(robot: str) -> Callable[[dict], bool]:
+    return lambda row: shows(row) and row["robot"] == robot
+
+
 def _measured(row) -> bool:
     return row["first"] and row["magnitude_error"] is not None
 
@@ -217,6 +222,9 @@ GATES = (
         None,
         False,
     ),
+    # where the real robot is another model, the difference between the two models is most of the error, patch or not
+    ("the same, `fine` robots: error after over before, median", _shows_on("fine"), _median("error_left"), None, True),
+    ("the same, `flex` robots: error after over before, median", _shows_on("flex"), _median("error_left"), None, True),
     ("unknown called unknown", _group("unknown"), Share("abstained"), 0.80, False),
     ("unknown called so, at the right place", _group("unknown"), Share("first", "place"), 0.75, False),
     ("physics and measurement confused", _NAMED, Share("confused"), 0.02, True),
