@@ -168,8 +168,8 @@ def explained(
             tried[1:1] = without
         else:
             before, nominal = nominal, min(nominal, *without, key=lambda h: h.cost)
-            if not problem.rough and nominal.cost < before.cost - WORTH and problem.excess(nominal.residual) < CLEAN:
-                # the effect has only led to parameters that explain everything without it
+            if not problem.rough and before.cost - nominal.cost > WORTH > nominal.cost - tried[0].cost:
+                # the effect has only led to parameters that explain as much without it
                 return explained(problem, nominal, robot, refined, candidates, seed + 1, progress)
         best = tried[0]
     minimum, found = screened.detectable(_worth(problem, nominal, best)), tuple(_cheapest(tried))

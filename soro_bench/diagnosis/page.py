@@ -211,8 +211,10 @@ def _overlay(diagnosis) -> str:
     axes = np.atleast_1d(axes)
     for axis, ax in enumerate(axes):
         ax.axhspan(-2 * scale * problem.sensor, 2 * scale * problem.sensor, color="0.85", lw=0)
-        ax.plot(measured.time, scale * before[:, point, axis], color="C3", lw=0.8, label="parameters fitted")
-        ax.plot(measured.time, scale * after[:, point, axis], color="C0", lw=0.8, label="best hypothesis")
+        for left, color, label in ((before, "C3", "parameters fitted"), (after, "C0", "best hypothesis")):
+            values = scale * left[:, point, axis]
+            seen = np.isfinite(values)  # a line with gaps would not show what is between two of them
+            ax.plot(measured.time[seen], values[seen], color=color, lw=0.8, label=label)
         ax.set_ylabel(f"{'xyz'[axis]} [{unit}]" if rows == 3 else f"[{unit}]")
     axes[0].legend(loc="upper right", ncols=2, frameon=False)
     axes[0].set_title(f"point {point}")

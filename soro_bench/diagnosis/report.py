@@ -91,7 +91,7 @@ def report_of(diagnosis: Diagnosis) -> dict:
     ranked.append(_nameless("none", 0.0 if only_outliers else nothing))
     ranked.append(_nameless("unknown", comparison.unknown, diagnosis))
     if diagnosis.outliers.share:
-        ranked.append(_outliers(diagnosis))
+        ranked.append(_outliers(diagnosis, nothing if only_outliers else 0.0))
     ranked.sort(key=lambda e: -e["probability"])
     return {
         "schema": SCHEMA,
@@ -175,12 +175,12 @@ def _nameless(name: str, probability: float, diagnosis: Diagnosis | None = None)
             "parameters": {}, "evidence": [], "against": [], "together_with": []}  # fmt: skip
 
 
-def _outliers(diagnosis: Diagnosis) -> dict:
+def _outliers(diagnosis: Diagnosis, probability: float) -> dict:
     """They were left out, so they compete with nothing; they are the answer where nothing else is."""
     found, signal, unit = diagnosis.outliers, diagnosis.robot.signal, diagnosis.robot.unit
     parameters = {"share": {"value": found.share, "unit": "1"}, "size": {"value": found.size, "unit": unit}}
     return {
-        **_nameless("outliers", 0.0 if diagnosis.detected else 1.0),
+        **_nameless("outliers", probability),
         "class": "measurement",
         "where": {"kind": "sensor", "name": signal},
         "parameters": parameters,
