@@ -223,8 +223,8 @@ GATES = (
         False,
     ),
     # where the real robot is another model, the difference between the two models is most of the error, patch or not
-    ("the same, `fine` robots: error after over before, median", _shows_on("fine"), _median("error_left"), None, True),
-    ("the same, `flex` robots: error after over before, median", _shows_on("flex"), _median("error_left"), None, True),
+    ("the same, fine robots: error after over before, median", _shows_on("fine"), _median("error_left"), None, True),
+    ("the same, flex robots: error after over before, median", _shows_on("flex"), _median("error_left"), None, True),
     ("unknown called unknown", _group("unknown"), Share("abstained"), 0.80, False),
     ("unknown called so, at the right place", _group("unknown"), Share("first", "place"), 0.75, False),
     ("physics and measurement confused", _NAMED, Share("confused"), 0.02, True),
