@@ -326,6 +326,16 @@ def test_a_mapping_that_does_not_fit_is_refused_in_words(paths, old, new, messag
         ModelRobot(model, mapping)
 
 
+def test_a_finer_model_outside_the_folder_of_the_mapping_is_refused(paths):
+    model, mapping = paths
+    inner = mapping.parent / "inner"
+    inner.mkdir()
+    moved = inner / mapping.name
+    moved.write_text(MAP.replace("[robot]", f'[robot]\naccurate = "../{model.name}"', 1))
+    with pytest.raises(ModelError, match="in the folder of the mapping, or below it"):
+        ModelRobot(model, moved)
+
+
 def test_a_file_that_is_no_model_is_refused(paths):
     model, mapping = paths
     model.write_text("<mujoco><worldbody><bdy/></worldbody></mujoco>")

@@ -146,8 +146,9 @@ def accurate_of(settings, mapping) -> Path | None:
     name = settings.get("accurate")
     if name is None:
         return None
-    path = Path(mapping).parent / name if isinstance(name, str) else None
-    if path is None or not path.is_file():
+    folder = Path(mapping).parent
+    path = folder / name if isinstance(name, str) else None
+    if path is None or not path.is_file() or not path.resolve().is_relative_to(folder.resolve()):
         raise ModelError(f"[robot] accurate is {name!r}; expected a model in the folder of the mapping, or below it")
     return path
 
