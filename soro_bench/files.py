@@ -45,12 +45,15 @@ def read_bytes(path: str | Path, max_bytes: int, links: bool = True) -> bytes:
     # without waiting for a writer, if it is a pipe, and without following a link that has just come
     names = ("O_NONBLOCK", "O_BINARY", *([] if links else ["O_NOFOLLOW"]))
     handle = os.open(path, os.O_RDONLY | sum(getattr(os, name, 0) for name in names))
-    with open(handle, "rb") as file:
+    try:
         if not stat.S_ISREG((found := os.fstat(handle)).st_mode):
             raise ValueError(f"{path} is no regular file")
         if found.st_size > max_bytes:
             raise ValueError(f"{path} has {found.st_size} bytes; at most {max_bytes} are read")
-        return file.read(max_bytes)
+        with open(handle, "rb", closefd=False) as file:
+            return file.read(max_bytes)
+    finally:
+        os.close(handle)
 
 
 def read_json(path: str | Path, max_bytes: int = 10_000_000):
@@ -58,5 +61,5 @@ def read_json(path: str | Path, max_bytes: int = 10_000_000):
     data = read_bytes(path, max_bytes)
     try:
         return json.loads(data)
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # text of another encoding, no JSON, a number of too many digits
         raise ValueError(f"{path} is no JSON file: {error}") from error

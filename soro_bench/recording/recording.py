@@ -186,7 +186,7 @@ def check_parameters(parameters: Mapping[str, float]) -> None:
     _check_mapping("parameters", parameters)
     for name, value in parameters.items():
         check_name(name)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < math.inf:
             raise RecordingError(f"parameter {name} is {_brief(value)}; it has to be a finite number")
 
 
