@@ -71,7 +71,7 @@ def plain_errors(program: str) -> Iterator[None]:
             raise
         sys.exit(f"{program}: {error}")
     except KeyboardInterrupt:
-        sys.exit(f"{program}: interrupted; the same command goes on from the last checkpoint")
+        sys.exit(f"{program}: interrupted; train, run, infer, study and prove go on where they were, given again")
 
 
 def main() -> None:

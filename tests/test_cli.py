@@ -48,6 +48,7 @@ def test_a_recording_is_made_viewed_and_inferred_from(call, tmp_path):
     ("import", "log.csv", "--out", "log.csv"),
     ("infer", "rf-dropo", "log.parquet", "--out", "log.parquet"),
     ("view", "log.parquet", "--out", "log.parquet", "--no-open"),
+    ("excite", "TrunkReach-v0", "--out", "log.parquet"),
 ])  # fmt: skip
 def test_what_is_written_takes_the_place_of_nothing_else(call, tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)
