@@ -25,6 +25,11 @@ def replacing(path: str | Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def shown(text: str) -> str:
+    """One line, in which what cannot be shown is escaped: it may be from a stranger's file."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+
+
 def check_output(path: Path, suffix: str) -> None:
     """ValueError if a file that is to be written has another suffix: it would take the place of something else."""
     if path.suffix != suffix:
