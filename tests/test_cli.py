@@ -94,5 +94,5 @@ def test_a_study_without_its_recordings_says_which_is_missing(call, tmp_path):
 def test_the_evaluation_of_another_board_is_not_replaced(call, tmp_path):
     policy().save(tmp_path)
     (tmp_path / "evaluation_cable.json").write_text('{"board": "another"}')
-    with pytest.raises(SystemExit, match=r"evaluation_cable.json is of another: say with --out"):
+    with pytest.raises(SystemExit, match=r"evaluation_cable.json holds other results: say with --out"):
         call("evaluate", tmp_path, "--on", "cable")
