@@ -151,7 +151,7 @@ class Task(ABC):
         self._distribution = distribution
 
     def state(self, ids: np.ndarray) -> dict[str, np.ndarray]:
-        """What simulations go on from, bit for bit but for what effects remember: arrays of n rows by MuJoCo's names."""
+        """What simulations go on from, bit for bit but for what effects remember: arrays of n rows by MuJoCo's name."""
         for name in STATE:
             self.sim.batch.bind(name)
         return {name: getattr(self.sim.batch, name)[ids] for name in STATE}

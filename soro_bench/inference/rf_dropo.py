@@ -13,7 +13,6 @@ Two ways to find them, with the same objective (docs/inference.md compares):
   renewed until nothing improves.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np

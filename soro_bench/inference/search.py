@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-
 WORST = 1e300  # the cost of a replay that diverges: worse than those of all that do not
 
 

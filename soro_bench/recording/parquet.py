@@ -55,7 +55,7 @@ def save(recording: Recording, path: str | Path) -> None:
             write_page_checksum=True,
         )
         if (size := pq.read_metadata(temporary).serialized_size) > MAX_FOOTER:  # it could not be read again
-            raise RecordingError(f"names, units and metadata take {size} bytes of the file; at most {MAX_FOOTER} may be")
+            raise RecordingError(f"names, units and metadata take {size} bytes of the file; at most {MAX_FOOTER} may")
 
 
 def load(path: str | Path, max_bytes: int = MAX_BYTES) -> Recording:
