@@ -11,7 +11,7 @@ import numpy as np
 from soro_bench.parallel import processors
 from soro_bench.parameters import Parameter
 from soro_bench.recording.recording import Recording, RecordingError, Signal, resampled, sampled
-from soro_bench.recording.simulated import recorded_actions
+from soro_bench.recording.simulated import COMMAND, recorded_actions
 from soro_bench.registration import make_task, task_type
 
 # What a simulation is trusted to beside the sensor's noise, standard deviations by unit: in metres that of the
@@ -73,7 +73,8 @@ class Replay:
         self._read(recording, noise)
 
     def _read(self, recording, noise) -> None:
-        times = recording.start + self._task.control_timestep * np.arange(1, len(self.actions) + 1)
+        begin, _ = recording.control_steps([COMMAND], self._task.control_timestep)
+        times = begin + self._task.control_timestep * np.arange(1, len(self.actions) + 1)
         measured, deviation, sensor, self.groups, first = [], [], [], [], 0
         self._task.reset(np.arange(1), [np.random.default_rng(0)], [{}])  # another replay may have used it
         simulated = self._task.signals(np.arange(1))
@@ -201,7 +202,7 @@ def _simulations(env_id, model, action, threads):
 
 def _states(recording, steps, timestep) -> dict[str, np.ndarray]:
     """The recorded state before every action, by the name of its part."""
-    prefix, times = "state.", recording.start + timestep * np.arange(steps)
+    prefix, times = "state.", recording.control_steps([COMMAND], timestep)[0] + timestep * np.arange(steps)
     parts = {name.removeprefix(prefix): recording.signals[name] for name in recording.names if name.startswith(prefix)}
     if not parts:
         raise RecordingError("restarting needs the full state; make the recording with soro-bench record --full-state")

@@ -114,10 +114,10 @@ def recorded_actions(recording: Recording) -> tuple[str, np.ndarray]:
     if COMMAND not in recording.commands:
         raise RecordingError(f"there is no command {COMMAND!r} to replay; there are {sorted(recording.commands)}")
     timestep = task_type(env_id).control_timestep
-    steps = math.ceil(recording.duration / timestep - 1e-6)
+    begin, steps = recording.control_steps([COMMAND], timestep)
     if not 1 <= steps <= MAX_STEPS:
         raise RecordingError(f"{recording.duration} s are {steps} control steps; expected 1 to {MAX_STEPS}")
-    times = recording.start + timestep * np.arange(steps)
+    times = begin + timestep * np.arange(steps)
     return env_id, _held(recording.commands[COMMAND], times, action == "discrete")
 
 
