@@ -201,7 +201,8 @@ class Compliance(Law):
         super().prepare(elements)
         fixed = self.model.actuator_gaintype[self.ids] == mujoco.mjtGain.mjGAIN_FIXED
         affine = self.model.actuator_biastype[self.ids] == mujoco.mjtBias.mjBIAS_AFFINE
-        if not (fixed & affine & (self.model.actuator_biasprm[self.ids, 1] < 0)).all():
+        of_position, of_velocity = self.model.actuator_biasprm[self.ids, 1:3].T
+        if not (fixed & affine & ~((of_position == 0) & (of_velocity != 0))).all():
             raise EffectError(f"{self.name} acts on servos of positions: actuators of fixed gain and affine bias")
 
     def write(self, which):
