@@ -41,6 +41,7 @@ from soro_bench.training.ppo import TRAINER, default_config, train
 
 ENV_ID, MODEL, KIND = "TrunkReach-v0", "cable", "fine"
 DURATIONS = {"train": 30.0, "heldout": 12.0}  # s
+METHOD = method_version()  # of the sources that this process has loaded, whatever happens to the files later
 METHOD_NAMES = ("nominal", "udr", "patched", "oracle")
 
 
@@ -78,8 +79,8 @@ CONCEALED = {
 
 def diagnosed(name: str, folder: Path) -> None:
     """The report of a concealed robot, in a folder; what is there is kept if it is of this version of the method."""
-    if (folder / "report.html").exists():
-        _same(folder / "method.json", {"method": method_version()})
+    if (folder / "method.json").exists():  # which is written last
+        _same(folder / "method.json", {"method": METHOD})
         return
     robot, recordings = Robot(KIND, CONCEALED[name].parameters, [CONCEALED[name].law()]), {}
     space = make_task(ENV_ID, 1, 1, MODEL, action="continuous").single_action_space
@@ -91,8 +92,8 @@ def diagnosed(name: str, folder: Path) -> None:
         points = robot.run(rows).at(CONTROL_TIMESTEP * np.arange(len(rows) + 1))
         recordings[role] = recording(rows, points, np.random.default_rng([k, 2]))
     found = diagnose(SuiteRobot(ENV_ID), [recordings["train"]], [recordings["heldout"]])
-    write_json(folder / "method.json", {"method": method_version()})
     write_reports(found, [recordings["train"]], folder)
+    write_json(folder / "method.json", {"method": METHOD})
 
 
 def _same(path: Path, expected: dict) -> None:
@@ -118,7 +119,7 @@ def result(name: str, method: str, seed: int, folder: Path, steps: int, progress
     """Train one policy and run it on the concealed robot; what is there is read."""
     path = folder / name / method / f"seed{seed}.json"
     about = {"robot": name, "method": method, "seed": seed, "steps": steps, "trainer": TRAINER,
-             "diagnosis": method_version()}  # fmt: skip
+             "diagnosis": METHOD}  # fmt: skip
     if path.exists():
         _same(path, about)
     else:

@@ -3,7 +3,7 @@
     python benchmarks/multigait_random.py --episodes 1000
 
 Parameters uniform in the search box, random actions, discrete and continuous in turn, 6 steps. Adds counts to
-docs/results/multigait_random.json after every batch and goes on from there.
+a file in --work after every batch and goes on from there. Whole, they are copied to docs/results/multigait_random.json.
 """
 
 import argparse
@@ -18,7 +18,7 @@ from soro_bench.files import read_json, write_json
 from soro_bench.models import walker
 from soro_bench.randomization import search_box
 
-PATH = Path(__file__).parents[1] / "docs" / "results" / "multigait_random.json"
+NAME, RESULTS = "multigait_random.json", Path(__file__).parents[1] / "docs" / "results"
 BATCH, STEPS = 50, 6
 
 
@@ -77,15 +77,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--episodes", type=int, default=1000)
     parser.add_argument("--threads", type=int, default=0)
+    parser.add_argument("--work", type=Path, default=Path("runs"))
     options = parser.parse_args()
-    total = read_json(PATH) if PATH.exists() else {}
+    path = options.work / NAME
+    total = read_json(path) if path.exists() else {}
     start, first = time.monotonic(), total.get("episodes", 0)
     while (done := total.get("episodes", 0)) < options.episodes:
         total = merge(total, run_batch(done // BATCH, options.threads))
-        write_json(PATH, total)
+        write_json(path, total)
         rate = (total["episodes"] - first) / (time.monotonic() - start)
         print(f"{total['episodes']} episodes, {(options.episodes - total['episodes']) / rate / 60:.0f} min left",
               end="\r", flush=True)  # fmt: skip
+    write_json(RESULTS / NAME, total)
     print(f"\n{total}")
 
 

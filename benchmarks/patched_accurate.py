@@ -17,6 +17,7 @@ from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.effects.effect import Effect, Port
 from soro_bench.files import read_json
 from soro_bench.proof.ablations import ENV_ID
+from soro_bench.proof.score import opened_labels
 from soro_bench.recording.parquet import load
 
 MODELS = ("cable", "flex")
@@ -45,9 +46,7 @@ def main() -> None:
     folder = parser.parse_args().folder
     robots = {model: SuiteRobot(ENV_ID, model) for model in MODELS}
     rows = {model: [] for model in MODELS}
-    labels = {
-        label["id"]: label for label in read_json(folder / "cases" / "sealed" / "labels.json", 100_000_000)["cases"]
-    }
+    labels = {label["id"]: label for label in opened_labels(folder / "cases")}
     for path in track(sorted((folder / "reports").glob("case_*.json")), "cases"):
         report, label = read_json(path), labels[path.stem]
         if label["robot"] != "flex" or not label["effects"] or report["verdict"] != "missing_physics":

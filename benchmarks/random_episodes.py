@@ -4,8 +4,8 @@
     python benchmarks/random_episodes.py --model flex --episodes 200
 
 Runs that many episodes of every trunk task, each with parameters drawn uniformly from the published search box and
-with uniformly random actions, discrete and continuous in turn. Writes counts to
-docs/results/random_episodes_<model>.json after every batch; a run that was interrupted goes on from there.
+with uniformly random actions, discrete and continuous in turn. Writes counts to --work after every batch; a run that
+was interrupted goes on from there. Whole, they are copied to docs/results/random_episodes_<model>.json.
 """
 
 import argparse
@@ -77,8 +77,10 @@ def main():
     parser.add_argument("--model", choices=("cable", "flex"), default="cable")
     parser.add_argument("--episodes", type=int, default=3400, help="per task")
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--work", type=Path, default=Path("runs"))
     options = parser.parse_args()
-    path = RESULTS / f"random_episodes_{options.model}.json"
+    name = f"random_episodes_{options.model}.json"
+    path = options.work / name
     totals = read_json(path) if path.exists() else {}
     start, done_now = time.monotonic(), 0
     for env_id in TRUNK_IDS:
@@ -91,6 +93,7 @@ def main():
             minutes = (time.monotonic() - start) / done_now * left / 60
             print(f"{env_id} {totals[env_id]['episodes']} episodes, {minutes:.0f} min left", end="\r", flush=True)
     print()
+    write_json(RESULTS / name, totals)
     for env_id, counts in totals.items():
         print(env_id, {key: value for key, value in counts.items() if key != "diverged_params"})
 

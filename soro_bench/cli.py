@@ -19,6 +19,7 @@ try:
 except ImportError as error:
     sys.exit(f"soro-bench needs more than the core install: pip install soro_bench[all] ({error})")
 
+from soro_bench.files import shown
 from soro_bench.registration import ENV_IDS, task_type
 
 
@@ -69,9 +70,9 @@ def plain_errors(program: str) -> Iterator[None]:
     except (ValueError, OSError, ImportError) as error:
         if sys.flags.dev_mode:  # PYTHONDEVMODE=1: the traceback, to find out where it comes from
             raise
-        sys.exit(f"{program}: {error}")
+        sys.exit("\n".join(map(shown, f"{program}: {error}".split("\n"))))
     except KeyboardInterrupt:
-        sys.exit(f"{program}: interrupted; the same command goes on from the last checkpoint")
+        sys.exit(f"{program}: interrupted; train, run, infer, study and prove go on where they were, given again")
 
 
 def main() -> None:

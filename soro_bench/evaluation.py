@@ -37,6 +37,10 @@ def evaluate(
         full_state: whether the episodes' signals hold the simulations' whole state, as state.qpos and so on.
         options: further arguments of the environment.
     """
+    if max_episode_steps is None:
+        max_episode_steps = gymnasium.spec(env_id).max_episode_steps
+    if max_episode_steps < 1:
+        raise ValueError(f"max_episode_steps {max_episode_steps}: 1 or more are needed")
     starts = task_type(env_id).evaluation if starts is None else starts
     task = make_task(env_id, len(starts), num_threads, model, action=action, **options)
     # evaluation starts fix all but the noise of observations; others may leave more open
@@ -46,7 +50,7 @@ def evaluate(
     recorders = [_Recorder(full_state) for _ in starts]
     _record(recorders, everyone, task, info)
     running = everyone
-    for _ in range(max_episode_steps or gymnasium.spec(env_id).max_episode_steps):
+    for _ in range(max_episode_steps):
         actions = task.check_actions(act(observation[running]), len(running))
         step = task.step(running, actions)
         observation[running] = step.observation

@@ -25,6 +25,11 @@ def replacing(path: str | Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def shown(text: str) -> str:
+    """One line, in which what cannot be shown is escaped: it may be from a stranger's file."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
+
+
 def check_output(path: Path, suffix: str) -> None:
     """ValueError if a file that is to be written has another suffix: it would take the place of something else."""
     if path.suffix != suffix:
@@ -45,12 +50,15 @@ def read_bytes(path: str | Path, max_bytes: int, links: bool = True) -> bytes:
     # without waiting for a writer, if it is a pipe, and without following a link that has just come
     names = ("O_NONBLOCK", "O_BINARY", *([] if links else ["O_NOFOLLOW"]))
     handle = os.open(path, os.O_RDONLY | sum(getattr(os, name, 0) for name in names))
-    with open(handle, "rb") as file:
+    try:
         if not stat.S_ISREG((found := os.fstat(handle)).st_mode):
             raise ValueError(f"{path} is no regular file")
         if found.st_size > max_bytes:
             raise ValueError(f"{path} has {found.st_size} bytes; at most {max_bytes} are read")
-        return file.read(max_bytes)
+        with open(handle, "rb", closefd=False) as file:
+            return file.read(max_bytes)
+    finally:
+        os.close(handle)
 
 
 def read_json(path: str | Path, max_bytes: int = 10_000_000):
@@ -58,5 +66,5 @@ def read_json(path: str | Path, max_bytes: int = 10_000_000):
     data = read_bytes(path, max_bytes)
     try:
         return json.loads(data)
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # text of another encoding, no JSON, a number of too many digits
         raise ValueError(f"{path} is no JSON file: {error}") from error

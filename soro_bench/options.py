@@ -13,6 +13,15 @@ Parallel = Annotated[Workers, tyro.conf.arg(name="")]  # --jobs, --backend, --sc
 FOLDER = r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,59}$"  # what a leaderboard calls methods and entries, which are folders there
 
 
+MAX_SEED = 1_000_000  # of a training that is to be entered
+
+
+def check_seed(seed: int) -> None:
+    """ValueError for the seed of a training that could not be entered."""
+    if not 0 <= seed <= MAX_SEED:
+        raise ValueError(f"seed {seed}: 0 to {MAX_SEED} are allowed")
+
+
 def check_name(what: str, name: str) -> None:
     """ValueError if a method or an entry could not be called so."""
     if not re.fullmatch(FOLDER, name):

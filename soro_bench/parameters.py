@@ -114,7 +114,7 @@ class ParameterSet:
             low, high = self.parameters[name].bounds
             try:
                 checked[name] = float(value)
-            except (TypeError, ValueError):
+            except (TypeError, ValueError, OverflowError):
                 checked[name] = np.nan
             if not low <= checked[name] <= high:
                 raise ValueError(f"{name} = {value} is outside [{low}, {high}] {self.parameters[name].unit}")

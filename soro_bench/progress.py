@@ -35,7 +35,8 @@ class StageBars:
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         if stage not in self._tasks:
-            self._tasks[stage] = self._progress.add_task(stage, total=total)
+            # what was done before the first call counts as no speed
+            self._tasks[stage] = self._progress.add_task(stage, total=total, completed=max(done - 1, 0))
         self._progress.update(self._tasks[stage], completed=done)
         if not console.is_terminal:
             left = self._progress.tasks[self._tasks[stage]].time_remaining

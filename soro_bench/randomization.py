@@ -192,7 +192,7 @@ def from_dict(data: Mapping) -> Distribution:
         rows = data["parameters"]
         values = np.array([[rows[name][c] for c in columns] for name in rows], float).reshape(-1, 2)
         return family(tuple(rows), *values.T)
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, OverflowError) as error:
         raise ValueError(f"incomplete {kind} distribution: {error!r} is missing or malformed") from error
 
 

@@ -10,6 +10,7 @@ pytest.importorskip("stable_baselines3", reason="needs the train extra")
 pytest.importorskip("rerun", reason="needs the view extra")
 
 from soro_bench.campaign.campaign import carry_out_all, state
+from soro_bench.campaign.commands import campaign
 from soro_bench.campaign.plan import BOXES, SEEDS, UNMODELLED, chosen, paper, runs_of, variance_for_deviation
 from soro_bench.campaign.run import Run, _check_fixed
 from soro_bench.files import read_json
@@ -121,10 +122,29 @@ def test_a_run_that_fails_costs_no_other(small_board, tmp_path):
         raise ValueError("no distribution")
 
     runs = [Run("TrunkReach-v0", method, TINY) for method in (Method("broken", fails), ORACLE)]
-    with pytest.raises(ValueError, match=r"1 of 2 runs failed:\nTrunkReach-v0/broken/seed0: no distribution"):
-        carry_out_all(runs, tmp_path, tmp_path / "results", HERE)
+    failures = carry_out_all(runs, tmp_path, tmp_path / "results", HERE)
+    assert failures == ["TrunkReach-v0/broken/seed0: no distribution"]
     assert [run.done(tmp_path / "results") for run in runs] == [False, True]
     assert "no distribution" in (tmp_path / runs[0].name / "error.txt").read_text()
+
+
+def test_the_page_of_a_campaign_is_written_whatever_fails(small_board, tmp_path):
+    def fails(*_):
+        raise ValueError("no distribution")
+
+    runs = [Run("TrunkReach-v0", method, TINY) for method in (Method("broken", fails), ORACLE)]
+    with pytest.raises(ValueError, match=r"1 of 2 runs failed:\nTrunkReach-v0/broken/seed0: no distribution"):
+        campaign(runs, tmp_path, tmp_path / "results", HERE)
+    assert "oracle" in (tmp_path / "index.html").read_text()
+
+
+def test_what_could_not_be_entered_is_refused_before_the_training():
+    with pytest.raises(ValueError, match="seed 20260101: 0 to 1000000"):
+        Run("TrunkReach-v0", ORACLE, replace(TINY, seed=20260101))
+    with pytest.raises(ValueError, match="the method 'my method'"):
+        Run("TrunkReach-v0", Method("my method", None), TINY)
+    with pytest.raises(ValueError, match="seeds 0, 0: one of them comes twice"):
+        runs_of("TrunkReach-v0", ORACLE, (0, 0))
 
 
 def test_an_environment_without_a_board_or_with_others_is_an_error_in_words():

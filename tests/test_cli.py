@@ -48,6 +48,7 @@ def test_a_recording_is_made_viewed_and_inferred_from(call, tmp_path):
     ("import", "log.csv", "--out", "log.csv"),
     ("infer", "rf-dropo", "log.parquet", "--out", "log.parquet"),
     ("view", "log.parquet", "--out", "log.parquet", "--no-open"),
+    ("excite", "TrunkReach-v0", "--out", "log.parquet"),
 ])  # fmt: skip
 def test_what_is_written_takes_the_place_of_nothing_else(call, tmp_path, monkeypatch, arguments):
     monkeypatch.chdir(tmp_path)
@@ -93,5 +94,5 @@ def test_a_study_without_its_recordings_says_which_is_missing(call, tmp_path):
 def test_the_evaluation_of_another_board_is_not_replaced(call, tmp_path):
     policy().save(tmp_path)
     (tmp_path / "evaluation_cable.json").write_text('{"board": "another"}')
-    with pytest.raises(SystemExit, match=r"evaluation_cable.json is of another: say with --out"):
+    with pytest.raises(SystemExit, match=r"evaluation_cable.json holds other results: say with --out"):
         call("evaluate", tmp_path, "--on", "cable")

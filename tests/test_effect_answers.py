@@ -24,9 +24,9 @@ CHAMBERS = """<mujoco><option timestep="0.001"/><worldbody><body><joint name="hi
 </actuator></mujoco>"""
 
 
-def pressures(effects, rates):
+def pressures(effects, rates, chambers=CHAMBERS):
     """(T, 3) activations of chambers that are filled at rates (T, 3) [1/s]."""
-    model = instrument(mujoco.MjSpec.from_string(CHAMBERS)).compile()
+    model = instrument(mujoco.MjSpec.from_string(chambers)).compile()
     sim = Simulation(model, ParameterSet(), (), 1, 1, effects)
     sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
     sim.begin(np.arange(1))
@@ -50,6 +50,28 @@ def test_a_leak_loses_pressure_with_its_rate():
     rates = np.repeat([[1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], [100, 900], axis=0)
     found = pressures([Effect("pressure_leak", Port("actuator", "a"), {"rate": 2.0})], rates)
     assert found[-1] == pytest.approx([0.1 * np.exp(-2.0 * 0.95), 0.1, 0.0], rel=0.01, abs=1e-12)
+
+
+CLOSED = CHAMBERS.replace('ctrllimited="true"/>', 'ctrllimited="true" actlimited="true" actrange="0 1"/>')
+
+
+@pytest.mark.parametrize(
+    ("effect", "held"),
+    [
+        (Effect("pressure_leak", Port("actuator", "a"), {"rate": 0.5}), np.exp(-0.5)),
+        (Effect("supply_coupling", Port("actuator", "*"), {"coupling": 0.25}), 1.0),
+    ],
+)
+def test_a_chamber_is_filled_again_and_never_below_nothing(effect, held):
+    """For 2 s to the full, held for 1 s, filled again, vented for 3 s."""
+    rates = np.repeat([[1.0, 1.0, 0.0], [0.0, 0.0, 0.0], [1.0, 1.0, 0.0], [-1.0, -1.0, 0.0]], [2000, 1000, 2000, 3000],
+                      axis=0)  # fmt: skip
+    found = pressures([effect], rates, CLOSED)[:, 0]
+    full = found[1999]
+    assert 0.75 < full <= 1.0
+    assert found[2999] == pytest.approx(held * full, rel=0.01)
+    assert found[4999] == pytest.approx(full, rel=0.02)
+    assert found.min() == found[-1] == 0.0
 
 
 def test_filling_lags_and_venting_does_not():

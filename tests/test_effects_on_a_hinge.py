@@ -52,6 +52,28 @@ def flat(sim):
     return sim
 
 
+def test_strain_counts_from_where_a_spring_is_at_rest():
+    """0.1 N m bend a spring of 1 N m/rad that stiffens as much wherever it rests."""
+    ways = []
+    for rest in (0.0, 1.0):
+        spec = mujoco.MjSpec.from_string(
+            SERVO.replace("damping=", f'stiffness="1" springref="{57.29578 * rest}" damping=')
+        )
+        sim = Simulation(instrument(spec).compile(), ParameterSet(), (), 1, 1, [on_hinge("stiffening", beta=20.0)])
+        ways.append(turn(flat(sim), torque=0.1, steps=4000)[-1] - rest)
+    assert ways[1] == pytest.approx(ways[0], rel=1e-3)
+    assert 0.05 < ways[0] < 0.1
+
+
+def test_springs_of_the_effects_do_nothing_whatever_the_defaults_of_tendons_are():
+    plain, given = [
+        Simulation(instrument(mujoco.MjSpec.from_string(text)).compile(), ParameterSet(), (), 1, 1, [])
+        for text in (SERVO, SERVO.replace("<worldbody>", '<default><tendon stiffness="7" damping="3" '
+                                          'frictionloss="0.1"/></default><worldbody>', 1))
+    ]  # fmt: skip
+    assert np.array_equal(*(turn(flat(sim), torque=0.1) for sim in (plain, given)))
+
+
 def test_dry_friction_sticks_below_its_force_and_slips_above():
     sim = flat(servo([on_hinge("coulomb_friction", friction=0.5)]))
     held = turn(sim, torque=lambda step: 0.49 * min(1.0, step / 3000), steps=6000)

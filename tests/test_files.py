@@ -34,6 +34,7 @@ def test_what_is_huge_or_no_file_is_refused_at_once(tmp_path, read):
         read(tmp_path / "huge")
     (tmp_path / "device").symlink_to("/dev/zero")
     os.mkfifo(tmp_path / "pipe")
-    for name in ("device", "pipe"):
+    (tmp_path / "folder").mkdir()
+    for name in ("device", "pipe", "folder"):
         with pytest.raises(ValueError, match="no regular file"):
             read(tmp_path / name)

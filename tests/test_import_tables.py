@@ -152,6 +152,7 @@ def test_csv_of_counted_rows_of_some_trials(csv):
     np.testing.assert_allclose(f.values, [10, 30])
 
 
+COMMA = '[format]\ndelimiter = ";"\ndecimal = ","\n'
 SIMPLE = '[time]\ncolumn = "t"\n[signals.f]\ncolumns = ["f"]\nunit = "N"\n'
 
 
@@ -164,6 +165,8 @@ SIMPLE = '[time]\ncolumn = "t"\n[signals.f]\ncolumns = ["f"]\nunit = "N"\n'
         ("t,f\n0,1\n", SIMPLE.replace("[signals.f]", '[signals."../f"]'), ("'../f'", "A-Z")),
         ("t,f\n0,1\n", SIMPLE + "[sensors.x]\n", ("'sensors'", "signals")),
         ("t,f\n0,1\n", SIMPLE + "shape = [3]\n", ("signals.f", "[3]", "1 numbers")),
+        ("t,f\n0,1\n", SIMPLE + "[format]\nskip_rows = -5\n", ("skip_rows = -5", "expected 0 to")),
+        ("t;f\n0;1.234\n", SIMPLE + COMMA, ("line 2", "'1.234' is no finite number")),
         ("t,f\n0,1\n", SIMPLE + "shape = [0]\n", ("signals.f", "positive")),
         ("t,f\n0,1\n", SIMPLE + "scale = inf\n", ("scale", "finite")),
         ("t,f\n0,1\n", SIMPLE + "offset = [1, 2]\n", ("offset", "shape")),
@@ -245,6 +248,8 @@ ARRAYS = '[time]\ninterval = 0.1\n[signals.f]\narrays = ["f"]\nunit = "N"\n'
         ({"f": [1.0, 2.0]}, ARRAYS + 'time = "f"\nshape = [2]\n', ("shape [2] does not fit",)),
         ({"f": [1.0, 2.0], "t": [1.0]}, ARRAYS + 'time = "t"\n', ("times 't' have shape (1,)", "(2,)")),
         ({"f": [1.0, np.inf]}, ARRAYS, ("infinite",)),
+        ({"f": [1.0, 2.0, 3.0], "t": [5.0, 3.0, 6.0]}, ARRAYS + 'time = "t"\n', ("signals.f", "3.0 follows 5.0")),
+        ({"f": [1.0, 2.0], "t": [0.0, np.nan]}, ARRAYS + 'time = "t"\n', ("signals.f", "time is not finite")),
         ({"f": [1.0]}, ARRAYS.replace("interval = 0.1", 'unit = "mm"'), ("'mm'", "unit of time")),
         ({"f": [1.0]}, ARRAYS.replace("interval = 0.1", ""), ("neither", "interval")),
     ],

@@ -13,7 +13,7 @@ from soro_bench.inference.identifiability import combinations
 from soro_bench.inference.likelihood import horizon, log_likelihood, sample_factor
 from soro_bench.inference.methods import errors, infer
 from soro_bench.inference.replay import Replay
-from soro_bench.inference.search import EvaluationLog
+from soro_bench.inference.search import EvaluationLog, cma_search
 from soro_bench.parameters import FRICTION, TRUNK_MASS, WALL_OFFSET, YOUNG_MODULUS
 from soro_bench.randomization import load
 from soro_bench.recording.parquet import save
@@ -145,6 +145,32 @@ def test_least_squares_recovers_parameters_near_the_nominal_ones():
     assert posterior.estimate == pytest.approx(truth, rel=1e-3)
 
 
+def test_a_search_beside_what_diverges_ends_where_nothing_does():
+    def cost(points, share):
+        squares = ((points - 0.3) ** 2).sum(axis=1)
+        return np.where(points[:, 0] > 0.32, np.nan, squares)
+
+    for seed in range(20):
+        assert cma_search(cost, 2, 8, 8, seed)[0] <= 0.32
+
+
+def test_a_search_in_one_dimension_ends_at_the_edge():
+    for seed in range(5):
+        assert cma_search(lambda points, share: -points[:, 0], 1, 60, 16, seed) == pytest.approx([1.0], abs=1e-3)
+
+
+def test_a_search_in_which_everything_diverges_says_so():
+    with pytest.raises(ValueError, match="every replay diverged"):
+        cma_search(lambda points, share: np.full(len(points), np.nan), 2, 3, 8, 0)
+
+
+def test_droid_recovers_the_only_parameter(reach):
+    recording, truth = reach
+    known = {name: value for name, value in truth.items() if name != "trunk_mass"}
+    posterior = infer("droid", Replay(recording, known=known, threads=1))
+    assert posterior.estimate["trunk_mass"] == pytest.approx(truth["trunk_mass"], rel=1e-3)
+
+
 def test_dropo_restarts_every_step_from_the_recorded_state(reach):
     recording, truth = reach
     replay = Replay(recording, restart=True, threads=1)
@@ -172,6 +198,19 @@ def test_a_missing_sample_says_nothing(reach):
     assert (residual[4, 9:12] == 0).all() and (residual[4, 12:] != 0).any()
 
 
+def test_the_fit_is_over_what_was_measured(reach):
+    recording, _ = reach
+    signal = recording.signals["keypoints"]
+    values = signal.values.copy()
+    values[1::2] = np.nan
+    patchy = replace(recording, signals={"keypoints": Signal(signal.time, values, "m", "world")})
+    replay = Replay(patchy, known={"young_modulus": 8e6, "poisson_ratio": 0.45}, threads=1)
+    posterior = infer("sysid", replay)
+    residual = replay.residuals(np.array([[posterior.estimate["trunk_mass"]]]))[0]
+    left = residual[~np.isnan(replay.measured)]
+    assert posterior.fit["keypoints"] == pytest.approx(np.sqrt((left**2).mean()), rel=1e-6)
+
+
 def test_what_lies_between_two_samples_is_no_measurement(reach):
     recording, _ = reach
     given = recording.signals["keypoints"]
@@ -180,12 +219,15 @@ def test_what_lies_between_two_samples_is_no_measurement(reach):
     assert np.isnan(replay.measured).all(axis=1).sum() == STEPS // 2
 
 
-def test_a_quaternion_and_its_negative_are_the_same_orientation():
+@pytest.mark.parametrize("name", ["object_quaternion", "link_quaternion"])
+def test_a_quaternion_and_its_negative_are_the_same_orientation(name):
     recording = record("TrunkPush-v0", model="cable", steps=4)
-    turned = recording.signals["object_quaternion"]
-    jumping = replace(turned, values=turned.values * np.array([1, -1, -1, 1, -1])[:, None])
-    same = replace(recording, signals={**recording.signals, "object_quaternion": jumping})
-    assert np.array_equal(*(Replay(one, threads=1).measured for one in (recording, same)))
+    turned = recording.signals[name]
+    signs = np.array([1, -1, -1, 1, -1]).reshape(5, *[1] * (turned.values.ndim - 1))
+    jumping = replace(turned, values=turned.values * signs)
+    same = replace(recording, signals={**recording.signals, name: jumping})
+    given = (Replay(one, threads=1, also=(name,)).measured for one in (recording, same))
+    assert np.array_equal(*given)
 
 
 def test_what_a_fit_leaves_widens_what_is_said_to_be_determined(reach):
@@ -257,6 +299,24 @@ def test_settings_without_sense_are_named(reach, settings, message):
         infer("bayes-sim", Replay(reach[0], noise=settings.pop("noise", 0.0)), **settings)
 
 
+@pytest.mark.parametrize(("method", "restart"), [("dropo", False), ("rf-dropo", True)])
+def test_dropo_restarts_and_no_other_method_does(reach, method, restart):
+    with pytest.raises(ValueError, match="dropo needs a replay that restarts"):
+        infer(method, Replay(reach[0], restart=restart, threads=1))
+
+
+def test_bayes_sim_says_that_one_step_is_too_short():
+    with pytest.raises(ValueError, match="a recording of 1 step"):
+        infer("bayes-sim", Replay(record("TrunkReach-v0", model="cable", steps=1), threads=1))
+
+
+def test_bayes_sim_says_when_too_many_simulations_diverge(reach, monkeypatch):
+    replay = Replay(reach[0], threads=1)
+    monkeypatch.setattr(replay, "_measure", lambda ids: np.full((len(ids), replay.measured.shape[1]), np.nan))
+    with pytest.raises(ValueError, match="64 of 64 simulations diverged; bayes-sim needs 50"):
+        infer("bayes-sim", replay, simulations=64)
+
+
 def test_the_posterior_of_bayes_sim_narrows_around_the_truth():
     from soro_bench.inference import bayes_sim
 
@@ -290,6 +350,7 @@ def test_a_network_with_nothing_in_the_search_box_is_an_error_and_no_endless_sea
         ({"known": {"trunk_mass": 9.0}}, "trunk_mass = 9.0 is outside"),
         ({"known": {"trunk_mass": 0.4, "young_modulus": 4e6, "poisson_ratio": 0.45}}, "nothing to infer"),
         ({"model": "steel"}, "unknown model 'steel'"),
+        ({"names": ("trunk_mass", "trunk_mass")}, "trunk_mass cannot be inferred twice"),
     ],
 )
 def test_bad_requests_are_named(reach, change, message):

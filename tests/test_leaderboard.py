@@ -19,7 +19,7 @@ from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.entry import SCHEMA, card_of, policy_of, read_entry, thinned_curve, write_entry
 from soro_bench.leaderboard.gather import gather_control
 from soro_bench.leaderboard.verify import verify_control
-from soro_bench.options import FOLDER
+from soro_bench.options import FOLDER, MAX_SEED
 from soro_bench.recording.episode import Episode
 from soro_bench.recording.simulated import record
 from soro_bench.training.policy import Policy
@@ -101,6 +101,8 @@ def _set(*keys, value):
         (lambda entry: entry.pop("versions"), ("in the entry", "'versions' is a required property")),
         (_set("training", "curve", value={"steps": [1, 2], "final_mm": [1.0]}), ("2 steps and 1 lengths",)),
         (_set("trained_on", value="a\u202eb"), ("characters that cannot be shown",)),
+        (_set("training", "effects", value=["a\x1b[2Jb"]), ("characters that cannot be shown",)),
+        (_set("evaluations", value={900 * "a": {}}), ("evaluations.aaa",)),
     ],
 )
 def test_an_entry_that_says_what_is_not_allowed_is_refused(path, change, parts):
@@ -109,6 +111,10 @@ def test_an_entry_that_says_what_is_not_allowed_is_refused(path, change, parts):
     with pytest.raises(ValueError, match=says(str(path), *parts)) as error:
         read_entry(path)
     assert "\n" not in str(error.value) and len(str(error.value)) < 700
+
+
+def nested(depth: int) -> str:
+    return depth * "[" + depth * "]"
 
 
 @pytest.mark.parametrize(
@@ -120,6 +126,7 @@ def test_an_entry_that_says_what_is_not_allowed_is_refused(path, change, parts):
         ("3.0", "1" + 5000 * "0", "is too large"),
         ('"seed": 0', '"seed": 0, "seed": 1', "'seed' comes twice"),
         ('"distribution": null', '"distribution": ' + 100_000 * "[" + 100_000 * "]", "no valid JSON"),
+        ('"distribution": null', '"distribution": ' + nested(60), "more than 50 deep"),
         ("{", "", "no valid JSON"),
     ],
 )
@@ -128,6 +135,13 @@ def test_json_that_says_several_things_or_nothing_is_refused(path, old, new, mes
     assert old in text
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(ValueError, match=says(str(path), message)):
+        read_entry(path)
+
+
+@pytest.mark.parametrize("depth", range(600, 1000, 20))
+def test_json_that_is_just_not_too_deep_for_python_is_refused_as_well(path, depth):
+    path.write_text(path.read_text().replace('"board": "TrunkReach-v0"', '"board": ' + nested(depth)))
+    with pytest.raises(ValueError, match=says(str(path))):
         read_entry(path)
 
 
@@ -176,7 +190,7 @@ def test_a_policy_file_that_is_a_link_or_too_large_is_refused(path, tmp_path):
     file.unlink()
     with file.open("wb") as sparse:
         sparse.truncate(1_000_000_000)
-    with pytest.raises(ValueError, match=says(str(file), "1000000000 bytes; at most 100000000")):
+    with pytest.raises(ValueError, match=says(str(file), "1000000000 bytes; at most 20000000")):
         policy_of(path, read_entry(path))
 
 
@@ -229,19 +243,33 @@ def test_a_folder_of_results_with_what_is_no_policy_or_comes_twice_is_refused(tm
     put_policy(second, "seed1.safetensors", Policy(CARD, flat).to_bytes())
     with pytest.raises(ValueError, match=says("seed1.safetensors", "std has 0.0; positive")):
         gather_control(tmp_path)
+    whole = {name: value.astype(np.uint8) for name, value in policy().tensors.items()}
+    put_policy(second, "seed1.safetensors", Policy(CARD, whole).to_bytes())
+    with pytest.raises(ValueError, match=says("seed1.safetensors", "numbers of type uint8, not float32")):
+        gather_control(tmp_path)
+    named = {**policy().tensors, "\x1b[2J\nsame": np.zeros(1)}
+    put_policy(second, "seed1.safetensors", Policy(CARD, named).to_bytes())
+    with pytest.raises(ValueError, match=says("seed1.safetensors", r"'\x1b[2J\nsame'")):
+        gather_control(tmp_path)
 
 
 def test_commands_and_entries_allow_the_same_names():
     schema = json.loads((Path(soro_bench.__file__).parent / "leaderboard" / SCHEMA).read_text())
     assert schema["$defs"]["folder"]["pattern"] == FOLDER
+    assert schema["properties"]["seed"]["maximum"] == MAX_SEED
 
 
 def test_a_policy_for_other_observations_is_refused_in_words(tmp_path):
     path = true_entry(tmp_path)
     tensors = {**policy().tensors, "mean": np.zeros(3), "std": np.ones(3), "w0": np.zeros((8, 3))}
     put_policy(path, "seed0.safetensors", Policy(CARD, tensors).to_bytes())
-    with pytest.raises(ValueError, match="takes observations of 3 numbers; these have 66"):
-        verify_control(path)
+    for read in (verify_control, lambda path: gather_control(tmp_path)):
+        with pytest.raises(ValueError, match=r"seed0\.safetensors is no policy .* of 3 numbers; these have 66"):
+            read(path)
+    tensors = {**policy().tensors, "w0": np.zeros((1, 66)), "b0": np.zeros(1)}
+    put_policy(path, "seed0.safetensors", Policy(CARD, tensors).to_bytes())
+    with pytest.raises(ValueError, match=r"seed0\.safetensors is no policy .* actions have shape \(1, 1\)"):
+        gather_control(tmp_path)
 
 
 def test_the_command_fails_where_a_figure_differs(tmp_path):

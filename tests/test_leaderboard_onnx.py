@@ -153,6 +153,14 @@ def _much_to_read(times):
     return model(nodes, "again", weights=[wide])
 
 
+def _much_to_multiply(kind):
+    """A small file whose only product is of two large matrices."""
+    sides = {"left": np.zeros((300, 300), kind), "right": np.zeros((300, 300), kind)}
+    nodes = [helper.make_node("MatMul", ["left", "right"], ["much"])]
+    nodes += [helper.make_node("Identity", ["answer"], ["again"])]
+    return model(nodes, "again", weights=[numpy_helper.from_array(value, name) for name, value in sides.items()])
+
+
 def _shape_from_input():
     nodes = [
         helper.make_node("Cast", ["observation"], ["sizes"], to=TensorProto.INT64),
@@ -176,12 +184,14 @@ def _nan():
         (lambda: model([helper.make_node("Mine", ["answer"], ["y"], domain="com.example")], "y"), ("'com.example'",)),
         (lambda: model(opsets=(("", 17), ("com.example", 1))), ("'com.example'", "default domain")),
         (_function, ("functions",)),
-        (lambda: _doubling(30), ("numbers; allowed: 1000000",)),
-        (_lying, ("numbers; allowed: 1000000",)),
+        (lambda: _doubling(30), ("numbers; allowed: 100000",)),
+        (_lying, ("numbers; allowed: 100000",)),
         (lambda: _doubling(MAX_NODES), ("nodes; allowed: 1000",)),
         (_shape_from_input, ("fixed sizes are needed",)),
         (lambda: _values_that_double(30), ("fixed sizes are needed",)),
         (lambda: _much_to_read(70), ("read 2.1e+07 numbers; allowed: 20000000",)),
+        (lambda: _much_to_multiply(np.float64), ("take 2.7e+07 products; allowed: 20000000",)),
+        (lambda: _much_to_multiply(np.float16), ("MatMul of other numbers than float or double",)),
         (lambda: model(opsets=(("", 6),)), ("version 6 of the operators", "13 and later")),
         (lambda: model([helper.make_node("Identity", ["hidden"], ["answer"])]), ("a name twice",)),
         (lambda: model(shape=("n", "k")), ("no array (n, k)",)),

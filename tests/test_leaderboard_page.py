@@ -18,7 +18,7 @@ from soro_bench.leaderboard.entry import write_entry
 from soro_bench.leaderboard.gather import gather_control
 from soro_bench.leaderboard.page import build
 from soro_bench.leaderboard.verify import verify_control
-from tests.entries import BOARD, edit, policy, scores, shrink_board, true_entry
+from tests.entries import BOARD, edit, policy, put_policy, scores, shrink_board, true_entry
 from tests.test_bad_input import says
 
 SCRIPT = "<script>document.title = 'taken'</script><img src=x onerror=alert(1)>"
@@ -169,8 +169,12 @@ def test_the_best_policy_of_a_method_is_recorded_and_linked(results, tmp_path, m
     monkeypatch.setattr(TrunkReachTask, "accurate", "cable")  # which takes no time
     page = build(results, tmp_path / "site", record=True).read_text()
     recordings = re.findall(r"href=\"(recordings/[^\"]+)", page)
-    assert sorted(recordings) == [f"recordings/{BOARD}/ours/{method}.rrd" for method in ("mine", "oracle", "udr")]
+    stems = [re.sub("-[0-9a-f]{8}[.]rrd", "", recording) for recording in sorted(recordings)]
+    assert stems == [f"recordings/{BOARD}/ours/{method}" for method in ("mine", "oracle", "udr")]
     assert all((tmp_path / "site" / recording).stat().st_size > 1000 for recording in recordings)
+    put_policy(results / BOARD / "ours" / "mine" / "seed0.json", "seed0.safetensors", policy(9).to_bytes())
+    page = build(results, tmp_path / "site").read_text()
+    assert sorted(re.findall(r"href=\"(recordings/[^\"]+)", page)) == sorted(recordings)[1:]
 
 
 def browsed(path, folder):

@@ -245,6 +245,71 @@ def test_a_setpoint_that_is_held_does_not_move_wherever_it_is(paths):
     assert (np.sign(rates) == [0] * 11 + [-1] * 8 + [0] * 6 + [1] * 4).all()
 
 
+@pytest.mark.parametrize("later", [0.0007, 0.019])
+def test_commands_with_time_stamps_of_their_own_are_not_late(paths, later):
+    """Control steps begin with the first command."""
+    given, robot = recording(paths, [], 0), ModelRobot(*paths, threads=1)
+    goal = given.commands["goal"]
+    logged = replace(given, commands={"goal": Signal(goal.time + later, goal.values)})
+    assert robot.actions(logged)[: len(goal.values)].tolist() == robot.actions(given)[: len(goal.values)].tolist()
+    assert robot.measured(logged).time == pytest.approx(robot.measured(given).time)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "shape"),
+    [
+        ('<jointpos name="s" joint="hinge"/>', (1, 1)),
+        ('<jointvel name="s" joint="hinge"/>', (1, 1)),
+        ('<velocimeter name="s" site="tip"/>', (1, 3)),
+    ],
+)
+def test_sensors_can_be_what_is_explained(paths, sensor, shape):
+    model, mapping = paths
+    model.write_text(ARM.replace("</mujoco>", f"<sensor>{sensor}</sensor></mujoco>"))
+    mapping.write_text(MAP.replace('joints = ["hinge"]\nunit', 'sensors = ["s"]\nunit', 1).split("[initial]")[0]
+                       + "[parameters" + MAP.split("[parameters", 1)[1])  # fmt: skip
+    robot = ModelRobot(model, mapping, threads=1)
+    assert robot.shape == shape
+    bias = next(one for one in suspects(robot) if one.name == "sensor_bias")
+    assert bias.size == shape[1]
+    goals = np.full((20, 1), 0.4)
+    (values,) = robot.simulate(goals, np.array([[1.0, 1.0, 0.0]]), [()])
+    assert np.isfinite(values).all() and np.ptp(values) > 0.01
+
+
+def test_sensors_of_more_than_coordinates_are_refused(paths):
+    model, mapping = paths
+    quaternion = '<sensor><framequat name="s" objtype="body" objname="arm"/></sensor></mujoco>'
+    model.write_text(ARM.replace("</mujoco>", quaternion))
+    mapping.write_text(MAP.replace('joints = ["hinge"]\nunit', 'sensors = ["s"]\nunit', 1))
+    with pytest.raises(ModelError, match="sensors s have 4 numbers; allowed are 1 to 3"):
+        ModelRobot(model, mapping)
+
+
+def test_channels_are_those_of_all_actuators(paths):
+    """Whether they have a name or not, and whatever their tendons are called."""
+    model, mapping = paths
+    string = '<tendon><fixed name="string"><joint joint="hinge" coef="0.1"/></fixed></tendon>'
+    more = '<actuator><position joint="hinge"/><position name="pull" tendon="string"/>'
+    model.write_text(ARM.replace("<actuator>", string + more))
+    robot = ModelRobot(model, mapping, threads=1)
+    assert robot.channels == ["actuator number 0", "actuator pull", "actuator motor"]
+    places = [Port("actuator", "motor"), Port("tendon", "string"), Port("actuator", "*"), Port("joint", "hinge")]
+    assert [robot.channel(where) for where in places] == [2, 1, None, None]
+    assert robot.commanded(np.eye(3)).shape == (3, 3)
+
+
+def test_a_proposed_motion_of_controls_that_are_rates_comes_back(paths):
+    model, mapping = paths
+    valve = '<intvelocity name="motor" joint="hinge" kp="2" actrange="-1 1" ctrllimited="true" ctrlrange="-0.3 0.3"/>'
+    model.write_text(re.sub(r"<actuator>.*</actuator>", f"<actuator>{valve}</actuator>", ARM, flags=re.DOTALL))
+    rates = np.repeat([[1.0], [-1.0]], 50, axis=0)
+    goals = ModelRobot(model, mapping, threads=1).commanded(rates)
+    assert goals.sum() == pytest.approx(0.0, abs=1e-9)
+    assert np.abs(goals).max() == pytest.approx(0.3)
+    assert 0.02 * np.abs(np.cumsum(goals)).max() <= 0.6 + 1e-9
+
+
 def test_a_proposed_motion_is_within_the_range_of_an_actuator(paths):
     model, mapping = paths
     model.write_text(ARM.replace('kp="2"', 'kp="2" ctrllimited="true" ctrlrange="5 10"'))
@@ -316,6 +381,10 @@ def test_a_recording_that_does_not_say_where_it_begins_is_refused(paths):
             '[settings.gain]\nfields = ["actuator_gainprm[0]:motor"]\n[initial]',
             "either metadata or command",
         ),
+        ('[initial]\njoints = ["hinge"]', "[initial]\njoints = 5", "[initial] joints is 5; expected a list"),
+        ('"body_mass:arm"', '"body:arm"', "'body:arm'; expected field:element"),
+        ('"body_mass:arm"', '"body_parentid:arm"', "body_parentid is no number that a model is made of"),
+        ('"body_mass:arm"', '"body_subtreemass:arm"', "body_subtreemass is no number"),
         ("[initial]", '[settings.zero]\ncommand = "a"\nfields = ["dof_damping:*"]\n[initial]', "name of a setting"),
     ],
 )
@@ -324,6 +393,16 @@ def test_a_mapping_that_does_not_fit_is_refused_in_words(paths, old, new, messag
     mapping.write_text(MAP.replace(old, new, 1))
     with pytest.raises(ModelError, match=re.escape(message)):
         ModelRobot(model, mapping)
+
+
+def test_a_finer_model_outside_the_folder_of_the_mapping_is_refused(paths):
+    model, mapping = paths
+    inner = mapping.parent / "inner"
+    inner.mkdir()
+    moved = inner / mapping.name
+    moved.write_text(MAP.replace("[robot]", f'[robot]\naccurate = "../{model.name}"', 1))
+    with pytest.raises(ModelError, match="in the folder of the mapping, or below it"):
+        ModelRobot(model, moved)
 
 
 def test_a_file_that_is_no_model_is_refused(paths):

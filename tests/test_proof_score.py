@@ -71,6 +71,15 @@ def test_places(truth, said, right):
     assert found["of right names: place right"] == float(right)
 
 
+def test_the_answer_of_a_report_that_detects_nothing_is_nothing():
+    """Even where it takes another answer for more probable."""
+    hidden = [label(0, "unknown", "unknown", "unknown"), label(1, "none")]
+    unsure = report("unknown", "unknown", verdict="none_detected")
+    _, card = values(hidden, [unsure, unsure])
+    assert [row["first"] for row in card["cases"]] == [False, True]
+    assert card["confusion"] == [{"truth": "unknown", "said": "none", "cases": 1}]
+
+
 def test_places_of_cables_and_segments_are_counted_apart_from_those_that_cannot_be_wrong():
     labels = [label(0), label(1, name="actuator_saturation", kind="actuator", place="L2"),
               label(2, name="base_tilt", kind="model", place="gravity")]  # fmt: skip
@@ -189,9 +198,12 @@ def test_labels_that_were_changed_after_the_commitment_are_refused(tmp_path):
 def test_labels_are_opened_only_when_every_case_has_its_report(tmp_path, monkeypatch):
     """And a case that has one is not diagnosed again."""
     done = []
-    monkeypatch.setattr(
-        prove, "write_cases", lambda folder, *_: [(folder / f"case_{i:03d}").mkdir(parents=True) for i in (0, 1)]
-    )
+
+    def write_cases(folder, *_):
+        for i in (0, 1):
+            (folder / f"case_{i:03d}").mkdir(parents=True, exist_ok=True)
+
+    monkeypatch.setattr(prove, "write_cases", write_cases)
     monkeypatch.setattr(prove, "SuiteRobot", lambda env_id, threads: None)
     monkeypatch.setattr(prove, "load", lambda path: path)
     monkeypatch.setattr(prove, "diagnose", lambda robot, train, heldout: done.append(train[0].parent.name))
@@ -203,8 +215,9 @@ def test_labels_are_opened_only_when_every_case_has_its_report(tmp_path, monkeyp
     text = prove.prove(tmp_path, 2, 0)
     assert done == ["case_000", "case_001"]
     assert "| first answer right | 2 | 1 |" in text
-    prove.diagnosed(tmp_path / "cases" / "case_000", tmp_path / "reports" / "case_000.json")
-    assert len(done) == 2
+    (tmp_path / "reports" / "case_000.json").unlink()
+    prove.prove(tmp_path, 2, 0)
+    assert done == ["case_000", "case_001", "case_000"]
     (tmp_path / "reports" / "method.txt").write_text("of another version\n")
     with pytest.raises(ValueError, match="another version"):
         prove.prove(tmp_path, 2, 0)

@@ -270,6 +270,13 @@ save(example(), sys.argv[1])
 """
 
 
+def test_what_could_not_be_read_again_is_not_written(tmp_path):
+    texts = {f"text_{i}": "x" * 10_000 for i in range(60)}
+    with pytest.raises(RecordingError, match=r"names, units and metadata take \d+ bytes of the file; at most 1000000"):
+        save(Recording(signals={"f": ONE}, metadata=texts), tmp_path / "a.parquet")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_a_killed_writer_leaves_no_half_file(tmp_path, how):
     """The old file stays; interrupted, the writer cleans up as well."""

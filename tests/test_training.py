@@ -53,7 +53,9 @@ def test_interrupted_training_ends_with_the_same_bytes(trained, tmp_path):
     with pytest.raises(Stop):
         train(CONFIG, tmp_path, progress=stop_in_second_segment)
     assert not (tmp_path / "policy.json").exists()
-    train(CONFIG, tmp_path)
+    later = []
+    train(CONFIG, tmp_path, progress=lambda steps, total, row: later.append(steps))
+    assert min(later) > CONFIG.segment_steps
     assert _bytes(tmp_path) == _bytes(trained)
 
 
@@ -106,11 +108,12 @@ def test_killed_training_loses_at_most_one_segment(trained, tmp_path):
     while not (tmp_path / "checkpoint.pt").exists() and time.monotonic() < deadline:
         time.sleep(0.005)
     os.kill(process.pid, signal.SIGKILL)
-    process.wait()
+    assert process.wait() == -signal.SIGKILL
     assert (tmp_path / "checkpoint.pt").exists()
-    train(CONFIG, tmp_path)
+    later = []
+    train(CONFIG, tmp_path, progress=lambda steps, total, row: later.append(steps))
+    assert min(later) > CONFIG.segment_steps
     assert _bytes(tmp_path) == _bytes(trained)
-    assert not [path.name for path in tmp_path.iterdir() if path.name.startswith(".policy")]
 
 
 def test_a_folder_with_another_run_is_refused(trained):

@@ -111,6 +111,17 @@ def test_one_of_three_succeeds(mode):
     assert terminations[:4] == [[False] * 3] * 3 + [[False, True, False]]
 
 
+def test_after_a_reset_that_was_refused_another_one_is_needed():
+    envs = make_vector("TrunkReach-v0", 2)
+    tip = envs.reset(seed=0)[0][1, 60:63]
+    with pytest.raises(ValueError, match="is reached at reset"):
+        envs.reset(options={"goal": tip})
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"\[0, 1\]"):
+        envs.step(envs.action_space.sample())
+    envs.reset(seed=0)
+    envs.step(envs.action_space.sample())
+
+
 def test_full_episode_equals_single_env(model):
     """Environment i of a vector env is the single env reset with seed + i, over 100 steps and into the next episode."""
     envs = make_vector("TrunkReach-v0", 2, model=model, num_threads=2)

@@ -135,7 +135,6 @@ def test_beam_bends_as_the_analytic_cantilever():
     inertia = width * height**3 / 12
     expected = density * gravity * width * height * length**4 / (8 * young * inertia)
     assert np.abs(data.qvel).max() < 1e-3 * sag
-    print("RATIO", sag / expected)
     assert sag == pytest.approx(expected, rel=0.1)
 
 

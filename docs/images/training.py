@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from soro_bench.campaign.run import ENTRY
 from soro_bench.leaderboard.gather import gather_control
 from soro_bench.leaderboard.plots import curves_of
 from soro_bench.report import pyplot
@@ -52,7 +53,7 @@ def distances(groups):
 def main():
     boards = gather_control(RESULTS)
     reach, push = (
-        [group for group in boards[board] if group.method in ("oracle", "udr")]
+        [group for group in boards[board] if group.entry == ENTRY and group.method in ("oracle", "udr")]
         for board in ("TrunkReach-v0", "TrunkPush-v0")
     )
     for name, figure in (

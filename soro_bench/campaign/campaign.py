@@ -3,7 +3,7 @@
 import csv
 import traceback
 from collections.abc import Callable, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Thread
 
@@ -23,14 +23,15 @@ Progress = Callable[[float, list[str]], None]
 
 def carry_out_all(
     runs: Sequence[Run], work: Path, results: Path, workers: Workers, progress: Progress = lambda share, rows: None
-) -> None:
+) -> list[str]:
     """Carry out the runs that are not done; what a run writes does not depend on the others, nor does whether it fails.
+
+    Returns what failed, a line for each run; error.txt in its folder says more.
 
     ``progress`` is called every few seconds with the share of the work that is done and a line for each active run.
 
     Raises:
-        ValueError: there is an entry that was trained with other settings than its run has; or, when all others are
-            done, some runs have failed (error.txt in their folders says more).
+        ValueError: there is an entry that was trained with other settings than its run has.
         ChildProcessError: a process died (:func:`soro_bench.parallel.each`).
     """
     work, results = Path(work).resolve(), Path(results).resolve()  # the same for the workers of a cluster
@@ -38,8 +39,7 @@ def carry_out_all(
     with _watching(runs, work, results, progress):
         said = list(each(attempted, [(run, work, results) for run in todo], workers))
     progress(*state(runs, work, results))
-    if failures := [failure for failure in said if failure]:
-        raise ValueError(f"{len(failures)} of {len(todo)} runs failed:\n" + "\n".join(failures))
+    return [failure for failure in said if failure]
 
 
 def attempted(run: Run, work: Path, results: Path) -> str | None:
@@ -89,10 +89,11 @@ def _cost(run: Run) -> float:
 
 
 def _last_row(path: Path) -> dict | None:
-    if not path.exists():
+    try:
+        with path.open() as file:
+            rows = list(csv.DictReader(file))
+    except FileNotFoundError:  # not begun, or begun anew
         return None
-    with path.open() as file:
-        rows = list(csv.DictReader(file))
     return rows[-1] if rows else None
 
 
@@ -103,7 +104,8 @@ def _watching(runs, work, results, progress):
 
     def watch():
         while not stop.wait(POLL):
-            progress(*state(runs, work, results))
+            with suppress(OSError, ValueError):  # of a file that is not what it should be the run itself will say more
+                progress(*state(runs, work, results))
 
     thread = Thread(target=watch, daemon=True)
     thread.start()

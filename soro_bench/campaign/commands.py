@@ -1,5 +1,6 @@
 """``soro-bench run``, and the scripts in baselines/, which are campaigns of one method."""
 
+import hashlib
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -76,8 +77,10 @@ class InferenceBaseline(Baseline):
         from soro_bench.leaderboard.boards import BOARDS
         from soro_bench.recording.simulated import parse_params
 
-        env_id = BOARDS[self.board].env_id if self.board in BOARDS else self.board
-        recording = self.recording.resolve() if self.recording else recording_path(env_id)  # workers start elsewhere
+        if self.board not in BOARDS:
+            raise ValueError(f"there is no board {self.board!r}; there are {', '.join(BOARDS)}")
+        given = self.recording and self.recording.resolve()  # workers start elsewhere
+        recording = given or recording_path(BOARDS[self.board].env_id)
         found = inferred(method, recording, parse_params(self.known), self.replay_model,
                          self.noise)  # fmt: skip
         check_name("the method", name := self._named(found.name))  # before the work, not after it
@@ -86,9 +89,16 @@ class InferenceBaseline(Baseline):
     def _named(self, method: str) -> str:
         """The method with the options that differ from the defaults: other options are another method."""
         noise = [f"noise_{self.noise:g}"] if self.noise else []
-        recording = [self.recording.stem] if self.recording else []
+        recording = [f"{self.recording.stem}_{_digest(self.recording)}"] if self.recording else []
         options = [*self.known, *([self.replay_model] if self.replay_model else []), *noise, *recording]
         return "_".join([method, *(re.sub(r"[^A-Za-z0-9.+-]+", "_", option) for option in options)])
+
+
+def _digest(path: Path) -> str:
+    """Tells recordings of the same name apart."""
+    from soro_bench.recording.untrusted import read_bytes
+
+    return hashlib.sha256(read_bytes(path)).hexdigest()[:8]
 
 
 def script(options: type[Baseline], method, description: str) -> None:
@@ -111,10 +121,12 @@ def campaign(runs, work: Path, results: Path, workers: Workers, only_plan: bool 
     if only_plan:
         return console.print("\n".join(missing), soft_wrap=True, markup=False, highlight=False)
     with CampaignBar() as bar:
-        carry_out_all(runs, work, results, workers, bar)
+        failures = carry_out_all(runs, work, results, workers, bar)
     build(results, work)
     groups = [group for members in gather_control(results).values() for group in members]
     console.print(markdown_table(groups), soft_wrap=True, markup=False, highlight=False)
     console.print(
         f"{work / 'index.html'} shows them; watch what a policy does with: soro-bench view FILE.rrd", soft_wrap=True
     )
+    if failures:
+        raise ValueError(f"{len(failures)} of {len(missing)} runs failed:\n" + "\n".join(failures))

@@ -31,6 +31,8 @@ def runs_of(
     env_id = BOARDS[board].env_id
     if not seeds:
         raise ValueError("no seeds; say one or more, such as --seeds 0 1 2")
+    if len(set(seeds)) < len(seeds):
+        raise ValueError(f"seeds {', '.join(map(str, seeds))}: one of them comes twice")
     config = default_config(env_id, steps, **({} if model is None else {"model": model}))
     return [Run(board, method, replace(config, seed=seed)) for seed in seeds]
 

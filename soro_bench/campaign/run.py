@@ -8,6 +8,7 @@ from pathlib import Path
 from soro_bench.files import read_json
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.entry import thinned_curve, write_entry
+from soro_bench.options import check_name, check_seed
 from soro_bench.parallel import processors
 from soro_bench.parameters import ALL_PARAMETERS
 from soro_bench.randomization import Distribution, Gaussian, from_dict, holding
@@ -32,6 +33,8 @@ class Run:
     config: PPOConfig
 
     def __post_init__(self):
+        check_name("the method", self.method.name)  # before the work, not after it
+        check_seed(self.config.seed)
         board = BOARDS[self.board]
         object.__setattr__(
             self,
@@ -46,11 +49,13 @@ class Run:
         entry, config = read_json(path), self.config
         asked = {"steps": config.num_segments * config.segment_steps, "trained_on": config.model,
                  "action": config.action}  # fmt: skip
-        if not isinstance(entry, dict) or not {*asked, "training"} <= entry.keys():
-            raise ValueError(f"{path} is no entry of a run; remove it, or choose another --out")
+        known = isinstance(entry, dict) and asked.keys() <= entry.keys()
+        if not known or not isinstance(entry.get("training"), dict):
+            raise ValueError(f"{path} is no entry of a run; remove it, or choose another folder for results")
         for name, value in asked.items():
             if entry[name] != value:
-                raise ValueError(f"{path} was trained with {name} {entry[name]}, not {value}; choose another --out")
+                raise ValueError(f"{path} was trained with {name} {entry[name]}, not {value}; choose another folder "
+                                 "for results")  # fmt: skip
         return entry["training"].get("trainer") == TRAINER
 
     @property

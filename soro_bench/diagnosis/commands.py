@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from soro_bench.files import check_output
 from soro_bench.options import EnvId, Parallel
 from soro_bench.parallel import HERE
 from soro_bench.progress import StageBars, console
@@ -26,6 +27,7 @@ class Excite:
         from soro_bench.recording.excitation import excitation, write_actions
         from soro_bench.registration import make_task, task_type
 
+        check_output(self.out, ".csv")
         task = make_task(self.env, 1, 1, task_type(self.env).cheap, action="continuous")
         actions = excitation(task.single_action_space, task.control_timestep, self.duration, self.seed)
         write_actions(self.out, task.control_timestep, actions)

@@ -6,12 +6,13 @@ wrong the models are at any rate. The constants are set by hand on a few develop
 """
 
 import math
+from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import expit
 
-from soro_bench.diagnosis.explain import Explanation
+from soro_bench.diagnosis.explain import WORTH, Explanation
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.problem import Problem
 
@@ -78,10 +79,22 @@ class Comparison:
     unknown: float
     p_value: float
 
+    @property
+    def likeliest(self) -> float:
+        """The probability of the likeliest effect at a place, whatever comes with it."""
+        chances = Counter()
+        for answer in self.answers:
+            for suspect in answer.hypothesis.suspects:
+                chances[suspect.name, suspect.where] += answer.probability
+        return max(chances.values(), default=0.0)
+
 
 def p_value(gain: float) -> float:
     """Probability that one more effect gains so much evidence where nothing is missing."""
     return float(-np.expm1(-np.exp(-(gain - GUMBEL_LOCATION) / GUMBEL_SCALE)))
+
+
+ALPHA = p_value(WORTH)  # of the least that is worth a fit: with it, nothing missing is as likely as something
 
 
 def temperature(excess: float) -> float:
@@ -104,7 +117,8 @@ def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> 
     scores = np.array([h.log_evidence(problem) - _chance(h) for h in hypotheses])
     # what was promised, and where the simulation was too far off for a promise, what has been gained; where much more
     # is left than the sensor's noise something is missing, whether or not a law explains it
-    detected = 0.0 if problem.rough else p_value(max(found.promised, *(scores - scores[0])))
+    chance = 0.0 if problem.rough else p_value(max(found.promised, *(scores - scores[0])))
+    nothing = chance / (chance + ALPHA)
     train = [problem.left(h.residual) for h in hypotheses]
     tested, left = [None] * len(hypotheses), [problem.excess(h.residual) for h in hypotheses]
     if heldout is not None:
@@ -113,14 +127,14 @@ def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> 
         scores, left = scores - excess, [a + b for a, b in zip(left, excess, strict=True)]
         tested = [unfitted.left(row) for row in residuals]
     scores = scores - SPARE * (left[0] - min(left)) * np.array([_unknowns(h) for h in hypotheses])
-    chances = _chances(scores, detected, min(left))
+    chances = _chances(scores, nothing, min(left))
     answers = [
         Answer(h, p, e, Fit(train[0], a, problem.sensor), None if b is None else Fit(tested[0], b, problem.sensor), c)
         for h, p, e, a, b, c in zip(hypotheses, chances, scores.tolist(), train, tested, left, strict=True)
     ]
-    unknown = float(np.clip((1.0 - detected) * _unknown(problem, hypotheses, found.left), BLUNDER, 1.0 - BLUNDER))
+    unknown = float(np.clip((1.0 - nothing) * _unknown(problem, hypotheses, found.left), BLUNDER, 1.0 - BLUNDER))
     answers = [replace(a, probability=a.probability * (1.0 - unknown)) for a in answers]
-    return Comparison(tuple(sorted(answers, key=lambda a: -a.probability)), unknown, detected)
+    return Comparison(tuple(sorted(answers, key=lambda a: -a.probability)), unknown, chance)
 
 
 def _chance(hypothesis) -> float:
@@ -131,13 +145,13 @@ def _unknowns(hypothesis) -> int:
     return sum(suspect.size for suspect in hypothesis.suspects)
 
 
-def _chances(scores, detected, excess):
-    """Tempered probabilities; the first is that of nothing missing, which the detection decides."""
+def _chances(scores, nothing, excess):
+    """Tempered probabilities; the first is that of nothing missing, which what is promised decides."""
     if len(scores) == 1:
         return np.ones(1)
     tempered = scores[1:] / temperature(excess)
     others = np.exp(tempered - tempered.max())
-    return np.concatenate([[detected], (1.0 - detected) * others / others.sum()])
+    return np.concatenate([[nothing], (1.0 - nothing) * others / others.sum()])
 
 
 def _unknown(problem, hypotheses, promised) -> float:

@@ -5,8 +5,8 @@ nominal robot), refits the leads, and computes the numerical floor of the best a
 """
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -122,58 +122,116 @@ def explained(
         robot: with the time steps of its model, for the responses.
     """
     seeds = itertools.count(SEEDS * seed + 10, 10)
-    if not problem.rough and problem.excess(nominal.residual) < LACKING:
-        progress("joint fit of the parameters")
-        problem, (nominal,) = _polished(problem, refined, [nominal], seeds)
-    unpatched = problem.left(nominal.residual)
-    progress("screening")
-    possible, best, tried, rounds = candidates, nominal, [], []
-    found = responses(problem, nominal, possible, robot)
-    first = screened = evidence(problem, nominal, possible, found)
-    promised = left = singles(first)[0].gain
-    for number in range(1, MOST + 1):
-        if number > 1 and not problem.rough and left >= _worth(problem, nominal, best):
-            progress("screening")  # anew, where the best hypothesis is
-            possible = _compatible(robot, best, candidates)
-            found = responses(problem, best, possible, robot)
-            screened = evidence(problem, best, possible, found)
-            left = singles(screened)[0].gain
-        if left < _worth(problem, nominal, best):
-            break
-        progress(f"refits with {number} effect{'s' * (number > 1)}")
-        offered = singles(screened)
-        leads = _leads(problem, screened, offered)
-        if number == 2 and not problem.rough:
-            leads += _leads(problem, first, pairs(first))
-        new = refitted(problem, leads, next(seeds))
-        if problem.rough:
-            new = _searched(problem, persevered(problem, new, next(seeds)), next(seeds))
-        problem, new = _with_own_floor(problem, refined, new, next(seeds))
-        new.sort(key=lambda h: -h.log_evidence(problem))
-        if problem.rough:
-            problem, (nominal, *tried) = allowing(problem, new[0], [nominal, *new, *tried])
-            possible = _compatible(robot, tried[0], candidates)
-            found = responses(problem, tried[0], possible, robot)
+    search = _Search(problem, nominal, robot, refined, candidates, seeds, progress)
+    search.begin()
+    while len(search.rounds) < MOST and search.is_worth_a_round():
+        search.add_one_effect()
+        if search.misled:
+            return explained(search.problem, search.nominal, robot, refined, candidates, seed + 1, progress)
+    return search.explanation()
+
+
+@dataclass
+class _Search:
+    """Hypotheses on their way to an explanation.
+
+    best: the most probable one. tried: all that were refitted, the last round first. possible: the suspects that the
+    robot can have besides those of the best; found: their responses; screened: what they promise on top of it, the
+    best of them ``left``. misled: the first effect has only led to parameters that explain as much without it, and
+    those are now the nominal ones.
+    """
+
+    problem: Problem
+    nominal: Hypothesis
+    robot: Robot
+    refined: Sequence[Robot]
+    candidates: Sequence[Suspect]
+    seeds: Iterator[int]
+    progress: Callable
+    tried: list[Hypothesis] = field(default_factory=list)
+    rounds: list[Round] = field(default_factory=list)
+    misled: bool = False
+
+    @property
+    def worth(self) -> float:
+        return _worth(self.problem, self.nominal, self.best)
+
+    def begin(self) -> None:
+        """The nominal robot, fitted and screened."""
+        if not self.problem.rough and self.problem.excess(self.nominal.residual) < LACKING:
+            self.progress("joint fit of the parameters")
+            self.problem, (self.nominal,) = _polished(self.problem, self.refined, [self.nominal], self.seeds)
+        self.unpatched = self.problem.left(self.nominal.residual)
+        self.best, self.possible = self.nominal, self.candidates
+        self._screen()
+        self.first, self.promised = self.screened, self.left
+
+    def is_worth_a_round(self) -> bool:
+        if self.rounds and not self.problem.rough and self.left >= self.worth:
+            self.possible = _compatible(self.robot, self.best, self.candidates)
+            self._screen()  # anew, where the best hypothesis is
+        return self.left >= self.worth
+
+    def add_one_effect(self) -> None:
+        """One round: fit the leads, compare them with what there was, and see what is left."""
+        base, offered, number = self.best, singles(self.screened), len(self.rounds) + 1
+        self.progress(f"refits with {number} effect{'s' * (number > 1)}")
+        new = self._fitted(offered)
+        if self.problem.rough:
+            self._keep_rough(new)
         else:
-            problem, new = _polished(problem, refined, new, seeds)
-            tried = [_again(problem, h) for h in new + tried]
-            allowed = _compatible(robot, tried[0], possible)
-            found = [rows for c, rows in zip(possible, found, strict=True) if c in allowed]
-            possible = allowed
-        screened = evidence(problem, tried[0], possible, found)
-        left = singles(screened)[0].gain
-        rounds.append(_round(problem, best, offered, tried[: len(new)]))
-        nominal, without = _again(problem, nominal), without_one(problem, tried[0], next(seeds))
+            self._keep(new)
+        self.best = self.tried[0]
+        self._judge()
+        self.rounds.append(_round(self.problem, base, offered, self.tried[: len(new)]))
+        self.nominal = _again(self.problem, self.nominal)
+        without = without_one(self.problem, self.best, next(self.seeds))
         if number > 1:
-            tried[1:1] = without
+            self.tried[1:1] = without
         else:
-            before, nominal = nominal, min(nominal, *without, key=lambda h: h.cost)
-            if not problem.rough and before.cost - nominal.cost > WORTH > nominal.cost - tried[0].cost:
-                # the effect has only led to parameters that explain as much without it
-                return explained(problem, nominal, robot, refined, candidates, seed + 1, progress)
-        best = tried[0]
-    minimum, found = screened.detectable(_worth(problem, nominal, best)), tuple(_cheapest(tried))
-    return Explanation(problem, nominal, found, unpatched, promised, left, minimum, tuple(rounds))
+            before, self.nominal = self.nominal, min(self.nominal, *without, key=lambda h: h.cost)
+            gained = before.cost - self.nominal.cost
+            self.misled = not self.problem.rough and gained > WORTH > self.nominal.cost - self.best.cost
+
+    def explanation(self) -> Explanation:
+        minimum, found = self.screened.detectable(self.worth), tuple(_cheapest(self.tried))
+        return Explanation(self.problem, self.nominal, found, self.unpatched, self.promised, self.left, minimum,
+                           tuple(self.rounds))  # fmt: skip
+
+    def _screen(self):
+        self.progress("screening")
+        self.found = responses(self.problem, self.best, self.possible, self.robot)
+        self._judge()
+
+    def _judge(self):
+        self.screened = evidence(self.problem, self.best, self.possible, self.found)
+        self.left = singles(self.screened)[0].gain
+
+    def _fitted(self, offered) -> list[Hypothesis]:
+        """Hypotheses of the best leads, the most probable first."""
+        leads = _leads(self.problem, self.screened, offered)
+        if len(self.rounds) == 1 and not self.problem.rough:
+            leads += _leads(self.problem, self.first, pairs(self.first))
+        new = refitted(self.problem, leads, next(self.seeds))
+        if self.problem.rough:
+            new = persevered(self.problem, new, next(self.seeds))
+            new = _searched(self.problem, new, next(self.seeds))
+        self.problem, new = _with_own_floor(self.problem, self.refined, new, next(self.seeds))
+        return sorted(new, key=lambda h: -h.log_evidence(self.problem))
+
+    def _keep(self, new) -> None:
+        self.problem, new = _polished(self.problem, self.refined, new, self.seeds)
+        self.tried = [_again(self.problem, h) for h in new + self.tried]
+        allowed = _compatible(self.robot, self.tried[0], self.possible)
+        self.found = [rows for c, rows in zip(self.possible, self.found, strict=True) if c in allowed]
+        self.possible = allowed
+
+    def _keep_rough(self, new) -> None:
+        """The same where the best hypothesis says how large the noise is; the nominal robot is compared under it."""
+        others = [self.nominal, *new, *self.tried]
+        self.problem, (self.nominal, *self.tried) = allowing(self.problem, new[0], others)
+        self.possible = _compatible(self.robot, self.tried[0], self.candidates)
+        self.found = responses(self.problem, self.tried[0], self.possible, self.robot)
 
 
 def _cheapest(hypotheses):

@@ -11,7 +11,7 @@ from soro_bench.diagnosis.localise import Regime, explained_over_time, intervals
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.suspects import Suspect
-from soro_bench.effects.catalogue import CATEGORIES, QUANTITIES
+from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import Effect, Port
 
 NINETY = 1.645  # standard deviations on either side of the middle 90 %
@@ -54,7 +54,7 @@ def described(diagnosis: Diagnosis, finding: Finding) -> dict:
         "probability": finding.probability,
         "where": where_of(finding.effect.where),
         "when": [{"start_s": a, "end_s": b} for a, b in intervals(measured.time, gain)],
-        "condition": _condition(finding.effect, shares),
+        "condition": _condition(finding.effect, shares, channel is not None),
         "parameters": _quantities(diagnosis, finding),
         "evidence": _evidence(diagnosis, finding.answer),
         "against": _against(diagnosis, finding.answer),
@@ -62,9 +62,9 @@ def described(diagnosis: Diagnosis, finding: Finding) -> dict:
     }
 
 
-def _condition(effect: Effect, shares: list[Regime]) -> str:
+def _condition(effect: Effect, shares: list[Regime], one: bool) -> str:
+    """When most is explained; ``one``: whether a single channel moves where the effect acts."""
     most = max(shares, key=lambda r: r.explained / max(r.time, 0.02))
-    one = effect.where.kind in ("tendon", "actuator")
     what, ending = (str(effect.where), "s") if one else ("the commands", "")
     when = {
         "just after reversals": f"just after reversals of {what}",
@@ -89,7 +89,7 @@ def _quantities(diagnosis: Diagnosis, finding: Finding) -> dict:
             "unit": unit_at(diagnosis.robot, q.unit, finding.effect.where),
             "ci90": sorted((low[q.name], high[q.name])),
         }
-        for q in QUANTITIES[finding.effect.name]
+        for q in finding.suspect.quantities
     }
 
 

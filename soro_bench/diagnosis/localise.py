@@ -26,11 +26,24 @@ def residual_map(problem: Problem, residual: np.ndarray) -> np.ndarray:
     """(windows, points) rms [signal's unit] of what the numerical floor does not explain, of the first recording; NaN
     where nothing was measured."""
     left = left_over(problem, residual)
-    size = max(1, round(WINDOW / float(np.median(np.diff(problem.recordings[0].time)))))
+    size = _samples(problem)
     count = len(left) // size
     windows = left[: count * size].reshape(count, size, *left.shape[1:])
     seen = np.isfinite(windows).sum(axis=(1, 3))
     return np.sqrt(np.nansum(windows**2, axis=(1, 3)) / np.where(seen, seen, np.nan))
+
+
+def map_window(problem: Problem) -> float:
+    """s, how long the windows of the map are."""
+    return _samples(problem) * _spacing(problem)
+
+
+def _samples(problem) -> int:
+    return max(1, round(WINDOW / _spacing(problem)))
+
+
+def _spacing(problem) -> float:
+    return float(np.median(np.diff(problem.recordings[0].time)))
 
 
 def left_over(problem: Problem, residual: np.ndarray) -> np.ndarray:

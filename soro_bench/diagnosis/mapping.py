@@ -37,6 +37,7 @@ import mujoco
 import numpy as np
 
 from soro_bench.diagnosis.robot import Prior
+from soro_bench.effects.elements import AUXILIARY
 from soro_bench.models.simulation import FieldWrite
 from soro_bench.recording.recording import Recording, RecordingError, latest
 from soro_bench.recording.untrusted import read_bytes
@@ -62,6 +63,7 @@ _OBJECTS = {
     "tendon": mujoco.mjtObj.mjOBJ_TENDON,
     "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
 }
+_DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_length0", "tendon_invweight0")
 _WIDTH = {"mjJNT_FREE": 6, "mjJNT_BALL": 3}  # degrees of freedom of a joint; others have one
 _FAR = 100.0  # deviations, the bounds of a parameter that is added
 
@@ -146,8 +148,9 @@ def accurate_of(settings, mapping) -> Path | None:
     name = settings.get("accurate")
     if name is None:
         return None
-    path = Path(mapping).parent / name if isinstance(name, str) else None
-    if path is None or not path.is_file():
+    folder = Path(mapping).parent
+    path = folder / name if isinstance(name, str) else None
+    if path is None or not path.is_file() or not path.resolve().is_relative_to(folder.resolve()):
         raise ModelError(f"[robot] accurate is {name!r}; expected a model in the folder of the mapping, or below it")
     return path
 
@@ -210,13 +213,16 @@ def _entry(model, label, text) -> _Entry:
     """What "field[column]:element" means."""
     match = _FIELD.fullmatch(text)
     kind = match["field"].split("_")[0] if match else ""
-    if not match or kind not in _OBJECTS or not hasattr(model, match["field"]):
+    field = getattr(model, match["field"], None) if kind in _OBJECTS else None
+    if not isinstance(field, np.ndarray) or not field.ndim:
         raise ModelError(f"{label} has {text!r}; expected field:element of {', '.join(_OBJECTS)}: body_mass:arm")
-    field, column = getattr(model, match["field"]), match["column"] and int(match["column"])
+    if field.dtype.kind != "f" or match["field"] in _DERIVED:
+        raise ModelError(f"{label}: {match['field']} is no number that a model is made of")
+    column = match["column"] and int(match["column"])
     if column is not None and (field.ndim < 2 or column >= field.shape[1]):
         raise ModelError(f"{label}: {match['field']} has no column {column}; its shape is {field.shape}")
     if match["element"] == "*":
-        return _Entry(match["field"], np.arange(len(field)), column)
+        return _Entry(match["field"], np.arange(len(field) - _springs(model) * (kind == "tendon")), column)
     count = model.njnt if kind == "dof" else len(field)
     numbers = _matching(model, kind, count, match["element"], label)
     if kind == "dof":
@@ -230,9 +236,16 @@ def _matching(model, kind, count, name, label) -> list[int]:
     if "*" not in name:
         return [element(model, _OBJECTS[kind], name)]
     names = [mujoco.mj_id2name(model, _OBJECTS[kind], i) for i in range(count)]
-    if not (found := [i for i, each in enumerate(names) if each and fnmatchcase(each, name)]):
+    own = [i for i, each in enumerate(names) if each and not each.startswith(AUXILIARY)]
+    if not (found := [i for i in own if fnmatchcase(names[i], name)]):
         raise ModelError(f"{label}: no {kind} of the model is called {name!r}")
     return found
+
+
+def _springs(model) -> int:
+    """How many tendons are none of the model's; they come last."""
+    names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TENDON, i) for i in range(model.ntendon)]
+    return sum(bool(name) and name.startswith(AUXILIARY) for name in names)
 
 
 def element(model, kind, name) -> int:

@@ -68,7 +68,8 @@ class ModelRobot(Robot):
             actuators = names_of(f"commands.{name}", entry, "actuators")
             self._commands.append((name, [element(compiled, mujoco.mjtObj.mjOBJ_ACTUATOR, one) for one in actuators]))
         self._set_signal(table["signal"])
-        self._initial = [joint(compiled, name) for name in table["initial"].get("joints", [])]
+        wanted = names_of("initial", table["initial"], "joints") if table["initial"] else []
+        self._initial = [joint(compiled, name) for name in wanted]
         if self._initial and len(self._initial) != self.shape[0] * self.shape[1]:
             raise ModelError(f"[initial] has {len(self._initial)} joints; the signal has samples of shape {self.shape}")
         self._settings, scaled = settings_of(compiled, table["settings"])
@@ -96,7 +97,7 @@ class ModelRobot(Robot):
 
     def actions(self, recording: Recording) -> np.ndarray:
         """(T, nu) setpoints of all actuators; those that no command names are zero."""
-        steps = int(np.ceil(recording.duration / self.control_timestep - 1e-6))
+        _, steps = recording.control_steps(self._named, self.control_timestep)
         if not 1 <= steps <= _MOST_STEPS:
             raise RecordingError(f"{recording.duration} s are {steps} control steps; expected 1 to {_MOST_STEPS}")
         actions = np.zeros((steps, self._model.nu))
@@ -109,9 +110,17 @@ class ModelRobot(Robot):
         times = self._times(recording, steps)
         return np.stack([s.values(recording, times) for s in self._settings], axis=1) if self._settings else None
 
+    def begins(self, recording: Recording) -> float:
+        """With the first of the commands that the mapping names."""
+        return recording.control_steps(self._named, self.control_timestep)[0]
+
+    @property
+    def _named(self) -> list[str]:
+        return [name for name, _ in self._commands]
+
     def _times(self, recording, steps):
         """(steps,) s, the beginnings of the control steps."""
-        return recording.start + self.control_timestep * np.arange(steps)
+        return self.begins(recording) + self.control_timestep * np.arange(steps)
 
     def measured(self, recording: Recording) -> Measured:
         """As of any robot; RecordingError if it begins where the signal does and that is missing."""
@@ -128,11 +137,18 @@ class ModelRobot(Robot):
 
     def commanded(self, rates: np.ndarray) -> np.ndarray:
         """(T, nu) setpoints that go the way of rates (T, nu), within a share of each actuator's range on both sides of
-        zero, or of what is nearest to it."""
+        zero, or of what is nearest to it; or, where controls are rates, those that lead the same way."""
         way, model = np.cumsum(rates, axis=0), self._model
-        low, high = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, (-1.0, 1.0)).T
+        integrates = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR
+        limited = np.where(integrates, model.actuator_actlimited, model.actuator_ctrllimited).astype(bool)
+        ranges = np.where(integrates[:, None], model.actuator_actrange, model.actuator_ctrlrange)
+        low, high = np.where(limited[:, None], ranges, (-1.0, 1.0)).T
         reach = _SHARE * (high - low)
-        return np.clip(0.0, low + reach, high - reach) + way / max(np.abs(way).max(), 1e-9) * reach
+        moved = way / max(np.abs(way).max(), 1e-9) * reach
+        speeds = np.diff(moved, axis=0, prepend=0.0) / self.control_timestep
+        fastest = np.where(model.actuator_ctrllimited, np.abs(model.actuator_ctrlrange).min(axis=1), np.inf)
+        slower = np.maximum(np.abs(speeds).max(axis=0) / np.maximum(fastest, 1e-9), 1.0)
+        return np.where(integrates, speeds / slower, np.clip(0.0, low + reach, high - reach) + moved)
 
     def _set_signal(self, table):
         model, places = self._model, [key for key in ("sites", "joints", "sensors") if key in table]
@@ -150,7 +166,10 @@ class ModelRobot(Robot):
             sensors = [element(model, mujoco.mjtObj.mjOBJ_SENSOR, name) for name in names]
             if len(widths := {int(model.sensor_dim[i]) for i in sensors}) > 1:
                 raise ModelError(f"[signal] sensors {', '.join(names)} have {sorted(widths)} numbers; all need as many")
-            if (model.sensor_needstage[sensors] > mujoco.mjtStage.mjSTAGE_VEL).any():
+            if max(widths) > 3:
+                raise ModelError(f"[signal] sensors {', '.join(names)} have {max(widths)} numbers; allowed are 1 to 3, "
+                                 "coordinates")  # fmt: skip
+            if (model.sensor_needstage[sensors] > int(mujoco.mjtStage.mjSTAGE_VEL)).any():
                 raise ModelError("[signal] sensors have to depend on positions and velocities only")
             self._source, (width,) = "sensordata", widths
             self._ids = np.concatenate([model.sensor_adr[i] + np.arange(width) for i in sensors])

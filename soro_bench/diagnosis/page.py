@@ -11,12 +11,12 @@ import numpy as np
 
 from soro_bench.diagnosis.findings import NINETY, findings
 from soro_bench.diagnosis.force import Curve, force_against_state
-from soro_bench.diagnosis.localise import explained_over_time, left_over, residual_map
+from soro_bench.diagnosis.localise import explained_over_time, left_over, map_window, residual_map
 from soro_bench.diagnosis.patch import REMAINING, kept, patch
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.report import write_json_report
+from soro_bench.diagnosis.report import only_outliers, write_json_report
 from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.diagnosis.verdict import verdict
+from soro_bench.diagnosis.verdict import least, verdict
 from soro_bench.files import replacing
 from soro_bench.recording.comparison import measured_points
 from soro_bench.recording.recording import Recording
@@ -173,17 +173,16 @@ def _at(effect) -> str:
 def _detectable_table(report) -> str:
     rows = []
     for name, d in sorted(report["detectable"].items()):
-        rows.append([name, f"{d['quantity']} {d['minimum']:.2g} {d['unit']}"])
-    rows += [[name, "not with these recordings"] for name in report["invisible"]]
-    return _table("What would just have been seen", ["effect", "smallest magnitude"], rows)
+        rows.append([name, d["quantity"], least(d).removeprefix("of ")])
+    rows += [[name, "", "not with these recordings"] for name in report["invisible"]]
+    return _table("What would just have been seen", ["effect", "quantity", "smallest magnitude"], rows)
 
 
 def _ranking(diagnosis) -> str:
     shown = [(f"{f.effect.name} at {f.effect.where}", f.probability) for f in findings(diagnosis)][:_RANKED]
     nothing = sum(a.probability for a in diagnosis.comparison.answers if not a.names)
-    shown = sorted(
-        [*shown, ("nothing missing", nothing), ("unknown", diagnosis.comparison.unknown)], key=lambda pair: pair[1]
-    )
+    no_more = "outliers only" if only_outliers(diagnosis) else "nothing missing"
+    shown = sorted([*shown, (no_more, nothing), ("unknown", diagnosis.comparison.unknown)], key=lambda pair: pair[1])
     figure, axes = pyplot().subplots(figsize=(9, 0.4 + 0.3 * len(shown)), layout="constrained")
     axes.barh([name for name, _ in shown], [chance for _, chance in shown])
     axes.set(xlim=(0, 1), xlabel="probability")
@@ -194,7 +193,9 @@ def _heat(diagnosis) -> str:
     scale, unit = _scale(diagnosis)
     shown = scale * residual_map(diagnosis.explanation.problem, diagnosis.explanation.nominal.residual)
     figure, axes = pyplot().subplots(figsize=(9, 3.6), layout="constrained")
-    mesh = axes.pcolormesh(np.arange(len(shown) + 1), np.arange(shown.shape[1] + 1), shown.T, cmap="magma_r")
+    window = map_window(diagnosis.explanation.problem)
+    edges = window * np.arange(len(shown) + 1)
+    mesh = axes.pcolormesh(edges, np.arange(shown.shape[1] + 1), shown.T, cmap="magma_r")
     axes.set(xlabel="time [s]", ylabel="point of the signal")
     figure.colorbar(mesh, label=f"rms left [{unit}]")
     return _image(figure)

@@ -21,7 +21,6 @@ from soro_bench.recording.recording import Recording, RecordingError
 
 MOST_NUMBERS = 300_000  # of all samples: four minutes of a trunk, of which every suspect is one more
 UNSURE = 0.1  # probability of physics without a name, above which its place is looked for
-ALPHA = 0.01  # a mismatch is one where nothing missing would look like it less often
 
 
 @dataclass(frozen=True)
@@ -51,18 +50,18 @@ class Diagnosis:
 
     @property
     def detected(self) -> bool:
-        return self.comparison.p_value < ALPHA
+        """Whether something is missing or wrong beside outliers: whether nothing else is likelier."""
+        nothing = sum(a.probability for a in self.comparison.answers if not a.names)
+        return max(self.comparison.likeliest, self.comparison.unknown) > nothing
 
     @property
     def verdict(self) -> str:
-        """One of the verdicts of report.json."""
+        """One of the verdicts of report.json: what is likeliest, as its first effect."""
         if not self.detected:
             return "measurement_fault" if self.outliers.share else "none_detected"
-        best = self.comparison.answers[0]
-        if self.comparison.unknown > 0.5:
+        if self.comparison.unknown > self.comparison.likeliest:
             return "unknown_physics"
-        if not best.names:
-            return "none_detected"
+        best = next(a for a in self.comparison.answers if a.names)
         faults = all(s.where.kind == "sensor" for s in best.hypothesis.suspects)
         return "measurement_fault" if faults else "missing_physics"
 
@@ -87,10 +86,7 @@ def diagnose(
     start = time.perf_counter()
     progress("audit")
     fitted, refined = robot.shortened(FITTED), robot.refined()
-    measured = tuple(robot.measured(each) for each in recordings)
-    tested = tuple(robot.measured(each) for each in heldout)
-    if (size := sum(each.values.size for each in measured + tested)) > MOST_NUMBERS:
-        raise RecordingError(f"{size} numbers to explain; at most {MOST_NUMBERS}, so cut the recordings")
+    measured, tested = _measured(robot, recordings, heldout)
     audits = tuple(audit(each) for each in (*measured, *tested))
     # of one sensor: motion only adds to it
     sigma = max(min(a.sigma for a in audits), max(a.least for a in audits))
@@ -98,8 +94,7 @@ def diagnose(
     problem, nominal, found_outliers = _without_outliers(problem, nominal)
     if not problem.rough:
         problem, nominal = _with_noise(problem, nominal, max(a.least for a in audits))
-    candidates = suspects(robot)
-    explanation = explained(problem, nominal, robot, refined, candidates, seed, progress)
+    explanation = explained(problem, nominal, robot, refined, suspects(robot), seed, progress)
     progress("comparison")
     comparison = compared(explanation, tried_on(explanation, tested, refined, shortlist(explanation)))
     found = Diagnosis(robot, audits, found_outliers, explanation, comparison, (), None, 0.0)
@@ -111,8 +106,16 @@ def diagnose(
     return replace(found, proposal=proposal, seconds=time.perf_counter() - start)
 
 
+def _measured(robot, *groups: Sequence[Recording]) -> list[tuple[Measured, ...]]:
+    """What the diagnosis sees of the recordings of each group."""
+    found = [tuple(robot.measured(each) for each in group) for group in groups]
+    if (size := sum(each.values.size for group in found for each in group)) > MOST_NUMBERS:
+        raise RecordingError(f"{size} numbers to explain; at most {MOST_NUMBERS}, so cut the recordings")
+    return found
+
+
 def _proposal(found: Diagnosis, seed: int) -> Proposal | None:
-    if not found.detected:
+    if not found.detected or not found.robot.channels:
         return None
     unknown = found.places[0].where if found.verdict == "unknown_physics" else None
     return proposed(found.explanation.problem, found.comparison, unknown, seed)

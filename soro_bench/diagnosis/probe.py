@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from scipy.linalg import block_diag
 
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.localise import WINDOWS, windows
@@ -24,10 +25,10 @@ from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import SIMULATIONS, Robot
 from soro_bench.diagnosis.screen import responses
 from soro_bench.diagnosis.suspects import suspect, typical
-from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Port
 
 WINDOW = 0.15  # s, times the number of directions
+UNKNOWNS = 1000  # of a place; in long recordings windows are longer
 _AXES = "xyz"
 _SHARE = 0.02  # of the robot's weight, a force on a body
 _OFFSET = 2.0  # standard deviations of the noise, an offset of a measured point
@@ -137,10 +138,10 @@ def _pushes(robot: Robot) -> list[_Push]:
             size = elements.scale(Port("joint", name), "force")
             dof = model.jnt_dofadr[[joint]]
             found.append(_Push(port, "joint", name, "N m" if turns else "N", size, dof, np.array([size])))
-    mass = model.body_mass[bodies]
+    everything, size = np.arange(1, model.nbody), _SHARE * gravity
     for port in robot.ports("model"):
-        size = _SHARE * gravity
-        found += [_Push(port, "world", axis, "m/s^2", size, np.array(bodies), size * mass) for axis in _AXES]
+        pushed = size * model.body_mass[everything]
+        found += [_Push(port, "world", axis, "m/s^2", size, everything, pushed) for axis in _AXES]
     return found
 
 
@@ -150,7 +151,7 @@ def _responses(problem, robot, base, pushes: Sequence[_Push]) -> np.ndarray:
     for name in ("ten_J", "xfrc_applied", "qfrc_applied"):
         batch.bind(name)
     parameters = np.array([list(robot.parameters(base.x).values())])
-    effects, found = base.effects(problem.parameters), []
+    effects, found = base.effects(problem.parameters), [np.zeros((0, problem.weight.size))]
     for first in range(0, len(pushes), SIMULATIONS - 1):
         some = pushes[first : first + SIMULATIONS - 1]  # and one replay that is not pushed
 
@@ -174,9 +175,11 @@ def _setpoints(problem, robot, base) -> list[tuple[_Offset, np.ndarray]]:
     """An offset of the setpoint of each actuator, with its (M,) change of the residual."""
     moved = [suspect(robot, "pretension", port) for port in robot.ports("actuator")]
     moved = [each for each in moved if robot.accepts([*base.effects(problem.parameters), typical(each)])]
-    (quantity,) = QUANTITIES["pretension"]
     return [
-        (_Offset(each.where, quantity.name, robot.setpoint_unit, each.typical[0]), rows[0] * each.simulated[0])
+        (
+            _Offset(each.where, each.quantities[0].name, robot.setpoint_unit, each.typical[0]),
+            rows[0] * each.simulated[0],
+        )
         for each, rows in zip(moved, responses(problem, base, moved, robot) if moved else [], strict=True)
     ]
 
@@ -198,17 +201,22 @@ def _offsets(problem) -> list[tuple[_Offset, np.ndarray]]:
 
 def _place(problem, base, where, pushes, rows) -> Place:
     """Free combinations of rows (K, M) in every window, the best of several sizes."""
-    length = WINDOW * len(rows)
-    window = windows(problem, length)
-    numbers = np.unique(window)
-    free = np.concatenate([rows * (window == w) for w in numbers])  # of a window after the other, K each
-    floor = base.floor(problem)
+    duration = sum(each.time[-1] for each in problem.recordings)
+    length = max(WINDOW * len(rows), duration * len(rows) / UNKNOWNS)
+    free = _Windowed(rows, windows(problem, length))
+    numbers, floor = free.numbers, base.floor(problem)
     hessian = floor.product(base.slope, base.slope) + np.eye(len(base.x))
-    cross = floor.product(free, base.slope)
+    explained, inner = free.times(floor.basis), np.eye(len(floor.basis)) + floor.basis @ floor.basis.T
+
+    def product(other):
+        """Of the free combinations with rows (C, M), the floor marginalised."""
+        return free.times(other) - explained @ np.linalg.solve(inner, floor.basis @ other.T)
+
+    cross = product(base.slope)
     reduced = np.linalg.solve(hessian, cross.T)
-    information = floor.product(free, free) - cross @ reduced
+    information = free.squares() - explained @ np.linalg.solve(inner, explained.T) - cross @ reduced
     gradient = floor.product(base.slope, base.residual[None])[:, 0] + base.x
-    pull = floor.product(free, base.residual[None])[:, 0] - reduced.T @ gradient
+    pull = product(base.residual[None])[:, 0] - reduced.T @ gradient
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
     values, turned = np.maximum(values, 0.0), vectors.T @ pull
     gains = [
@@ -217,7 +225,7 @@ def _place(problem, base, where, pushes, rows) -> Place:
     scale = _SCALES[int(np.argmax(gains))]
     found = -vectors @ (turned / (values + scale**-2))
     step = -np.linalg.solve(hessian, gradient) - reduced @ found
-    left = problem.left(base.residual + step @ base.slope + found @ free)
+    left = problem.left(base.residual + step @ base.slope + free.sum(found))
     force = Force(
         tuple(push.component for push in pushes),
         tuple(push.unit for push in pushes),
@@ -228,3 +236,29 @@ def _place(problem, base, where, pushes, rows) -> Place:
         left,
     )
     return Place(where, max(gains), force)
+
+
+class _Windowed:
+    """Rows (K, M), each free in every window: W times K rows, a window after the other, that are zero outside theirs.
+
+    Attributes:
+        numbers: (W,) of the windows.
+    """
+
+    def __init__(self, rows: np.ndarray, window: np.ndarray):
+        self.numbers, first = np.unique(window, return_index=True)  # windows rise
+        self._cuts, self._parts = first[1:], np.split(rows, first[1:], axis=1)
+
+    def times(self, other: np.ndarray) -> np.ndarray:
+        """(W K, C) products with rows (C, M)."""
+        parts = np.split(other, self._cuts, axis=1)
+        return np.concatenate([own @ part.T for own, part in zip(self._parts, parts, strict=True)])
+
+    def squares(self) -> np.ndarray:
+        """(W K, W K) products with themselves."""
+        return block_diag(*[part @ part.T for part in self._parts])
+
+    def sum(self, factors: np.ndarray) -> np.ndarray:
+        """(M,) of all, times factors (W K,)."""
+        each = factors.reshape(len(self._parts), -1)
+        return np.concatenate([row @ part for row, part in zip(each, self._parts, strict=True)])

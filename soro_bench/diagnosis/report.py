@@ -3,7 +3,7 @@
 import math
 from pathlib import Path
 
-from soro_bench.diagnosis.compare import Answer, Comparison, Fit
+from soro_bench.diagnosis.compare import ALPHA, Answer, Comparison, Fit
 from soro_bench.diagnosis.explain import Round
 from soro_bench.diagnosis.findings import (
     NINETY,
@@ -17,7 +17,7 @@ from soro_bench.diagnosis.findings import (
 )
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.patch import MODEL, ModelPatch, kept, model_patch, patch, rejected, write_model_patch
-from soro_bench.diagnosis.pipeline import ALPHA, Diagnosis
+from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.propose import DURATION, Proposal
 from soro_bench.diagnosis.robot import LIMIT, Earlier
 from soro_bench.diagnosis.suite_robot import SuiteRobot
@@ -87,11 +87,11 @@ def report_of(diagnosis: Diagnosis) -> dict:
     comparison, best = diagnosis.comparison, diagnosis.comparison.answers[0]
     ranked = [described(diagnosis, finding) for finding in findings(diagnosis)]
     nothing = next((a.probability for a in comparison.answers if not a.names), 0.0)
-    only_outliers = diagnosis.outliers.share > 0 and not diagnosis.detected
-    ranked.append(_nameless("none", 0.0 if only_outliers else nothing))
+    outliers = only_outliers(diagnosis)
+    ranked.append(_nameless("none", 0.0 if outliers else nothing))
     ranked.append(_nameless("unknown", comparison.unknown, diagnosis))
     if diagnosis.outliers.share:
-        ranked.append(_outliers(diagnosis, nothing if only_outliers else 0.0))
+        ranked.append(_outliers(diagnosis, nothing if outliers else 0.0))
     ranked.sort(key=lambda e: -e["probability"])
     return {
         "schema": SCHEMA,
@@ -104,7 +104,7 @@ def report_of(diagnosis: Diagnosis) -> dict:
         "classes": _classes(diagnosis, ranked),
         "hypotheses": [_hypothesis(diagnosis, answer) for answer in comparison.answers],
         "rounds": [_round(each) for each in diagnosis.explanation.rounds],
-        "credible_set": _credible(comparison, "outliers" if only_outliers else "none"),
+        "credible_set": _credible(comparison, "outliers" if outliers else "none"),
         "fit": {
             "train": _fit(best.train),
             "heldout": None if best.heldout is None else _fit(best.heldout),
@@ -122,6 +122,11 @@ def report_of(diagnosis: Diagnosis) -> dict:
         "audit": [{"noise": a.sigma, "missing": a.missing} for a in diagnosis.audits],
         "seconds": round(diagnosis.seconds, 1),
     }
+
+
+def only_outliers(diagnosis: Diagnosis) -> bool:
+    """Whether samples that are far off are all that there is."""
+    return diagnosis.outliers.share > 0 and not diagnosis.detected
 
 
 def _residual_force(diagnosis: Diagnosis) -> dict | None:
@@ -234,7 +239,8 @@ def _classes(diagnosis: Diagnosis, ranked: list[dict]) -> list[dict]:
 
 
 def detectable(diagnosis: Diagnosis) -> dict:
-    """The smallest magnitude of each effect, at the place where it shows most, that would have been worth a look.
+    """The smallest magnitude of each effect, at the place where it shows most, that would have been worth a look: how
+    far the quantity is from ``null``, where there is no effect.
 
     Those that a robot hardly has so much of that it would show are left out.
     """
@@ -242,14 +248,15 @@ def detectable(diagnosis: Diagnosis) -> dict:
     for suspect, x in diagnosis.explanation.minimum:
         if x > LIMIT:
             continue
-        q = QUANTITIES[suspect.name][0]
+        q = suspect.quantities[0]
         change = float(suspect.deviations[0]) * x
         if not q.bounds[0] <= q.null + change <= q.bounds[1]:
             continue
         value = abs(change)
         if suspect.name not in found or value < found[suspect.name]["minimum"]:
             unit = unit_at(diagnosis.robot, q.unit, suspect.where)
-            found[suspect.name] = {"quantity": q.name, "minimum": value, "unit": unit, "where": where_of(suspect.where)}
+            found[suspect.name] = {"quantity": q.name, "minimum": value, "unit": unit, "null": q.null,
+                                   "where": where_of(suspect.where)}  # fmt: skip
     return found
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from soro_bench.effects.catalogue import MEASUREMENT
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.catalogue import ALL, MEASUREMENT
+from soro_bench.effects.effect import EVERY, Effect, Port
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.measurement import distorted
 from soro_bench.models.simulation import Simulation
@@ -188,6 +188,10 @@ class Robot(ABC):
         """(T, ...) checked commands of a recording, one per control step; RecordingError says what it lacks."""
 
     @abstractmethod
+    def begins(self, recording: Recording) -> float:
+        """When the first control step of a recording begins [s]."""
+
+    @abstractmethod
     def _begin(self, parameters: np.ndarray, start: np.ndarray | None) -> None:
         """Start simulations 0 .. n - 1 with parameters (n, d), from where the signal is ``start`` (n, P, D)."""
 
@@ -214,7 +218,8 @@ class Robot(ABC):
     @property
     def pulls_cables(self) -> bool:
         """Whether all its actuators pull tendons."""
-        return {port.name for port in self.ports("tendon")} >= {port.name for port in self.ports("actuator")}
+        kinds = self.elements.model.actuator_trntype
+        return "tendon" in self.kinds and bool((kinds == int(mujoco.mjtTrn.mjTRN_TENDON)).all())
 
     @property
     def setpoint_unit(self) -> str:
@@ -224,21 +229,23 @@ class Robot(ABC):
     @property
     def moves(self) -> np.ndarray:
         """(A, nu) 1 where a number of an action moves an actuator, else 0."""
-        return np.eye(len(self.ports("actuator")))
+        return np.eye(self.elements.model.nu)
 
     @property
     def channels(self) -> list[str]:
         """What each number of an action moves, such as "cable L0"."""
-        names = np.array([port.name for port in self.ports("actuator")])
+        model = self.elements.model
+        names = np.array([model.actuator(i).name or f"number {i}" for i in range(model.nu)])
         kind = "cable" if self.pulls_cables else "actuator"
         return [f"{kind} {' and '.join(names[row > 0])}" for row in self.moves]
 
     def channel(self, where: Port) -> int | None:
         """The number of an action that moves a cable or actuator; None for what no single one moves."""
-        names = [port.name for port in self.ports("actuator")]
-        if where.kind not in ("tendon", "actuator") or where.name not in names:
+        if where.kind not in ("tendon", "actuator") or where.name == EVERY:
             return None
-        return int(self.moves[:, names.index(where.name)].argmax())
+        ids = self.elements.actuators_on(where) if where.kind == "tendon" else [self.elements.id(where)]
+        channels = np.unique(self.moves[:, ids].argmax(axis=0)) if len(ids) else ()
+        return int(channels[0]) if len(channels) == 1 else None
 
     def rates(self, actions: np.ndarray) -> np.ndarray:
         """(T, A) how fast actions (T, A) move each channel, in any unit."""
@@ -253,10 +260,13 @@ class Robot(ABC):
         return {prior.name: float(prior.value(value)) for prior, value in zip(self.priors, x, strict=False)}
 
     def accepts(self, effects: Sequence[Effect]) -> bool:
-        """Whether the robot can have these effects at once: none twice at a place, no two on the same spring."""
-        effects = [*self.known, *effects]
-        if len({(e.name, e.where) for e in effects}) < len(effects):
+        """Whether the robot can have these effects at once: none twice at a place, beside what is known only laws that
+        add up, and no two on the same spring."""
+        found = [(e.name, e.where) for e in effects]
+        once = [(e.name, e.where) for e in self.known if not getattr(ALL[e.name], "adds", False)]
+        if len({*once, *found}) < len(once) + len(found):
             return False
+        effects = [*self.known, *effects]
         return self.simulation.accepts([e for e in effects if e.where.kind != "sensor"])
 
     def native(self, effect: Effect) -> bool:
@@ -286,12 +296,13 @@ class Robot(ABC):
         if given.values[0].size != np.prod(self.shape):
             shapes = f"{given.values.shape[1:]}; those of this robot have {self.shape}"
             raise RecordingError(f"{self.signal} has samples of shape {shapes}")
-        times = recording.start + self.control_timestep * np.arange(1, len(actions) + 1)
+        begin = self.begins(recording)
+        times = begin + self.control_timestep * np.arange(1, len(actions) + 1)
         values = resampled(given, times).values.reshape(-1, *self.shape)
         values[~sampled(given.time, times)] = np.nan
         first = given.values[0].reshape(self.shape)
         settings = self.settings(recording, len(actions))
-        return Measured(actions, times - recording.start, values, self.signal, self.unit, first, settings)
+        return Measured(actions, times - begin, values, self.signal, self.unit, first, settings)
 
     def simulate(
         self,

@@ -43,7 +43,7 @@ class Lead:
 @dataclass(frozen=True)
 class Evidence:
     """What K response rows say together, parameters and floor marginalised: the evidence gained by magnitudes m (K,) is
-    -pull m - m matrix m / 2. ``lower`` (K,) bounds them, and ``blocks`` are the rows of each candidate. With magnitudes
+    -pull m - m matrix m / 2. ``bounds`` (2, K) of them, and ``blocks`` are the rows of each candidate. With magnitudes
     m the best unknowns of the hypothesis move by step - shift m, where step is (n,) and shift (n, K)."""
 
     base: Hypothesis
@@ -51,7 +51,7 @@ class Evidence:
     responses: Sequence[np.ndarray]
     matrix: np.ndarray
     pull: np.ndarray
-    lower: np.ndarray
+    bounds: np.ndarray
     blocks: tuple[np.ndarray, ...]
     step: np.ndarray
     shift: np.ndarray
@@ -59,15 +59,17 @@ class Evidence:
     def lead(self, chosen: Sequence[int]) -> Lead:
         """The best magnitudes of some candidates together."""
         rows = np.concatenate([self.blocks[i] for i in chosen])
-        matrix, pull, lower = self.matrix[np.ix_(rows, rows)], self.pull[rows], self.lower[rows]
+        matrix, pull, bounds = self.matrix[np.ix_(rows, rows)], self.pull[rows], self.bounds[:, rows]
         at, free = np.zeros(len(rows)), np.ones(len(rows), bool)
         for _ in rows:  # what would cross its bound stays there, and the rest is solved again
-            at[free] = -np.linalg.solve(matrix[np.ix_(free, free)], pull[free])
-            crossing = at < lower
+            rest = pull[free] + matrix[np.ix_(free, ~free)] @ at[~free]
+            at[free] = -np.linalg.solve(matrix[np.ix_(free, free)], rest)
+            inside = np.clip(at, *bounds)
+            crossing = inside != at
             if not crossing.any():
                 break
             free &= ~crossing
-            at[~free] = 0.0
+            at = inside
         gain = -float(pull @ at + 0.5 * at @ matrix @ at) - 0.5 * float(np.linalg.slogdet(matrix)[1])
         x = self.base.x + np.clip(self.step - self.shift[:, rows] @ at, -1, 1)
         ends = np.cumsum([len(self.blocks[i]) for i in chosen])[:-1]
@@ -122,7 +124,7 @@ def evidence(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect], 
         found,
         floor.product(rows, rows) + np.eye(len(rows)) - cross @ shift,
         floor.product(rows, base.residual[None])[:, 0] + cross @ step,
-        np.concatenate([c.bounds[0, list(c.magnitudes)] for c in candidates]),
+        np.concatenate([c.bounds[:, list(c.magnitudes)] for c in candidates], axis=1),
         tuple(np.split(np.arange(len(rows)), np.cumsum([len(each) for each in found])[:-1])),
         step,
         shift,

@@ -6,7 +6,7 @@ import numpy as np
 from soro_bench.diagnosis.robot import SIMULATIONS, Earlier, Prior, Robot
 from soro_bench.effects.elements import instrument
 from soro_bench.recording.recording import Recording, RecordingError
-from soro_bench.recording.simulated import recorded_actions
+from soro_bench.recording.simulated import COMMAND, recorded_actions
 from soro_bench.registration import make_task, task_type
 
 _TRUNK = ("tendon", "actuator", "body", "model")  # its necks have no friction of their own
@@ -82,6 +82,10 @@ class SuiteRobot(Robot):
             return self._task.check_actions(actions, len(actions))
         except ValueError as error:
             raise RecordingError(str(error)) from error
+
+    def begins(self, recording: Recording) -> float:
+        """With the first action."""
+        return recording.control_steps([COMMAND], self.control_timestep)[0]
 
     def _begin(self, parameters, start):
         n, names = len(parameters), [prior.name for prior in self.priors]

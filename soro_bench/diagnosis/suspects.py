@@ -7,7 +7,7 @@ import numpy as np
 
 from soro_bench.diagnosis.robot import LIMIT, Robot
 from soro_bench.effects.catalogue import ALL, PHYSICS, QUANTITIES
-from soro_bench.effects.effect import EVERY, Effect, Port
+from soro_bench.effects.effect import EVERY, Effect, Port, Quantity
 
 MAGNITUDE_DEVIATION, SECOND_DEVIATION = 5.0, 0.7  # of effects: in typical magnitudes at most, in logarithms
 PNEUMATIC = ("pressure_leak", "pressure_asymmetry", "supply_coupling")
@@ -17,13 +17,20 @@ PNEUMATIC = ("pressure_leak", "pressure_asymmetry", "supply_coupling")
 class Suspect:
     """An effect whose parameters are to be found: a law at a port.
 
-    typical: of its quantities, at this port. magnitudes: which of them are null without the effect.
+    typical: of its quantities, at this port. magnitudes: which of them are null without the effect. idle: quantities of
+        the law that can do nothing here; they stay null.
     """
 
     name: str
     where: Port
     typical: tuple[float, ...]
     magnitudes: tuple[bool, ...]
+    idle: frozenset[str] = frozenset()
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """Those of the law that do something here."""
+        return tuple(q for q in QUANTITIES[self.name] if q.name not in self.idle)
 
     @property
     def size(self) -> int:
@@ -37,7 +44,7 @@ class Suspect:
         than all there is would only see both ends.
         """
         found = np.full(self.size, SECOND_DEVIATION)
-        for i, (q, typical) in enumerate(zip(QUANTITIES[self.name], self.typical, strict=True)):
+        for i, (q, typical) in enumerate(zip(self.quantities, self.typical, strict=True)):
             if self.magnitudes[i]:
                 most = q.bounds[1] - q.null if q.null == q.bounds[0] else np.inf
                 found[i] = min(MAGNITUDE_DEVIATION * (typical - q.null), most)
@@ -46,14 +53,14 @@ class Suspect:
     @property
     def simulated(self) -> np.ndarray:
         """(size,) the coordinates of the effect of typical magnitudes."""
-        null = np.array([q.null for q in QUANTITIES[self.name]])
+        null = np.array([q.null for q in self.quantities])
         return np.where(self.magnitudes, (np.array(self.typical) - null) / self.deviations, 0.0)
 
     @property
     def bounds(self) -> np.ndarray:
         """(2, size) the least and the largest coordinates: beyond them the quantities stay at their bounds, so that no
         slope would lead back."""
-        found, columns = [], zip(QUANTITIES[self.name], self.typical, self.magnitudes, self.deviations, strict=True)
+        found, columns = [], zip(self.quantities, self.typical, self.magnitudes, self.deviations, strict=True)
         for q, typical, magnitude, deviation in columns:
             ends = np.array(q.bounds)
             if magnitude:
@@ -65,8 +72,8 @@ class Suspect:
 
     def effect(self, x: np.ndarray) -> Effect:
         """The effect at coordinates x (size,), in standard deviations of their priors."""
-        values, moved = {}, self.deviations * x
-        for q, typical, magnitude, by in zip(QUANTITIES[self.name], self.typical, self.magnitudes, moved, strict=True):
+        values, moved = {q.name: q.null for q in QUANTITIES[self.name]}, self.deviations * x
+        for q, typical, magnitude, by in zip(self.quantities, self.typical, self.magnitudes, moved, strict=True):
             values[q.name] = float(np.clip(q.null + by if magnitude else typical * np.exp(by), *q.bounds))
         return Effect(self.name, self.where, values)
 
@@ -110,13 +117,15 @@ def _possible(robot, name, ports) -> list[Suspect]:
 
 def suspect(robot: Robot, name: str, where: Port) -> Suspect:
     """An effect at a port, with what is typical there."""
-    quantities, magnitudes = ALL[name].quantities, []
-    for i, q in enumerate(quantities):
-        magnitudes.append(i == 0 or (q.null == 0.0 and q.bounds[0] < 0))
-    scale = robot.elements.scale
     port = robot.ports(where.kind)[0] if where.name == EVERY else where
-    typical = tuple(q.typical * (scale(port, q.of) if where.kind != "sensor" else 1.0) for q in quantities)
-    return Suspect(name, where, typical, tuple(magnitudes))
+    physics, elements = name in PHYSICS, robot.elements
+    idle = ALL[name].idle(elements, port) if physics else ALL[name].idle(robot.shape[1])
+    typical, magnitudes = [], []
+    for i, q in enumerate(ALL[name].quantities):
+        if q.name not in idle:
+            magnitudes.append(i == 0 or (q.null == 0.0 and q.bounds[0] < 0))
+            typical.append(q.typical * (elements.scale(port, q.of) if physics else 1.0))
+    return Suspect(name, where, tuple(typical), tuple(magnitudes), idle)
 
 
 def typical(one: Suspect) -> Effect:
@@ -127,7 +136,7 @@ def typical(one: Suspect) -> Effect:
 def variants(one: Suspect) -> list[Suspect]:
     """A suspect, and those that begin at other values of what shapes the signature."""
     found = [one]
-    for i, q in enumerate(ALL[one.name].quantities):
+    for i, q in enumerate(one.quantities):
         for value in q.also:
             found.append(replace(one, typical=(*one.typical[:i], value, *one.typical[i + 1 :])))
     return found

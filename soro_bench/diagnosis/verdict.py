@@ -24,7 +24,7 @@ def verdict(diagnosis: Diagnosis) -> str:
     if not best.names and diagnosis.verdict != "unknown_physics":
         said.append(f"Nothing is missing that this recording shows (p = {diagnosis.comparison.p_value:.2g}).")
         shown = sorted(detectable(diagnosis).items())
-        seen = ", ".join(f"{name} of {d['minimum']:.2g} {d['unit']}" for name, d in shown)
+        seen = ", ".join(f"{name} {least(d)}" for name, d in shown)
         said.append(f"It would have shown: {seen}.")
         if blind := invisible(diagnosis):
             said.append(f"It could hardly have shown: {', '.join(blind)}.")
@@ -55,6 +55,14 @@ def verdict(diagnosis: Diagnosis) -> str:
     if diagnosis.proposal:
         said.append(_what_next(diagnosis.proposal, diagnosis.verdict == "unknown_physics"))
     return "\n".join(said)
+
+
+def least(seen: dict) -> str:
+    """The smallest magnitude that would have shown, in words."""
+    unit = "" if seen["unit"] == "1" else f" {seen['unit']}"
+    if seen["null"]:
+        return f"with a {seen['quantity']} {seen['minimum']:.2g}{unit} off {seen['null']:g}"
+    return f"of {seen['minimum']:.2g}{unit}"
 
 
 def _force(diagnosis: Diagnosis, unit: str) -> str:

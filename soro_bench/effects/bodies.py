@@ -25,6 +25,12 @@ class BaseTilt(Law):
     quantities = tuple(Quantity(f"about_{axis}", "rad", 0.02, (-np.pi, np.pi)) for axis in "xyz")
     fields = ("opt.gravity",)
 
+    @classmethod
+    def idle(cls, elements, port):
+        gravity = elements.model.opt.gravity
+        along = np.abs(gravity) == np.linalg.norm(gravity)  # about which gravity does not turn
+        return frozenset(f"about_{axis}" for axis, same in zip("xyz", along, strict=True) if same and gravity.any())
+
     def prepare(self, elements):
         pass
 

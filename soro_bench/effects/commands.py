@@ -139,8 +139,10 @@ class _Pneumatic(_Following):
         self.asked[which] = setpoint
 
     def filter(self, which, setpoint):
-        change, self.asked[which] = setpoint - self.asked[which], setpoint
-        changed = self.pressure(which, self.output[which], change)
+        rows, ids = self.rows[which], self.ids[which]
+        # the supply goes on where the setpoint has ended: what was lost is filled again
+        change, self.asked[which] = setpoint - self.asked[which] + self.run.beyond[rows, ids], setpoint
+        changed = np.clip(self.pressure(which, self.output[which], change), *self.run.limits[ids].T)
         magnitude = self.values[self.quantities[0].name][which]
         self.output[which] = np.where(magnitude > 0, changed, setpoint)
         return self.output[which]
@@ -199,8 +201,9 @@ class Compliance(Law):
         super().prepare(elements)
         fixed = self.model.actuator_gaintype[self.ids] == mujoco.mjtGain.mjGAIN_FIXED
         affine = self.model.actuator_biastype[self.ids] == mujoco.mjtBias.mjBIAS_AFFINE
-        if not (fixed & affine).all():
-            raise EffectError(f"{self.name} acts on servos: actuators of fixed gain and affine bias")
+        of_position, of_velocity = self.model.actuator_biasprm[self.ids, 1:3].T
+        if not (fixed & affine & ~((of_position == 0) & (of_velocity != 0))).all():
+            raise EffectError(f"{self.name} acts on servos of positions: actuators of fixed gain and affine bias")
 
     def write(self, which):
         at = self.rows[which], self.ids[which]

@@ -102,7 +102,7 @@ def checked(effect: Effect, quantities: Sequence[Quantity]) -> Effect:
         if q.name not in given and q.of:
             raise EffectError(f"{effect.name} needs its {q.name} [{q.unit}]")
         value = given.get(q.name, q.typical)
-        number = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+        number = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < math.inf
         if not number or not q.bounds[0] <= value <= q.bounds[1]:
             low, high = q.bounds
             raise EffectError(f"{q.name} of {effect.name} is {_brief(value)}; allowed is {low:g} to {high:g} {q.unit}")

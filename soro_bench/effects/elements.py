@@ -25,9 +25,18 @@ def instrument(spec: mujoco.MjSpec) -> mujoco.MjSpec:
             tendon.springyield = NEVER
     for joint in spec.joints:
         if joint.type in _SCALARS and joint.name:
-            spring = spec.add_tendon(name=AUXILIARY + joint.name, springyield=NEVER)
+            spring = spec.add_tendon(name=AUXILIARY + joint.name)
             spring.wrap_joint(joint.name, 1.0)
+            _do_nothing(spring)
     return spec
+
+
+def _do_nothing(spring) -> None:
+    """Whatever the model's defaults give its tendons."""
+    spring.stiffness, spring.damping = np.zeros_like(spring.stiffness), np.zeros_like(spring.damping)
+    spring.frictionloss = spring.armature = 0.0
+    spring.limited = spring.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    spring.springlength, spring.springyield = (-1.0, -1.0), NEVER
 
 
 def without_unused_springs(spec: mujoco.MjSpec) -> mujoco.MjSpec:

@@ -42,6 +42,11 @@ class Law:
             self.batch.bind(name)
         self.prepare(run.elements)
 
+    @classmethod
+    def idle(cls, elements: Elements, port: Port) -> frozenset[str]:
+        """Quantities that can do nothing at a port, as a second direction of bending where there is one hinge."""
+        return frozenset()
+
     @property
     def dt(self) -> float:
         """s, a time step."""
@@ -86,9 +91,10 @@ class OnJoints(Law):
         self.qpos = self.model.jnt_qposadr[self.joints]
 
     def strain(self) -> np.ndarray:
-        """(n,) of each entry [rad, m]: the joints of one body bend it together, in no preferred direction."""
-        position = self.batch.qpos[self.rows, self.qpos]
-        return np.sqrt(np.bincount(self.place, position * position))[self.place]
+        """(n,) of each entry [rad, m], from where its spring is at rest: the joints of one body bend it together, in no
+        preferred direction."""
+        strained = self.batch.qpos[self.rows, self.qpos] - self.field("qpos_spring")[self.rows, self.qpos]
+        return np.sqrt(np.bincount(self.place, strained * strained))[self.place]
 
     def _joints(self, elements, port):
         if port.kind == "joint":
@@ -101,5 +107,6 @@ class OnJoints(Law):
 
 def tension(batch: Batch, rows, actuators) -> np.ndarray:
     """(n,) force [N, N m] of the actuators (n, a; -1 is none) on a tendon or joint, in the last time step."""
-    force = batch.actuator_force[rows[:, None], np.maximum(actuators, 0)]
+    ids = np.maximum(actuators, 0)
+    force = batch.model.actuator_gear[ids, 0] * batch.actuator_force[rows[:, None], ids]
     return np.abs(np.where(actuators >= 0, force, 0.0).sum(axis=1))

@@ -25,6 +25,11 @@ class Fault:
     quantities: ClassVar[tuple[Quantity, ...]]
     local: ClassVar[bool] = False  # concerns one point
 
+    @classmethod
+    def idle(cls, coordinates: int) -> frozenset[str]:
+        """Quantities that can do nothing to points of so many coordinates."""
+        return frozenset()
+
     @staticmethod
     def apply(time: np.ndarray, values: np.ndarray, p: Mapping[str, float], index: int) -> np.ndarray:
         """(T, P, D) what is recorded at ``time`` (T,) s of what happened."""
@@ -59,6 +64,10 @@ class SensorBias(Fault):
     name, local = "sensor_bias", True
     quantities = tuple(Quantity(axis, "signal", 0.002, _ANY) for axis in "xyz")
 
+    @classmethod
+    def idle(cls, coordinates):
+        return frozenset("xyz"[coordinates:])
+
     @staticmethod
     def apply(time, values, p, index):
         return _shifted(values, p, index, np.ones(len(time), bool))
@@ -69,6 +78,10 @@ class MarkerSlip(Fault):
 
     name, local = "marker_slip", True
     quantities = (*SensorBias.quantities, Quantity("time", "s", 10.0, (0.0, 1e6)))
+
+    @classmethod
+    def idle(cls, coordinates):
+        return SensorBias.idle(coordinates)
 
     @staticmethod
     def apply(time, values, p, index):

@@ -145,6 +145,9 @@ class ActiveEffects:
         self.slot = np.maximum(model.actuator_actadr, 0)
         # asked for; and what the laws have added to it, summed over time [s] since the reset
         self.setpoint, self.added = np.zeros((2, self.batch.nsim, model.nu))
+        # (nu, 2) where activations end, and how far beyond them the last time step would have gone
+        self.limits = np.where(model.actuator_actlimited[:, None], model.actuator_actrange, (-np.inf, np.inf))
+        self.beyond = np.zeros_like(self.setpoint)
         self._starts = np.ones(self.batch.nsim, bool)
         self._touched = np.zeros((self.batch.nsim, model.nu), bool)
         for law in self.filters:
@@ -190,8 +193,7 @@ class _Commands:
         limits = model.actuator_ctrlrange[i].T
         asked = run.batch.ctrl[self.rows, i]
         self.asked = np.where(model.actuator_ctrllimited[i], np.clip(asked, *limits), asked)
-        bounds = np.where(model.actuator_actlimited[i], model.actuator_actrange[i].T, [[-np.inf], [np.inf]])
-        self.low, self.high = bounds
+        self.low, self.high = run.limits[i].T
         place = np.zeros(run.setpoint.shape, int)
         place[self.rows, i] = np.arange(len(i))
         self.laws = []
@@ -203,7 +205,9 @@ class _Commands:
         """One time step."""
         run, at = self.run, (self.rows, self.actuators)
         before = run.setpoint[at]
-        moved = np.clip(before + run.timestep * self.asked, self.low, self.high)
+        wanted = before + run.timestep * self.asked
+        moved = np.clip(wanted, self.low, self.high)
+        run.beyond[at] = np.where(self.integrates, wanted - moved, 0.0)
         now = run.setpoint[at] = np.where(self.integrates, moved, self.asked)
         # a step uses the activation at its start, or at its end if the actuator is early
         output = np.where(self.integrates & ~self.early, before, now)

@@ -327,6 +327,11 @@ class RestBend(OnJoints):
     )
     fields = ("qpos_spring",)
 
+    @classmethod
+    def idle(cls, elements, port):
+        joints = elements.joints_of(elements.id(port), bending_only=True) if port.kind == "body" else [port]
+        return frozenset({"angle_y"} if len(joints) == 1 else ())
+
     def prepare(self, elements):
         super().prepare(elements)
         self.first = np.searchsorted(self.place, self.place)

@@ -151,13 +151,14 @@ class Task(ABC):
         self._distribution = distribution
 
     def state(self, ids: np.ndarray) -> dict[str, np.ndarray]:
-        """What simulations go on from, bit for bit: arrays of n rows by MuJoCo's names."""
+        """What simulations go on from, bit for bit but for what effects remember: arrays of n rows by MuJoCo's name."""
         for name in STATE:
             self.sim.batch.bind(name)
         return {name: getattr(self.sim.batch, name)[ids] for name in STATE}
 
     def set_state(self, ids: np.ndarray, state: Mapping[str, np.ndarray]) -> None:
-        """Continue simulations ``ids`` from a state; parameters, goals and what rewards count from stay."""
+        """Continue simulations ``ids`` from a state; parameters, goals and what rewards count from stay, and what
+        effects remember begins anew."""
         for name in STATE:
             self.sim.batch.bind(name)
             getattr(self.sim.batch, name)[ids] = state[name]

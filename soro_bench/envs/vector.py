@@ -88,7 +88,7 @@ class SoftRobotVectorEnv(VectorEnv):
     def step(self, actions):
         if not self._begun.all():
             waiting = np.flatnonzero(~self._begun).tolist()
-            raise gymnasium.error.ResetNeeded(f"environments {waiting} were never reset; reset them first")
+            raise gymnasium.error.ResetNeeded(f"environments {waiting} have begun no episode; reset them first")
         actions = self.task.check_actions(actions, self.num_envs)
         if self.autoreset_mode is AutoresetMode.DISABLED and self._done.any():
             raise ValueError(f"environments {np.flatnonzero(self._done).tolist()} are done; reset them first")
@@ -116,6 +116,7 @@ class SoftRobotVectorEnv(VectorEnv):
         """Reset simulations ``ids``; their rows of the observation and of ``info`` become those of the reset."""
         if len(ids) == 0:
             return
+        self._begun[ids] = False  # if the task refuses, say a goal that is reached at reset, nothing has begun
         self._observation[ids], rows = self.task.reset(ids, [self._rngs[i] for i in ids], options)
         self._elapsed[ids] = 0
         self._done[ids] = False

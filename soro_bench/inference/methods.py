@@ -85,6 +85,9 @@ def infer(
         raise ValueError(f"seed {seed}: 0 or more is needed")
     if (simulations := settings.get("simulations", LEAST_SIMULATIONS)) < LEAST_SIMULATIONS:
         raise ValueError(f"{simulations} simulations; at least {LEAST_SIMULATIONS} are needed")
+    if (method == "dropo") != replay.restarts:
+        raise ValueError("dropo needs a replay that restarts from the recorded states, the other methods one that does "
+                         "not")  # fmt: skip
     title = json.dumps([method, seed, settings, replay.fingerprint()])
     search = Search(replay, EvaluationLog(work, hashlib.sha256(title.encode()).hexdigest()), seed, progress, workers)
     distribution, estimate, jacobian = _FUNCTIONS[method](search, **settings)
@@ -167,6 +170,8 @@ def _bayes_sim(search: Search, features: str = "mdn", simulations: int = 1000, s
     from soro_bench.inference import bayes_sim
 
     replay = search.replay
+    if replay.steps < 2:
+        raise ValueError("a recording of 1 step; bayes-sim needs 2 or more for its summaries")
     points = np.random.default_rng(search.seed).random((simulations, search.dimension))
     measured = np.nan_to_num(replay.measured)
     # an entry of the log is SIMULATIONS points, and those that it has are not simulated again
@@ -183,6 +188,9 @@ def _bayes_sim(search: Search, features: str = "mdn", simulations: int = 1000, s
         search.progress(min(first + SIMULATIONS, simulations), simulations, np.nan)
     summaries = np.concatenate(summaries)
     sane = np.isfinite(summaries).all(axis=1)
+    if (count := sane.sum()) < LEAST_SIMULATIONS:
+        raise ValueError(f"{simulations - count} of {simulations} simulations diverged; "
+                         f"bayes-sim needs {LEAST_SIMULATIONS} that do not")  # fmt: skip
     estimator = bayes_sim.train(points[sane], summaries[sane], features, search.seed)
     drawn = estimator.sample(bayes_sim.summarise(measured[None], replay.actions)[0], samples, search.seed)
     values = search.low + search.width * drawn.mean(axis=0)
@@ -208,10 +216,11 @@ def _slope(search: Search, point) -> np.ndarray:
 def _posterior(method, search, distribution: Distribution, estimate, slope, settings) -> Posterior:
     replay, steps = search.replay, search.replay.steps
     residual = search.log(lambda p: search.residuals(p[None], steps)[0], search.point(estimate), "fit")
-    fit = {name: float(np.sqrt((residual[:, group] ** 2).mean()))
+    seen = ~np.isnan(replay.measured)
+    fit = {name: float(np.sqrt((residual[:, group][seen[:, group]] ** 2).mean()))
            for name, group in zip(replay.signal_names, replay.groups, strict=True)}  # fmt: skip
     # what the fit leaves is the deviation that it has, if it is more than was expected
-    left = (residual / replay.deviation)[~np.isnan(replay.measured)]
+    left = (residual / replay.deviation)[seen]
     deviation = max(1.0, float(np.sqrt((left**2).mean()))) * replay.deviation
     return Posterior(
         method=method,

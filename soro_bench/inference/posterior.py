@@ -40,19 +40,20 @@ class Posterior:
 
     def save(self, path: str | Path) -> None:
         """Write JSON that :func:`soro_bench.randomization.load` reads as the distribution."""
-        write_json(
-            path,
-            {
-                "schema": SCHEMA,
-                **self.distribution.to_dict(),
-                "method": self.method,
-                "estimate": self.estimate,
-                "known": self.known,
-                "fit": self.fit,
-                "identifiability": [c.to_dict() for c in self.combinations],
-                "model": self.model,
-                "replay": self.replay,
-                "replays": round(self.replays, 2),
-                "settings": self.settings,
-            },
-        )
+        write_json(path, self.to_dict())
+
+    def to_dict(self) -> dict:
+        """What the file holds."""
+        return {
+            "schema": SCHEMA,
+            **self.distribution.to_dict(),
+            "method": self.method,
+            "estimate": self.estimate,
+            "known": self.known,
+            "fit": self.fit,
+            "identifiability": [c.to_dict() for c in self.combinations],
+            "model": self.model,
+            "replay": self.replay,
+            "replays": round(self.replays, 2),
+            "settings": self.settings,
+        }

@@ -11,7 +11,7 @@ import numpy as np
 from soro_bench.parallel import processors
 from soro_bench.parameters import Parameter
 from soro_bench.recording.recording import Recording, RecordingError, Signal, resampled, sampled
-from soro_bench.recording.simulated import recorded_actions
+from soro_bench.recording.simulated import COMMAND, recorded_actions
 from soro_bench.registration import make_task, task_type
 
 # What a simulation is trusted to beside the sensor's noise, standard deviations by unit: in metres that of the
@@ -59,6 +59,8 @@ class Replay:
         if names is None:
             names = [p.name for p in kind.randomized if p.name not in self.known]
         self._task.parameters.check_names(names)
+        if twice := sorted({name for name in names if list(names).count(name) > 1}):
+            raise ValueError(f"{', '.join(twice)} cannot be inferred twice")
         if both := set(names) & set(self.known):
             raise ValueError(f"{', '.join(sorted(both))} cannot be both known and inferred")
         if not names:
@@ -71,13 +73,15 @@ class Replay:
         self._read(recording, noise)
 
     def _read(self, recording, noise) -> None:
-        times = recording.start + self._task.control_timestep * np.arange(1, len(self.actions) + 1)
+        begin, _ = recording.control_steps([COMMAND], self._task.control_timestep)
+        times = begin + self._task.control_timestep * np.arange(1, len(self.actions) + 1)
         measured, deviation, sensor, self.groups, first = [], [], [], [], 0
+        self._task.reset(np.arange(1), [np.random.default_rng(0)], [{}])  # another replay may have used it
         simulated = self._task.signals(np.arange(1))
         for name in self.signal_names:
             if name not in recording.signals:
                 raise RecordingError(f"the recording has no {name}; it has {', '.join(recording.names)}")
-            given = _checked(name, recording.signals[name], self._task.signal_units[name], simulated[name][0].shape)
+            given = _checked(name, recording.signals[name], self._task.signal_units[name], simulated[name][0])
             signal = resampled(given, times)
             rows = signal.values.reshape(len(times), -1)
             rows = np.where(sampled(given.time, times)[:, None], rows, np.nan)
@@ -106,10 +110,15 @@ class Replay:
         """T, the number of recorded actions."""
         return len(self.actions)
 
+    @property
+    def restarts(self) -> bool:
+        """Whether every time step starts from the recorded state."""
+        return self._states is not None
+
     def fingerprint(self) -> str:
         """Names what is replayed: another recording, model or known value has another one."""
         digest = hashlib.sha256(repr((self.names, sorted(self.known.items()), self.model)).encode())
-        for array in (self.actions, self.measured, self.deviation):
+        for array in (self.actions, self.measured, self.deviation, *(self._states or {}).values()):
             digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()[:16]
 
@@ -157,24 +166,31 @@ class Replay:
         return np.concatenate([signals[name].reshape(len(ids), -1) for name in self.signal_names], axis=1)
 
 
-def _checked(name: str, signal: Signal, kind: tuple[str, str], shape: tuple[int, ...]) -> Signal:
-    """The signal, quaternions without jumps to their negatives; RecordingError if it is not what is simulated."""
-    if (signal.unit, signal.frame) != kind or signal.values.shape[1:] != shape:
+def _checked(name: str, signal: Signal, kind: tuple[str, str], simulated: np.ndarray) -> Signal:
+    """The signal, quaternions without jumps to their negatives; RecordingError if it is not what is simulated.
+
+    Args:
+        kind: unit and frame that it has to have.
+        simulated: a sample at rest.
+    """
+    if (signal.unit, signal.frame) != kind or signal.values.shape[1:] != simulated.shape:
         raise RecordingError(
             f"{name} is in {signal.unit!r}, frame {signal.frame!r}, with samples of shape {signal.values.shape[1:]}; "
-            f"expected are {kind[0]!r}, {kind[1]!r}, {shape}"
+            f"expected are {kind[0]!r}, {kind[1]!r}, {simulated.shape}"
         )
     if signal.unit not in RESOLUTION:
         raise RecordingError(f"{name} is in {signal.unit!r}; allowed are {', '.join(RESOLUTION)}")
-    return replace(signal, values=_continuous(signal.values)) if name == "object_quaternion" else signal
+    return replace(signal, values=_continuous(signal.values, simulated)) if name.endswith("_quaternion") else signal
 
 
-def _continuous(quaternions: np.ndarray) -> np.ndarray:
-    """(T, 4) quaternions w, x, y, z, each of the sign nearer to the one before it; the first turns by less than pi."""
-    found, before = quaternions.copy(), np.array([1.0, 0.0, 0.0, 0.0])
-    for i in np.flatnonzero(~np.isnan(found).any(axis=1)):
-        found[i] *= -1.0 if found[i] @ before < 0 else 1.0
-        before = found[i]
+def _continuous(quaternions: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """(T, ..., 4) quaternions w, x, y, z, each of the sign nearer to the one before it, the first to rest (..., 4)."""
+    found = quaternions.copy()
+    for body in np.ndindex(rest.shape[:-1]):
+        turning, before = found[:, *body], rest[body]
+        for i in np.flatnonzero(~np.isnan(turning).any(axis=1)):
+            turning[i] *= -1.0 if turning[i] @ before < 0 else 1.0
+            before = turning[i]
     return found
 
 
@@ -186,7 +202,7 @@ def _simulations(env_id, model, action, threads):
 
 def _states(recording, steps, timestep) -> dict[str, np.ndarray]:
     """The recorded state before every action, by the name of its part."""
-    prefix, times = "state.", recording.start + timestep * np.arange(steps)
+    prefix, times = "state.", recording.control_steps([COMMAND], timestep)[0] + timestep * np.arange(steps)
     parts = {name.removeprefix(prefix): recording.signals[name] for name in recording.names if name.startswith(prefix)}
     if not parts:
         raise RecordingError("restarting needs the full state; make the recording with soro-bench record --full-state")

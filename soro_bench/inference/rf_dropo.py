@@ -13,7 +13,6 @@ Two ways to find them, with the same objective (docs/inference.md compares):
   renewed until nothing improves.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +26,6 @@ from soro_bench.inference.search import EvaluationLog, cma_search
 
 SMALLEST_STD, LARGEST_STD = 1e-5, 0.25  # of the search box; the upper one as published
 ROUNDS = 12
-Predict = Callable[[np.ndarray, int], np.ndarray]  # residuals (N, T, k) of points (N, d) of the unit cube
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+WORST = 1e300  # the cost of a replay that diverges: worse than those of all that do not
+
 
 class EvaluationLog:
     """The results of expensive calls in the order in which they were made, a line of JSON each.
@@ -88,21 +90,31 @@ def cma_search(
         popsize: points per generation.
         seed: of CMA-ES.
         progress: called with iteration, iterations and the best cost of the generation.
+
+    Raises:
+        ValueError: no finalist has a finite cost.
     """
     import cma
+
+    def finite(points, share):
+        return np.nan_to_num(objective(points, share), nan=WORST, posinf=WORST)
 
     rng = np.random.default_rng(seed)
     options = {"popsize": popsize, "bounds": [0, 1], "verbose": -9, "seed": np.nan, "tolx": 1e-6, "tolfun": 0,
                "tolfunhist": 0, "tolstagnation": 10**9, "randn": lambda *shape: rng.standard_normal(shape)}  # fmt: skip
+    if dimension == 1:  # cma (4.5) cannot limit the step in one dimension, which it wants to do beyond its default
+        options["maxstd"] = [np.inf]
     # started as the published search: in the middle, step 0.3
     search = cma.CMAEvolutionStrategy(np.full(dimension, 0.5), 0.3, options)
     for iteration in range(iterations):
         points = search.ask()
-        costs = objective(np.array(points), iteration / iterations)
-        # replays that diverge are worse than all that do not
-        search.tell(points, np.nan_to_num(costs, nan=1e300, posinf=1e300).tolist())
+        costs = finite(np.array(points), iteration / iterations)
+        search.tell(points, costs.tolist())
         progress(iteration + 1, iterations, float(costs.min()))
         if search.sigma * search.sm.variances.max() ** 0.5 < 1e-6:
             break
     finalists = np.clip([search.result.xfavorite, points[int(np.argmin(costs))]], 0, 1)
-    return finalists[int(np.argmin(objective(finalists, 1.0)))]
+    costs = finite(finalists, 1.0)
+    if costs.min() >= WORST:
+        raise ValueError("every replay diverged that the search has ended with; other parameters have to be tried")
+    return finalists[int(np.argmin(costs))]

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import tyro
 
+from soro_bench.files import shown
 from soro_bench.options import check_name
 from soro_bench.progress import console
 
@@ -80,7 +81,7 @@ class Verify:
             try:
                 lines = self._verified(path)
             except (ValueError, OSError) as error:  # the others are verified all the same
-                lines = {"refused": f"differs: {error}"}
+                lines = {"refused": f"differs: {shown(str(error))}"}
             for part, found in lines.items():
                 console.print(f"{path}: {part}: {found}", soft_wrap=True, markup=False, highlight=False)
                 differs = differs or found.startswith("differs")

@@ -7,13 +7,18 @@ seed<k>.safetensors or seed<k>.onnx beside it.
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from soro_bench.envs.task import Task
 from soro_bench.files import read_bytes, replacing, write_json
 from soro_bench.leaderboard.boards import BOARDS, Board
 from soro_bench.leaderboard.onnx_policy import OnnxPolicy
 from soro_bench.leaderboard.strict import check, read_strict
+from soro_bench.registration import make_task, task_type
 from soro_bench.report import read_curve
 from soro_bench.results import versions
 from soro_bench.training.policy import MAX_BYTES, Policy, PolicyCard
@@ -75,7 +80,23 @@ def policy_bytes(path: str | Path, entry: dict) -> bytes:
 def policy_of(path: str | Path, entry: dict) -> Policy | OnnxPolicy:
     """The policy of the entry in the file ``path``."""
     file = Path(path).parent / entry["policy"]["file"]
-    return _KINDS[file.suffix].from_bytes(card_of(entry), policy_bytes(path, entry), file)
+    policy = _KINDS[file.suffix].from_bytes(card_of(entry), policy_bytes(path, entry), file)
+    _check_fit(policy, file)
+    return policy
+
+
+def _check_fit(policy: Policy | OnnxPolicy, file: Path) -> None:
+    """ValueError if a policy does not take its environment's observations or gives other actions."""
+    task = _task(policy.card.env_id, policy.card.action)
+    try:
+        task.check_actions(policy.act(np.zeros((1, *task.single_observation_space.shape))), 1)
+    except ValueError as error:
+        raise ValueError(f"{file} is no policy for {policy.card.env_id}: {error}") from error
+
+
+@cache
+def _task(env_id: str, action: str) -> Task:
+    return make_task(env_id, 1, 1, task_type(env_id).cheap, action=action)
 
 
 def write_entry(

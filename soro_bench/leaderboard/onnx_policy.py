@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from soro_bench.files import shown
 from soro_bench.training.policy import PolicyCard
 
 MAX_BYTES = 5_000_000  # of a file; parsed, nodes without content take some seventy times as much
 MAX_NODES = 1000
-MAX_VALUES = 1_000_000  # numbers in all results of nodes together
+MAX_VALUES = 100_000  # numbers in all results of nodes together
 MAX_READ = 20_000_000  # numbers that all nodes read together: as many as a layer has weights
+MAX_PRODUCTS = 20_000_000  # of all products of matrices together: as many as a layer has weights
 FIRST_OPSET = 13  # of older ones, shapes are inferred without broadcasting, and so too small
 OPERATORS = frozenset({
     "Add", "ArgMax", "BatchNormalization", "Cast", "Clip", "Concat", "Constant", "Div", "Elu", "Erf", "Flatten", "Gelu",
@@ -52,7 +54,7 @@ class OnnxPolicy:
             policy = cls(card, data, _with_known_shapes(onnx, model), source)
             policy.act(np.zeros((1, policy._size)))
         except Exception as error:  # whatever a stranger's bytes make of a protocol buffer
-            raise ValueError(f"{source} holds no valid policy: {str(error).split(chr(10))[0][:200]}") from error
+            raise ValueError(f"{source} holds no valid policy: {shown(str(error).split(chr(10))[0][:200])}") from error
         return policy
 
     def to_bytes(self) -> bytes:
@@ -116,9 +118,16 @@ def _with_known_shapes(onnx, model):
     del model.graph.value_info[:]
     model.graph.output[0].type.tensor_type.ClearField("shape")
     model = onnx.shape_inference.infer_shapes(model, check_type=True, strict_mode=True)
+    _check_work(model)
+    return model
+
+
+def _check_work(model) -> None:
+    """ValueError if a row of observations would take long, or much memory."""
     sizes = {weight.name: float(np.prod(weight.dims)) for weight in model.graph.initializer}
+    types = {}
     for value in (*model.graph.input, *model.graph.value_info, *model.graph.output):
-        dims = value.type.tensor_type.shape.dim
+        types[value.name], dims = value.type.tensor_type.elem_type, value.type.tensor_type.shape.dim
         if value.type.tensor_type.HasField("shape") and all(dim.HasField("dim_value") for dim in dims):
             sizes[value.name] = float(np.prod([float(dim.dim_value) for dim in dims]))
     nodes = [node for node in model.graph.node if node.op_type != "Constant"]  # which the file's size bounds
@@ -128,7 +137,13 @@ def _with_known_shapes(onnx, model):
         raise ValueError(f"its nodes give {total:.3g} numbers; allowed: {MAX_VALUES}")
     if (total := sum(sizes.get(name, 0.0) for node in nodes for name in node.input)) > MAX_READ:
         raise ValueError(f"its nodes read {total:.3g} numbers; allowed: {MAX_READ}")
-    return model
+    products = [node for node in nodes if node.op_type in ("MatMul", "Gemm")]
+    if slow := [node for node in products if types.get(node.output[0]) not in _FLOATS]:
+        raise ValueError(f"{slow[0].op_type} of other numbers than float or double, which NumPy multiplies slowly")
+    # (m, k) times (k, n) takes m k n, the root of the product of all sizes; of stacks of matrices this is the most
+    sides = [(*node.input[:2], node.output[0]) for node in products]
+    if (total := sum(np.sqrt(np.prod([sizes.get(name, 0.0) for name in side])) for side in sides)) > MAX_PRODUCTS:
+        raise ValueError(f"its matrices take {total:.3g} products; allowed: {MAX_PRODUCTS}")
 
 
 def _onnx():

@@ -54,14 +54,22 @@ def _copy(data: bytes, path: Path) -> None:
 
 
 def _recording(group: Group) -> str:
-    return f"recordings/{group.board}/{group.entry}/{group.method}.rrd"
+    """Where the recording of a group is: another best policy has another one."""
+    _, entry = _best(group)
+    return f"recordings/{group.board}/{group.entry}/{group.method}-{entry['policy']['sha256'][:8]}.rrd"
 
 
-def _record(group: Group, path: Path) -> None:
+def _best(group: Group) -> tuple[Path, dict]:
+    """The entry whose policy is best on the accurate model; the first one where that is not known."""
     board = BOARDS[group.board]
     label = task_type(board.env_id).accurate
     known = group.scores(label).mean(axis=1) if label in group.labels else np.zeros(len(group.entries))
-    best = group.entries[int(known.argmax() if board.higher else known.argmin())]
+    return group.entries[int(known.argmax() if board.higher else known.argmin())]
+
+
+def _record(group: Group, path: Path) -> None:
+    board, best = BOARDS[group.board], _best(group)
+    label = task_type(board.env_id).accurate
     title = f"{group.board}: {title_of(group)}, seed {best[1]['seed']}, on {label}"
     write_recording(path, board.play(policy_of(*best), label), title)
 

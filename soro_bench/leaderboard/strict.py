@@ -11,6 +11,7 @@ from soro_bench.files import read_bytes
 
 ENTRY_BYTES = 1_000_000
 REPORT_BYTES = 10_000_000
+MAX_DEPTH = 50  # of lists and objects in one another; Python's recursion ends at some hundreds
 
 
 def read_strict(path: str | Path, max_bytes: int = ENTRY_BYTES) -> dict:
@@ -22,6 +23,10 @@ def read_strict(path: str | Path, max_bytes: int = ENTRY_BYTES) -> dict:
         )
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path} is no valid JSON: {str(error)[:200]}") from error
+    try:
+        _check_parts(found)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
     if not isinstance(found, dict):
         raise ValueError(f"{path} holds {reprlib.repr(found)}; a JSON object is needed")
     return found
@@ -36,7 +41,7 @@ def check(data: dict, schema: str, path: str | Path) -> None:
 
 def _said(error) -> str:
     """What is wrong in one line: the field, its value, what is allowed."""
-    field = ".".join(map(str, error.absolute_path)) or "the entry"
+    field = ".".join(map(str, error.absolute_path))[:100] or "the entry"
     if error.validator in ("required", "additionalProperties"):  # about the names in it, not about its value
         return f"in {field}: {error.message[:200]}"
     return f"{field} is {reprlib.repr(error.instance)}; allowed: {error.validator} {error.validator_value}"
@@ -47,10 +52,24 @@ def _object(pairs) -> dict:
     if len(found) < len(pairs):
         name, _ = Counter(name for name, _ in pairs).most_common(1)[0]
         raise ValueError(f"the name {reprlib.repr(name)} comes twice")
-    for text in (*found, *found.values()):
-        if isinstance(text, str) and not text.isprintable():
-            raise ValueError(f"{reprlib.repr(text)} has characters that cannot be shown")
     return found
+
+
+def _check_parts(found) -> None:
+    """ValueError for a text, anywhere, that cannot be shown, and for parts in parts in parts."""
+    level, depth = [found], 0
+    while level:
+        if depth > MAX_DEPTH:
+            raise ValueError(f"lists and objects in one another, more than {MAX_DEPTH} deep")
+        for text in level:
+            if isinstance(text, str) and not text.isprintable():
+                raise ValueError(f"{reprlib.repr(text)} has characters that cannot be shown")
+        level = [part for each in level for part in _parts(each)]
+        depth += 1
+
+
+def _parts(value) -> list:
+    return [*value, *value.values()] if isinstance(value, dict) else value if isinstance(value, list) else []
 
 
 def _finite(text: str) -> float:

@@ -1,6 +1,7 @@
 """The blinded challenge: cases with concealed physics are written and committed to, diagnosed, and only then scored."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -40,23 +41,30 @@ def prove(
         ablations: how many of the cases, the first ones, are also diagnosed without each part of the method.
         workers: what computes the cases; those of a cluster see the same folder.
     """
+    if not 0 <= ablations <= count:
+        raise ValueError(f"ablations {ablations}: 0 to {count}, as many as there are cases, can be asked for")
     require_jsonschema()  # before the work, not after it
     folder = Path(folder).resolve()  # workers of a cluster start elsewhere
     cases, reports = folder / "cases", folder / "reports"
     _check_method(reports / METHOD)
     write_cases(cases, count, seed, nulls, workers, lambda done, total: progress("cases written", done, total))
     names = sorted(path.name for path in cases.glob("case_*"))
-    todo = [(cases / name, reports / f"{name}.json") for name in names]
-    for i, _ in enumerate(each(diagnosed, todo, workers)):
-        progress("cases diagnosed", i + 1, len(todo))
+    wanted = [(cases / name, reports / f"{name}.json") for name in names]
+    _carry_out(diagnosed, wanted, workers, partial(progress, "cases diagnosed"))
     text = _scorecard(folder, ())
-    todo = [
+    wanted = [
         (ablation, cases / name, folder / ablation / f"{name}.json")
         for ablation, name in product(ABLATIONS if ablations else (), names[:ablations])
     ]
-    for i, _ in enumerate(each(ablated, todo, workers)):
-        progress("ablations", i + 1, len(todo))
+    _carry_out(ablated, wanted, workers, partial(progress, "ablations"))
     return _scorecard(folder, ABLATIONS) if ablations else text
+
+
+def _carry_out(function: Callable, wanted: Sequence[tuple], workers: Workers, progress) -> None:
+    """Call the function for those whose file, the last of the arguments, is not there."""
+    todo = [arguments for arguments in wanted if not arguments[-1].exists()]
+    for i, _ in enumerate(each(function, todo, workers)):
+        progress(len(wanted) - len(todo) + i + 1, len(wanted))
 
 
 def _scorecard(folder: Path, ablations: Iterable[str]) -> str:
@@ -86,8 +94,7 @@ def _read_all(folder) -> dict[str, dict]:
 
 
 def diagnosed(case: Path, path: Path) -> None:
-    """Write the report of a case, and how it does on motion that it has not seen, unless that is there."""
-    if not path.exists():
-        robot = SuiteRobot(ENV_ID, threads=processors())
-        found = diagnose(robot, [load(case / "train.parquet")], [load(case / "heldout.parquet")])
-        write_json(path, report_of(found) | {"unseen": unseen(found, load(case / "task.parquet"))})
+    """Write the report of a case, and how it does on motion that it has not seen."""
+    robot = SuiteRobot(ENV_ID, threads=processors())
+    found = diagnose(robot, [load(case / "train.parquet")], [load(case / "heldout.parquet")])
+    write_json(path, report_of(found) | {"unseen": unseen(found, load(case / "task.parquet"))})

@@ -47,7 +47,8 @@ def scored(labels: Sequence[dict], reports: dict[str, dict], seed: int = 0) -> d
 
 def case_row(label: dict, report: dict) -> dict:
     """What a report found of what a label says."""
-    first, said = report["effects"][0], [e["name"] for e in report["effects"][:3]]
+    first = _first(report)
+    said = [first["name"], *(e["name"] for e in report["effects"] if e is not first)][:3]
     if not 0.0 <= first["probability"] <= 1.0:
         raise ValueError(f"the probability of {first['name']} is {first['probability']}; allowed: 0 to 1")
     truth, all_of_them = [e["name"] for e in label["effects"]], report["hypotheses"][0]["names"]
@@ -85,6 +86,15 @@ def case_row(label: dict, report: dict) -> dict:
         "concealed": concealed,
         "seconds": report["seconds"],
     }
+
+
+def _first(report: dict) -> dict:
+    """The first answer of a report; where its verdict is that nothing was detected, that, whatever is likelier."""
+    found = report["effects"][0]
+    if report["verdict"] == "none_detected" and found["name"] != "none":
+        nothing = {"name": "none", "class": "none", "where": None, "probability": 0.0}
+        return next((e for e in report["effects"] if e["name"] == "none"), nothing)
+    return found
 
 
 def _same_place(truth: dict, said: dict | None) -> bool:
@@ -271,8 +281,7 @@ def _confusion(rows) -> list[dict]:
     pairs = Counter()
     for row in rows:
         if not row["first"]:
-            said = row["said"][0] if row["alarm"] else "none"
-            pairs[" + ".join(row["truth"]) or "none", said] += 1
+            pairs[" + ".join(row["truth"]) or "none", row["said"][0]] += 1
     return [{"truth": truth, "said": said, "cases": n} for (truth, said), n in pairs.most_common()]
 
 

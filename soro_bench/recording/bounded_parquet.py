@@ -12,7 +12,7 @@ from soro_bench.recording.recording import RecordingError
 from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, MAX_COLUMNS, MAX_ROWS
 
 _MAX_ROW_GROUPS = 10_000
-_MAX_FOOTER = 1_000_000  # bytes; grows some hundredfold in memory
+MAX_FOOTER = 1_000_000  # bytes; grows some hundredfold in memory
 _MAX_DEPTH = 20  # of the schema
 _NUMBERS = {"BOOLEAN", "INT32", "INT64", "FLOAT", "DOUBLE"}
 _MAGIC = b"PAR1"
@@ -41,7 +41,7 @@ class BoundedParquet:
         self._file = pq.ParquetFile(
             pa.BufferReader(data),
             pre_buffer=False,
-            thrift_string_size_limit=_MAX_FOOTER,
+            thrift_string_size_limit=MAX_FOOTER,
             thrift_container_size_limit=2 * _MAX_ROW_GROUPS,
             schema_depth_limit=_MAX_DEPTH,
             page_checksum_verification=True,
@@ -95,8 +95,8 @@ def _footer(data) -> Footer:
     if len(data) < 12 or data[:4] != _MAGIC or data[-4:] != _MAGIC:
         raise RecordingError("no complete Parquet file")
     (size,) = struct.unpack("<I", data[-8:-4])
-    if not 0 < size <= min(len(data) - 12, _MAX_FOOTER):
-        raise RecordingError(f"a footer of {size} bytes; expected at most {min(len(data) - 12, _MAX_FOOTER)}")
+    if not 0 < size <= min(len(data) - 12, MAX_FOOTER):
+        raise RecordingError(f"a footer of {size} bytes; expected at most {min(len(data) - 12, MAX_FOOTER)}")
     return read_footer(data, len(data) - 8 - size, len(data) - 8)
 
 

@@ -35,6 +35,8 @@ class Record:
     """Standard deviation [m] of normal noise on all positions; orientations are as noisy as 25 mm off the centre."""
     full_state: bool = False
     """Record the simulation's whole state too, which DROPO restarts from."""
+    effects: Path | None = None
+    """JSON file of physics that the model leaves out (docs/effects.md); for a robot to try a diagnosis on."""
 
     def run(self) -> None:
         from soro_bench.recording.parquet import save
@@ -43,7 +45,7 @@ class Record:
         check_output(self.out, ".parquet")
         recording = record(
             self.env, self.policy, self.model, self.action, parse_params(self.params), self.steps, self.seed,
-            self.noise, self.full_state,
+            self.noise, self.full_state, self.effects,
         )  # fmt: skip
         save(recording, self.out)
         _describe(recording, self.out)

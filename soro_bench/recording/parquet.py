@@ -19,7 +19,7 @@ except ImportError as error:
     raise ImportError("recordings need pyarrow: pip install soro_bench[record]") from error
 
 from soro_bench.files import replacing
-from soro_bench.recording.bounded_parquet import BoundedParquet
+from soro_bench.recording.bounded_parquet import MAX_FOOTER, BoundedParquet
 from soro_bench.recording.recording import SCHEMA, Recording, RecordingError, Signal, check_shape
 from soro_bench.recording.untrusted import MAX_BYTES, MAX_ROWS, named_errors, read_bytes
 
@@ -54,6 +54,8 @@ def save(recording: Recording, path: str | Path) -> None:
             write_statistics=False,
             write_page_checksum=True,
         )
+        if (size := pq.read_metadata(temporary).serialized_size) > MAX_FOOTER:  # it could not be read again
+            raise RecordingError(f"names, units and metadata take {size} bytes of the file; at most {MAX_FOOTER} may")
 
 
 def load(path: str | Path, max_bytes: int = MAX_BYTES) -> Recording:

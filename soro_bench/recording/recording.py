@@ -6,7 +6,7 @@ Nothing here knows a file format: :mod:`soro_bench.recording.parquet` reads and 
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -109,6 +109,23 @@ class Recording:
         """From the first time stamp to the last [s]."""
         return float(max(signal.time[-1] for signal in self._all())) - self.start
 
+    def control_steps(self, commands: Iterable[str], step: float) -> tuple[float, int]:
+        """When control steps [s] begin, and how many there are until the last time stamp.
+
+        They begin with the first command if that comes within a step of the first sample, as in logs whose signals
+        have time stamps of their own; else each command would count from up to a step later.
+
+        Args:
+            commands: those that count; RecordingError if there is no such command.
+            step: s, of the control.
+        """
+        for name in commands:
+            if name not in self.commands:
+                raise RecordingError(f"the recording has no command {name!r}; it has {sorted(self.commands)}")
+        first = min((float(self.commands[name].time[0]) for name in commands), default=self.start)
+        begin = first if first - self.start < step else self.start
+        return begin, math.ceil((self.start + self.duration - begin) / step - 1e-6)
+
     def _all(self) -> list[Signal]:
         return [*self.commands.values(), *self.signals.values()]
 
@@ -186,7 +203,7 @@ def check_parameters(parameters: Mapping[str, float]) -> None:
     _check_mapping("parameters", parameters)
     for name, value in parameters.items():
         check_name(name)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < math.inf:
             raise RecordingError(f"parameter {name} is {_brief(value)}; it has to be a finite number")
 
 

@@ -11,8 +11,10 @@ import os
 import subprocess
 import sys
 import uuid
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,9 +24,11 @@ from soro_bench.recording.episode import Episode
 from soro_bench.recording.trunk_drawing import draw_trunk
 from soro_bench.recording.walker_drawing import draw_walker
 
+if TYPE_CHECKING:
+    import rerun
+
 APPLICATION_ID = "soro_bench"
 DRAWINGS = {"Trunk": draw_trunk, "MultiGait": draw_walker}  # by how the environment's id begins
-SWITCHED_OFF = "rerun is switched off by the environment variable RERUN"
 
 
 def write_recording(
@@ -38,8 +42,6 @@ def write_recording(
     chunks and the blueprint, and orders the columns of the file's index at random.
     """
     require_rerun()
-    import rerun as rr
-
     from soro_bench.recording.rerun_entities import log_episodes, log_points
     from soro_bench.recording.rerun_layout import layout
 
@@ -47,18 +49,26 @@ def write_recording(
         raise ValueError("a recording needs at least one episode")
     points = points or {}
     drawings = [_draw(episode) for episode in episodes]
+    with recorded(path, title, _recording_id(episodes, title, points)) as recording:
+        recording.send_blueprint(layout(episodes, drawings))
+        recording.flush()  # what comes now must not overtake it
+        log_episodes(recording, episodes, drawings, title)
+        log_points(recording, points)
+
+
+@contextmanager
+def recorded(path: str | Path, title: str, recording_id: str) -> Iterator["rerun.RecordingStream"]:
+    """A stream whose content becomes the file ``path`` when the block ends, and nothing if it fails."""
+    require_rerun()
+    import rerun as rr
+
     # without properties, which hold the time of writing; in memory, so that a full disk raises below
-    recording = rr.RecordingStream(
-        APPLICATION_ID, recording_id=_recording_id(episodes, title, points), send_properties=False
-    )
-    if not recording.is_enabled():
-        raise RuntimeError(SWITCHED_OFF)
-    memory = recording.memory_recording()
-    recording.send_blueprint(layout(episodes, drawings))
-    recording.send_recording_name(title)
-    recording.flush()  # what comes now must not overtake it
-    log_episodes(recording, episodes, drawings, title)
-    log_points(recording, points)
+    stream = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id, send_properties=False)
+    if not stream.is_enabled():
+        raise ValueError("rerun is switched off by the environment variable RERUN; unset it")
+    memory = stream.memory_recording()
+    stream.send_recording_name(title)
+    yield stream
     with replacing(path) as temporary:
         temporary.write_bytes(memory.drain_as_bytes())
 

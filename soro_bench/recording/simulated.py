@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 
 import soro_bench
+from soro_bench.effects.effect import Effect
 from soro_bench.envs.task import ACTION_MODES
 from soro_bench.evaluation import evaluate
 from soro_bench.recording.episode import Episode
@@ -35,6 +36,7 @@ def record(
     seed: int = 0,
     noise: float = 0.0,
     full_state: bool = False,
+    effects: str | Path | Sequence[Effect] | None = None,
 ) -> Recording:
     """Simulate an episode and record what there is to measure.
 
@@ -49,6 +51,7 @@ def record(
         noise: m, standard deviation of normal noise on every number of all positions; orientations are as noisy as
             those of markers 25 mm off the centre.
         full_state: whether to record the simulation's whole state too, as signals named state.qpos and so on.
+        effects: physics that the model leaves out, as the environment takes it; a replay does not have it.
 
     Raises:
         ValueError: names what is wrong and what is allowed.
@@ -70,7 +73,8 @@ def record(
     else:
         act = trained.act if trained else _random(task.single_action_space, seed)
     steps = steps or gymnasium.spec(env_id).max_episode_steps
-    episode = _run(act, env_id, model, action, {"params": params or {}}, steps, seed, full_state)
+    missing = {} if effects is None else {"effects": effects}
+    episode = _run(act, env_id, model, action, {"params": params or {}}, steps, seed, full_state, **missing)
     metadata = {"policy": policy[:1000], "seed": str(seed), "soro_bench": soro_bench.__version__}
     return _recording(episode, action, noise, seed, metadata)
 
@@ -110,10 +114,10 @@ def recorded_actions(recording: Recording) -> tuple[str, np.ndarray]:
     if COMMAND not in recording.commands:
         raise RecordingError(f"there is no command {COMMAND!r} to replay; there are {sorted(recording.commands)}")
     timestep = task_type(env_id).control_timestep
-    steps = math.ceil(recording.duration / timestep - 1e-6)
+    begin, steps = recording.control_steps([COMMAND], timestep)
     if not 1 <= steps <= MAX_STEPS:
         raise RecordingError(f"{recording.duration} s are {steps} control steps; expected 1 to {MAX_STEPS}")
-    times = recording.start + timestep * np.arange(steps)
+    times = begin + timestep * np.arange(steps)
     return env_id, _held(recording.commands[COMMAND], times, action == "discrete")
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from soro_bench.options import EnvId, check_name
+from soro_bench.options import EnvId, check_name, check_seed
 from soro_bench.progress import TrainingBars, console
 from soro_bench.registration import task_type
 
@@ -44,6 +44,7 @@ class Train:
         changes = {name: value for name, value in given.items() if value is not None}
         name = self.name or ("own" if self.randomization or self.effects else self.method)
         check_name("name", name)
+        check_seed(self.seed)
         config = default_config(self.env, self.steps, method=name, seed=self.seed, **changes)
         box = METHODS[self.method].distribution(self.env, self.seed, self.out)
         distribution = load(self.randomization) if self.randomization else box
@@ -77,8 +78,9 @@ class Evaluate:
         name, board = board_of(policy.card.env_id, self.board)
         label = self.on or task_type(board.env_id).accurate
         path = out / f"evaluation_{label}.json"
-        if path.exists() and (other := read_json(path).get("board")) != name:
-            raise ValueError(f"{path} is of {other}: say with --out where the results on {name} go")
+        before = read_json(path) if path.exists() else {"board": name}
+        if not isinstance(before, dict) or before.get("board") != name:
+            raise ValueError(f"{path} holds other results: say with --out where those on {name} go")
         scores = record_evaluations(policy, name, (board.labelled(label),), out)
         write_json(path, {"board": name, **scores})
         final = scores[label]["final_mm"]

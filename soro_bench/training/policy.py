@@ -1,5 +1,6 @@
 """A trained policy as data: safetensors for the numbers, JSON for their meaning. Nothing is ever unpickled."""
 
+import reprlib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import ClassVar
@@ -9,7 +10,7 @@ import numpy as np
 from soro_bench.files import read_bytes, read_json, replacing, write_json
 
 _WEIGHTS, _CARD = "policy.safetensors", "policy.json"
-MAX_BYTES = 100_000_000  # of a policy file
+MAX_BYTES = 20_000_000  # of a policy file
 
 
 @dataclass(frozen=True)
@@ -103,12 +104,16 @@ class Policy:
     def _check_shapes(self, source) -> None:
         names = ["mean", "std", *(f"{kind}{i}" for i in range(self.num_layers) for kind in "wb")]
         if self.num_layers == 0 or sorted(names) != sorted(self.tensors):
-            raise ValueError(f"{source} holds no valid policy: its tensors are {', '.join(sorted(self.tensors))[:200]}")
+            found = reprlib.repr(sorted(self.tensors))
+            raise ValueError(f"{source} holds no valid policy: its tensors are {found}")
+        if other := {str(value.dtype) for value in self.tensors.values()} - {"float32", "float64"}:
+            raise ValueError(f"{source} holds no valid policy: it has numbers of type {other.pop()}, not float32 or "
+                             "float64")  # fmt: skip
         size = self.tensors["mean"].shape
-        shapes_fit = self.tensors["std"].shape == size and len(size) == 1
+        shapes_fit = self.tensors["std"].shape == size and len(size) == 1 and size[0] > 0
         for i in range(self.num_layers):
             weight, bias = self.tensors[f"w{i}"], self.tensors[f"b{i}"]
-            shapes_fit = shapes_fit and weight.shape == (*bias.shape, *size)
+            shapes_fit = shapes_fit and bias.ndim == 1 and weight.shape == (*bias.shape, *size)
             size = bias.shape
         if not shapes_fit or not all(np.isfinite(value).all() for value in self.tensors.values()):
             raise ValueError(f"{source} holds no valid policy: its layers do not fit together or are not finite")

@@ -117,7 +117,8 @@ def train(
         config: what to train; a folder that holds another configuration's run is refused.
         folder: gets config.json, checkpoint.pt (after every segment), curve.csv and policy.*.
         distribution: what the parameters of every episode are drawn from; nominal if None.
-        progress: called after every rollout with steps done, steps in total and the newest row of the curve.
+        progress: called after every rollout in which an episode ended, with steps done, steps in total and the newest
+            row of the curve.
     """
     folder = Path(folder)
     described = _claim(folder, config, distribution)

@@ -76,8 +76,10 @@ class _Table:
         delimiter, skip = typed(label, options, "delimiter", ","), typed(label, options, "skip_rows", 0)
         if len(delimiter) != 1 or len(self._decimal) != 1 or delimiter in (self._decimal, "\n", "\r", '"'):
             raise RecordingError(f"{label} delimiter {delimiter!r} and decimal {self._decimal!r}: one letter each")
+        if not 0 <= skip <= MAX_ROWS:
+            raise RecordingError(f"{label} skip_rows = {skip}; expected 0 to {MAX_ROWS}")
         lines = io.StringIO(text, newline="")
-        for _ in range(min(max(skip, 0), MAX_ROWS)):
+        for _ in range(skip):
             lines.readline()
         self._skipped = skip
         self._rows = csv.reader(lines, delimiter=delimiter, strict=True)
@@ -148,9 +150,10 @@ class _Table:
         cell = cell.strip()
         if cell.lower() in self._missing:
             return math.nan
-        text = cell if self._decimal == "." else cell.replace(self._decimal, ".")
+        # Python takes 1_000 for a number; and a point is none where the decimal is another letter
+        foreign = "_" in cell or (self._decimal != "." and "." in cell)
         try:
-            value = math.inf if "_" in text else float(text)  # Python takes 1_000 for a number
+            value = math.inf if foreign else float(cell.replace(self._decimal, "."))
         except ValueError:
             value = math.inf
         if not math.isfinite(value):

@@ -83,6 +83,7 @@ class FileMapping:
         for group, sources in (("commands", self.commands), ("signals", self.signals)):
             for name, source in sources.items():
                 time, numbers = _named(f"{group}.{name}", read, source)
+                _named(f"{group}.{name}", _check_order, time)
                 if not source.leaves:  # which shifts by itself
                     time = _shifted(time, source.shift)
                 found[group, name] = time, numbers
@@ -102,6 +103,15 @@ class FileMapping:
         if "interval" not in self.time:
             raise RecordingError("no times: [time] says neither where they are nor an interval between rows")
         return _positive("[time] interval", self.time["interval"]) * np.arange(rows)
+
+
+def _check_order(time) -> None:
+    """Refuse what cannot be cut at a time."""
+    if not np.isfinite(time).all():
+        raise RecordingError("time is not finite")
+    if (back := np.flatnonzero(np.diff(time) <= 0)).size:
+        i = back[0]
+        raise RecordingError(f"time has to increase strictly; {time[i + 1]} follows {time[i]} in row {i + 1}")
 
 
 def seconds(time):
