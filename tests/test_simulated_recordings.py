@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
+from soro_bench.effects.effect import Effect, Port
 from soro_bench.recording import comparison
 from soro_bench.recording.excitation import excitation, shortest, write_actions
 from soro_bench.recording.recording import Signal
@@ -221,3 +222,11 @@ def test_actions_for_a_controller_are_a_table_in_si_units(tmp_path):
     table = np.array([line.split(",") for line in lines[1:]], float)
     assert table[:, 0] == pytest.approx(0.05 * np.arange(len(actions)))
     assert table[:, 1:] == pytest.approx(actions, abs=1e-8)
+
+
+def test_a_robot_with_hidden_physics_is_recorded_and_a_replay_does_not_have_it():
+    delay = Effect("actuator_delay", Port("actuator", "*"), {"delay": 0.1})
+    plain, hidden = (record("TrunkReach-v0", model="cable", steps=10, effects=some) for some in (None, [delay]))
+    points = [one.signals["keypoints"].values for one in (plain, hidden)]
+    assert np.abs(points[0] - points[1]).max() > 1e-3
+    assert np.array_equal(replay(hidden).signals["keypoints"], points[0])
