@@ -10,7 +10,6 @@ from soro_bench.diagnosis.explain import Explanation
 from soro_bench.diagnosis.fit import Guess, Hypothesis, bounds, fitted
 from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.localise import windows
-from soro_bench.diagnosis.pipeline import Diagnosis, Outliers
 from soro_bench.diagnosis.probe import _pushes, _responses, places
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Measured
@@ -341,11 +340,6 @@ def test_a_law_with_more_unknowns_has_to_explain_more_than_what_no_law_has_quite
     assert compared.answers[0].names == (first,)
 
 
-def test_a_lead_like_those_of_nulls_is_no_detection():
-    assert compare.p_value(100.0) > 0.1
-    assert compare.p_value(1000.0) < 1e-3
-
-
 def test_answers_are_never_certain(robot, actions):
     """However clear it is: of those that seemed so, a few were wrong."""
     given = problem(robot, actions)
@@ -384,28 +378,6 @@ def test_quantities_that_can_do_nothing_are_no_unknowns(robot):
     assert typical(tilt).parameters["about_y"] == 0.0
     (bias,) = [one for one in suspects(robot) if one.name == "sensor_bias" and one.where.index == 3]
     assert {q.name for q in bias.quantities} == {"x", "y", "z"}
-
-
-@pytest.mark.parametrize(
-    ("answers", "unknown", "verdict"),
-    [
-        ([(0.8, "none"), (0.1, "payload")], 0.1, "none_detected"),
-        ([(0.3, "payload"), (0.2, "none")], 0.5, "unknown_physics"),
-        ([(0.35, "payload"), (0.2, "none")], 0.45, "unknown_physics"),
-        ([(0.3, "payload"), (0.3, "payload"), (0.0, "none")], 0.4, "missing_physics"),
-        ([(0.6, "sensor_delay"), (0.1, "none")], 0.3, "measurement_fault"),
-    ],
-)
-def test_the_verdict_is_what_is_likeliest(answers, unknown, verdict):
-    def answer(chance, name):
-        where = Port("sensor", "keypoints") if name == "sensor_delay" else Port("body", "vertebra4")
-        some = () if name == "none" else (Suspect(name, where, (0.1,), (True,)),)
-        names = tuple(s.name for s in some)
-        return SimpleNamespace(probability=chance, names=names, hypothesis=SimpleNamespace(suspects=some))
-
-    comparison = compare.Comparison(tuple(answer(*each) for each in answers), unknown, 0.0)
-    found = Diagnosis(None, (), Outliers(0.0, 0.0), None, comparison, (), None, 0.0)
-    assert found.verdict == verdict
 
 
 def test_an_effect_that_only_leads_to_better_parameters_is_dropped(robot, actions):

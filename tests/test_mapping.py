@@ -1,0 +1,80 @@
+"""Mappings of recordings to models: what is refused, in words."""
+
+import re
+
+import pytest
+
+pytest.importorskip("pyarrow", reason="needs the train extra")
+
+from soro_bench.diagnosis.mapping import ModelError
+from soro_bench.diagnosis.model_robot import ModelRobot
+from tests.arm import ARM, MAP
+
+
+@pytest.fixture
+def paths(tmp_path):
+    (tmp_path / "arm.xml").write_text(ARM)
+    (tmp_path / "map.toml").write_text(MAP)
+    return tmp_path / "arm.xml", tmp_path / "map.toml"
+
+
+def test_sensors_of_more_than_coordinates_are_refused(paths):
+    model, mapping = paths
+    quaternion = '<sensor><framequat name="s" objtype="body" objname="arm"/></sensor></mujoco>'
+    model.write_text(ARM.replace("</mujoco>", quaternion))
+    mapping.write_text(MAP.replace('joints = ["hinge"]\nunit', 'sensors = ["s"]\nunit', 1))
+    with pytest.raises(ModelError, match="sensors s have 4 numbers; allowed are 1 to 3"):
+        ModelRobot(model, mapping)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('actuators = ["motor"]', 'actuators = ["engine"]', "no actuator 'engine'"),
+        ('joints = ["hinge"]\nunit', 'joints = ["elbow"]\nunit', "no joint 'elbow'"),
+        ('unit = "rad"', "", "needs a name, a unit"),
+        ("control_timestep = 0.02", "control_timestep = 0.003", "no multiple"),
+        ("control_timestep = 0.02", "timestep = 0.02", "unknown entry 'timestep'"),
+        ("body_mass:arm", "body_weight:arm", "expected field:element"),
+        ("actuator_biasprm[0]:motor", "actuator_biasprm[99]:motor", "no column 99"),
+        ("body_mass:arm", "body_mass:leg*", "no body of the model is called 'leg*'"),
+        ("deviation = 0.2", 'deviation = "large"', "expected a number"),
+        ("[robot]", "[robot", "no TOML file"),
+        ("[robot]", "[robot]\naccurate = 3", "accurate is 3; expected a model"),
+        ("[robot]", '[robot]\naccurate = "finer.xml"', "accurate is 'finer.xml'; expected a model"),
+        (
+            "[initial]",
+            '[settings.gain]\nfields = ["actuator_gainprm[0]:motor"]\n[initial]',
+            "either metadata or command",
+        ),
+        ('[initial]\njoints = ["hinge"]', "[initial]\njoints = 5", "[initial] joints is 5; expected a list"),
+        ('"body_mass:arm"', '"body:arm"', "'body:arm'; expected field:element"),
+        ('"body_mass:arm"', '"body_parentid:arm"', "body_parentid is no number that a model is made of"),
+        ('"body_mass:arm"', '"body_subtreemass:arm"', "body_subtreemass is no number"),
+        ("[initial]", '[settings.zero]\ncommand = "a"\nfields = ["dof_damping:*"]\n[initial]', "name of a setting"),
+    ],
+)
+def test_a_mapping_that_does_not_fit_is_refused_in_words(paths, old, new, message):
+    model, mapping = paths
+    mapping.write_text(MAP.replace(old, new, 1))
+    with pytest.raises(ModelError, match=re.escape(message)):
+        ModelRobot(model, mapping)
+
+
+def test_a_finer_model_outside_the_folder_of_the_mapping_is_refused(paths):
+    model, mapping = paths
+    inner = mapping.parent / "inner"
+    inner.mkdir()
+    moved = inner / mapping.name
+    moved.write_text(MAP.replace("[robot]", f'[robot]\naccurate = "../{model.name}"', 1))
+    with pytest.raises(ModelError, match="in the folder of the mapping, or below it"):
+        ModelRobot(model, moved)
+
+
+def test_a_file_that_is_no_model_is_refused(paths):
+    model, mapping = paths
+    model.write_text("<mujoco><worldbody><bdy/></worldbody></mujoco>")
+    with pytest.raises(ModelError, match="no MuJoCo model"):
+        ModelRobot(model, mapping)
+    with pytest.raises(ModelError, match="no model"):
+        ModelRobot(model.with_name("other.xml"), mapping)
