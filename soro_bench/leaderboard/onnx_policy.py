@@ -142,7 +142,7 @@ def _check_work(model) -> None:
         raise ValueError(f"{slow[0].op_type} of other numbers than float or double, which NumPy multiplies slowly")
     # (m, k) times (k, n) takes m k n, the root of the product of all sizes; of stacks of matrices this is the most
     sides = [(*node.input[:2], node.output[0]) for node in products]
-    if (total := sum(np.sqrt(np.prod([sizes.get(name, 0.0) for name in side])) for side in sides)) > MAX_PRODUCTS:
+    if (total := sum(np.sqrt(np.prod([sizes.get(name, np.inf) for name in side])) for side in sides)) > MAX_PRODUCTS:
         raise ValueError(f"its matrices take {total:.3g} products; allowed: {MAX_PRODUCTS}")
 
 
