@@ -144,5 +144,10 @@ def length(value: float, unit: str) -> str:
     return f"{1e3 * value:.2f} mm" if unit == "m" else f"{value:.3g} {unit}"
 
 
+def spaced(unit: str) -> str:
+    """A unit behind a number; nothing where there is none."""
+    return "" if unit == "1" else f" {unit}"
+
+
 def where_of(port: Port) -> dict:
     return {"kind": port.kind, "name": port.name, **({} if port.index is None else {"index": port.index})}

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from soro_bench.diagnosis.findings import NINETY, findings
+from soro_bench.diagnosis.findings import NINETY, findings, spaced
 from soro_bench.diagnosis.force import Curve, force_against_state
 from soro_bench.diagnosis.localise import explained_over_time, left_over, map_window, residual_map
 from soro_bench.diagnosis.patch import REMAINING, kept, patch
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.report import only_outliers, write_json_report
 from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.diagnosis.verdict import least, verdict
+from soro_bench.diagnosis.verdict import verdict
 from soro_bench.files import replacing
 from soro_bench.recording.comparison import measured_points
 from soro_bench.recording.recording import Recording
@@ -80,8 +80,10 @@ def _page(diagnosis: Diagnosis, report: dict, text: str) -> str:
          + which, _heat(diagnosis)),
         ("Before and after", "The point with the largest error: measured less simulated. The band is two standard "
          "deviations of the noise." + which, _overlay(diagnosis)),
-        ("When it is explained", "Evidence gained by the best hypothesis in every second." + which, _gain(diagnosis)),
     ]  # fmt: skip
+    if diagnosis.comparison.answers[0].names:
+        caption = "Evidence gained by the best hypothesis in every second." + which
+        plots.append(("When it is explained", caption, _gain(diagnosis)))
     if curve := force_against_state(diagnosis):
         caption = _CURVE.format(curve.effect.where, 100 * curve.share)
         plots.append((f"What {curve.effect.name} does", caption, _curve(curve)))
@@ -140,7 +142,7 @@ def _model_note(report) -> str:
 
 def _value(name, q) -> str:
     interval = f" [{q['ci90'][0]:.3g}, {q['ci90'][1]:.3g}]" if "ci90" in q else ""
-    return f"{name} {q['value']:.3g}{interval} {q['unit']}"
+    return f"{name} {q['value']:.3g}{interval}{spaced(q['unit'])}"
 
 
 def _parameters_table(report) -> str:
@@ -173,7 +175,8 @@ def _at(effect) -> str:
 def _detectable_table(report) -> str:
     rows = []
     for name, d in sorted(report["detectable"].items()):
-        rows.append([name, d["quantity"], least(d).removeprefix("of ")])
+        off = f" off {d['null']:g}" if d["null"] else ""
+        rows.append([name, d["quantity"], f"{d['minimum']:.2g}{spaced(d['unit'])}{off}"])
     rows += [[name, "", "not with these recordings"] for name in report["invisible"]]
     return _table("What would just have been seen", ["effect", "quantity", "smallest magnitude"], rows)
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from soro_bench.diagnosis.findings import Finding, before_after, described, findings, length, percent
+from soro_bench.diagnosis.findings import Finding, before_after, described, findings, length, percent, spaced
 from soro_bench.diagnosis.patch import kept, rejected
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.propose import DURATION, Proposal
@@ -24,7 +24,7 @@ def verdict(diagnosis: Diagnosis) -> str:
     if not best.names and diagnosis.verdict != "unknown_physics":
         said.append(f"Nothing is missing that this recording shows (p = {diagnosis.comparison.p_value:.2g}).")
         shown = sorted(detectable(diagnosis).items())
-        seen = ", ".join(f"{name} {least(d)}" for name, d in shown)
+        seen = ", ".join(f"{name} {_least(d)}" for name, d in shown)
         said.append(f"It would have shown: {seen}.")
         if blind := invisible(diagnosis):
             said.append(f"It could hardly have shown: {', '.join(blind)}.")
@@ -57,9 +57,9 @@ def verdict(diagnosis: Diagnosis) -> str:
     return "\n".join(said)
 
 
-def least(seen: dict) -> str:
+def _least(seen: dict) -> str:
     """The smallest magnitude that would have shown, in words."""
-    unit = "" if seen["unit"] == "1" else f" {seen['unit']}"
+    unit = spaced(seen["unit"])
     if seen["null"]:
         return f"with a {seen['quantity']} {seen['minimum']:.2g}{unit} off {seen['null']:g}"
     return f"of {seen['minimum']:.2g}{unit}"
@@ -102,7 +102,7 @@ def _what_next(proposal: Proposal, unknown: bool) -> str:
 def _sentence(diagnosis: Diagnosis, finding: Finding) -> str:
     shown = described(diagnosis, finding)
     values = ", ".join(
-        f"{name} {q['value']:.3g} {q['unit']} [{q['ci90'][0]:.3g}, {q['ci90'][1]:.3g}]"
+        f"{name} {q['value']:.3g}{spaced(q['unit'])} [{q['ci90'][0]:.3g}, {q['ci90'][1]:.3g}]"
         for name, q in shown["parameters"].items()
     )
     when = ", ".join(f"{w['start_s']:.0f}-{w['end_s']:.0f} s" for w in shown["when"][:6])
