@@ -1,5 +1,6 @@
 """The robot of a diagnosis: a simulation that replays a recording under parameters and effects."""
 
+import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -7,14 +8,14 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from soro_bench.effects.catalogue import ALL, MEASUREMENT
+from soro_bench.effects.catalogue import ALL, MEASUREMENT, between_steps
 from soro_bench.effects.effect import EVERY, Effect, Port
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.measurement import distorted
 from soro_bench.models.simulation import Simulation
 from soro_bench.recording.recording import Recording, RecordingError, resampled, sampled
 
-SIMULATIONS = 64  # side by side, at least
+SIMULATIONS = 128  # side by side, at least
 LIMIT = 4.0  # standard deviations of the prior that a parameter, or the shape of an effect, may be off
 SAME = 0.1  # of the prior's deviation, how far a parameter of a robot may be from what it was before
 # time steps, in one of the given robot, of the one that is fitted and of the refined one: fitted to a trunk with far
@@ -342,14 +343,21 @@ class Robot(ABC):
         physics = [tuple(e for e in each if e.where.kind != "sensor") for each in effects]
         keys = [(row.tobytes(), repr(each)) for row, each in zip(parameters, physics, strict=True)]
         first = range(len(keys)) if before_step else [keys.index(key) for key in keys]
-        jobs = [(k, i) for k in range(len(drives)) for i in sorted(set(first))]
-        jobs.sort(key=lambda job: len(drives[job[0]].actions))  # those that run together take about as long
+        # what needs nothing between time steps need not wait for what does
+        work = [0 if before_step else between_steps(each) for each in physics]
+
+        def alike(job):
+            return len(drives[job[0]].actions), work[job[1]]
+
         values = {}
-        for begin in range(0, len(jobs), self._count):
-            some = jobs[begin : begin + self._count]
-            driven, rows = [drives[k] for k, _ in some], [i for _, i in some]
-            found = self._roll_out(driven, parameters[rows], [physics[i] for i in rows], before_step)
-            values |= dict(zip(some, found, strict=True))
+        jobs = sorted(((k, i) for k in range(len(drives)) for i in sorted(set(first))), key=alike)
+        for _, group in itertools.groupby(jobs, alike):
+            group = list(group)
+            for begin in range(0, len(group), self._count):
+                some = group[begin : begin + self._count]
+                driven, rows = [drives[k] for k, _ in some], [i for _, i in some]
+                found = self._roll_out(driven, parameters[rows], [physics[i] for i in rows], before_step)
+                values |= dict(zip(some, found, strict=True))
         times = [self.control_timestep * np.arange(len(drive.actions) + 1) for drive in drives]
         return [
             np.stack([

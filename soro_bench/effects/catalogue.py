@@ -1,7 +1,9 @@
 """The catalogue: every effect by its name."""
 
+from collections.abc import Sequence
+
 from soro_bench.effects import bodies, commands, contacts, measurement, springs, stiffness
-from soro_bench.effects.effect import Quantity
+from soro_bench.effects.effect import Effect, Quantity
 
 # in this order laws that change the same thing are applied
 PHYSICS = {
@@ -53,3 +55,9 @@ MEASUREMENT = {
 ALL = {**PHYSICS, **MEASUREMENT}
 QUANTITIES: dict[str, tuple[Quantity, ...]] = {name: law.quantities for name, law in ALL.items()}
 CATEGORIES: dict[str, str] = {name: law.category for name, law in ALL.items()}
+
+
+def between_steps(effects: Sequence[Effect]) -> int:
+    """What there is to be done between two time steps: 0 nothing, 1 setpoints, 2 what laws do that read the state."""
+    laws = [PHYSICS[effect.name] for effect in effects]
+    return max((2 if law.stepped else int(issubclass(law, commands.SetpointLaw)) for law in laws), default=0)
