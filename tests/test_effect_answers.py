@@ -295,17 +295,18 @@ ROPE = f"""<mujoco><option timestep="0.001" gravity="0 0 0" integrator="discrete
 <actuator><motor tendon="rope"/></actuator></mujoco>"""
 
 
-@pytest.mark.parametrize("integrator", ["discrete", "implicitfast"])
+@pytest.mark.parametrize(("integrator", "gear"), [("discrete", 1), ("implicitfast", 1), ("discrete", 4)])
 @pytest.mark.parametrize(("bent", "pulled", "released"), [
     (0.0, 10.0, 3.0),
     (BEND, 10.0 * np.exp(-MU * BEND), 3.0 * np.exp(MU * BEND)),
 ])  # fmt: skip
 def test_a_rope_round_a_bend_pulls_less_while_it_is_pulled_and_more_while_it_is_paid_out(
-    bent, pulled, released, integrator
+    bent, pulled, released, integrator, gear
 ):
     """A spring at its end has what the hand pulls with times exp(-mu angle), and then exp(mu angle)."""
     effect = Effect("load_friction", Port("tendon", "rope"), {"mu": MU, "presliding": 1e-4})
-    model = instrument(mujoco.MjSpec.from_string(ROPE.replace("discrete", integrator))).compile()
+    xml = ROPE.replace("discrete", integrator).replace("<motor ", f'<motor gear="{gear}" ')
+    model = instrument(mujoco.MjSpec.from_string(xml)).compile()
     model.qpos_spring[model.joint("hinge").qposadr] = bent
     sim = Simulation(model, ParameterSet(), (), 1, 1, [effect])
     sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
@@ -313,7 +314,7 @@ def test_a_rope_round_a_bend_pulls_less_while_it_is_pulled_and_more_while_it_is_
     sim.begin(np.arange(1))
     forces = []
     for force in np.concatenate([np.linspace(0, 10, 2000), np.linspace(10, 3, 2000)]):
-        sim.batch.ctrl[:] = -force
+        sim.batch.ctrl[:] = -force / gear
         sim.step(np.arange(1), 1)
         forces.append(-SPRING * sim.batch.qpos[0, 1])
     assert (forces[1999], forces[-1]) == pytest.approx((pulled, released), rel=0.02)
