@@ -205,9 +205,9 @@ def _measured(row) -> bool:
     return row["first"] and row["magnitude_error"] is not None
 
 
-def absorbed(row) -> bool:
-    """Whether parameters absorb more than 90 % of what the concealed physics changes."""
-    return row["concealed"] is not None and row["concealed"] > 0.9
+def absorbed(row, share: float = 0.9) -> bool:
+    """Whether parameters absorb more than a share of what the concealed physics changes."""
+    return row["concealed"] is not None and row["concealed"] > share
 
 
 # what, of which cases, how it is computed, the bar (None: only reported), and whether it has to be below it
@@ -240,6 +240,7 @@ GATES = (
     ("physics and measurement confused", _NAMED, Share("confused"), 0.02, True),
     ("of those with a name for it: physics and measurement confused", _answered, Share("confused"), None, True),
     ("first answer right where parameters hide 90 %", absorbed, Share("first"), 0.8, False),
+    ("the same, where they hide half", lambda row: absorbed(row, 0.5), Share("first"), None, False),
     ("seconds, median", _ANY, _median("seconds"), 60.0, True),
     ("two effects: both named, and no other", _group("two"), Share("exact"), None, False),
     ("magnitude of what is named rightly: error, median", _measured, _median("magnitude_error"), None, True),
