@@ -283,6 +283,35 @@ def test_laws_of_the_class_and_place_of_the_best_lead_are_tried_whatever_they_pr
     assert [lead.chosen for lead in tried] == [(0,), (1,), (3,)]
 
 
+@pytest.mark.parametrize("began", ["vertebra4", "vertebra8"])
+def test_a_law_begun_at_a_neighbour_ends_at_its_place(robot, actions, began):
+    hidden = Effect("payload", Port("body", "vertebra6"), {"mass": 0.04})
+    given = problem(robot, actions, [hidden])
+    (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
+    candidates = [suspect(robot, "payload", Port("body", f"vertebra{k}")) for k in range(3, 10)]
+    found = evidence(given, base, candidates, responses(given, base, candidates, robot))
+    lead = found.lead([[one.where.name for one in candidates].index(began)])
+    (payload,) = refit.refitted(given, [found.guess(lead)], found, 1)[0].effects(given.parameters)
+    assert payload.where == hidden.where
+    assert payload.parameters["mass"] == pytest.approx(0.04, rel=0.1)
+
+
+@pytest.mark.parametrize(("name", "sides"), [("vertebra0", ["vertebra1"]), ("vertebra4", ["vertebra3", "vertebra5"])])
+def test_beside_a_segment_are_the_ones_before_and_after(robot, name, sides):
+    assert [port.name for port in robot.beside(Port("body", name))] == sides
+
+
+def test_cables_have_no_order(robot):
+    assert robot.beside(Port("tendon", "L2")) == []
+
+
+def test_other_laws_are_kept_before_other_places_of_one(robot):
+    given = [("viscous_friction", "L0"), ("viscous_friction", "L1"), ("viscous_friction", "L2"), ("compliance", "L1"),
+             ("stribeck_friction", "L1"), ("stribeck_friction", "L0")]  # fmt: skip
+    ranked = [SimpleNamespace(suspects=[suspect(robot, name, Port("tendon", cable))]) for name, cable in given]
+    assert refit._varied(ranked, range(6), 2) == [ranked[0], ranked[1], ranked[3]]
+
+
 def test_of_fits_of_the_same_laws_the_best_one_stays_in_the_place_of_the_first(robot):
     one, other = (suspect(robot, "coulomb_friction", Port("tendon", cable)) for cable in ("L0", "L1"))
     given = [SimpleNamespace(suspects=s, cost=c) for s, c in (((one,), 5.0), ((other,), 4.0), ((one,), 3.0))]

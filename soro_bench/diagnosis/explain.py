@@ -212,7 +212,7 @@ class _Search:
         leads = _leads(self.problem, self.screened, offered)
         if len(self.rounds) == 1 and not self.problem.rough:
             leads += _leads(self.problem, self.first, pairs(self.first))
-        new = refitted(self.problem, leads, next(self.seeds))
+        new = refitted(self.problem, leads, self.screened, next(self.seeds))
         if self.problem.rough:
             new = persevered(self.problem, new, next(self.seeds))
             new = _searched(self.problem, new, next(self.seeds))

@@ -9,7 +9,8 @@ import numpy as np
 from soro_bench.diagnosis.fit import Guess, Hypothesis, bounds, fitted
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Robot
-from soro_bench.diagnosis.screen import Lead
+from soro_bench.diagnosis.screen import Evidence, Lead
+from soro_bench.diagnosis.suspects import effects_at
 from soro_bench.effects.catalogue import CATEGORIES
 
 SCALE, KEPT = 0.15, 3  # of the cloud, and how many hypotheses remain
@@ -35,10 +36,16 @@ def distinct(leads: Sequence[Lead], count: int, robot: Robot) -> list[Lead]:
     return chosen
 
 
-def refitted(problem: Problem, guesses: Sequence[Guess], seed: int) -> list[Hypothesis]:
-    """The hypotheses that remain, the best first."""
+def refitted(problem: Problem, guesses: Sequence[Guess], screened: Evidence, seed: int) -> list[Hypothesis]:
+    """The hypotheses that remain, the best first.
+
+    Args:
+        screened: what the responses of all suspects say, for those that a hypothesis may change its place with.
+    """
     found = fitted(problem, _tried(problem, guesses), (SCALE,), seed)
-    return _with_twins(unique(sorted(found, key=lambda h: -h.log_evidence(problem))), KEPT)
+    found = _moved(problem, unique(sorted(found, key=lambda h: h.cost)), screened, seed + 1)
+    ranked = unique(sorted(found, key=lambda h: -h.log_evidence(problem)))
+    return _varied(ranked, range(len(ranked)), KEPT)
 
 
 def unique(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -49,7 +56,7 @@ def unique(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
     return list(first.values())
 
 
-def laws(hypothesis: Hypothesis) -> frozenset:
+def laws(hypothesis: Hypothesis | Guess) -> frozenset:
     """Its laws with their places."""
     return frozenset((s.name, s.where) for s in hypothesis.suspects)
 
@@ -115,20 +122,63 @@ def without_one(problem: Problem, hypothesis: Hypothesis, seed: int) -> list[Hyp
     return fitted(problem, guesses, _POLISH, seed)
 
 
+def _moved(problem, hypotheses, screened, seed):
+    """The hypotheses, each with its last effect one segment or measured point further as long as that helps.
+
+    Screening sees the robot without the effect, and so far from it neighbours leave other traces: what it promises
+    decides between laws, and hardly between segments.
+    """
+    found, tried = list(hypotheses), {laws(h) for h in hypotheses}
+    responses, going = dict(zip(screened.candidates, screened.responses, strict=True)), range(len(found))
+    while sides := [(i, g) for i in going for g in _beside(problem, found[i], responses) if laws(g) not in tried]:
+        tried |= {laws(guess) for _, guess in sides}
+        going = set()
+        for (i, _), h in zip(sides, fitted(problem, [g for _, g in sides], _POLISH, seed), strict=True):
+            if h.cost < found[i].cost:
+                found[i] = h
+                going.add(i)
+        seed += 1
+    return found
+
+
+def _beside(problem, hypothesis, responses) -> list[Guess]:
+    """The same with its last effect one body or measured point up and down, as large as leaves the same trace."""
+    *others, last = hypothesis.suspects
+    found, magnitudes = [], len(hypothesis.x) - last.size + np.flatnonzero(last.magnitudes)
+    for where in problem.robot.beside(last.where):
+        other = replace(last, where=where)
+        if last in responses and other in responses:
+            x, slope = hypothesis.x.copy(), hypothesis.slope.copy()
+            trace = x[magnitudes] @ responses[last]
+            x[magnitudes] = np.linalg.lstsq(responses[other].T, trace)[0]
+            slope[magnitudes] = responses[other]
+            guess = Guess(x, (*others, other), slope)
+            if problem.robot.accepts(effects_at(x[problem.parameters :], guess.suspects)):
+                found.append(guess)
+    return found
+
+
 def _tried(problem, guesses):
-    """The guesses that really explain most, each begun where it does: at shares of its estimated magnitudes, or, as
-    laws that set in at a threshold may do nothing there, at those with which its last suspect was screened."""
+    """The laws that really explain most, where each promises most, begun where it does: at shares of its estimated
+    magnitudes, or, as laws that set in at a threshold may do nothing there, at those with which its last suspect was
+    screened."""
     starts = [[*(_scaled(g.x, problem.parameters, length) for length in _LENGTHS), _screened(g)] for g in guesses]
     points = [(x, g.suspects) for g, some in zip(guesses, starts, strict=True) for x in some]
     costs = [problem.cost(row, x) for row, (x, _) in zip(problem.residuals(points), points, strict=True)]
     best = np.reshape(costs, (len(guesses), -1))
-    order = np.argsort(best.min(axis=1))
-    return _with_twins([replace(guesses[i], x=starts[i][int(best[i].argmin())]) for i in order], _TRIED)
+    started = [replace(g, x=some[int(k)]) for g, some, k in zip(guesses, starts, best.argmin(axis=1), strict=True)]
+    return _varied(started, best.min(axis=1), _TRIED)
 
 
-def _with_twins(ranked, count):
-    """The first so many, and the twins of the first."""
-    return ranked[:count] + [each for each in ranked[count:] if twins(each, ranked[0])]
+def _varied(given, costs, count):
+    """The best so many of different laws, each at the first of its places, the best of other places, and the twins of
+    the very best. The best first."""
+    firsts = {}
+    for i, each in enumerate(given):
+        firsts.setdefault(frozenset(s.name for s in each.suspects), i)
+    order = np.argsort(costs, kind="stable")
+    kept = [i for i in order if i in firsts.values()][:count] + [i for i in order if i not in firsts.values()][:1]
+    return [given[i] for i in order if i in kept or twins(given[i], given[order[0]])]
 
 
 def twins(one: Guess | Hypothesis | Lead, other: Guess | Hypothesis | Lead) -> bool:

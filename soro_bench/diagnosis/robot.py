@@ -216,6 +216,17 @@ class Robot(ABC):
         """The ports of a kind at which something may be missing."""
         return self.elements.ports(kind) if kind in self.kinds else []
 
+    def beside(self, where: Port) -> list[Port]:
+        """The ports before and after one that is a body or a measured point; of others, which have no order, none."""
+        if where.index is not None:
+            row = [replace(where, index=i) for i in range(self.shape[0])]
+        else:
+            row = self.ports("body") if where.kind == "body" else []
+        if where not in row:
+            return []
+        i = row.index(where)
+        return row[max(i - 1, 0) : i] + row[i + 1 : i + 2]
+
     @property
     def pulls_cables(self) -> bool:
         """Whether all its actuators pull tendons."""
