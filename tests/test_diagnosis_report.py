@@ -122,7 +122,7 @@ def test_both_robots_of_the_comparison_have_what_is_known(payload, tmp_path, mon
     known, shown = Effect("actuator_delay", Port("actuator", "*"), {"delay": 0.02}), []
     monkeypatch.setattr(found.robot, "known", (known,))
     monkeypatch.setattr(page, "replay", lambda *_, effects: shown.append(list(effects)))
-    monkeypatch.setattr(page, "write_recording", lambda *_: None)
+    monkeypatch.setattr(page, "write_comparison", lambda *_: None)
     page._write_comparison(found, given[0], tmp_path / "comparison.rrd")
     assert [[e.name for e in effects] for effects in shown] == [["actuator_delay"], ["actuator_delay", "payload"]]
 

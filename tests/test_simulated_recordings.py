@@ -11,7 +11,7 @@ from soro_bench.effects.effect import Effect, Port
 from soro_bench.recording import comparison
 from soro_bench.recording.excitation import excitation, shortest, write_actions
 from soro_bench.recording.recording import Signal
-from soro_bench.recording.simulated import parse_params, record, recorded_actions, replay
+from soro_bench.recording.simulated import parse_params, record, recorded_actions, replay, replay_begins
 from soro_bench.registration import ENV_IDS, make_task, task_type
 from soro_bench.training.policy import Policy, PolicyCard
 from tests.recordings import assert_same, says
@@ -210,8 +210,30 @@ def test_comparison_shows_the_measured_points_at_their_times(tmp_path):
     positions = batch.column("Points3D:positions").to_pylist()
     assert [len(row) for row in positions] == [21, 21, 20, 21, 21, 21]
     np.testing.assert_allclose(positions[1], keypoints.values[1], atol=1e-6)
-    assert any(c.entity_path == "/episode_01/world/backbone" for c in chunks)
-    assert comparison.measured_points(recording).keys() == {"keypoints", "link_position"}
+    assert any(c.entity_path == "/replay/world/backbone" for c in chunks)
+    assert comparison.measured_points(recording, 0.0).keys() == {"keypoints", "link_position"}
+
+
+def test_comparison_says_how_far_a_robot_is_from_what_was_measured():
+    """Also where signals have times of their own, of which the first is before the first command."""
+    pytest.importorskip("rerun")
+    from soro_bench.recording.rerun_runs import distances
+
+    recording, begin = record("TrunkReach-v0", model="cable", steps=5), 7.0
+    run, keypoints = replay(recording), recording.signals["keypoints"]
+    between = 0.5 * (keypoints.values[1:] + keypoints.values[:-1]) + [0.003, 0.004, 0.0]
+    between[3, 2], between[4] = 0.5, np.nan  # m, one point that is far, and none
+    times = begin - 0.025 + 0.05 * np.arange(6)
+    signals = {"keypoints": replace(keypoints, time=times, values=np.concatenate([keypoints.values[:1], between]))}
+    commands = {"action": replace(recording.commands["action"], time=begin + 0.05 * np.arange(5))}
+    late = replace(recording, signals=signals, commands=commands)
+    points = comparison.measured_points(late, replay_begins(late))
+    far = replace(run, signals={"keypoints": run.signals["keypoints"] + 1.0})
+    found = distances({"before": far, "after": run}, points)["keypoints"]
+    assert found[0] == pytest.approx([np.sqrt(3.0), 0.0], abs=1e-6)
+    assert found[1:4, 1] == pytest.approx(5e-3, abs=1e-9)
+    assert found[4, 1] > 0.01
+    assert np.isnan(found[5]).all()
 
 
 def test_actions_for_a_controller_are_a_table_in_si_units(tmp_path):

@@ -18,9 +18,8 @@ from soro_bench.diagnosis.report import only_outliers, write_json_report
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.verdict import verdict
 from soro_bench.files import replacing
-from soro_bench.recording.comparison import measured_points
+from soro_bench.recording.comparison import write_comparison
 from soro_bench.recording.recording import Recording
-from soro_bench.recording.rerun_log import write_recording
 from soro_bench.recording.rerun_signals import write_signals
 from soro_bench.recording.simulated import replay
 from soro_bench.report import pyplot
@@ -54,12 +53,12 @@ def _write_comparison(diagnosis, recording, path) -> None:
         _write_curves(diagnosis, path)
         return
     explanation, model = diagnosis.explanation, diagnosis.robot.model_name
-    episodes = []
-    for hypothesis, effects in ((explanation.nominal, []), (kept(diagnosis), patch(diagnosis))):
+    runs, given = {}, {"before": (explanation.nominal, []), "after": (kept(diagnosis), patch(diagnosis))}
+    for name, (hypothesis, effects) in given.items():
         physics = [each for each in (*diagnosis.robot.known, *effects) if each.where.kind != "sensor"]
         fitted = replace(recording, parameters=diagnosis.robot.parameters(hypothesis.x))
-        episodes.append(replay(fitted, model, effects=physics))
-    write_recording(path, episodes, "before, and after the diagnosis", measured_points(recording))
+        runs[name] = replay(fitted, model, effects=physics)
+    write_comparison(recording, path, f"diagnosis of {diagnosis.robot.name}", runs)
 
 
 def _write_curves(diagnosis, path) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import rerun as rr
 
 from soro_bench.parameters import ALL_PARAMETERS
-from soro_bench.recording.drawing import Drawing, Mesh, Points, Pose
+from soro_bench.recording.drawing import Drawing, Mesh, Pose
 from soro_bench.recording.episode import Episode
 
 TIMELINE = "time"
@@ -25,23 +25,14 @@ def result(episode: Episode) -> str:
 
 def log_episodes(recording, episodes, drawings, title: str) -> None:
     """Send everything but the layout to a rerun stream."""
-    _log_static(recording, "/", _view_coordinates(drawings[0]))
-    _log_static(recording, OVERVIEW, _markdown(_overview(episodes, title)))
+    log_static(recording, "/", view_coordinates(drawings[0]))
+    log_static(recording, OVERVIEW, markdown(_overview(episodes, title)))
     for i, (episode, drawing) in enumerate(zip(episodes, drawings, strict=True)):
         root = episode_root(i)
-        _log_static(recording, f"{root}/summary", _markdown(_summary(episode, drawing.note)))
-        _log_drawing(recording, f"{root}/world", episode, drawing)
-        _log_plots(recording, f"{root}/plots", episode, drawing)
-
-
-def log_points(recording, points: dict[str, Points]) -> None:
-    """Send measured points beside the robot of the first episode."""
-    for name, measured in points.items():
-        path = f"{episode_root(0)}/world/measured/{name}"
-        present = np.isfinite(measured.positions).all(axis=-1)
-        _log_static(recording, path, rr.Points3D.from_fields(radii=measured.radius, colors=measured.color))
-        columns = rr.Points3D.columns(positions=measured.positions[present].astype(np.float32))
-        _log_columns(recording, path, measured.time, columns.partition(present.sum(axis=1)))
+        log_static(recording, f"{root}/summary", markdown(_summary(episode, drawing.note)))
+        log_drawing(recording, f"{root}/world", episode, drawing)
+        _log_task(recording, f"{root}/plots", episode)
+        log_plots(recording, f"{root}/plots", episode, drawing)
 
 
 def _overview(episodes, title) -> str:
@@ -75,25 +66,27 @@ def _millimetres(position) -> str:
     return "none" if position is None else ", ".join(f"{1e3 * x:.4g}" for x in position)
 
 
-def _log_drawing(recording, root, episode, drawing: Drawing):
+def log_drawing(recording, root: str, episode: Episode, drawing: Drawing) -> None:
+    """Send the robot and its surroundings."""
     time = episode.time
-    _log_static(recording, root, _view_coordinates(drawing))
+    log_static(recording, root, view_coordinates(drawing))
     for name, mesh in drawing.meshes.items():
         _log_mesh(recording, f"{root}/{name}", time, mesh)
     for name, box in drawing.boxes.items():
         shape = rr.Boxes3D(half_sizes=[box.half_size], colors=[box.color], fill_mode="solid")
-        _log_static(recording, f"{root}/{name}", shape)
+        log_static(recording, f"{root}/{name}", shape)
         _log_pose(recording, f"{root}/{name}", time, box.pose)
     for name, line in drawing.lines.items():
-        _log_static(recording, f"{root}/{name}", rr.LineStrips3D.from_fields(radii=line.radius))
+        log_static(recording, f"{root}/{name}", rr.LineStrips3D.from_fields(radii=line.radius))
         columns = rr.LineStrips3D.columns(strips=line.points.astype(np.float32), colors=line.colors)
-        _log_columns(recording, f"{root}/{name}", time, columns)
+        log_columns(recording, f"{root}/{name}", time, columns)
     if episode.goal is not None:
         goal = rr.Points3D([episode.goal], radii=drawing.goal_radius, colors=drawing.goal_color)
-        _log_static(recording, f"{root}/goal", goal)
+        log_static(recording, f"{root}/goal", goal)
 
 
-def _view_coordinates(drawing: Drawing):
+def view_coordinates(drawing: Drawing) -> rr.ViewCoordinates:
+    """Which way is up."""
     return rr.ViewCoordinates.RIGHT_HAND_Y_UP if drawing.up[1] else rr.ViewCoordinates.RIGHT_HAND_Z_UP
 
 
@@ -104,52 +97,60 @@ def _log_mesh(recording, path, time, mesh: Mesh):
     }
     fixed = {"triangle_indices": mesh.faces, "albedo_factor": mesh.color}
     if mesh.vertices.ndim == 2:
-        _log_static(recording, path, rr.Mesh3D.from_fields(**fixed, **surface))
+        log_static(recording, path, rr.Mesh3D.from_fields(**fixed, **surface))
     else:
         states, count, _ = mesh.vertices.shape
-        _log_static(recording, path, rr.Mesh3D.from_fields(**fixed))
-        _log_columns(recording, path, time, rr.Mesh3D.columns(**surface).partition([count] * states))
+        log_static(recording, path, rr.Mesh3D.from_fields(**fixed))
+        log_columns(recording, path, time, rr.Mesh3D.columns(**surface).partition([count] * states))
     if mesh.pose is not None:
         _log_pose(recording, path, time, mesh.pose)
 
 
 def _log_pose(recording, path, time, pose: Pose):
     if pose.position.ndim == 1:
-        _log_static(recording, path, rr.Transform3D(translation=pose.position, quaternion=pose.quaternion))
+        log_static(recording, path, rr.Transform3D(translation=pose.position, quaternion=pose.quaternion))
     else:
         columns = rr.Transform3D.columns(translation=pose.position, quaternion=pose.quaternion)
-        _log_columns(recording, path, time, columns)
+        log_columns(recording, path, time, columns)
 
 
-def _log_plots(recording, root, episode, drawing: Drawing):
+def _log_task(recording, root, episode):
     time = episode.time
-    _log_curves(recording, f"{root}/{episode.metric_name}", time, 1e3 * episode.metric, [episode.metric_name])
+    log_curves(recording, f"{root}/{episode.metric_name}", time, 1e3 * episode.metric, [episode.metric_name])
     for name, values in episode.rewards.items():  # a reward belongs to the state that its step leads to
-        _log_curves(recording, f"{root}/reward/{name}", time[1:], values, [name.removeprefix("reward_")])
+        log_curves(recording, f"{root}/reward/{name}", time[1:], values, [name.removeprefix("reward_")])
+
+
+def log_plots(recording, root: str, episode: Episode, drawing: Drawing) -> None:
+    """Send the robot's own curves, and its actions."""
+    time = episode.time
     for name, plot in drawing.plots.items():
-        _log_curves(recording, f"{root}/{name}", time, plot.values, plot.names, plot.colors)
+        log_curves(recording, f"{root}/{name}", time, plot.values, plot.names, plot.colors)
     actions = episode.actions.reshape(len(time) - 1, -1)
     names = [f"action {i}" for i in range(actions.shape[1])]
-    _log_curves(recording, f"{root}/action", time[:-1], actions, names, interpolation="StepAfter")
+    log_curves(recording, f"{root}/action", time[:-1], actions, names, interpolation="StepAfter")
 
 
-def _log_curves(recording, path, time, values, names, colors=None, interpolation=None):
+def log_curves(
+    recording, path: str, time: np.ndarray, values: np.ndarray, names, colors=None, interpolation=None
+) -> None:
     """k curves: ``values`` (n,) or (n, k) at ``time`` (n,) [s]."""
-    _log_static(recording, path, rr.SeriesLines(names=names, colors=colors, interpolation_mode=interpolation))
-    _log_columns(recording, path, time, rr.Scalars.columns(scalars=np.asarray(values, float)))
+    log_static(recording, path, rr.SeriesLines(names=names, colors=colors, interpolation_mode=interpolation))
+    log_columns(recording, path, time, rr.Scalars.columns(scalars=np.asarray(values, float)))
 
 
-def _markdown(text: str):
+def markdown(text: str) -> rr.TextDocument:
+    """A text as the viewer formats it."""
     return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
 
 
-def _log_static(recording, path, archetype):
+def log_static(recording, path: str, archetype) -> None:
     """As ``recording.log(..., static=True)``, which however gathers rows in a thread and so mixes up their order."""
     columns = [batch.partition([len(batch.as_arrow_array())]) for batch in archetype.as_component_batches()]
     recording.send_columns(path, [], columns, strict=True)
 
 
-def _log_columns(recording, path, time, columns):
+def log_columns(recording, path: str, time: np.ndarray, columns) -> None:
     """One row of ``columns`` per ``time`` [s]."""
     nanoseconds = np.round(1e9 * time).astype("timedelta64[ns]")
     recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=nanoseconds)], columns, strict=True)

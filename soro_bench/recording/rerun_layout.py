@@ -3,19 +3,25 @@
 import rerun as rr
 import rerun.blueprint as rrb
 
+from soro_bench.recording.drawing import Drawing
 from soro_bench.recording.rerun_entities import OVERVIEW, TIMELINE, episode_root, result
 
 _BACKGROUND = (214, 219, 225)
 _RESULT_COLORS = {"solved": (34, 139, 34), "not solved": (90, 100, 115), "diverged": (200, 40, 40)}
-_OUTLINE_RADIUS = 0.0008  # m
+OUTLINE_RADIUS = 0.0008  # m
 
 
 def layout(episodes, drawings) -> rrb.Blueprint:
     """The blueprint; it opens on the first episode and plays."""
     tabs = [_overview_tab(episodes, drawings)]
     tabs += [_episode_tab(i, *both) for i, both in enumerate(zip(episodes, drawings, strict=True))]
+    return blueprint(tabs, active=1)
+
+
+def blueprint(tabs, active: int) -> rrb.Blueprint:
+    """The tabs, without the viewer's own panels; it plays."""
     return rrb.Blueprint(
-        rrb.Tabs(*tabs, active_tab=1),
+        rrb.Tabs(*tabs, active_tab=active),
         rrb.TimePanel(timeline=TIMELINE, play_state="playing", loop_mode="all", state="collapsed"),
         rrb.SelectionPanel(state="hidden"),
         rrb.BlueprintPanel(state="collapsed"),
@@ -29,35 +35,42 @@ def _overview_tab(episodes, drawings):
         world = f"/{episode_root(i)}/world"
         contents += [f"{world}/{name}" for name in (drawing.outline, "goal", *({"object"} & drawing.boxes.keys()))]
         overrides[f"{world}/{drawing.outline}"] = rr.LineStrips3D.from_fields(
-            radii=_OUTLINE_RADIUS, colors=_RESULT_COLORS[result(episode)]
+            radii=OUTLINE_RADIUS, colors=_RESULT_COLORS[result(episode)]
         )
-    view, text = _view3d("/", contents, drawings[0], overrides), rrb.TextDocumentView(origin=f"/{OVERVIEW}")
+    view, text = view3d("/", contents, drawings[0], overrides), rrb.TextDocumentView(origin=f"/{OVERVIEW}")
     return rrb.Horizontal(view, text, column_shares=[3, 2], name="all")
 
 
 def _episode_tab(i, episode, drawing):
     root, end = f"/{episode_root(i)}", result(episode)
-    plots = [
-        _plot(root, episode.metric_name, f"{episode.metric_name} [mm]", legend=False),
-        _plot(root, "reward", "reward"),
-        # the first has the room for a legend, whose colours hold for the others
-        *(_plot(root, name, plot.title, legend=k == 0) for k, (name, plot) in enumerate(drawing.plots.items())),
-        _plot(root, "action", "action", legend=False),
+    curves = [
+        plot(f"{root}/plots/{episode.metric_name}", f"{episode.metric_name} [mm]", legend=False),
+        plot(f"{root}/plots/reward", "reward"),
+        *plots(root, drawing),
     ]
     return rrb.Horizontal(
-        _view3d(f"{root}/world", "$origin/**", drawing),
-        rrb.Vertical(*plots, row_shares=[2, 2, 5, *([3] * (len(drawing.plots) - 1)), 2]),
+        view3d(f"{root}/world", "$origin/**", drawing),
+        rrb.Vertical(*curves, row_shares=[2, 2, 5, *([3] * (len(drawing.plots) - 1)), 2]),
         rrb.TextDocumentView(origin=f"{root}/summary", name="episode"),
         column_shares=[5, 4, 2],
         name=f"{i + 1}: " + (end if end != "not solved" else f"{1e3 * episode.final_metric:.0f} mm"),
     )
 
 
-def _plot(root, name, title, legend=True):
-    return rrb.TimeSeriesView(origin=f"{root}/plots/{name}", name=title, plot_legend=rrb.PlotLegend(visible=legend))
+def plots(root: str, drawing: Drawing) -> list[rrb.TimeSeriesView]:
+    """The robot's own curves, and its actions."""
+    # the first has the room for a legend, whose colours hold for the others
+    own = [plot(f"{root}/plots/{name}", each.title, k == 0) for k, (name, each) in enumerate(drawing.plots.items())]
+    return [*own, plot(f"{root}/plots/action", "action", legend=False)]
 
 
-def _view3d(origin, contents, drawing, overrides=None):
+def plot(origin: str, title: str, legend: bool = True) -> rrb.TimeSeriesView:
+    """All curves below a path."""
+    return rrb.TimeSeriesView(origin=origin, name=title, plot_legend=rrb.PlotLegend(visible=legend))
+
+
+def view3d(origin: str, contents, drawing: Drawing, overrides=None) -> rrb.Spatial3DView:
+    """A view of the scene from where the robot's drawing is best looked at."""
     grid = rrb.LineGrid3D(visible=False)
     if drawing.floor is not None:
         grid = rrb.LineGrid3D(plane=rr.components.Plane3D(drawing.up, drawing.floor), spacing=0.05)

@@ -11,7 +11,7 @@ import os
 import subprocess
 import sys
 import uuid
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from soro_bench.files import replacing
-from soro_bench.recording.drawing import Drawing, Points
+from soro_bench.recording.drawing import Drawing
 from soro_bench.recording.episode import Episode
 from soro_bench.recording.trunk_drawing import draw_trunk
 from soro_bench.recording.walker_drawing import draw_walker
@@ -31,29 +31,23 @@ APPLICATION_ID = "soro_bench"
 DRAWINGS = {"Trunk": draw_trunk, "MultiGait": draw_walker}  # by how the environment's id begins
 
 
-def write_recording(
-    path: str | Path, episodes: Sequence[Episode], title: str, points: Mapping[str, Points] | None = None
-) -> None:
+def write_recording(path: str | Path, episodes: Sequence[Episode], title: str) -> None:
     """Write ``episodes`` into the file ``path``, which appears complete or not at all.
-
-    ``points``, by name, appear beside the robot of the first episode.
 
     The same episodes and title give the same content and recording id. The bytes differ: rerun draws ids for rows,
     chunks and the blueprint, and orders the columns of the file's index at random.
     """
     require_rerun()
-    from soro_bench.recording.rerun_entities import log_episodes, log_points
+    from soro_bench.recording.rerun_entities import log_episodes
     from soro_bench.recording.rerun_layout import layout
 
     if not episodes:
         raise ValueError("a recording needs at least one episode")
-    points = points or {}
-    drawings = [_draw(episode) for episode in episodes]
-    with recorded(path, title, _recording_id(episodes, title, points)) as recording:
+    drawings = [draw(episode) for episode in episodes]
+    with recorded(path, title, identity(title, [episode.metric for episode in episodes])) as recording:
         recording.send_blueprint(layout(episodes, drawings))
         recording.flush()  # what comes now must not overtake it
         log_episodes(recording, episodes, drawings, title)
-        log_points(recording, points)
 
 
 @contextmanager
@@ -101,16 +95,12 @@ def require_rerun() -> None:
         raise ImportError("recordings need rerun: pip install soro_bench[view]")
 
 
-def _draw(episode: Episode) -> Drawing:
+def draw(episode: Episode) -> Drawing:
+    """The drawing of an episode; ValueError if there is none of its robot."""
     for prefix, draw in DRAWINGS.items():
         if episode.env_id.startswith(prefix):
             return draw(episode)
     raise ValueError(f"{episode.env_id} has no drawing; there are drawings of {', '.join(DRAWINGS)}")
-
-
-def _recording_id(episodes, title, points) -> str:
-    measured = [each.positions for each in points.values()]
-    return identity(title, [*(episode.metric for episode in episodes), *measured])
 
 
 def identity(title: str, content: Iterable[np.ndarray]) -> str:

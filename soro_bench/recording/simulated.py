@@ -101,6 +101,12 @@ def replay(recording: Recording, model: str | None = None, **options) -> Episode
     return _run(_in_turn(actions), env_id, model, metadata["action"], start, len(actions), **options)
 
 
+def replay_begins(recording: Recording) -> float:
+    """When time is 0 in a replay [s], in the time of the recording: when the first action of it is sent."""
+    timestep = task_type(recording.metadata["env_id"]).control_timestep
+    return recording.control_steps([COMMAND], timestep)[0]
+
+
 def recorded_actions(recording: Recording) -> tuple[str, np.ndarray]:
     """The environment of a recording, and its action (T, ...) in each control step: the last one sent until its
     beginning; before the first, continuous actions are zero. ValueError names what the recording lacks."""

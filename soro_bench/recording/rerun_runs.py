@@ -1,0 +1,115 @@
+"""Measured points, and robots that were simulated with the same actions, over each other as a rerun recording.
+
+Every run has its own entities (/before/world, /before/plots) and its own tab; the first tab has all of them, and how
+far each is from what was measured.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from soro_bench.parameters import ALL_PARAMETERS
+from soro_bench.recording.drawing import Points
+from soro_bench.recording.episode import Episode
+from soro_bench.recording.rerun_entities import (
+    log_columns,
+    log_curves,
+    log_drawing,
+    log_plots,
+    log_static,
+    markdown,
+    view_coordinates,
+)
+from soro_bench.recording.rerun_layout import OUTLINE_RADIUS, blueprint, plot, plots, view3d
+from soro_bench.recording.rerun_log import draw, identity, recorded
+
+_COLORS = ((214, 39, 40), (31, 119, 180))  # before and after, as in the report
+_MEASURED = "measured"
+
+
+def write_runs(path: str | Path, title: str, runs: Mapping[str, Episode], measured: Mapping[str, Points]) -> None:
+    """Write one or two runs and the measured points, both by name, into the file ``path``, complete or not at all."""
+    runs = {name: replace(run, goal=None) for name, run in runs.items()}  # nobody aimed at it
+    drawings = {name: draw(run) for name, run in runs.items()}
+    away = distances(runs, measured)
+    content = [*(run.metric for run in runs.values()), *(each.positions for each in measured.values())]
+    with recorded(path, title, identity(title, content)) as recording:
+        recording.send_blueprint(_layout(drawings, away))
+        recording.flush()  # what comes now must not overtake it
+        log_static(recording, "/", view_coordinates(next(iter(drawings.values()))))
+        log_static(recording, "summary", markdown(_summary(title, runs)))
+        for name, run in runs.items():
+            log_drawing(recording, f"{name}/world", run, drawings[name])
+            log_plots(recording, f"{name}/plots", run, drawings[name])
+        for name, points in measured.items():
+            _log_points(recording, f"{_MEASURED}/{name}", points)
+        for name, values in away.items():
+            log_curves(recording, f"distance/{name}", measured[name].time, 1e3 * values, list(runs), _colors(runs))
+
+
+def distances(runs: Mapping[str, Episode], measured: Mapping[str, Points]) -> dict[str, np.ndarray]:
+    """How far the runs are from what was measured, by signal, of those that runs have too.
+
+    Returns:
+        (n, runs) m each: root mean square over the points that were seen at the n times, NaN where none was.
+    """
+    found = {}
+    for name, points in measured.items():
+        count = points.positions.shape[1]
+        own = [(run.time, run.signals[name].reshape(len(run.time), -1)) for run in runs.values() if name in run.signals]
+        if len(own) == len(runs) and all(values.shape[1] == 3 * count for _, values in own):
+            found[name] = np.stack([_distance(points, *each) for each in own], axis=1)
+    return found
+
+
+def _distance(points, time, values):
+    at = np.apply_along_axis(lambda column: np.interp(points.time, time, column), 0, values)
+    squared = ((at.reshape(points.positions.shape) - points.positions) ** 2).sum(axis=-1)
+    seen = np.isfinite(squared)
+    return np.sqrt(np.where(seen, squared, 0).sum(axis=1) / np.where(seen.any(axis=1), seen.sum(axis=1), np.nan))
+
+
+def _log_points(recording, path, points):
+    present = np.isfinite(points.positions).all(axis=-1)
+    log_static(recording, path, rr.Points3D.from_fields(radii=points.radius, colors=points.color))
+    columns = rr.Points3D.columns(positions=points.positions[present].astype(np.float32))
+    log_columns(recording, path, points.time, columns.partition(present.sum(axis=1)))
+
+
+def _colors(runs):
+    return _COLORS[-len(runs) :]
+
+
+def _summary(title, runs) -> str:
+    lines = ", ".join(f"{name} {color}" for name, color in zip(runs, ("red", "blue")[-len(runs) :], strict=True))
+    rows = [["", *runs], ["---"] * (len(runs) + 1), ["model", *(run.model for run in runs.values())]]
+    for name in next(iter(runs.values())).params:
+        values = (f"{run.params[name]:.4g}" for run in runs.values())
+        rows.append([f"{name} [{ALL_PARAMETERS[name].unit}]", *values])
+    table = [f"| {' | '.join(row)} |" for row in rows]
+    return "\n".join([f"# {title}", "", f"Dots: measured. Lines: {lines}.", "", *table])
+
+
+def _layout(drawings, away) -> rrb.Blueprint:
+    """It opens on the tab of all runs, and plays."""
+    first, colors = next(iter(drawings.values())), _colors(drawings)
+    contents, overrides = [f"/{_MEASURED}/**"], {}
+    for (name, drawing), color in zip(drawings.items(), colors, strict=True):
+        outline = f"/{name}/world/{drawing.outline}"
+        contents.append(outline)
+        overrides[outline] = rr.LineStrips3D.from_fields(radii=OUTLINE_RADIUS, colors=color)
+    curves = [plot("/distance/" + name, f"distance from measured {name} [mm]") for name in away]
+    text = rrb.TextDocumentView(origin="/summary", name="parameters")
+    overview = rrb.Horizontal(
+        view3d("/", contents, first, overrides), rrb.Vertical(*curves, text), column_shares=[3, 2], name="all"
+    )
+    return blueprint([overview, *(_tab(name, drawing) for name, drawing in drawings.items())], active=0)
+
+
+def _tab(name, drawing):
+    view = view3d("/", [f"/{name}/world/**", f"/{_MEASURED}/**"], drawing)
+    return rrb.Horizontal(view, rrb.Vertical(*plots(f"/{name}", drawing)), column_shares=[5, 4], name=name)
