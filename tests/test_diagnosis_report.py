@@ -26,6 +26,7 @@ from soro_bench.effects.effect import Effect, Port, load_effects
 from soro_bench.proof.unseen import unseen
 from soro_bench.randomization import load
 from soro_bench.recording.recording import Recording, RecordingError, Signal
+from soro_bench.recording.simulated import replay
 
 STEPS = 60
 FEW = ("payload", "backlash", "sensor_bias", "actuator_delay")
@@ -117,14 +118,18 @@ def test_a_hidden_payload_is_named_with_its_place_and_mass_and_the_held_out_fit_
     assert (tmp_path / "next_actions.csv").exists()
 
 
-def test_both_robots_of_the_comparison_have_what_is_known(payload, tmp_path, monkeypatch):
+def test_the_comparison_is_by_the_closer_model_and_both_its_robots_have_what_is_known(payload, tmp_path, monkeypatch):
+    """The recording is one of cable, with little of the delay."""
     found, given = payload
-    known, shown = Effect("actuator_delay", Port("actuator", "*"), {"delay": 0.02}), []
+    known, shown = Effect("actuator_delay", Port("actuator", "*"), {"delay": 1e-4}), []
     monkeypatch.setattr(found.robot, "known", (known,))
-    monkeypatch.setattr(page, "replay", lambda *_, effects: shown.append(list(effects)))
-    monkeypatch.setattr(page, "write_comparison", lambda *_: None)
+    played = lambda *of, effects: shown.append([e.name for e in effects]) or replay(*of, effects=effects)  # noqa: E731
+    monkeypatch.setattr(page, "replay", played)
+    monkeypatch.setattr(
+        page, "write_comparison", lambda *given: shown.append({k: r.model for k, r in given[3].items()})
+    )
     page._write_comparison(found, given[0], tmp_path / "comparison.rrd")
-    assert [[e.name for e in effects] for effects in shown] == [["actuator_delay"], ["actuator_delay", "payload"]]
+    assert shown == 2 * [["actuator_delay"], ["actuator_delay", "payload"]] + [{"before": "cable", "after": "cable"}]
 
 
 def test_what_is_left_has_gaps_where_nothing_was_measured(payload):

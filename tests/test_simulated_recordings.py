@@ -216,9 +216,6 @@ def test_comparison_shows_the_measured_points_at_their_times(tmp_path):
 
 def test_comparison_says_how_far_a_robot_is_from_what_was_measured():
     """Also where signals have times of their own, of which the first is before the first command."""
-    pytest.importorskip("rerun")
-    from soro_bench.recording.rerun_runs import distances
-
     recording, begin = record("TrunkReach-v0", model="cable", steps=5), 7.0
     run, keypoints = replay(recording), recording.signals["keypoints"]
     between = 0.5 * (keypoints.values[1:] + keypoints.values[:-1]) + [0.003, 0.004, 0.0]
@@ -229,7 +226,7 @@ def test_comparison_says_how_far_a_robot_is_from_what_was_measured():
     late = replace(recording, signals=signals, commands=commands)
     points = comparison.measured_points(late, replay_begins(late))
     far = replace(run, signals={"keypoints": run.signals["keypoints"] + 1.0})
-    found = distances({"before": far, "after": run}, points)["keypoints"]
+    found = comparison.distances({"before": far, "after": run}, points)["keypoints"]
     assert found[0] == pytest.approx([np.sqrt(3.0), 0.0], abs=1e-6)
     assert found[1:4, 1] == pytest.approx(5e-3, abs=1e-9)
     assert found[4, 1] > 0.01

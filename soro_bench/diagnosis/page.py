@@ -18,10 +18,10 @@ from soro_bench.diagnosis.report import only_outliers, write_json_report
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.verdict import verdict
 from soro_bench.files import replacing
-from soro_bench.recording.comparison import write_comparison
+from soro_bench.recording.comparison import distances, measured_points, write_comparison
 from soro_bench.recording.recording import Recording
 from soro_bench.recording.rerun_signals import write_signals
-from soro_bench.recording.simulated import replay
+from soro_bench.recording.simulated import replay, replay_begins
 from soro_bench.report import pyplot
 
 _STYLE = """body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem }
@@ -48,17 +48,35 @@ def write_reports(diagnosis: Diagnosis, recordings: Sequence[Recording], folder:
 
 
 def _write_comparison(diagnosis, recording, path) -> None:
-    """Measured points beside the simulated robot, before (with fitted parameters) and after (with the patch)."""
+    """Measured points beside the simulated robot, before (with fitted parameters) and after (with the patch).
+
+    By the model that is closer then: where a cheap one explains what an accurate one does, what differs between the two
+    hides all the rest.
+    """
     if not isinstance(diagnosis.robot, SuiteRobot):
         _write_curves(diagnosis, path)
         return
-    explanation, model = diagnosis.explanation, diagnosis.robot.model_name
-    runs, given = {}, {"before": (explanation.nominal, []), "after": (kept(diagnosis), patch(diagnosis))}
-    for name, (hypothesis, effects) in given.items():
-        physics = [each for each in (*diagnosis.robot.known, *effects) if each.where.kind != "sensor"]
+    effects, robot = patch(diagnosis), diagnosis.robot
+    models = dict.fromkeys(each.model_name for each in (robot, *robot.refined()) if each.accepts(effects))
+    runs = min(
+        (_runs(diagnosis, recording, model, effects) for model in models), key=lambda r: _away(recording, robot, r)
+    )
+    write_comparison(recording, path, f"diagnosis of {robot.name}", runs)
+
+
+def _runs(diagnosis, recording, model, effects):
+    runs, given = {}, {"before": (diagnosis.explanation.nominal, []), "after": (kept(diagnosis), effects)}
+    for name, (hypothesis, some) in given.items():
+        physics = [each for each in (*diagnosis.robot.known, *some) if each.where.kind != "sensor"]
         fitted = replace(recording, parameters=diagnosis.robot.parameters(hypothesis.x))
         runs[name] = replay(fitted, model, effects=physics)
-    write_comparison(recording, path, f"diagnosis of {diagnosis.robot.name}", runs)
+    return runs
+
+
+def _away(recording, robot, runs):
+    """How far the patched robot is from what was measured, on average [m]."""
+    measured = measured_points(recording, replay_begins(recording))
+    return float(np.nanmean(distances(runs, measured)[robot.signal][:, 1]))
 
 
 def _write_curves(diagnosis, path) -> None:

@@ -28,7 +28,8 @@ def write_comparison(
     from soro_bench.recording.rerun_runs import write_runs
 
     runs = runs or {"replay": replay(recording)}
-    write_runs(path, title, runs, measured_points(recording, replay_begins(recording)))
+    measured = measured_points(recording, replay_begins(recording))
+    write_runs(path, title, runs, measured, distances(runs, measured))
 
 
 def measured_points(recording: Recording, begin: float) -> dict[str, Points]:
@@ -47,6 +48,28 @@ def measured_points(recording: Recording, begin: float) -> dict[str, Points]:
         )
         for i, name in enumerate(names)
     }
+
+
+def distances(runs: Mapping[str, Episode], measured: Mapping[str, Points]) -> dict[str, np.ndarray]:
+    """How far the runs are from what was measured, by signal, of those that runs have too.
+
+    Returns:
+        (n, runs) m each: root mean square over the points that were seen at the n times, NaN where none was.
+    """
+    found = {}
+    for name, points in measured.items():
+        count = points.positions.shape[1]
+        own = [(run.time, run.signals[name].reshape(len(run.time), -1)) for run in runs.values() if name in run.signals]
+        if len(own) == len(runs) and all(values.shape[1] == 3 * count for _, values in own):
+            found[name] = np.stack([_distance(points, *each) for each in own], axis=1)
+    return found
+
+
+def _distance(points, time, values):
+    at = np.apply_along_axis(lambda column: np.interp(points.time, time, column), 0, values)
+    squared = ((at.reshape(points.positions.shape) - points.positions) ** 2).sum(axis=-1)
+    seen = np.isfinite(squared)
+    return np.sqrt(np.where(seen, squared, 0).sum(axis=1) / np.where(seen.any(axis=1), seen.sum(axis=1), np.nan))
 
 
 def _is_places(signal: Signal) -> bool:

@@ -31,11 +31,20 @@ _COLORS = ((214, 39, 40), (31, 119, 180))  # before and after, as in the report
 _MEASURED = "measured"
 
 
-def write_runs(path: str | Path, title: str, runs: Mapping[str, Episode], measured: Mapping[str, Points]) -> None:
-    """Write one or two runs and the measured points, both by name, into the file ``path``, complete or not at all."""
+def write_runs(
+    path: str | Path,
+    title: str,
+    runs: Mapping[str, Episode],
+    measured: Mapping[str, Points],
+    away: Mapping[str, np.ndarray],
+) -> None:
+    """Write one or two runs and the measured points, both by name, into the file ``path``, complete or not at all.
+
+    Args:
+        away: (n, runs) m, how far the runs are from measured points, by their name.
+    """
     runs = {name: replace(run, goal=None) for name, run in runs.items()}  # nobody aimed at it
     drawings = {name: draw(run) for name, run in runs.items()}
-    away = distances(runs, measured)
     content = [*(run.metric for run in runs.values()), *(each.positions for each in measured.values())]
     with recorded(path, title, identity(title, content)) as recording:
         recording.send_blueprint(_layout(drawings, away))
@@ -49,28 +58,6 @@ def write_runs(path: str | Path, title: str, runs: Mapping[str, Episode], measur
             _log_points(recording, f"{_MEASURED}/{name}", points)
         for name, values in away.items():
             log_curves(recording, f"distance/{name}", measured[name].time, 1e3 * values, list(runs), _colors(runs))
-
-
-def distances(runs: Mapping[str, Episode], measured: Mapping[str, Points]) -> dict[str, np.ndarray]:
-    """How far the runs are from what was measured, by signal, of those that runs have too.
-
-    Returns:
-        (n, runs) m each: root mean square over the points that were seen at the n times, NaN where none was.
-    """
-    found = {}
-    for name, points in measured.items():
-        count = points.positions.shape[1]
-        own = [(run.time, run.signals[name].reshape(len(run.time), -1)) for run in runs.values() if name in run.signals]
-        if len(own) == len(runs) and all(values.shape[1] == 3 * count for _, values in own):
-            found[name] = np.stack([_distance(points, *each) for each in own], axis=1)
-    return found
-
-
-def _distance(points, time, values):
-    at = np.apply_along_axis(lambda column: np.interp(points.time, time, column), 0, values)
-    squared = ((at.reshape(points.positions.shape) - points.positions) ** 2).sum(axis=-1)
-    seen = np.isfinite(squared)
-    return np.sqrt(np.where(seen, squared, 0).sum(axis=1) / np.where(seen.any(axis=1), seen.sum(axis=1), np.nan))
 
 
 def _log_points(recording, path, points):
