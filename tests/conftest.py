@@ -1,5 +1,7 @@
-"""Fixtures that run a test for every environment, model and action mode, and commands as a shell would."""
+"""Fixtures that run a test for every environment, model and action mode, commands as a shell would, and a trunk
+as the diagnosis sees it."""
 
+import numpy as np
 import pytest
 
 import soro_bench  # before mujoco, which picks its OpenGL platform when it is imported
@@ -33,3 +35,16 @@ def call(monkeypatch, capsys):
         return capsys.readouterr().out
 
     return call
+
+
+@pytest.fixture(scope="module")
+def robot():
+    """The cheap trunk."""
+    suite_robot = pytest.importorskip("soro_bench.diagnosis.suite_robot", reason="needs the infer extra")
+    return suite_robot.SuiteRobot("TrunkReach-v0", threads=1)
+
+
+@pytest.fixture(scope="module")
+def actions():
+    """(50, 8) random actions of the trunk, each held for five control steps."""
+    return np.repeat(np.random.default_rng(0).uniform(-1, 1, (10, 8)), 5, axis=0).astype(np.float32)

@@ -2,12 +2,16 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from soro_bench.diagnosis import compare
+from soro_bench.diagnosis.explain import Explanation
+from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.pipeline import Diagnosis, Outliers
 from soro_bench.diagnosis.suspects import Suspect
 from soro_bench.effects.effect import Port
+from tests.trunk import SIGMA, problem
 
 
 def test_a_lead_like_those_of_nulls_is_no_detection():
@@ -35,3 +39,61 @@ def test_the_verdict_is_what_is_likeliest(answers, unknown, verdict):
     comparison = compare.Comparison(tuple(answer(*each) for each in answers), unknown, 0.0)
     found = Diagnosis(None, (), Outliers(0.0, 0.0), None, comparison, (), None, 0.0)
     assert found.verdict == verdict
+
+
+def test_what_nothing_explains_is_unknown_and_what_something_explains_is_not(robot, actions):
+    given = problem(robot, actions)
+    residual = np.random.default_rng(0).standard_normal(given.weight.size)
+    slope, error = np.zeros((5, residual.size)), np.zeros((0, residual.size))
+    poor, good = (Hypothesis((), np.zeros(5), scale * residual, 0.0, slope, error) for scale in (5.0, 1.0))
+    assert compare._unknown(given, [poor], 0.0) > 0.95
+    assert compare._unknown(given, [poor, poor], 0.0) > 0.95
+    assert compare._unknown(given, [poor, good], 0.0) < 0.05
+    assert compare._unknown(given, [poor, good], 3000.0) > 0.95  # something else is there, which no law explains
+    assert compare._unknown(given, [good], 400.0) < 0.05  # a lead that was not worth a try
+
+
+def test_what_is_far_beyond_the_sensors_noise_and_not_explained_is_unknown_and_not_nothing(robot, actions):
+    """Even if no law promises anything."""
+    given = problem(robot, actions).allowing(20 * SIGMA)
+    residual = np.random.default_rng(0).standard_normal(given.weight.size)
+    slope, error = np.zeros((5, residual.size)), np.zeros((0, residual.size))
+    nominal = Hypothesis((), np.zeros(5), residual, 0.0, slope, error)
+    lead = Hypothesis((Suspect("actuator_gain", Port("actuator", "L0"), (0.85,), (True,)),), np.zeros(6),
+                      0.99 * residual, 0.0, np.zeros((6, residual.size)), error)  # fmt: skip
+    found = compare.compared(Explanation(given, nominal, (lead,), 0.0, 0.0, 0.0, ()), None)
+    assert found.p_value == 0.0
+    assert found.unknown > 0.9
+
+
+@pytest.mark.parametrize("share, first", [(0.004, "coulomb_friction"), (0.04, "stribeck_friction")])
+def test_a_law_with_more_unknowns_has_to_explain_more_than_what_no_law_has_quite_right(robot, actions, share, first):
+    """Stribeck friction contains Coulomb friction, so it never explains less."""
+    given = problem(robot, actions)
+    noise = np.random.default_rng(0).standard_normal(given.weight.size)
+    all_of_it = 100_000.0
+
+    def leaving(excess, *suspects):
+        residual = noise * np.sqrt((noise.size + 2.0 * excess) / (noise @ noise))
+        size = given.parameters + sum(s.size for s in suspects)
+        none = np.zeros((size, noise.size))
+        return Hypothesis(suspects, np.zeros(size), residual, excess, none, none[:0])
+
+    where = Port("tendon", "L0")
+    coulomb = Suspect("coulomb_friction", where, (1.0, 1e-3), (True, False))
+    stribeck = Suspect("stribeck_friction", where, (1.0, 1.5, 0.01, 1e-3), (True, False, False, False))
+    found = (leaving(0.0, stribeck), leaving(share * all_of_it, coulomb))
+    compared = compare.compared(Explanation(given, leaving(all_of_it), found, 0.0, all_of_it, 0.0, ()), None)
+    assert compared.answers[0].names == (first,)
+
+
+def test_answers_are_never_certain(robot, actions):
+    """However clear it is: of those that seemed so, a few were wrong."""
+    given = problem(robot, actions)
+    noise = np.random.default_rng(0).standard_normal(given.weight.size)
+    none = np.zeros((5, noise.size))
+    for scale in (1.0, 30.0):
+        nominal = Hypothesis((), np.zeros(5), scale * noise, 0.0, none, none[:0])
+        found = compare.compared(Explanation(given, nominal, (), 0.0, 1e5 * (scale - 1.0), 0.0, ()), None)
+        assert compare.BLUNDER <= found.unknown <= 1.0 - compare.BLUNDER
+        assert found.unknown + sum(a.probability for a in found.answers) == pytest.approx(1.0)

@@ -123,8 +123,12 @@ def test_the_comparison_is_by_the_closer_model_and_both_its_robots_have_what_is_
     found, given = payload
     known, shown = Effect("actuator_delay", Port("actuator", "*"), {"delay": 1e-4}), []
     monkeypatch.setattr(found.robot, "known", (known,))
-    played = lambda *of, effects: shown.append([e.name for e in effects]) or replay(*of, effects=effects)  # noqa: E731
-    monkeypatch.setattr(page, "replay", played)
+
+    def replayed(*of, effects):
+        shown.append([e.name for e in effects])
+        return replay(*of, effects=effects)
+
+    monkeypatch.setattr(page, "replay", replayed)
     monkeypatch.setattr(
         page, "write_comparison", lambda *given: shown.append({k: r.model for k, r in given[3].items()})
     )

@@ -1,27 +1,88 @@
-"""Places of forces that have no name; those on the trunk are in test_diagnosis.py."""
+"""Places of forces that have no name."""
 
 import numpy as np
+import pytest
 
-from soro_bench.diagnosis.fit import Hypothesis
-from soro_bench.diagnosis.probe import places
+from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
+from soro_bench.diagnosis.probe import _pushes, _responses, places
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Measured
 from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.diagnosis.suspects import suspect
+from soro_bench.effects.effect import EVERY, Effect, Port
 from soro_bench.inference.clouds import LowRank
+from tests.trunk import SIGMA, problem
 
-SIGMA, STEPS = 5e-4, 2
+
+@pytest.mark.parametrize("where", [Port("tendon", "L2"), Port("body", "vertebra5")])
+def test_a_force_without_a_name_is_found_at_its_place(robot, actions, where):
+    """A force that comes and goes, which no law of the catalogue exerts."""
+    batch, model, i = robot.simulation.batch, robot.simulation.model, robot.elements.id(where)
+    for name in ("ten_J", "xfrc_applied", "qfrc_applied"):
+        batch.bind(name)
+
+    def pull(step):
+        force = 1.0 + np.sin(step / 5)
+        if where.kind == "body":
+            batch.xfrc_applied[0, i, 0] = 0.05 * force
+        else:
+            entries = model.ten_J_rowadr[i] + np.arange(model.ten_J_rownnz[i])
+            batch.qfrc_applied[0, model.ten_J_colind[entries]] = -force * batch.ten_J[0, entries]
+
+    given = problem(robot, actions, before_step=pull)
+    batch.xfrc_applied[:] = batch.qfrc_applied[:] = 0.0
+    (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1, 0.05), seed=0)
+    best = places(given, robot, base)[0]
+    assert best.where == where
+    component = best.force.components.index("x" if where.kind == "body" else "pull")
+    middle = (best.force.start + 0.5 * np.diff(best.force.start).mean()) / 0.05  # control steps
+    truth = (0.05 if where.kind == "body" else 1.0) * (1.0 + np.sin(middle / 5))
+    truth, force = truth[:-1], best.force.values[:-1, component]  # the end of the recording cuts the last window
+    assert force.mean() == pytest.approx(truth.mean(), rel=0.2)
+    assert np.corrcoef(force, truth)[0, 1] > 0.5
+    assert best.force.units[component] == "N"
+    assert best.force.left < 0.75 * given.left(base.residual)
+
+
+def test_a_setpoint_that_wanders_is_found_at_its_actuator(robot, actions):
+    """A servo gives way to no force, so that a pull along its cable could not stand for it."""
+    batch, i = robot.simulation.batch, robot.elements.id(Port("actuator", "L2"))
+    slot = robot.simulation.model.actuator_actadr[i]
+
+    def move(step):
+        batch.act[0, slot] += 0.004 * (np.sin(step / 5) - np.sin((step - 1) / 5))
+
+    given = problem(robot, actions, before_step=move)
+    (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1, 0.05), seed=0)
+    best = places(given, robot, base)[0]
+    assert best.where == Port("actuator", "L2")
+    assert best.force.components == ("offset",)
+
+
+def test_what_pushes_a_body_and_a_law_that_does_so_too_add_up(robot, actions):
+    """Drag that is known, or in a hypothesis, takes nothing from the pushes of the probes."""
+    given = problem(robot, actions)
+    drag, x = suspect(robot, "fluid_drag", Port("body", EVERY)), np.append(np.zeros(5), 1e-6)
+    pushes = [each for each in _pushes(robot) if each.where == Port("body", "vertebra5") and each.kind == "world"]
+    plain, dragged = (
+        _responses(given, robot, Hypothesis(tuple(laws), x[: 5 + len(laws)], None, 0.0, None, None), pushes)
+        for laws in ([], [drag])
+    )
+    assert np.abs(plain).max() > 1.0  # standard deviations of the noise
+    assert np.abs(dragged - plain).max() < 1e-3 * np.abs(plain).max()
 
 
 def test_a_walkers_chamber_that_is_filled_too_much_is_found():
     """It has neither tendons nor bodies with names: actuators, gravity and measured points are left."""
     robot, where = SuiteRobot("MultiGait-v0", threads=1), Port("actuator", "front_left")
     nominal = np.array([[prior.nominal for prior in robot.priors]])
-    actions = np.array([[1.0, -1.0, 1.0], [-1.0, 1.0, -1.0]], np.float32)[:STEPS]
+    actions = np.array([[1.0, -1.0, 1.0], [-1.0, 1.0, -1.0]], np.float32)
     more = Effect("pretension", where, {"offset": 0.1})
     values = robot.simulate(actions, nominal, [[more]])[0]
     values = values + SIGMA * np.random.default_rng(0).standard_normal(values.shape)
-    measured = Measured(actions, robot.control_timestep * np.arange(1, STEPS + 1), values, robot.signal, robot.unit)
+    measured = Measured(
+        actions, robot.control_timestep * np.arange(1, len(actions) + 1), values, robot.signal, robot.unit
+    )
     given = Problem(robot, (measured,), SIGMA, np.ones(values.size), LowRank(np.zeros((0, values.size))))
     x, n = np.zeros(len(robot.priors)), len(robot.priors)
     (residual,) = given.residuals([(x, ())])

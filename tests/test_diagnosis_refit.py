@@ -1,0 +1,110 @@
+"""Which laws are tried where, on short recordings of the cheap trunk."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from soro_bench.diagnosis import explain, refit
+from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
+from soro_bench.diagnosis.screen import Lead, evidence, responses
+from soro_bench.diagnosis.suspects import suspect
+from soro_bench.effects.effect import Effect, Port
+from tests.trunk import TRUTH, problem
+
+
+def test_a_search_leaves_the_minimum_in_which_a_fit_has_ended(monkeypatch):
+    """Of a cost with one every 0.5 standard deviations; the deepest is at 1."""
+
+    class Rugged:
+        robot = SimpleNamespace(priors=[SimpleNamespace(reach=np.array([-3.0, 3.0]))] * 2)
+
+        def residuals(self, points):
+            return np.array([10.0 * (x - 1.0) ** 2 + 3.0 * (1.0 - np.cos(4 * np.pi * (x - 1.0))) for x, _ in points])
+
+        def cost(self, residual, x):
+            return float(residual.sum())
+
+    def at(x, *_):
+        (residual,) = problem.residuals([(x, ())])
+        return Hypothesis((), x, residual, problem.cost(residual, x), np.zeros((2, 2)), np.zeros((0, 2)))
+
+    problem = Rugged()
+    monkeypatch.setattr(refit, "fitted", lambda problem, guesses, *_: [at(g.x) for g in guesses])
+    ended = at(np.array([-0.5, 2.5]))
+    (found,) = refit.searched(problem, [ended], 0)
+    assert found.x == pytest.approx([1.0, 1.0], abs=0.02)
+    monkeypatch.setattr(refit, "fitted", lambda *_: [ended])
+    assert refit.searched(problem, [found], 0) == [found]
+
+
+def test_laws_of_the_class_and_place_of_the_best_lead_are_tried_whatever_they_promise(robot):
+    promised = [("stribeck_friction", "L0", 1000.0), ("viscous_friction", "L1", 500.0),
+                ("viscous_friction", "L0", 200.0), ("coulomb_friction", "L0", 20.0),
+                ("coulomb_friction", "L1", 10.0)]  # fmt: skip
+    offered = []
+    for name, cable, gain in promised:
+        one = suspect(robot, name, Port("tendon", cable))
+        offered.append(Lead((one,), gain, np.full(one.size, 0.2), (len(offered),)))
+    screened = SimpleNamespace(guess=lambda lead: lead)
+    tried = explain._leads(SimpleNamespace(robot=robot), screened, offered)
+    assert [lead.chosen for lead in tried] == [(0,), (1,), (3,)]
+
+
+@pytest.mark.parametrize("began", ["vertebra4", "vertebra8"])
+def test_a_law_begun_at_a_neighbour_ends_at_its_place(robot, actions, began):
+    hidden = Effect("payload", Port("body", "vertebra6"), {"mass": 0.04})
+    given = problem(robot, actions, [hidden])
+    (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
+    candidates = [suspect(robot, "payload", Port("body", f"vertebra{k}")) for k in range(3, 10)]
+    found = evidence(given, base, candidates, responses(given, base, candidates, robot))
+    lead = found.lead([[one.where.name for one in candidates].index(began)])
+    (payload,) = refit.refitted(given, [found.guess(lead)], found, 1)[0].effects(given.parameters)
+    assert payload.where == hidden.where
+    assert payload.parameters["mass"] == pytest.approx(0.04, rel=0.1)
+
+
+@pytest.mark.parametrize(("name", "sides"), [("vertebra0", ["vertebra1"]), ("vertebra4", ["vertebra3", "vertebra5"])])
+def test_beside_a_segment_are_the_ones_before_and_after(robot, name, sides):
+    assert [port.name for port in robot.beside(Port("body", name))] == sides
+
+
+def test_cables_have_no_order(robot):
+    assert robot.beside(Port("tendon", "L2")) == []
+
+
+def test_other_laws_are_kept_before_other_places_of_one(robot):
+    given = [("viscous_friction", "L0"), ("viscous_friction", "L1"), ("viscous_friction", "L2"), ("compliance", "L1"),
+             ("stribeck_friction", "L1"), ("stribeck_friction", "L0")]  # fmt: skip
+    ranked = [SimpleNamespace(suspects=[suspect(robot, name, Port("tendon", cable))]) for name, cable in given]
+    assert refit._varied(ranked, range(6), 2) == [ranked[0], ranked[1], ranked[3]]
+
+
+def test_of_fits_of_the_same_laws_the_best_one_stays_in_the_place_of_the_first(robot):
+    one, other = (suspect(robot, "coulomb_friction", Port("tendon", cable)) for cable in ("L0", "L1"))
+    given = [SimpleNamespace(suspects=s, cost=c) for s, c in (((one,), 5.0), ((other,), 4.0), ((one,), 3.0))]
+    assert explain._cheapest(given) == [given[2], given[1]]
+
+
+def test_the_best_hypothesis_and_its_rivals_are_searched_on_and_keep_their_places(monkeypatch):
+    asked = []
+    monkeypatch.setattr(explain, "searched", lambda problem, some, seed: asked.extend(some) or [h.name for h in some])
+    given = [SimpleNamespace(name=name, cost=cost) for name, cost in (("far", 50.0), ("best", 10.0), ("rival", 19.0))]
+    found = explain._searched(None, given, 0)
+    assert [h.name for h in asked] == ["best", "rival"]
+    assert found == [given[0], "best", "rival"]
+
+
+def test_an_effect_that_only_leads_to_better_parameters_is_dropped(robot, actions):
+    """A fit of the parameters has ended far from where they are, and its slopes lead nowhere."""
+    given = problem(robot, actions)
+    x = np.where(np.arange(5) == 0, TRUTH - 1.0, TRUTH)  # too light, as if something were carried
+    (residual,) = given.residuals([(x, ())])
+    none = np.zeros((5, residual.size))
+    stuck = Hypothesis((), x, residual, given.cost(residual, x), none, none[:0])
+    candidates = [suspect(robot, "payload", Port("body", f"vertebra{k}")) for k in (6, 8)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(explain, "LACKING", 0.0)
+        found = explain.explained(given, stuck, robot, [], candidates, 0)
+    assert found.found == ()
+    assert given.excess(found.nominal.residual) < explain.CLEAN < given.excess(residual)
