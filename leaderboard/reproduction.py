@@ -79,16 +79,19 @@ def _value(mean: float, std: float | None = None) -> str:
 
 
 def lift_table(groups: dict[tuple[str, str], Group]) -> str:
-    """Markdown: elevation, the published one beside ours."""
-    lines = ["| object | wall in training | paper [mm] | ours on `cable` [mm] | on `flex` [mm] |", "|---" * 5 + "|"]
+    """Markdown: elevation, the published one beside ours, and how high our objects' lowest corners are."""
+    head = ["object", "wall in training", "paper [mm]"]
+    head += [f"{what} on `{model}` [mm]" for model in ("cable", "flex") for what in ("ours", "lowest corner")]
+    lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
     for (board, method), (mean, deviation) in LIFT.items():
         cells = [f"{1e3 * BOARDS[board].fixed['cube_mass']:.0f} g", {"dr": "random", "no_dr": "fixed"}[method]]
         cells.append(f"{mean:.2f} ± {deviation:.2f}")
         old = (board, method) not in groups
         group = groups.get((board, method + OLD * old))
         for label in ("cable", "flex"):
-            scores = group.scores(label).mean(axis=1) if group else np.zeros(0)
-            cells.append(f"{scores.mean():.2f} ± {scores.std(ddof=1):.2f}{OLD * old}" if len(scores) > 1 else "")
+            for name in ("final_mm", "clearance_mm"):
+                scores = group.scores(label, name).mean(axis=1) if group and group.has(label, name) else np.zeros(0)
+                cells.append(f"{scores.mean():.2f} ± {scores.std(ddof=1):.2f}{OLD * old}" if len(scores) > 1 else "")
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 

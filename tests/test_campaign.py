@@ -158,14 +158,16 @@ def test_an_environment_without_a_board_or_with_others_is_an_error_in_words():
 def test_finished_runs_are_not_carried_out_again(small_board, tmp_path):
     (run,) = [Run("TrunkReach-v0", ORACLE, TINY)]
     run.result(tmp_path).parent.mkdir(parents=True)
-    entry = {"steps": 400, "trained_on": "cable", "action": "continuous", "training": {"trainer": TRAINER}}
-    run.result(tmp_path).write_text(json.dumps(entry))
+    training = {"trainer": TRAINER, "settings": run.config.settings()}
+    run.result(tmp_path).write_text(json.dumps({"training": training}))
     carry_out_all([run], tmp_path / "work", tmp_path, HERE)
     assert not (tmp_path / "work").exists()
-    longer = replace(run, config=replace(TINY, total_steps=600))
-    with pytest.raises(ValueError, match="was trained with steps 400, not 600"):
-        carry_out_all([longer], tmp_path / "work", tmp_path, HERE)
-    run.result(tmp_path).write_text(json.dumps({**entry, "training": {"trainer": TRAINER - 1}}))
+    for name, value in (("total_steps", 600), ("discount", 0.5)):
+        other = replace(run, config=replace(TINY, **{name: value}))
+        with pytest.raises(ValueError, match=f"was trained with {name} .*, not {value}"):
+            carry_out_all([other], tmp_path / "work", tmp_path, HERE)
+    # with other settings, too
+    run.result(tmp_path).write_text(json.dumps({"training": {"trainer": TRAINER - 1}}))
     assert not run.done(tmp_path)
 
 

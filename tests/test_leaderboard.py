@@ -100,6 +100,11 @@ def _set(*keys, value):
         (_set("evaluations", "cable", "final_mm", value=[1e9, 2.0]), ("final_mm.0 is 1000000000.0", "maximum")),
         (lambda entry: entry.pop("versions"), ("in the entry", "'versions' is a required property")),
         (_set("training", "curve", value={"steps": [1, 2], "final_mm": [1.0]}), ("2 steps and 1 lengths",)),
+        (
+            _set("evaluations", "cable", "clearance_mm", value=[1.0, 2.0]),
+            ("clearance_mm", "allowed on this board: final"),
+        ),
+        (_set("training", "settings", value={"discount": {}}), ("settings.discount is {}",)),
         (_set("trained_on", value="a\u202eb"), ("characters that cannot be shown",)),
         (_set("training", "effects", value=["a\x1b[2Jb"]), ("characters that cannot be shown",)),
         (_set("evaluations", value={900 * "a": {}}), ("evaluations.aaa",)),
@@ -213,9 +218,11 @@ def test_nothing_is_gained_by_an_episode_that_diverged(board, counted):
     """The engine then puts the scene where it began, an object in the air, or the object is on its way out of it."""
     metric = np.array([0.05, 0.03])
     for diverged, value in ((True, counted), (False, 0.03)):
-        episode = Episode(board, "flex", {}, None, np.arange(2.0), {}, np.zeros((1, 8)), {}, "metric", metric, False,
-                          diverged)  # fmt: skip
-        assert BOARDS[board].score([episode])["final_mm"] == [pytest.approx(1e3 * value)]
+        episode = Episode(board, "flex", {}, None, np.arange(2.0), {"clearance": metric}, np.zeros((1, 8)), {},
+                          "metric", metric, False, diverged)  # fmt: skip
+        lengths = [value for name, value in BOARDS[board].score([episode]).items() if name.endswith("_mm")]
+        assert len(lengths) == (2 if "Lift" in board else 1)
+        assert lengths == len(lengths) * [[pytest.approx(1e3 * value)]]
 
 
 def test_a_right_entry_is_confirmed_and_an_edited_score_found(tmp_path):

@@ -18,6 +18,7 @@ from safetensors.numpy import load_file, save_file
 
 from soro_bench.effects.effect import Effect, Port, save_effects
 from soro_bench.evaluation import evaluate
+from soro_bench.files import read_json, write_json
 from soro_bench.randomization import Uniform
 from soro_bench.training import ppo
 from soro_bench.training.policy import Policy
@@ -134,8 +135,9 @@ def test_what_cannot_be_trained_claims_no_folder(tmp_path):
 
 def test_a_run_of_an_older_trainer_begins_anew(trained, tmp_path):
     shutil.copytree(trained, tmp_path, dirs_exist_ok=True)
-    path = tmp_path / "config.json"
-    path.write_text(path.read_text().replace(f'"trainer": {ppo.TRAINER}', '"trainer": 1'))
+    older = {**read_json(tmp_path / "config.json"), "trainer": 1}
+    del older["observation_floor"]
+    write_json(tmp_path / "config.json", older)
     (tmp_path / "checkpoint.pt").write_bytes(b"of the older trainer")
     train(CONFIG, tmp_path)
     assert _bytes(tmp_path) == _bytes(trained)

@@ -46,17 +46,17 @@ class Run:
         """Whether its entry is there, of the present trainer; ValueError if that was trained with other settings."""
         if not (path := self.result(results)).exists():
             return False
-        entry, config = read_json(path), self.config
-        asked = {"steps": config.num_segments * config.segment_steps, "trained_on": config.model,
-                 "action": config.action}  # fmt: skip
-        known = isinstance(entry, dict) and asked.keys() <= entry.keys()
-        if not known or not isinstance(entry.get("training"), dict):
+        entry, asked = read_json(path), self.config.settings()
+        training = entry.get("training") if isinstance(entry, dict) else None
+        if not isinstance(training, dict) or not isinstance(found := training.get("settings", {}), dict):
             raise ValueError(f"{path} is no entry of a run; remove it, or choose another folder for results")
-        for name, value in asked.items():
-            if entry[name] != value:
-                raise ValueError(f"{path} was trained with {name} {entry[name]}, not {value}; choose another folder "
-                                 "for results")  # fmt: skip
-        return entry["training"].get("trainer") == TRAINER
+        if training.get("trainer") != TRAINER:
+            return False
+        for name in sorted(found | asked):
+            if found.get(name) != asked.get(name):
+                raise ValueError(f"{path} was trained with {name} {found.get(name)}, not {asked.get(name)}; choose "
+                                 "another folder for results")  # fmt: skip
+        return True
 
     @property
     def name(self) -> str:
@@ -99,6 +99,7 @@ def enter(folder: Path, board: str, entry: str, results: Path, threads: int = 0)
     evaluations = record_evaluations(policy, board, tuple(BOARDS[board].conditions), folder, threads)
     training = _training(folder, policy.card.env_id) | {
         "trainer": config["trainer"],
+        "settings": {name: config[name] for name in PPOConfig(policy.card.env_id).settings() if name in config},
         "effects": [effect["name"] for effect in config.get("effects", [])],
     }
     return write_entry(results, board, entry, policy, evaluations, config["distribution"], training)

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from soro_bench.evaluation import evaluate
 from soro_bench.recording.episode import Episode
 from soro_bench.registration import task_type
@@ -36,6 +38,7 @@ class Board:
         conditions: evaluations by label.
         episode_steps: length of an episode; the registered one if None.
         fixed: parameters that the task gives, in training too.
+        beside: signals (n,) [m] that are entered beside the metric, at the end of an episode too.
     """
 
     env_id: str
@@ -43,6 +46,7 @@ class Board:
     conditions: Mapping[str, Condition]
     episode_steps: int | None = None
     fixed: Mapping[str, float] = field(default_factory=dict)
+    beside: tuple[str, ...] = ()
 
     @property
     def metric(self) -> str:
@@ -70,15 +74,19 @@ class Board:
         a distance, than the one at its start.
         """
         return {
-            "final_mm": [round(1e3 * self._final(e), 4) for e in episodes],
+            "final_mm": [round(1e3 * self._final(e.metric, e.diverged), 4) for e in episodes],
+            **{
+                f"{name}_mm": [round(1e3 * self._final(e.signals[name], e.diverged), 4) for e in episodes]
+                for name in self.beside
+            },
             "return": [round(e.total_reward, 4) for e in episodes],
             "success": [e.is_success and not e.diverged for e in episodes],
             "diverged": sum(e.diverged for e in episodes),
         }
 
-    def _final(self, episode: Episode) -> float:
-        first, last = float(episode.metric[0]), float(episode.metric[-1])
-        if not episode.diverged:
+    def _final(self, lengths: np.ndarray, diverged: bool) -> float:
+        first, last = float(lengths[0]), float(lengths[-1])
+        if not diverged:
             return last
         return max(min(0.0, last), -_FAR) if self.higher else min(max(first, last), _FAR)
 
@@ -89,7 +97,9 @@ def _trunk(env_id: str) -> Board:
 
 def _lift(mass: float) -> Board:
     fixed = {"cube_mass": mass}
-    return Board("TrunkLift-v0", True, _on_both_models("TrunkLift-v0", ({"params": fixed},)), fixed=fixed)
+    conditions = _on_both_models("TrunkLift-v0", ({"params": fixed},))
+    # an object that is tipped has its centre higher, too
+    return Board("TrunkLift-v0", True, conditions, fixed=fixed, beside=("clearance",))
 
 
 def _on_both_models(env_id: str, starts) -> dict[str, Condition]:

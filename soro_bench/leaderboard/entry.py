@@ -55,7 +55,10 @@ def _check_scores(board: Board, label: str, scores: dict, path) -> None:
     if label not in board.conditions:
         raise ValueError(f"{path}: evaluations has {label[:80]!r}; allowed: {', '.join(board.conditions)}")
     starts = len(board.conditions[label].starts)
-    for name in ("final_mm", "return", "success"):
+    allowed = ("final_mm", *(f"{name}_mm" for name in board.beside), "return", "success")
+    for name in (name for name in scores if name != "diverged"):
+        if name not in allowed:
+            raise ValueError(f"{path}: evaluations.{label} has {name}; allowed on this board: {', '.join(allowed)}")
         if (found := len(scores[name])) != starts:
             raise ValueError(f"{path}: evaluations.{label}.{name} has {found} values; allowed: {starts}, one a start")
     if scores["diverged"] > starts:

@@ -37,6 +37,10 @@ class Group:
         return [label for label in BOARDS[self.board].conditions
                 if all(label in entry["evaluations"] for _, entry in self.entries)]  # fmt: skip
 
+    def has(self, label: str, name: str) -> bool:
+        """Whether all of the group's entries have such values, which need not be entered."""
+        return all(name in entry["evaluations"].get(label, {}) for _, entry in self.entries)
+
     def scores(self, label: str, name: str = "final_mm") -> np.ndarray:
         """(seeds, starts)"""
         return np.array([entry["evaluations"][label][name] for _, entry in self.entries], float)

@@ -27,7 +27,8 @@ def verify_control(path: str | Path, labels: Sequence[str] = (), num_threads: in
 
 def _compared(entered: dict, found: dict) -> str:
     differences = []
-    for name, unit in (("final_mm", " mm"), ("return", "")):
+    for name in [name for name in entered if name.endswith("_mm")] + ["return"]:
+        unit = "" if name == "return" else " mm"
         largest = float(np.abs(np.subtract(entered[name], found[name])).max())
         if largest != 0.0:
             differences.append(f"{name} by up to {largest:.4g}{unit}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from soro_bench.randomization import Distribution, Uniform, random_box
+from soro_bench.randomization import Distribution, holding, random_box
 from soro_bench.registration import task_type
 
 
@@ -32,9 +32,8 @@ def udr(known: Mapping[str, float] | None = None, name: str = "udr") -> Method:
     known = dict(known or {})
 
     def distribution(env_id: str, seed: int, folder: Path) -> Distribution:
-        free = [p for p in task_type(env_id).randomized if p.name not in known]
-        box, values = random_box(free, np.random.default_rng(seed)), list(known.values())
-        return Uniform((*box.names, *known), np.append(box.low, values), np.append(box.high, values))
+        # drawn for all, so that boxes with and without known parameters are alike otherwise
+        return holding(random_box(task_type(env_id).randomized, np.random.default_rng(seed)), known)
 
     return Method(name, distribution)
 

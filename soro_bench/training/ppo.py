@@ -28,9 +28,9 @@ from soro_bench.registration import task_type
 from soro_bench.results import metric_key
 from soro_bench.training.policy import OBSERVATION_CLIP, Policy, PolicyCard
 
-# version of how a configuration becomes a policy; 1 let the learning rate fall in every segment anew, and for 1 and 2
-# nothing that came after success counted
-TRAINER = 3
+# version of how a configuration becomes a policy; 1 let the learning rate fall in every segment anew, for 1 and 2
+# nothing that came after success counted, and 1 to 3 let observations that hardly vary be blown up
+TRAINER = 4
 
 
 @dataclass(frozen=True)
@@ -70,6 +70,12 @@ class PPOConfig:
     def num_segments(self) -> int:
         """Segments of the whole training, rounded up."""
         return -(-self.total_steps // self.segment_steps)
+
+    def settings(self) -> dict:
+        """What changes the result, as JSON."""
+        described = asdict(self) | {"hidden": list(self.hidden)}
+        del described["num_threads"], described["effects"]  # the file may be elsewhere tomorrow
+        return described
 
 
 # What differs from PPOConfig's defaults, which were found on TrunkReach (docs/training.md)
@@ -141,16 +147,15 @@ def train(
 
 def _claim(folder: Path, config: PPOConfig, distribution) -> dict:
     """What is trained into a folder; ValueError if that is not what has been."""
-    described = asdict(config) | {"distribution": distribution.to_dict() if distribution else None}
-    described["hidden"] = list(config.hidden)
-    if described.pop("effects"):
+    described = config.settings() | {"distribution": distribution.to_dict() if distribution else None}
+    if config.effects:
         described["effects"] = [effect.to_json() for effect in effects_of(config.effects)]
-    described.pop("num_threads")  # does not change the result
     described["trainer"] = TRAINER
     path = folder / "config.json"
     if path.exists() and (found := read_json(path)) != described:
-        different = sorted(key for key in found | described if found.get(key) != described.get(key))
-        if different != ["trainer"]:
+        older = found.get("trainer") != TRAINER  # which may not have had some of the settings
+        keys = found.keys() & described.keys() - {"trainer"} if older else found | described
+        if different := sorted(key for key in keys if found.get(key) != described.get(key)):
             raise ValueError(f"{folder} holds a run with another {', '.join(different)}; choose another folder")
         for old in ("checkpoint.pt", "curve.csv", "policy.json", "policy.safetensors"):  # it is trained anew
             (folder / old).unlink(missing_ok=True)
