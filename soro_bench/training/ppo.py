@@ -81,6 +81,18 @@ class PPOConfig:
 # What differs from PPOConfig's defaults, which were found on TrunkReach (docs/training.md)
 _TASK_DEFAULTS = {
     "TrunkPush-v0": {"initial_log_std": -0.5, "final_log_std": -2.0, "total_steps": 1_000_000},
+    # A lift costs reward for three seconds before it pays: discounted by 0.95 a step it is worth less than tipping the
+    # object over at once
+    "TrunkLift-v0": {
+        "discount": 0.99,
+        "gae_lambda": 0.95,
+        "rollout_steps": 100,
+        "rollouts_per_segment": 10,
+        "batch_size": 800,
+        "initial_log_std": -0.5,
+        "final_log_std": -2.0,
+        "total_steps": 1_000_000,
+    },
     # Episodes of 6 or 12 steps that cost 50 times what the trunk's do: few steps, used thoroughly. What counts is where
     # the walker is after the last one; discounted, and bootstrapped beyond it, PPO settles on gaits 20 % short of it.
     "MultiGait-v0": {
