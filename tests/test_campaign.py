@@ -80,6 +80,8 @@ def test_a_policy_that_was_trained_with_something_else_than_its_board_gives_is_r
 def test_a_box_holds_what_is_known(tmp_path):
     box = udr(UNMODELLED).distribution("TrunkPush-v0", 3, tmp_path)
     assert box.sample(np.random.default_rng(0))["young_modulus"] == UNMODELLED["young_modulus"]
+    known, free = (each.to_dict()["parameters"] for each in (box, udr().distribution("TrunkPush-v0", 3, tmp_path)))
+    assert {name for name in free if known[name] != free[name]} == {"young_modulus"}
 
 
 def test_variances_are_taken_for_deviations_in_published_units(tmp_path):

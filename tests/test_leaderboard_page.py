@@ -86,6 +86,18 @@ def test_the_table_has_the_figures_of_every_method_the_best_first(results, tmp_p
     assert mine[7] == SCRIPT
 
 
+@pytest.mark.parametrize(("methods", "reference"), [(("oracle", "no_dr"), "oracle"), (("udr", "no_dr"), "no_dr")])
+def test_the_reference_is_the_oracle_and_without_one_what_was_trained_without_randomisation(
+    methods, reference, monkeypatch, tmp_path
+):
+    """Also where no_dr is better than the oracle."""
+    shrink_board(monkeypatch)
+    for method, final in zip(methods, (2.0, 1.0), strict=True):
+        write_entry(tmp_path / "results", BOARD, "ours", policy(0, method=method), scores(final, final))
+    page = build(tmp_path / "results", tmp_path / "site").read_text()
+    assert [row[0] for row in Table(page).rows if "reference" in row] == [reference]
+
+
 def test_the_page_shows_the_gates_and_the_worst_confusions_first(results, tmp_path):
     rows = Table(build(results, tmp_path / "site").read_text()).rows
     assert ["false alarms", "20", "0.05 [0, 0.1]", "≤ 0.03", "missed"] in rows

@@ -17,7 +17,7 @@ from soro_bench.leaderboard.statistics import interquartile_mean, interval, prob
 from soro_bench.recording.rerun_log import write_recording
 from soro_bench.registration import task_type
 
-REFERENCES = ("oracle", "no_dr")  # methods that others of a board are compared with; each board has one of them
+REFERENCES = ("oracle", "no_dr")  # methods that others are compared with: the first one that a board has
 _HERE = Path(__file__).parent
 
 
@@ -128,7 +128,8 @@ def _links(group: Group, path: Path, entry: dict) -> dict:
 
 def _compare(rows: list[dict], higher: bool) -> None:
     """Add to rows of one condition, the best first, how probably each is better than the best reference method."""
-    reference = next((row for row in rows if row["group"].method in REFERENCES), None)
+    found = (row for method in REFERENCES for row in rows if row["group"].method == method)
+    reference = next(found, None)
     for row in rows:
         row["improvement"] = row["improvement_interval"] = None
         row["is_reference"] = row is reference
