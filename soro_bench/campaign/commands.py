@@ -19,7 +19,7 @@ class RunPreset:
 
     workers: Parallel
     preset: Literal["quick", "paper"] = "quick"
-    """quick: oracle and UDR briefly on TrunkReach. paper: all tasks, methods and seeds; days of computing."""
+    """quick: oracle and UDR briefly on TrunkReach. paper: all tasks, methods and seeds; about a day of computing."""
     only: tuple[str, ...] = ()
     """Runs whose names (board/method/seed0) hold one of these texts."""
     plan: bool = False
