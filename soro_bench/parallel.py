@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+from threadpoolctl import threadpool_limits
+
 TIMEOUT = 10  # s, to reach a scheduler
 
 
@@ -32,6 +34,9 @@ class Workers:
 
 
 HERE = Workers()  # one job after the other, in this process
+
+# decorator: the last digits of a matrix product depend on how many threads share it
+one_blas_thread = threadpool_limits.wrap(limits=1, user_api="blas")
 
 
 def each(function: Callable, arguments: Iterable[tuple], workers: Workers = HERE) -> Iterator:

@@ -6,8 +6,11 @@ import pytest
 pytest.importorskip("joblib", reason="needs the infer extra")
 
 import joblib
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from soro_bench import parallel
+from soro_bench.diagnosis.pipeline import diagnose
+from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.inference.methods import infer
 from soro_bench.inference.replay import SIMULATIONS, Replay
 from soro_bench.parallel import HERE, Workers, each, processors
@@ -141,3 +144,21 @@ def test_the_command_line_takes_workers_without_a_prefix(monkeypatch, capsys):
     monkeypatch.setattr("sys.argv", ["soro-bench", *arguments])
     with pytest.raises(SystemExit, match="soro-bench: backend dask needs the address of a scheduler"):
         cli.main()
+
+
+class Looked(Exception):
+    """Ends what has been looked at."""
+
+
+@pytest.mark.parametrize("what", ["diagnosis", "inference"])
+def test_matrix_products_take_one_thread_however_many_blas_has(what):
+    def look(*_):
+        raise Looked({library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"})
+
+    recording = record("TrunkReach-v0", model="cable", steps=10, full_state=True)
+    with threadpool_limits(2, "blas"), pytest.raises(Looked) as looked:
+        if what == "diagnosis":
+            diagnose(SuiteRobot("TrunkReach-v0", threads=1), [recording], progress=look)
+        else:
+            infer("rf-dropo", Replay(recording, threads=1), progress=look)
+    assert looked.value.args == ({1},)

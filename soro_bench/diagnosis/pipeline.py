@@ -17,6 +17,7 @@ from soro_bench.diagnosis.propose import Proposal, proposed
 from soro_bench.diagnosis.robot import FITTED, Measured, Robot
 from soro_bench.diagnosis.suspects import suspects
 from soro_bench.inference.clouds import LowRank
+from soro_bench.parallel import one_blas_thread
 from soro_bench.recording.recording import Recording, RecordingError
 
 MOST_NUMBERS = 300_000  # of all samples: four minutes of a trunk, of which every suspect is one more
@@ -66,6 +67,7 @@ class Diagnosis:
         return "measurement_fault" if faults else "missing_physics"
 
 
+@one_blas_thread
 def diagnose(
     robot: Robot,
     recordings: Sequence[Recording],

@@ -14,7 +14,7 @@ from soro_bench.inference.identifiability import combinations, fisher
 from soro_bench.inference.posterior import Posterior
 from soro_bench.inference.replay import SIMULATIONS, Replay
 from soro_bench.inference.search import EvaluationLog, cma_search
-from soro_bench.parallel import HERE, Workers, each
+from soro_bench.parallel import HERE, Workers, each, one_blas_thread
 from soro_bench.randomization import Distribution, Gaussian, TruncatedNormal
 
 LEAST_SIMULATIONS = 50  # of BayesSim, whose network would learn nothing from fewer
@@ -60,6 +60,7 @@ class Search:
         return (values - self.low) / self.width
 
 
+@one_blas_thread
 def infer(
     method: str,
     replay: Replay,

@@ -13,7 +13,7 @@ from soro_bench.diagnosis.report import report_of
 from soro_bench.diagnosis.robot import FITTED, Robot
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.files import write_json
-from soro_bench.parallel import processors
+from soro_bench.parallel import one_blas_thread, processors
 from soro_bench.proof.residual_network import residual_rms
 from soro_bench.proof.unseen import unseen
 from soro_bench.recording.parquet import load
@@ -111,6 +111,7 @@ ABLATIONS: dict[str, Callable[[SuiteRobot, Path], dict]] = {
 }
 
 
+@one_blas_thread
 def ablated(name: str, case: Path, path: Path) -> None:
     """Write what an ablation says of a case."""
     write_json(path, ABLATIONS[name](SuiteRobot(ENV_ID, threads=processors()), case))
