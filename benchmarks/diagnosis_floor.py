@@ -12,8 +12,9 @@ from gymnasium import spaces
 
 from soro_bench.diagnosis.fit import Guess, fitted
 from soro_bench.diagnosis.floor import numerical_floor
+from soro_bench.diagnosis.measured import Measured
 from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.robot import FITTED, Measured, Robot
+from soro_bench.diagnosis.robot import FITTED, Robot
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import suspect
 from soro_bench.effects.effect import EVERY, Port

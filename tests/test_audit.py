@@ -5,7 +5,7 @@ import pytest
 
 from soro_bench.diagnosis.audit import audit, outliers
 from soro_bench.diagnosis.localise import intervals, regimes
-from soro_bench.diagnosis.robot import Measured
+from soro_bench.diagnosis.measured import Measured
 from soro_bench.recording.recording import RecordingError
 
 SIGMA = 5e-4

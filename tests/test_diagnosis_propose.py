@@ -10,9 +10,9 @@ from gymnasium import spaces
 from soro_bench.diagnosis import propose
 from soro_bench.diagnosis.compare import Answer, Comparison, Fit
 from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
+from soro_bench.diagnosis.measured import Measured
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.propose import Proposal, competing, motions, predictions, proposed, separations
-from soro_bench.diagnosis.robot import Measured
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import Suspect, suspect
 from soro_bench.diagnosis.verdict import _what_next

@@ -7,9 +7,9 @@ import pytest
 
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.force import force_against_state
+from soro_bench.diagnosis.measured import Measured
 from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.robot import Measured
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import suspect
 from soro_bench.effects.effect import EVERY, Effect, Port

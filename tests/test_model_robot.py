@@ -14,8 +14,8 @@ from soro_bench.diagnosis.findings import unit_at
 from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.pipeline import diagnose
+from soro_bench.diagnosis.priors import Earlier
 from soro_bench.diagnosis.report import earlier
-from soro_bench.diagnosis.robot import Earlier
 from soro_bench.diagnosis.suspects import suspects
 from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Effect, Port

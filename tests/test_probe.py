@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
+from soro_bench.diagnosis.measured import Measured
 from soro_bench.diagnosis.probe import _pushes, _responses, places
 from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.robot import Measured
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import suspect
 from soro_bench.effects.effect import EVERY, Effect, Port

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.robot import Measured
+from soro_bench.diagnosis.measured import Measured
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.proof.ablations import Calibrated, Unrefined
 

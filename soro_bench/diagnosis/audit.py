@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from soro_bench.diagnosis.robot import Measured
+from soro_bench.diagnosis.measured import Measured
 from soro_bench.recording.recording import RecordingError
 
 _WINDOW, _DEGREE = 6, 4  # samples of a window, and of the polynomial that takes the motion out of it

@@ -36,7 +36,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from soro_bench.diagnosis.robot import Prior
+from soro_bench.diagnosis.priors import Prior
 from soro_bench.effects.elements import AUXILIARY
 from soro_bench.models.simulation import FieldWrite
 from soro_bench.recording.recording import Recording, RecordingError, latest

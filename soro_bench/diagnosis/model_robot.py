@@ -17,7 +17,9 @@ from soro_bench.diagnosis.mapping import (
     read_mapping,
     settings_of,
 )
-from soro_bench.diagnosis.robot import SIMULATIONS, Earlier, Measured, Prior, Robot
+from soro_bench.diagnosis.measured import Measured
+from soro_bench.diagnosis.priors import Earlier, Prior
+from soro_bench.diagnosis.robot import SIMULATIONS, Robot
 from soro_bench.effects.elements import instrument
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import Parameter, ParameterSet

@@ -11,10 +11,11 @@ from soro_bench.diagnosis.compare import Comparison, compared, shortlist
 from soro_bench.diagnosis.explain import Explanation, explained, nominal_fit
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.floor import numerical_floor
+from soro_bench.diagnosis.measured import Measured
 from soro_bench.diagnosis.probe import Place, places
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.propose import Proposal, proposed
-from soro_bench.diagnosis.robot import FITTED, Measured, Robot
+from soro_bench.diagnosis.robot import FITTED, Robot
 from soro_bench.diagnosis.suspects import suspects
 from soro_bench.inference.clouds import LowRank
 from soro_bench.parallel import one_blas_thread

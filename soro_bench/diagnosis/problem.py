@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soro_bench.diagnosis.robot import Measured, Robot
+from soro_bench.diagnosis.measured import Measured
+from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.suspects import Suspect, effects_at
 from soro_bench.inference.clouds import LowRank
 

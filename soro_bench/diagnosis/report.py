@@ -18,8 +18,8 @@ from soro_bench.diagnosis.findings import (
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.patch import MODEL, ModelPatch, kept, model_patch, patch, rejected, write_model_patch
 from soro_bench.diagnosis.pipeline import Diagnosis
+from soro_bench.diagnosis.priors import LIMIT, Earlier
 from soro_bench.diagnosis.propose import DURATION, Proposal
-from soro_bench.diagnosis.robot import LIMIT, Earlier
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import Suspect
 from soro_bench.effects.catalogue import CATEGORIES, QUANTITIES

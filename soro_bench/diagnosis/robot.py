@@ -3,11 +3,13 @@
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
+from soro_bench.diagnosis.measured import Drive, Measured
+from soro_bench.diagnosis.priors import CannotHave, Earlier, Prior
 from soro_bench.effects.catalogue import ALL, MEASUREMENT, between_steps
 from soro_bench.effects.effect import EVERY, Effect, Port
 from soro_bench.effects.elements import Elements
@@ -16,102 +18,10 @@ from soro_bench.models.simulation import Simulation
 from soro_bench.recording.recording import Recording, RecordingError, resampled, sampled
 
 SIMULATIONS = 128  # side by side, at least
-LIMIT = 4.0  # standard deviations of the prior that a parameter, or the shape of an effect, may be off
-SAME = 0.1  # of the prior's deviation, how far a parameter of a robot may be from what it was before
 # time steps, in one of the given robot, of the one that is fitted and of the refined one: fitted to a trunk with far
 # shorter steps, one leaves 0.66 mm with the given steps of 10 ms and 0.29 mm with half of them
 # (benchmarks/diagnosis_floor.py)
 FITTED, REFINED = 2, 4
-
-
-@dataclass(frozen=True)
-class Drive:
-    """What drives a robot: (T, ...) actions, where its signal is first (P, D), and (T, S) settings."""
-
-    actions: np.ndarray
-    start: np.ndarray | None = None
-    settings: np.ndarray | None = None
-
-
-@dataclass(frozen=True)
-class Measured:
-    """What a diagnosis sees of a recording.
-
-    actions: (T, ...) one per control step. time: (T,) s, the ends of the control steps. values: (T, P, D) samples of
-    one signal at these times, P points of D coordinates; NaN where missing. start: (P, D) the first sample of the
-    signal, before the first step. settings: (T, S) what is known of the robot in each control step, for robots that
-    have such settings.
-    """
-
-    actions: np.ndarray
-    time: np.ndarray
-    values: np.ndarray
-    signal: str
-    unit: str
-    start: np.ndarray | None = None
-    settings: np.ndarray | None = None
-
-    @property
-    def drive(self) -> Drive:
-        """What drove the robot."""
-        return Drive(self.actions, self.start, self.settings)
-
-    def under(self, actions: np.ndarray) -> "Measured":
-        """The same robot under other actions, with its settings as at first."""
-        settings = None if self.settings is None else np.repeat(self.settings[:1], len(actions), axis=0)
-        return replace(self, actions=actions, settings=settings)
-
-
-@dataclass(frozen=True)
-class Prior:
-    """What is believed of a parameter: normal in its logarithm, or in itself."""
-
-    name: str
-    unit: str
-    nominal: float
-    deviation: float
-    logarithmic: bool
-    bounds: tuple[float, float]
-
-    def value(self, x):
-        """Values from coordinates ``x`` in standard deviations from the nominal one."""
-        value = self.nominal * np.exp(self.deviation * x) if self.logarithmic else self.nominal + self.deviation * x
-        return np.clip(value, *self.bounds)
-
-    @property
-    def reach(self) -> np.ndarray:
-        """(2,) the least and the largest coordinate: the value stays at its bounds beyond them."""
-        ends = np.array(self.bounds)
-        with np.errstate(divide="ignore"):  # the logarithm of zero
-            ends = np.log(ends / self.nominal) if self.logarithmic else ends - self.nominal
-        return np.clip(ends / self.deviation, -LIMIT, LIMIT)
-
-    def about(self, value: float, spread: float) -> "Prior":
-        """Of the same robot, for which an earlier recording has shown this value; ValueError for one out of bounds.
-
-        Args:
-            spread: standard deviation [of the parameter] with which it was known then.
-        """
-        low, high = self.bounds
-        if not low <= value <= high or (self.logarithmic and value <= 0):
-            raise ValueError(f"{self.name} = {value} was found earlier; allowed is {low} to {high}")
-        known = spread / value if self.logarithmic else spread
-        deviation = min(self.deviation, float(np.hypot(known, SAME * self.deviation)))
-        return replace(self, nominal=value, deviation=deviation)
-
-
-@dataclass(frozen=True)
-class Earlier:
-    """What an earlier diagnosis has found of the same robot: values of its parameters by name, their standard
-    deviations, and effects."""
-
-    parameters: Mapping[str, float]
-    spread: Mapping[str, float]
-    effects: tuple[Effect, ...]
-
-
-class CannotHave(ValueError):
-    """A robot cannot have the effects that an earlier diagnosis has found."""
 
 
 class Robot(ABC):

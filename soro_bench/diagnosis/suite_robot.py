@@ -3,7 +3,8 @@
 import mujoco
 import numpy as np
 
-from soro_bench.diagnosis.robot import SIMULATIONS, Earlier, Prior, Robot
+from soro_bench.diagnosis.priors import Earlier, Prior
+from soro_bench.diagnosis.robot import SIMULATIONS, Robot
 from soro_bench.effects.elements import instrument
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.simulated import COMMAND, recorded_actions

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soro_bench.diagnosis.robot import LIMIT, Robot
+from soro_bench.diagnosis.priors import LIMIT
+from soro_bench.diagnosis.robot import Robot
 from soro_bench.effects.catalogue import ALL, PHYSICS, QUANTITIES
 from soro_bench.effects.effect import EVERY, Effect, Port, Quantity
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from soro_bench.diagnosis.robot import Measured, Robot
+from soro_bench.diagnosis.measured import Measured
+from soro_bench.diagnosis.robot import Robot
 
 HISTORY = 10  # control steps of commands that it sees
 HIDDEN, EPOCHS, PATIENCE, LEARNING_RATE, DECAY = 128, 2000, 100, 1e-3, 1e-3
