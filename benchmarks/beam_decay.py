@@ -1,21 +1,21 @@
 """Frequency and decay of the silicone beam, recorded and simulated with fitted parameters.
 
-    SORO_BENCH_DATA=FOLDER python benchmarks/beam_decay.py gravity
-    SORO_BENCH_DATA=FOLDER python benchmarks/beam_decay.py load52 --diagnose
+    python benchmarks/beam_decay.py gravity --data data/real
+    python benchmarks/beam_decay.py load52 --data data/real --diagnose
 
 The parameters are fitted to the recording a, without effects; with --diagnose also with those that the diagnosis finds
 (minutes). Then what is left of the recordings a and b, and of the height of the first marker in windows of two periods
 a fit of A exp(-s t) cos(2 pi f t + p) + c + d t: amplitude A, frequency f, logarithmic decrement s / f.
 """
 
-import os
-import sys
+import argparse
 from pathlib import Path
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from soro_bench.assets import mjcf_path
+from soro_bench.diagnosis.audit import audit
 from soro_bench.diagnosis.explain import nominal_fit
 from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.pipeline import diagnose, unexplained
@@ -25,7 +25,6 @@ from soro_bench.recording.importers import import_recording
 
 FREQUENCY = {"gravity": 7.7, "load52": 4.4}  # Hz, about
 WINDOWS, FROM = 5, 0.3  # from 0.3 s after the hand lets go: its fingers and the slack string are out of the way
-NOISE = 1e-4  # m, of a marker, more than it is: nothing in the models is as exact as motion capture
 
 
 def decay(time: np.ndarray, height: np.ndarray, frequency: float) -> np.ndarray:
@@ -46,17 +45,23 @@ def decay(time: np.ndarray, height: np.ndarray, frequency: float) -> np.ndarray:
 
 def main() -> None:
     """Print the table of a kind of recordings."""
-    kind, model = sys.argv[1], mjcf_path("real/silicone_beam.xml")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("kind", choices=list(FREQUENCY))
+    parser.add_argument("--data", type=Path, default=Path("data/real"))
+    parser.add_argument("--diagnose", action="store_true")
+    options = parser.parse_args()
+    kind, model = options.kind, mjcf_path("real/silicone_beam.xml")
     robot = ModelRobot(model, model.with_suffix(".toml"))
-    mapping, folder = mjcf_path(f"real/silicone_beam_{kind}_import.toml"), Path(os.environ["SORO_BENCH_DATA"])
-    recordings = [import_recording(folder / f"silicone_beam_arm/beam_{kind}_V2_{run}.csv", mapping) for run in "ab"]
-    if "--diagnose" in sys.argv:
+    mapping, folder = mjcf_path(f"real/silicone_beam_{kind}_import.toml"), options.data / "silicone_beam_arm"
+    recordings = [import_recording(folder / f"beam_{kind}_V2_{run}.csv", mapping) for run in "ab"]
+    if options.diagnose:
         found = diagnose(robot, recordings[:1], recordings[1:], progress=print)
         print(f"{found.verdict}; unknown {found.comparison.unknown:.2f}; {found.seconds:.0f} s")
         problem = found.explanation.problem
         fits = [found.explanation.nominal, *(answer.hypothesis for answer in found.comparison.answers)]
     else:
-        problem = unexplained(robot.shortened(FITTED), (robot.measured(recordings[0]),), NOISE)
+        measured = robot.measured(recordings[0])
+        problem = unexplained(robot.shortened(FITTED), (measured,), audit(measured).sigma)
         problem, nominal = nominal_fit(problem, robot.refined(), seed=0)
         fits = [nominal]
     for fit in fits:
@@ -73,7 +78,8 @@ def _compare(problem: Problem, fit, label: str, frequency: float) -> None:
     simulated = problem.simulated(problem.robot, [(fit.x, fit.suspects)])[0].reshape(measured.values.shape)
     left = 1e3 * np.sqrt(np.nanmean((measured.values - simulated) ** 2))
     since = measured.time - measured.time[np.flatnonzero(measured.settings[:, 0] == 0)[0]] - FROM
-    rows = [decay(since, np.nan_to_num(each[:, 0, 0]), frequency) for each in (measured.values, simulated)]
+    seen = np.isfinite(measured.values[:, 0, 0])  # not every step of the simulation was recorded
+    rows = [decay(since[seen], each[seen, 0, 0], frequency) for each in (measured.values, simulated)]
     print(f"{label}: {left:.3f} mm rms of a coordinate; recorded | simulated amplitude mm, Hz, decrement")
     for recorded, replayed in zip(*rows, strict=True):
         print("   " + " | ".join(f"{a:6.3f} {f:6.3f} {d:6.3f}" for a, f, d in (recorded, replayed)))

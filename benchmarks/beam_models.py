@@ -7,6 +7,7 @@ A beam without damping, clamped, swings about where a force of 0.1 N at its end 
 both, of an elastic constant along the beam that is Young's modulus and across it the shear modulus of a beam.
 """
 
+import argparse
 import time
 import warnings
 
@@ -90,6 +91,7 @@ def measured(spec: mujoco.MjSpec) -> tuple[int, float, float, float, float]:
 
 def main() -> None:
     """Print a table."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     slender = 3.516 / (2 * np.pi) * np.sqrt(BENDING / (beam.DENSITY * AREA * beam.LENGTH**4))
     static = 1e3 * (beam.LENGTH**3 / (3 * BENDING) + beam.LENGTH / (beam.SHEAR * AREA))
     print(f"theory: {static:.2f} mm/N; {slender:.2f} Hz without shear and turning inertia")

@@ -7,6 +7,8 @@ Prints the first tables of docs/diagnosis_measured.md. The recorded robots are t
 excitation.
 """
 
+import argparse
+
 import numpy as np
 from gymnasium import spaces
 
@@ -53,6 +55,7 @@ def time_steps() -> None:
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     time_steps()
     given = SuiteRobot("TrunkReach-v0")
     robot, (finer, accurate) = given.shortened(FITTED), given.refined()

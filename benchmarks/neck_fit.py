@@ -6,6 +6,8 @@ The trunk beyond a neck is moved rigidly by a small amount (a bend or twist abou
 sideways shift) and the elastic force on it read from MuJoCo's ``qfrc_spring``, at E = 4.5 MPa.
 """
 
+import argparse
+
 import mujoco
 import numpy as np
 
@@ -81,6 +83,7 @@ def cable_stiffness(model: mujoco.MjModel, motion: str) -> np.ndarray:
 
 def main():
     """Print the tables."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     tables = {"bend": geo.BEND, "axial": geo.AXIAL, "twist": geo.TWIST}
     tables |= {"bend_y": geo.BEND, "shear": geo.AXIAL / geo.AXIAL_PER_SHEAR}
     for name, measure in (("flex", flex_stiffness), ("cable", cable_stiffness)):

@@ -7,6 +7,8 @@
 3. Tip deflection per newton on one cable, without gravity, and how it depends on Poisson's ratio.
 """
 
+import argparse
+
 import gymnasium
 import mujoco
 import numpy as np
@@ -93,6 +95,7 @@ def print_tips(label: str, tips: dict[int, np.ndarray]):
 
 def main():
     """Print the three tables."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     print("tip after one action [mm]        x       y       z     minus reference: x y z  distance")
     for name in trunk.VARIANTS:
         print_tips(name, tips_of_environment(name))

@@ -17,10 +17,8 @@ SCALE, KEPT = 0.15, 3  # of the cloud, and how many hypotheses remain
 _TRIED, _LENGTHS = 4, (0.5, 1.0)  # how many leads are fitted, and shares of their magnitudes at which all are tried
 _POLISH = (0.3, 0.1)  # radii
 _ROUNDS, _HELPS = 5, 0.1  # of fits that go on, at most, and the share of the cost by which one has to help
-_STEP, _GENERATIONS = (
-    0.3,
-    40,
-)  # of CMA-ES: its first step, in standard deviations of the priors, and how long it goes on
+# of CMA-ES: its first step, in standard deviations of the priors, and how long it goes on
+_STEP, _GENERATIONS = 0.3, 40
 _PER_NAME = 2  # leads that differ in their places only
 
 
