@@ -15,11 +15,13 @@ import numpy as np
 
 from soro_bench.assets import asset_path
 from soro_bench.diagnosis.compare import Answer
+from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.measured import Measured
 from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.pipeline import Diagnosis, diagnose, unexplained
 from soro_bench.diagnosis.report import earlier
+from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.version import method_version
 from soro_bench.files import read_json, write_json
 from soro_bench.recording.importers import import_recording
@@ -158,9 +160,9 @@ def _summary(study: Study, part: Part, found: Diagnosis, text: str, seed: int) -
         "verdict": text,
         "noise": found.explanation.problem.sensor,
         "unit": robot.unit,
-        **{key: _errors(robot, measured, h) for key, h in hypotheses.items()},
+        **{key: errors_of(robot, measured, h) for key, h in hypotheses.items()},
         "answers": [
-            _answer(found, each, _errors(robot, measured, each.hypothesis)) for each in found.comparison.answers
+            _answer(found, each, errors_of(robot, measured, each.hypothesis)) for each in found.comparison.answers
         ],
         "unknown": found.comparison.unknown,
         "seconds": round(found.seconds, 1),
@@ -174,7 +176,7 @@ def _answer(found: Diagnosis, answer: Answer, errors: dict) -> dict:
     return {"effects": effects, "probability": answer.probability, "evidence": gain, **errors}
 
 
-def _errors(robot, measured: dict[str, tuple[Measured, ...]], hypothesis) -> dict:
+def errors_of(robot: Robot, measured: dict[str, tuple[Measured, ...]], hypothesis: Hypothesis) -> dict:
     """Errors of a hypothesis on each set of recordings."""
     found = {}
     for key, some in measured.items():
