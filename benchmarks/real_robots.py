@@ -13,7 +13,7 @@ import traceback
 from pathlib import Path
 
 from soro_bench.files import read_json, write_json
-from soro_bench.study import HEAD, METHOD, STUDIES, check_summaries, load_study, named, row, run_study
+from soro_bench.study import HEAD, STUDIES, check_summaries, load_study, named, row, run_study
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results" / "real_robots.json"
@@ -66,10 +66,10 @@ def main() -> None:
 
 
 def write_results(found: list[dict]) -> None:
-    """Put summaries in the place of earlier ones; those of other versions of the method go."""
+    """Put summaries in the place of earlier ones. Others stay, and each says which version of the method it is of."""
     new = {(s["study"], s["part"], s["seed"]) for s in found}
     old = read_json(RESULTS) if RESULTS.exists() else []
-    others = [s for s in old if s.get("method") == METHOD and (s["study"], s["part"], s["seed"]) not in new]
+    others = [s for s in old if (s["study"], s["part"], s["seed"]) not in new]
     write_json(RESULTS, sorted(others + found, key=lambda s: (STUDIES.index(s["study"]), s["seed"])))
 
 
