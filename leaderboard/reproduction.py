@@ -5,6 +5,7 @@
 Reads the entries in leaderboard/results and writes the tables of docs/reproduction.md, in the paper's units.
 """
 
+import argparse
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -128,6 +129,8 @@ def filled(page: str) -> str:
 
 
 def main() -> None:
+    """Write the tables into the page."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     PAGE.write_text(filled(PAGE.read_text()))
 
 
