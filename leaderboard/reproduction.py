@@ -7,7 +7,6 @@ Reads the entries in leaderboard/results and writes the tables of docs/reproduct
 
 import argparse
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +14,9 @@ import numpy as np
 from soro_bench.campaign.plan import paper
 from soro_bench.campaign.run import ENTRY
 from soro_bench.leaderboard.boards import BOARDS
-from soro_bench.leaderboard.gather import Group, gather_control
+from soro_bench.leaderboard.gather import OLD, Group, gather_control
 from soro_bench.leaderboard.table import markdown_table
 from soro_bench.parameters import ALL_PARAMETERS
-from soro_bench.training.ppo import TRAINER
 
 RESULTS = Path(__file__).parent / "results"
 PAGE = Path(__file__).parents[1] / "docs" / "reproduction.md"
@@ -49,7 +47,6 @@ PUBLISHED = {
         "young_modulus": (3600.0,),
     },
 }  # fmt: skip
-OLD = " (old)"  # of an older trainer
 # Table IV: elevation [mm], mean and standard deviation of three seeds
 LIFT = {
     ("TrunkLift-v0-100g", "no_dr"): (2.34, 4.03),
@@ -87,7 +84,7 @@ def lift_table(groups: dict[tuple[str, str], Group]) -> str:
     for (board, method), (mean, deviation) in LIFT.items():
         cells = [f"{1e3 * BOARDS[board].fixed['cube_mass']:.0f} g", {"dr": "random", "no_dr": "fixed"}[method]]
         cells.append(f"{mean:.2f} ± {deviation:.2f}")
-        old = (board, method) not in groups
+        old = (board, method) not in groups  # then what was trained before trainers had numbers, if anything was
         group = groups.get((board, method + OLD * old))
         for label in ("cable", "flex"):
             for name in ("final_mm", "clearance_mm"):
@@ -97,19 +94,11 @@ def lift_table(groups: dict[tuple[str, str], Group]) -> str:
     return "\n".join(lines)
 
 
-def by_trainer(group: Group) -> list[Group]:
-    """A group without what an older trainer has trained, and that by itself under another name."""
-    old = [e for e in group.entries if e[1]["training"].get("trainer") != TRAINER]
-    parts = {group.method: [e for e in group.entries if e not in old], group.method + OLD: old}
-    return [replace(group, method=name, entries=entries) for name, entries in parts.items() if entries]
-
-
 def tables() -> dict[str, str]:
     """The tables of the page by their names, Markdown."""
     found = gather_control(RESULTS)
     # ours alone: others may enter methods of the same names
-    own = [(board, g) for board, members in found.items() for g in members if g.entry == ENTRY]
-    groups = {(board, part.method): part for board, g in own for part in by_trainer(g)}
+    groups = {(board, g.name): g for board, members in found.items() for g in members if g.entry == ENTRY}
     planned = paper()
     done = sum(run.done(RESULTS) for run in planned)
     older = sum(run.result(RESULTS).exists() for run in planned) - done

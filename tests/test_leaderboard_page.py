@@ -148,6 +148,10 @@ def _mix(results):
     edit(results / BOARD / "ours" / "udr" / "seed1.json", lambda entry: entry.update(trained_on="flex"))
 
 
+def _shorten(results):
+    edit(results / BOARD / "ours" / "udr" / "seed1.json", lambda entry: entry.update(steps=5))
+
+
 def _spoil_policy(results):
     (results / BOARD / "ours" / "udr" / "seed1.safetensors").write_bytes(b"spoilt")
 
@@ -162,6 +166,7 @@ def _spoil_diagnosis(results):
         (_break_score, ("udr/seed1.json", "seed is -1")),
         (_move, ("dropo/seed0.json", "belongs to", "udr/seed0.json")),
         (_mix, ("udr/seed1.json", "trained_on is 'flex'", "'cable'", "seed0.json")),
+        (_shorten, ("udr/seed1.json", "steps is 5", "seed0.json")),
         (_spoil_policy, ("udr/seed1.safetensors", "SHA-256")),
         (_spoil_diagnosis, ("diagnosis/ours.json", "gates.0.cases is 'many'")),
         (lambda results: write_json(results / "note.json", {}), ("note.json", "required property")),
@@ -172,6 +177,15 @@ def test_one_invalid_entry_stops_the_page_before_anything_is_written(results, tm
     with pytest.raises(ValueError, match=says(*parts)):
         build(results, tmp_path / "site")
     assert not (tmp_path / "site").exists()
+
+
+def test_what_an_older_trainer_made_stands_apart_and_is_not_compared(results, tmp_path):
+    new = results / BOARD / "ours" / "oracle" / "seed0.json"
+    edit(new, lambda entry: entry["training"].update(trainer=2))
+    rows = [row for row in Table(build(results, tmp_path / "site").read_text()).rows if "ours" in row]
+    compared = {row[0]: row[5] for row in rows}
+    assert compared.pop("oracle") == "reference"
+    assert compared and all("(old)" in name and not text for name, text in compared.items())
 
 
 def test_the_best_policy_of_a_method_is_recorded_and_linked(results, tmp_path, monkeypatch):

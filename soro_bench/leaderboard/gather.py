@@ -13,19 +13,30 @@ from soro_bench.leaderboard.entry import check_entry, policy_of
 from soro_bench.leaderboard.strict import read_strict
 
 DIAGNOSIS = "diagnosis"  # folder of that track, beside those of the boards
+OLD = " (old)"  # what was trained before trainers had numbers
 
 
 @dataclass(frozen=True)
 class Group:
     """The policies of one method of one entry on a board, which differ by their training seed.
 
-    ``entries`` are (file, content), by seed.
+    Args:
+        entries: (file, content), by seed.
+        trainer: version of soro_bench's trainer; 0 where the entries name none.
+        old: whether the same entry has policies of a newer trainer, on any board.
     """
 
     board: str
     entry: str
     method: str
     entries: Sequence[tuple[Path, dict]]
+    trainer: int = 0
+    old: bool = False
+
+    @property
+    def name(self) -> str:
+        """The method, and if that is old of which trainer."""
+        return self.method + ((self.old and (f" (trainer {self.trainer})" if self.trainer else OLD)) or "")
 
     @property
     def trained_on(self) -> str:
@@ -57,25 +68,37 @@ def gather_control(results: str | Path) -> dict[str, list[Group]]:
             if path != expected:
                 raise ValueError(f"{path} holds what belongs to {expected}")
             policy_of(path, entry)  # refuses what is none
-            found[entry["board"], entry["entry"], entry["method"]].append((path, entry))
-    groups = defaultdict(list)
-    for (board, entry, method), members in found.items():
-        group = Group(board, entry, method, sorted(members, key=lambda member: member[1]["seed"]))
+            trainer = entry.get("training", {}).get("trainer", 0)
+            found[entry["board"], entry["entry"], entry["method"], trainer].append((path, entry))
+    newest, groups = defaultdict(int), defaultdict(list)
+    for _, entry, _, trainer in found:
+        newest[entry] = max(newest[entry], trainer)
+    for (board, entry, method, trainer), members in found.items():
+        members = sorted(members, key=lambda member: member[1]["seed"])
+        group = Group(board, entry, method, members, trainer, trainer < newest[entry])
         _check_alike(group)
         groups[board].append(group)
     return {board: groups[board] for board in BOARDS if board in groups}
 
 
 def _check_alike(group: Group) -> None:
-    for key in ("trained_on", "action"):
-        (first, one), *others = group.entries
-        for path, other in others:
-            if other[key] != one[key]:
-                raise ValueError(f"{path}: {key} is {other[key]!r}; allowed: {one[key]!r}, as in {first}")
+    (first, one), *others = group.entries
+    for path, other in others:
+        for key, value in _common(one).items():
+            if (found := _common(other).get(key)) != value:
+                raise ValueError(f"{path}: {key} is {found!r}; allowed: {value!r}, as in {first}")
     seen = {}
     for path, entry in group.entries:
         if (twin := seen.setdefault(entry["policy"]["sha256"], path)) != path:
             raise ValueError(f"{path}: its policy is that of {twin}; every seed needs a training of its own")
+
+
+def _common(entry: dict) -> dict:
+    """What all seeds of a method have in common."""
+    training = entry.get("training", {})
+    settings = {name: value for name, value in training.get("settings", {}).items() if name != "seed"}
+    same = {key: entry[key] for key in ("trained_on", "action", "steps")}
+    return same | {"effects": training.get("effects", []), "settings": settings}
 
 
 def gather_diagnosis(results: str | Path) -> list[dict]:

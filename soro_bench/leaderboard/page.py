@@ -128,12 +128,12 @@ def _links(group: Group, path: Path, entry: dict) -> dict:
 
 def _compare(rows: list[dict], higher: bool) -> None:
     """Add to rows of one condition, the best first, how probably each is better than the best reference method."""
-    found = (row for method in REFERENCES for row in rows if row["group"].method == method)
-    reference = next(found, None)
+    current = [row for row in rows if not row["group"].old]
+    reference = next((row for method in REFERENCES for row in current if row["group"].method == method), None)
     for row in rows:
         row["improvement"] = row["improvement_interval"] = None
         row["is_reference"] = row is reference
-        if reference and row is not reference:
+        if reference and not row["group"].old and row is not reference:
             statistic, both = partial(probability_of_improvement, higher=higher), (row["values"], reference["values"])
             row["improvement"] = statistic(*both)
             row["improvement_interval"] = interval(statistic, both, np.random.default_rng(0))

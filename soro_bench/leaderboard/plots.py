@@ -95,7 +95,7 @@ def curves_of(group: Group) -> list[tuple[list[float], list[float]]]:
 
 def title_of(group: Group) -> str:
     """What a group is called in plots; a long name is cut."""
-    title = f"{group.method}, {group.entry}"
+    title = f"{group.name}, {group.entry}"
     return title if len(title) <= _LETTERS else f"{title[: _LETTERS - 1]}…"
 
 

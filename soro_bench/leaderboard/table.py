@@ -29,6 +29,6 @@ def markdown_table(groups: Iterable[Group]) -> str:
             mean = f"{values.mean():.2f}" + (" [{:.2f}, {:.2f}]".format(*ends) if ends else "")
             seeds = ", ".join(f"{value:.2f}" for value in values.mean(axis=1))
             solved = f"{group.scores(label, 'success').mean():.0%}"
-            cells = [group.board, group.method, group.trained_on, label, str(len(values)), mean, solved, seeds]
+            cells = [group.board, group.name, group.trained_on, label, str(len(values)), mean, solved, seeds]
             lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
