@@ -142,6 +142,18 @@ def test_other_datasets_are_refused(tmp_path, info, parts):
         assert import_recording(tmp_path / "set").commands.keys() == {"action"}
 
 
+def test_a_dataset_in_the_cache_of_hugging_face_is_read(tmp_path):
+    """Its files are links into a folder of blobs beside that of the snapshots."""
+    snapshot = tmp_path / "datasets--someone--set" / "snapshots" / "0123abc"
+    data = write_lerobot(snapshot)
+    blobs = snapshot.parents[1] / "blobs"
+    blobs.mkdir()
+    for i, file in enumerate((data, snapshot / "meta" / "info.json")):
+        file.rename(blobs / str(i))
+        os.symlink(blobs / str(i), file)
+    assert import_recording(snapshot).commands.keys() == {"action"}
+
+
 def test_a_dataset_stays_in_its_folder(tmp_path):
     """Neither a pattern in its description nor a link makes it read another file."""
     data = write_lerobot(tmp_path / "set")

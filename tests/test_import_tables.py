@@ -279,6 +279,11 @@ def test_damaged_npz(tmp_path):
         archive.writestr("f.npy", (tmp_path / "f.npy").read_bytes().replace(b"(10,)", b"(99,)"))
     with pytest.raises(RecordingError, match="f says that it has 792 bytes, and has 80"):
         import_recording(path, mapping)
+    for header in (b"{'descr': ('<f8'", b"  a\n b\n"):  # which NumPy takes for Python
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("f.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+        with pytest.raises(RecordingError, match="is no NPZ file"):
+            import_recording(path, mapping)
     with pytest.raises(RecordingError, match="needs a mapping"):
         import_recording(path)
 

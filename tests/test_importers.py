@@ -64,7 +64,9 @@ def kinds(tmp_path_factory):
     return {name: (path.read_bytes(), path, read) for name, (path, read) in files.items()}
 
 
-@pytest.mark.parametrize("kind", ["native", "csv", "mapping", "npz", "mcap", "mcap lz4", "lerobot", "lerobot info"])
+@pytest.mark.parametrize(
+    "kind", ["native", "csv", "mapping", "npz", "npz array", "mcap", "mcap lz4", "lerobot", "lerobot info"]
+)
 @hypothesis.settings(max_examples=200, deadline=None, derandomize=True, database=None)
 @hypothesis.given(seed=st.integers(0, 2**32 - 1))
 def test_damaged_files(kinds, kind, seed):

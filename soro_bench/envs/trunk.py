@@ -136,7 +136,7 @@ class TrunkTask(Task):
             return drawn
         try:
             goal = np.asarray(options["goal"], float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             goal = np.full(3, np.nan)
         if goal.shape != (3,) or not (np.abs(goal) <= REACH_LIMIT).all():
             raise ValueError(f"goal {options['goal']} has to be 3 coordinates within {REACH_LIMIT} m of the clamp")

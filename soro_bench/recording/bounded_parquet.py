@@ -23,13 +23,14 @@ class BoundedParquet:
 
     Args:
         data: the file; it may decode to four times ``max_bytes``.
+        max_footer: bytes.
 
     Raises:
         RecordingError, or what ``named_errors`` turns into one.
     """
 
-    def __init__(self, data: bytes, max_bytes: int = MAX_BYTES):
-        self._data, self._budget, self._footer = data, EXPANSION * max_bytes, _footer(data)
+    def __init__(self, data: bytes, max_bytes: int = MAX_BYTES, max_footer: int = MAX_FOOTER):
+        self._data, self._budget, self._footer = data, EXPANSION * max_bytes, _footer(data, max_footer)
         self.num_row_groups = len(self._footer.groups)
         for label, count, most in (
             ("rows", self._footer.num_rows, MAX_ROWS),
@@ -41,7 +42,7 @@ class BoundedParquet:
         self._file = pq.ParquetFile(
             pa.BufferReader(data),
             pre_buffer=False,
-            thrift_string_size_limit=MAX_FOOTER,
+            thrift_string_size_limit=max_footer,
             thrift_container_size_limit=2 * _MAX_ROW_GROUPS,
             schema_depth_limit=_MAX_DEPTH,
             page_checksum_verification=True,
@@ -90,13 +91,14 @@ class BoundedParquet:
             raise RecordingError("decoding it would take more memory than its largest size allows")
 
 
-def _footer(data) -> Footer:
+def _footer(data, most) -> Footer:
     """Its length is known before it is parsed."""
     if len(data) < 12 or data[:4] != _MAGIC or data[-4:] != _MAGIC:
         raise RecordingError("no complete Parquet file")
     (size,) = struct.unpack("<I", data[-8:-4])
-    if not 0 < size <= min(len(data) - 12, MAX_FOOTER):
-        raise RecordingError(f"a footer of {size} bytes; expected at most {min(len(data) - 12, MAX_FOOTER)}")
+    most = min(len(data) - 12, most)
+    if not 0 < size <= most:
+        raise RecordingError(f"a footer of {size} bytes; expected at most {most}")
     return read_footer(data, len(data) - 8 - size, len(data) - 8)
 
 

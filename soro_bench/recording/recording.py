@@ -124,7 +124,10 @@ class Recording:
                 raise RecordingError(f"the recording has no command {name!r}; it has {sorted(self.commands)}")
         first = min((float(self.commands[name].time[0]) for name in commands), default=self.start)
         begin = first if first - self.start < step else self.start
-        return begin, math.ceil((self.start + self.duration - begin) / step - 1e-6)
+        steps = (self.start + self.duration - begin) / step
+        if not math.isfinite(steps):
+            raise RecordingError(f"{self.duration:g} s are more control steps of {step:g} s than can be counted")
+        return begin, math.ceil(steps - 1e-6)
 
     def _all(self) -> list[Signal]:
         return [*self.commands.values(), *self.signals.values()]

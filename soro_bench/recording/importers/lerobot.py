@@ -19,6 +19,7 @@ _PLACE = ("column", "indices")
 _VERSION = re.compile(r"v3\.\d{1,3}")
 _MAX_FILES, _MAX_INFO_BYTES = 10_000, 10_000_000
 _NUMBERS = ("float16", "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "bool")
+_MAX_FOOTER = 4_000_000  # bytes: a row group per episode takes some 800
 _EPISODE, _TIME = "episode_index", "timestamp"
 
 
@@ -42,7 +43,7 @@ def import_lerobot(
         spec = load_mapping(mapping, _PLACE) if mapping else _everything(features)
     for file in _data_files(folder):
         with named_errors(file):
-            table = _episode(BoundedParquet(read_bytes(file, max_bytes), max_bytes), spec, episode)
+            table = _episode(BoundedParquet(read_bytes(file, max_bytes), max_bytes, _MAX_FOOTER), spec, episode)
             if table is not None:
                 read = partial(_samples, table)
                 robot = {"robot": str(info["robot_type"])[:100]} if info.get("robot_type") else {}
@@ -52,8 +53,11 @@ def import_lerobot(
 
 
 def _inside(folder: Path, file: Path) -> Path:
-    """The file, if it lies in the folder and no link leads out of it."""
-    if not file.resolve().is_relative_to(folder.resolve()):
+    """The file, if it lies in the folder and no link leads out of it, but to where Hugging Face's cache, with folders
+    snapshots/<version>, keeps all files: blobs."""
+    dataset, target = folder.resolve(), file.resolve()
+    allowed = [dataset, *([dataset.parents[1] / "blobs"] if dataset.parent.name == "snapshots" else [])]
+    if not any(target.is_relative_to(place) for place in allowed):
         raise RecordingError(f"{file} leads out of the dataset")
     return file
 

@@ -5,6 +5,7 @@ import math
 import zipfile
 import zlib
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 
@@ -15,7 +16,8 @@ from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, MAX_ROWS, named
 _PLACE = ("arrays", "time")
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # those that NumPy writes
 _SUFFIX = ".npy"
-_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError)  # the last is: encrypted
+# RuntimeError: encrypted; the last two: NumPy takes a header for Python
+_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, SyntaxError, TokenError)
 
 
 def import_npz(path: str | Path, mapping: str | Path | None, max_bytes: int = MAX_BYTES) -> Recording:
