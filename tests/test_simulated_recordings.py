@@ -153,6 +153,7 @@ def test_hostile_metadata(metadata):
         ({"noise": -1.0}, ("noise -1.0",)),
         ({"policy": "excitation", "action": "discrete"}, ("continuous",)),
         ({"policy": "excitation", "steps": 50}, ("50 steps are too few",)),
+        ({"params": {"trunk_mass": 2.0, "young_modulus": 1e6, "damping": 0.02}, "steps": 100}, ("diverged after",)),
     ],
 )
 def test_what_cannot_be_recorded(arguments, parts):
@@ -231,6 +232,9 @@ def test_comparison_says_how_far_a_robot_is_from_what_was_measured():
     assert found[1:4, 1] == pytest.approx(5e-3, abs=1e-9)
     assert found[4, 1] > 0.01
     assert np.isnan(found[5]).all()
+    short = replace(run, time=run.time[:4], signals={"keypoints": run.signals["keypoints"][:4]})
+    cut = comparison.distances({"short": short}, points)["keypoints"][:, 0]
+    assert np.isfinite(cut[:4]).all() and np.isnan(cut[4:]).all()
 
 
 def test_actions_for_a_controller_are_a_table_in_si_units(tmp_path):

@@ -54,7 +54,8 @@ def distances(runs: Mapping[str, Episode], measured: Mapping[str, Points]) -> di
     """How far the runs are from what was measured, by signal, of those that runs have too.
 
     Returns:
-        (n, runs) m each: root mean square over the points that were seen at the n times, NaN where none was.
+        (n, runs) m each: root mean square over the points that were seen at the n times, NaN where none was and where
+        there is no run.
     """
     found = {}
     for name, points in measured.items():
@@ -67,6 +68,8 @@ def distances(runs: Mapping[str, Episode], measured: Mapping[str, Points]) -> di
 
 def _distance(points, time, values):
     at = np.apply_along_axis(lambda column: np.interp(points.time, time, column), 0, values)
+    # a log may have its first sample up to a control step before the first command
+    at[(points.time < 2 * time[0] - time[1]) | (points.time > time[-1] + 1e-6)] = np.nan
     squared = ((at.reshape(points.positions.shape) - points.positions) ** 2).sum(axis=-1)
     seen = np.isfinite(squared)
     return np.sqrt(np.where(seen, squared, 0).sum(axis=1) / np.where(seen.any(axis=1), seen.sum(axis=1), np.nan))

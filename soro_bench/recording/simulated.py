@@ -54,7 +54,7 @@ def record(
         effects: physics that the model leaves out, as the environment takes it; a replay does not have it.
 
     Raises:
-        ValueError: names what is wrong and what is allowed.
+        ValueError: names what is wrong and what is allowed, or says when the simulation diverged.
     """
     if env_id not in ENV_IDS:
         raise ValueError(f"unknown environment {env_id!r}; there are {', '.join(ENV_IDS)}")
@@ -75,6 +75,9 @@ def record(
     steps = steps or gymnasium.spec(env_id).max_episode_steps
     missing = {} if effects is None else {"effects": effects}
     episode = _run(act, env_id, model, action, {"params": params or {}}, steps, seed, full_state, **missing)
+    if episode.diverged:
+        raise ValueError(f"the simulation diverged after {episode.time[-1]:g} s; parameters nearer to the nominal "
+                         "ones, or softer actions, are needed")  # fmt: skip
     metadata = {"policy": policy[:1000], "seed": str(seed), "soro_bench": soro_bench.__version__}
     return _recording(episode, action, noise, seed, metadata)
 
