@@ -183,6 +183,21 @@ def test_drawn_parameters_act(model):
         np.testing.assert_array_equal(random.step(action)[0], plain.step(action)[0])
 
 
+def test_only_episodes_that_begin_through_the_wrapper_are_randomised():
+    """The environment inside goes on with what it had; that of the vector is randomised when it resets itself, too."""
+    plain = gymnasium.make("TrunkReach-v0", model="cable")
+    DomainRandomization(plain, SEARCH).reset(seed=0)
+    assert plain.reset(seed=0)[1]["params"]["trunk_mass"] == 0.42
+    inside = gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable", max_episode_steps=1)
+    vector = VectorDomainRandomization(inside, SEARCH)
+    first = vector.reset(seed=0)[1]["params"]["trunk_mass"]
+    actions = np.zeros(2, int)
+    vector.step(actions)
+    second = vector.step(actions)[4]["params"]["trunk_mass"]
+    assert (first != second).all() and (second != 0.42).all()
+    np.testing.assert_array_equal(inside.reset(seed=0)[1]["params"]["trunk_mass"], 0.42)
+
+
 def test_options_override_the_draw():
     """Parameters given at reset win over the distribution, in the single and the vector wrapper."""
     single = DomainRandomization(gymnasium.make("TrunkReach-v0", model="cable"), SEARCH)

@@ -311,6 +311,25 @@ def test_a_simulation_that_was_never_reset_is_not_stepped():
         envs.step([1, 2])
 
 
+def test_a_single_environment_that_was_not_reset_is_not_stepped():
+    """Nor is one whose reset was refused."""
+    env = gymnasium.make("TrunkReach-v0", model="cable").unwrapped
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(0)
+    env.reset(seed=0)
+    env.step(0)
+    with pytest.raises(ValueError, match="goal"):
+        env.reset(options={"goal": [10**400, 0, 0]})
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        env.step(0)
+
+
+def test_a_vector_environment_takes_no_render_mode():
+    gymnasium.make_vec("TrunkReach-v0", num_envs=1, model="cable", render_mode=None)
+    with pytest.raises(ValueError, match=r"'rgb_array'.*None"):
+        gymnasium.make_vec("TrunkReach-v0", num_envs=1, model="cable", render_mode="rgb_array")
+
+
 def test_generators_and_seeds_are_those_of_synchronous_environments():
     ours = gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable")
     theirs = gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable", vectorization_mode="sync")

@@ -28,16 +28,20 @@ class SoftRobotEnv(gymnasium.Env):
         self.observation_space = self.task.single_observation_space
         self.action_space = self.task.single_action_space
         self.render_mode = render_mode
-        self._renderer = None
+        self._renderer, self._begun = None, False
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         super().reset(seed=seed)
+        self._begun = False  # if the task refuses, nothing has begun
         observation, info = self.task.reset(_ONLY, [self.np_random], [checked_options(options)])
+        self._begun = True
         if self.render_mode == "human":
             self.render()
         return observation[0], _row(info)
 
     def step(self, action):
+        if not self._begun:
+            raise gymnasium.error.ResetNeeded("no episode has begun; reset the environment first")
         checked = self.task.check_actions(np.asarray(action)[None], 1)
         step = self.task.step(_ONLY, checked)
         if self.render_mode == "human":

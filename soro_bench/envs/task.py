@@ -143,8 +143,16 @@ class Task(ABC):
         info = {**self._info(ids), **reward_terms, "is_success": success, "diverged": diverged}
         return Step(inside, sum(reward_terms.values()), success, diverged, info)
 
-    def randomize(self, distribution: Distribution) -> None:
-        """Draw the parameters of every episode from ``distribution`` from the next reset on."""
+    @property
+    def distribution(self) -> Distribution | None:
+        """What the parameters of every episode are drawn from; None: they are nominal."""
+        return self._distribution
+
+    def randomize(self, distribution: Distribution | None) -> None:
+        """Draw the parameters of every episode from ``distribution`` from the next reset on; None: nominal ones."""
+        if distribution is None:
+            self._distribution = None
+            return
         if not hasattr(distribution, "names") or not hasattr(distribution, "sample"):
             raise ValueError(f"{distribution!r} is no distribution, such as soro_bench.randomization.Uniform")
         self.parameters.check_names(distribution.names)

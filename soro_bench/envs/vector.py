@@ -23,6 +23,7 @@ class SoftRobotVectorEnv(VectorEnv):
         num_envs: number of simulations.
         max_episode_steps: steps after which an episode is truncated; None or -1: never.
         num_threads: threads, 0 for all processors; results do not depend on it.
+        render_mode: None; single environments render.
         autoreset_mode: Gymnasium's "NextStep" (default), "SameStep" or "Disabled".
         task_options: what the task takes: model (or mesh), action, effects.
     """
@@ -34,9 +35,12 @@ class SoftRobotVectorEnv(VectorEnv):
         num_envs: int = 1,
         max_episode_steps: int | None = None,
         num_threads: int = 0,
+        render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         **task_options,
     ):
+        if render_mode is not None:
+            raise ValueError(f"render_mode {render_mode!r}: vector environments render nothing; allowed is None")
         self.task = self.task_type(num_envs=num_envs, num_threads=num_threads, **task_options)
         self.num_envs = num_envs
         self._max_steps = _limit(max_episode_steps)
