@@ -12,7 +12,7 @@ pytest.importorskip("rerun", reason="needs the view extra")
 from soro_bench.campaign.campaign import carry_out_all, state
 from soro_bench.campaign.commands import campaign
 from soro_bench.campaign.plan import BOXES, SEEDS, UNMODELLED, chosen, paper, runs_of, variance_for_deviation
-from soro_bench.campaign.run import Run, _check_fixed
+from soro_bench.campaign.run import Run, _check_fixed, enter
 from soro_bench.files import read_json
 from soro_bench.leaderboard.boards import BOARDS, board_of
 from soro_bench.leaderboard.entry import policy_of, read_entry
@@ -21,7 +21,7 @@ from soro_bench.randomization import TruncatedNormal, from_dict
 from soro_bench.registration import task_type
 from soro_bench.training.methods import ORACLE, Method, udr
 from soro_bench.training.policy import Policy
-from soro_bench.training.ppo import TRAINER, PPOConfig
+from soro_bench.training.ppo import TRAINER, PPOConfig, train
 
 TINY = PPOConfig(
     "TrunkReach-v0", total_steps=400, num_envs=2, rollout_steps=100, rollouts_per_segment=1, batch_size=100, epochs=1,
@@ -117,6 +117,33 @@ def test_a_run_ends_in_an_entry_whose_policy_is_the_trained_one(small_board, tmp
         assert (work / run.name / "evaluation_cable.rrd").exists()
     assert read_json(runs[0].result(results))["distribution"] is None
     from_dict(read_json(runs[1].result(results))["distribution"])
+
+
+def test_an_entry_takes_the_place_of_no_other_policy_unasked(small_board, tmp_path):
+    results, folders = tmp_path / "results", []
+    for seed, name in ((0, "a"), (1, "b")):
+        folders.append(tmp_path / name)
+        train(replace(TINY, seed=seed, method="own"), folders[-1])
+        card = folders[-1] / "policy.json"
+        card.write_text(json.dumps(json.loads(card.read_text()) | {"seed": 0}))
+    first = enter(folders[0], "TrunkReach-v0", "me", results)
+    before = first.read_bytes()
+    assert enter(folders[0], "TrunkReach-v0", "me", results) == first  # the same policy once more
+    with pytest.raises(ValueError, match=r"seed0.json is the entry of another policy; --replace"):
+        enter(folders[1], "TrunkReach-v0", "me", results)
+    assert first.read_bytes() == before
+    assert enter(folders[1], "TrunkReach-v0", "me", results, replace_other=True).read_bytes() != before
+
+
+def test_what_is_no_training_of_ours_is_refused_before_it_is_evaluated(small_board, tmp_path):
+    train(TINY, tmp_path / "a")
+    (tmp_path / "a" / "curve.csv").write_text("steps\n")
+    with pytest.raises(ValueError, match=r"curve.csv has no rows"):
+        enter(tmp_path / "a", "TrunkReach-v0", "me", tmp_path)
+    config = read_json(tmp_path / "a" / "config.json")
+    (tmp_path / "a" / "config.json").write_text(json.dumps({"distribution": config["distribution"]}))
+    with pytest.raises(ValueError, match=r"config.json lacks trainer"):
+        enter(tmp_path / "a", "TrunkReach-v0", "me", tmp_path)
 
 
 def test_a_run_that_fails_costs_no_other(small_board, tmp_path):

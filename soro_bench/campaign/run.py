@@ -7,7 +7,7 @@ from pathlib import Path
 
 from soro_bench.files import read_json
 from soro_bench.leaderboard.boards import BOARDS
-from soro_bench.leaderboard.entry import thinned_curve, write_entry
+from soro_bench.leaderboard.entry import check_free, thinned_curve, write_entry
 from soro_bench.options import check_name, check_seed
 from soro_bench.parallel import processors
 from soro_bench.parameters import ALL_PARAMETERS
@@ -83,25 +83,33 @@ def carry_out(run: Run, work: Path, results: Path) -> None:
         return
     folder, threads = Path(work) / run.name, processors()
     train(replace(run.config, num_threads=threads), folder, run.distribution(folder))
-    enter(folder, run.board, ENTRY, results, threads)
+    enter(folder, run.board, ENTRY, results, threads, replace_other=True)
 
 
-def enter(folder: Path, board: str, entry: str, results: Path, threads: int = 0) -> Path:
+def enter(folder: Path, board: str, entry: str, results: Path, threads: int = 0, replace_other: bool = False) -> Path:
     """Evaluate the policy that was trained into ``folder`` on all conditions of a board; returns its entry's file.
 
     Args:
         folder: as :func:`soro_bench.training.ppo.train` leaves it; gets a rerun recording of every evaluation.
         entry: who, or which code base, trained it.
         results: folder of all entries.
+        replace_other: whether the entry may take the place of one with another policy.
+
+    Raises:
+        ValueError: says what is wrong in the folder, or that the place is taken; nothing has been evaluated.
     """
     policy, config = Policy.load(folder), read_json(folder / "config.json")
+    if missing := sorted({"distribution", "trainer"} - set(config)):
+        raise ValueError(f"{folder / 'config.json'} lacks {', '.join(missing)}; soro-bench train writes both")
     _check_fixed(board, config["distribution"], folder)
-    evaluations = record_evaluations(policy, board, tuple(BOARDS[board].conditions), folder, threads)
     training = _training(folder, policy.card.env_id) | {
         "trainer": config["trainer"],
         "settings": {name: config[name] for name in PPOConfig(policy.card.env_id).settings() if name in config},
         "effects": [effect["name"] for effect in config.get("effects", [])],
     }
+    if not replace_other:
+        check_free(results, board, entry, policy)
+    evaluations = record_evaluations(policy, board, tuple(BOARDS[board].conditions), folder, threads)
     return write_entry(results, board, entry, policy, evaluations, config["distribution"], training)
 
 
@@ -124,7 +132,10 @@ def _holds(given: Distribution | None, name: str, value: float) -> bool:
 def _training(folder: Path, env_id: str) -> dict:
     path = folder / "curve.csv"
     with path.open() as file:
-        *_, last = csv.DictReader(file)
+        rows = list(csv.DictReader(file))
+    if not rows:
+        raise ValueError(f"{path} has no rows; a training of soro-bench train has one for every update")
+    last = rows[-1]
     curve = thinned_curve(path, task_type(env_id).metric)
     return {"algorithm": "PPO", "seconds": float(last["seconds"]), "curve": curve}
 

@@ -15,7 +15,8 @@ from soro_bench.recording.episode import Episode
 from soro_bench.registration import task_type
 from soro_bench.training.policy import Policy
 
-_FAR = 1000.0  # m, the largest length that an entry may have
+# the largest length [m] and return that an entry may have; what has diverged may be farther off
+_FAR, _MOST = 1000.0, 1e6
 NOISY_ROLLOUTS = 5  # of the walker, with observation noise; as in the paper's figure 6
 
 
@@ -79,7 +80,7 @@ class Board:
                 f"{name}_mm": [round(1e3 * self._final(e.signals[name], e.diverged), 4) for e in episodes]
                 for name in self.beside
             },
-            "return": [round(e.total_reward, 4) for e in episodes],
+            "return": [round(min(max(e.total_reward, -_MOST), _MOST), 4) for e in episodes],
             "success": [e.is_success and not e.diverged for e in episodes],
             "diverged": sum(e.diverged for e in episodes),
         }

@@ -30,7 +30,7 @@ class Build:
             raise ValueError(f"{self.results} is no folder; --results says where the entries are")
         with console.status("entries ...") as status:
             page = build(self.results, self.out, self.record, lambda stage: status.update(f"{stage} ..."))
-        console.print(f"{page}", soft_wrap=True, markup=False, highlight=False)
+        console.print(f"{page}", soft_wrap=True)
 
 
 @dataclass
@@ -45,6 +45,8 @@ class Enter:
     """Such as TrunkLift-v0-50g; by default the first of the policy's environment."""
     results: Path = Path("leaderboard", "results")
     """Folder of the entries."""
+    replace: bool = False
+    """Take the place of another policy's entry of the same names and seed."""
 
     def run(self) -> None:
         from soro_bench.campaign.run import enter
@@ -56,8 +58,8 @@ class Enter:
             check_name(what, name)
         board, _ = board_of(card.env_id, self.board)
         with console.status(f"evaluation on {board} ..."):
-            path = enter(self.policy, board, self.entry, self.results)
-        console.print(f"{path}", soft_wrap=True, markup=False, highlight=False)
+            path = enter(self.policy, board, self.entry, self.results, replace_other=self.replace)
+        console.print(f"{path}", soft_wrap=True)
 
 
 @dataclass
@@ -83,7 +85,7 @@ class Verify:
             except (ValueError, OSError) as error:  # the others are verified all the same
                 lines = {"refused": f"differs: {shown(str(error))}"}
             for part, found in lines.items():
-                console.print(f"{path}: {part}: {found}", soft_wrap=True, markup=False, highlight=False)
+                console.print(f"{path}: {part}: {found}", soft_wrap=True)
                 differs = differs or found.startswith("differs")
         if differs:
             sys.exit(1)

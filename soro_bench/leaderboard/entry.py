@@ -140,7 +140,7 @@ def write_entry(
         "evaluations": dict(evaluations),
         "versions": versions(),
     }
-    path = Path(results) / board / entry / card.method / f"seed{card.seed}.json"
+    path = _path(results, board, entry, card)
     written = json.loads(json.dumps(written, allow_nan=False))  # as it will be read
     check_entry(written, path)
     if (needed := BOARDS[board].env_id) != card.env_id:
@@ -149,6 +149,18 @@ def write_entry(
         temporary.write_bytes(data)
     write_json(path, written)
     return path
+
+
+def check_free(results: str | Path, board: str, entry: str, policy: Policy | OnnxPolicy) -> None:
+    """ValueError if another policy's entry is where that of ``policy`` belongs."""
+    path = _path(results, board, entry, policy.card)
+    if path.exists() and read_entry(path)["policy"]["sha256"] != hashlib.sha256(policy.to_bytes()).hexdigest():
+        raise ValueError(f"{path} is the entry of another policy; --replace puts this one in its place, another name "
+                         "of the method (soro-bench train --name) or of the entry beside it")  # fmt: skip
+
+
+def _path(results, board: str, entry: str, card: PolicyCard) -> Path:
+    return Path(results) / board / entry / card.method / f"seed{card.seed}.json"
 
 
 def evaluated(
