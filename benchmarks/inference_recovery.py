@@ -19,6 +19,7 @@ from soro_bench.inference.replay import Replay
 from soro_bench.parameters import ALL_PARAMETERS
 from soro_bench.recording.simulated import record
 from soro_bench.registration import task_type
+from soro_bench.sources import SIMULATION, claim, version_of
 
 ROOT = Path(__file__).parents[1]
 POLICIES = ROOT / "leaderboard" / "results" / "TrunkPush-v0" / "ppo" / "oracle"
@@ -126,6 +127,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--work", type=Path, default=ROOT / "runs" / "inference")
     options = parser.parse_args()
+    claim(options.work / "sources.txt", version_of((*SIMULATION, "inference/*.py")))
     rows = []
     for i, case in enumerate(options.only):
         results = []

@@ -18,6 +18,7 @@ import numpy as np
 from soro_bench.envs.multigait import MultiGaitTask
 from soro_bench.files import replacing, write_json
 from soro_bench.models.walker_mesh import RESOLUTIONS
+from soro_bench.sources import SIMULATION, claim, version_of
 
 ROOT = Path(__file__).parents[1]
 RESULT = ROOT / "docs" / "results" / "multigait_gaits.json"
@@ -119,7 +120,7 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=0)
     parser.add_argument("--work", type=Path, default=ROOT / "runs" / "multigait_gaits")
     options = parser.parse_args()
-    options.work.mkdir(parents=True, exist_ok=True)
+    claim(options.work / "sources.txt", version_of(SIMULATION))
     tree = Tree(options.work, options.threads)
     states, way = tree.root()
     for level in range(1, STEPS + 1):

@@ -17,6 +17,7 @@ from soro_bench.envs.multigait import MultiGaitTask
 from soro_bench.files import read_json, write_json
 from soro_bench.models import walker
 from soro_bench.randomization import search_box
+from soro_bench.sources import SIMULATION, claim, version_of
 
 NAME, RESULTS = "multigait_random.json", Path(__file__).parents[1] / "docs" / "results"
 BATCH, STEPS = 50, 6
@@ -77,8 +78,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--episodes", type=int, default=1000)
     parser.add_argument("--threads", type=int, default=0)
-    parser.add_argument("--work", type=Path, default=Path("runs"))
+    parser.add_argument("--work", type=Path, default=Path("runs/multigait_random"))
     options = parser.parse_args()
+    claim(options.work / "sources.txt", version_of(SIMULATION))
     path = options.work / NAME
     total = read_json(path) if path.exists() else {}
     start, first = time.monotonic(), total.get("episodes", 0)

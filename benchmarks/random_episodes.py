@@ -19,6 +19,7 @@ import soro_bench
 from soro_bench.files import read_json, write_json
 from soro_bench.randomization import search_box
 from soro_bench.registration import task_type
+from soro_bench.sources import SIMULATION, claim, version_of
 
 TRUNK_IDS = [env_id for env_id in soro_bench.ENV_IDS if env_id.startswith("Trunk")]
 BATCH = 50
@@ -77,8 +78,9 @@ def main():
     parser.add_argument("--model", choices=("cable", "flex"), default="cable")
     parser.add_argument("--episodes", type=int, default=3400, help="per task")
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--work", type=Path, default=Path("runs"))
+    parser.add_argument("--work", type=Path, default=Path("runs/random_episodes"))
     options = parser.parse_args()
+    claim(options.work / "sources.txt", version_of(SIMULATION))
     name = f"random_episodes_{options.model}.json"
     path = options.work / name
     totals = read_json(path) if path.exists() else {}

@@ -20,6 +20,7 @@ from soro_bench.proof.cases import write_cases
 from soro_bench.proof.score import markdown, opened_labels, scored
 from soro_bench.proof.unseen import unseen
 from soro_bench.recording.parquet import load
+from soro_bench.sources import claim
 
 METHOD = "method.txt"
 
@@ -46,7 +47,7 @@ def prove(
     require_jsonschema()  # before the work, not after it
     folder = Path(folder).resolve()  # workers of a cluster start elsewhere
     cases, reports = folder / "cases", folder / "reports"
-    _check_method(reports / METHOD)
+    claim(reports / METHOD, method_version())
     write_cases(cases, count, seed, nulls, workers, lambda done, total: progress("cases written", done, total))
     names = sorted(path.name for path in cases.glob("case_*"))
     wanted = [(cases / name, reports / f"{name}.json") for name in names]
@@ -78,15 +79,6 @@ def _scorecard(folder: Path, ablations: Iterable[str]) -> str:
         temporary.write_text(text + "\n")
     write_entry(folder / "entry.json", "soro_bench", "soro-bench diagnose", folder / "cases", card)
     return text
-
-
-def _check_method(path: Path) -> None:
-    """Refuse to go on with reports of another version of the method."""
-    if not path.exists():
-        with replacing(path) as temporary:
-            temporary.write_text(method_version() + "\n")
-    elif path.read_text().strip() != method_version():
-        raise ValueError(f"{path.parent} has reports of another version of the method; choose another folder")
 
 
 def _read_all(folder) -> dict[str, dict]:

@@ -1,0 +1,31 @@
+"""Which sources a result comes from."""
+
+import hashlib
+from collections.abc import Iterable
+from pathlib import Path
+
+import soro_bench
+from soro_bench.files import replacing
+
+SIMULATION = ("models/*.py", "envs/*.py", "effects/*.py")  # what an episode depends on
+
+
+def version_of(parts: Iterable[str]) -> str:
+    """A hash of files of this package, given as patterns: with another one, the same work may give other results."""
+    package, digest = Path(soro_bench.__file__).parent, hashlib.sha256()
+    for file in sorted(file for part in parts for file in package.glob(part)):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def claim(path: Path, version: str) -> None:
+    """Write into the file ``path`` of which version the files of its folder are; ValueError if they are of another."""
+    if path.exists():
+        if path.read_text().strip() != version:
+            raise ValueError(f"{path.parent} has results of another version of the sources; choose another folder")
+        return
+    if path.parent.is_dir() and any(path.parent.iterdir()):
+        raise ValueError(f"{path.parent} has results, and no {path.name} that says of which version of the sources; "
+                         "choose another folder")  # fmt: skip
+    with replacing(path) as temporary:
+        temporary.write_text(version + "\n")
