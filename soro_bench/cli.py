@@ -8,6 +8,7 @@ from dataclasses import dataclass
 try:
     import tyro
     from rich.table import Table
+    from rich.text import Text
 
     from soro_bench.campaign.commands import RunPreset
     from soro_bench.diagnosis.commands import Diagnose, Excite, Prove, Study
@@ -32,10 +33,11 @@ class List:
             task = task_type(env_id)
             table = Table(
                 "parameter", "nominal", "unit", "bounds", "search box", "meaning",
-                title=f"[bold]{env_id}[/bold]: {len(task.evaluation)} evaluation episodes", title_justify="left",
+                title=Text.assemble((env_id, "bold"), f": {len(task.evaluation)} evaluation episodes"),
+                title_justify="left",
             )  # fmt: skip
             for p in task.parameters.parameters.values():
-                name = f"[bold]{p.name} *[/bold]" if p.name in {q.name for q in task.randomized} else p.name
+                name = Text(f"{p.name} *", "bold") if p.name in {q.name for q in task.randomized} else p.name
                 bounds, search = ("{:g} .. {:g}".format(*pair) for pair in (p.bounds, p.search))
                 table.add_row(name, f"{p.nominal:g}", p.unit, bounds, search, p.meaning)
             console.print(table)

@@ -14,7 +14,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
-console = Console()
+console = Console(markup=False, highlight=False)  # names and paths are text, whatever is in them
 LOG_INTERVAL = 600.0  # s
 SLOW = 7200.0  # s, over which the speed of slow steps is estimated
 
@@ -56,7 +56,7 @@ class _Log:
     def __call__(self, line: str, last: bool) -> None:
         if last or time.monotonic() - self._told > LOG_INTERVAL:
             self._told = time.monotonic()
-            console.print(line, soft_wrap=True, highlight=False)
+            console.print(line, soft_wrap=True)
 
 
 def _hours(left: float | None) -> str:

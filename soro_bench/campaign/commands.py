@@ -119,12 +119,12 @@ def campaign(runs, work: Path, results: Path, workers: Workers, only_plan: bool 
     missing = [run.name for run in runs if not run.done(results)]
     console.print(f"{len(runs)} runs, {len(missing)} still to be done; results in {results}", soft_wrap=True)
     if only_plan:
-        return console.print("\n".join(missing), soft_wrap=True, markup=False, highlight=False)
+        return console.print("\n".join(missing), soft_wrap=True)
     with CampaignBar() as bar:
         failures = carry_out_all(runs, work, results, workers, bar)
     build(results, work)
     groups = [group for members in gather_control(results).values() for group in members]
-    console.print(markdown_table(groups), soft_wrap=True, markup=False, highlight=False)
+    console.print(markdown_table(groups), soft_wrap=True)
     console.print(
         f"{work / 'index.html'} shows them; watch what a policy does with: soro-bench view FILE.rrd", soft_wrap=True
     )

@@ -67,7 +67,7 @@ class Diagnose:
             found = diagnose(robot, recordings, heldout, self.seed, lambda stage: status.update(f"{stage} ..."))
             status.update("report ...")
             text = write_reports(found, recordings, self.out)
-        console.print(text, soft_wrap=True, markup=False, highlight=False)
+        console.print(text, soft_wrap=True)
         console.print(f"{self.out / 'report.html'}, {self.out / 'report.json'}; {found.seconds:.0f} s", soft_wrap=True)
 
     def _robot(self):
@@ -106,7 +106,7 @@ class Study:
             temporary.write_text(row(summaries))
         for summary in summaries:
             text = f"{summary['part']} ({summary['question']})\n{summary['verdict']}\n"
-            console.print(text, soft_wrap=True, markup=False, highlight=False)
+            console.print(text, soft_wrap=True)
         console.print(f"{self.out}", soft_wrap=True)
 
 
@@ -130,4 +130,4 @@ class Prove:
 
         with StageBars() as bar:
             text = prove(self.out, self.count, self.seed, self.nulls, self.ablations, self.workers, bar)
-        console.print(text, soft_wrap=True, markup=False, highlight=False)
+        console.print(text, soft_wrap=True)

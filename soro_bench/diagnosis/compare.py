@@ -21,7 +21,8 @@ from soro_bench.diagnosis.problem import Problem
 GUMBEL_LOCATION, GUMBEL_SCALE = 60.0, 60.0
 EFFECT, UNKNOWNS = 100.0, 50.0  # nats that a rugged fit gains by chance from one more effect, from each unknown of it
 # of what is explained, by which each unknown of an effect has to improve on laws with fewer: what a law has not quite
-# right, one that contains it can always take up (0.35 per cent by two more, 8 where they are real: docs/diagnosis_measured.md)
+# right, one that contains it can always take up (0.35 per cent by two more, 8 where they are real:
+# docs/diagnosis_measured.md)
 SPARE = 0.003
 TEMPER = (100.0, 0.1)  # nats, and share of the excess
 # share of the excess left where the physics is as likely unknown as not, width, and what nulls leave (600 to 2,500)

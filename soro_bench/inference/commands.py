@@ -71,4 +71,4 @@ class Infer:
             posterior = infer(self.method, replay, work, self.seed, steps, self.workers, **settings)
         posterior.save(self.out)
         work.unlink()  # up to 180 MB, and only an interrupted inference needs it
-        console.print(write_report(posterior, replay, self.out), soft_wrap=True, markup=False, highlight=False)
+        console.print(write_report(posterior, replay, self.out), soft_wrap=True)

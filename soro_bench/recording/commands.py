@@ -94,7 +94,7 @@ class Data:
             if self.robots:
                 fetch(known[name], self.out / name)
             text = summary(name, known[name], self.out / name)
-            console.print(text, soft_wrap=True, markup=False, highlight=False)
+            console.print(text, soft_wrap=True)
 
 
 @dataclass
@@ -121,7 +121,7 @@ class View:
             path = self.out or path.with_suffix(".rrd")
             check_output(path, ".rrd")
             write_comparison(load(self.recording), path, self.recording.stem)
-            console.print(f"{path}", soft_wrap=True, markup=False, highlight=False)
+            console.print(f"{path}", soft_wrap=True)
         if self.open:
             open_viewer(path)
 
