@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from soro_bench.diagnosis import explain, refit
+from soro_bench.diagnosis.descent import descended
 from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.screen import Lead, evidence, responses
 from soro_bench.diagnosis.suspects import suspect
 from soro_bench.effects.effect import Effect, Port
+from soro_bench.inference.clouds import LowRank
 from tests.trunk import TRUTH, problem
 
 
@@ -30,12 +32,37 @@ def test_a_search_leaves_the_minimum_in_which_a_fit_has_ended(monkeypatch):
         return Hypothesis((), x, residual, problem.cost(residual, x), np.zeros((2, 2)), np.zeros((0, 2)))
 
     problem = Rugged()
+    monkeypatch.setattr(refit, "descended", lambda _, hypotheses: hypotheses)
     monkeypatch.setattr(refit, "fitted", lambda problem, guesses, *_: [at(g.x) for g in guesses])
     ended = at(np.array([-0.5, 2.5]))
     (found,) = refit.searched(problem, [ended], 0)
     assert found.x == pytest.approx([1.0, 1.0], abs=0.02)
     monkeypatch.setattr(refit, "fitted", lambda *_: [ended])
     assert refit.searched(problem, [found], 0) == [found]
+
+
+def test_a_descent_finds_the_frequency_and_the_decay_of_an_oscillation():
+    """Of twenty swings, from where the last of them is a third of a period off."""
+    time, truth = np.arange(0.0, 20.0, 0.05), np.array([0.17, -0.5])
+
+    def swings(x):
+        return 1e3 * np.exp(-0.1 * (1 + x[1]) * time) * np.sin(2 * np.pi * (1 + 0.1 * x[0]) * time)
+
+    class Swinging:
+        robot = SimpleNamespace(priors=[SimpleNamespace(reach=np.array([-3.0, 3.0]))] * 2)
+        floor = LowRank(np.zeros((0, len(time))))
+
+        def residuals(self, points):
+            return np.array([swings(truth) - swings(x) for x, _ in points])
+
+        def cost(self, residual, x):
+            return 0.5 * float(residual @ residual + x @ x)
+
+    problem, begun = Swinging(), np.zeros(2)
+    (residual,) = problem.residuals([(begun, ())])
+    one = Hypothesis((), begun, residual, problem.cost(residual, begun), np.zeros((2, len(time))), np.zeros((0, 1)))
+    (found,) = descended(problem, [one])
+    assert found.x == pytest.approx(truth, abs=1e-4)
 
 
 def test_laws_of_the_class_and_place_of_the_best_lead_are_tried_whatever_they_promise(robot):

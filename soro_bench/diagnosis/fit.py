@@ -80,10 +80,10 @@ def fitted(problem: Problem, guesses: Sequence[Guess], scales: Sequence[float], 
     guesses = [replace(g, x=np.clip(g.x, *bounds(problem, g.suspects))) for g in guesses]
     for k, scale in enumerate(scales):
         clouds = [_cloud(problem, guess, scale, [seed, k]) for guess in guesses]
-        found = _residuals(problem, guesses, clouds)
+        found = replayed(problem, guesses, clouds)
         lines = [linearised(g.x, points, rows, g.slope) for g, points, rows in zip(guesses, clouds, found, strict=True)]
         trials = [_trials(problem, guess, line) for guess, line in zip(guesses, lines, strict=True)]
-        found = _residuals(problem, guesses, trials)
+        found = replayed(problem, guesses, trials)
         news = []
         for i, (guess, line, points, rows) in enumerate(zip(guesses, lines, trials, found, strict=True)):
             kept = [replace(best[i], slope=line.slope, error=line.error)] if best else []
@@ -101,7 +101,9 @@ def _hypotheses(problem, guess, points, residuals, line):
     ]
 
 
-def _residuals(problem, guesses, groups):
+def replayed(
+    problem: Problem, guesses: Sequence[Guess | Hypothesis], groups: Sequence[Sequence[np.ndarray]]
+) -> list[np.ndarray]:
     """Residuals (N, M) at the points (N, n) of each guess, replayed together."""
     asked = [(x, guess.suspects) for guess, points in zip(guesses, groups, strict=True) for x in points]
     ends = np.cumsum([len(points) for points in groups])

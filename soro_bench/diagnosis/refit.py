@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from soro_bench.diagnosis.descent import descended
 from soro_bench.diagnosis.fit import Guess, Hypothesis, bounds, fitted
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Robot
@@ -80,7 +81,7 @@ def persevered(problem: Problem, hypotheses: Sequence[Hypothesis], seed: int) ->
             found[i] = min(found[i], h, key=lambda h: h.cost)
         if not (going := helped):
             break
-    return found
+    return descended(problem, found)
 
 
 def searched(problem: Problem, hypotheses: Sequence[Hypothesis], seed: int) -> list[Hypothesis]:
@@ -105,7 +106,7 @@ def searched(problem: Problem, hypotheses: Sequence[Hypothesis], seed: int) -> l
             search.tell(some, values.tolist())
     guesses = [Guess(search.result.xbest, h.suspects) for search, h in zip(searches, hypotheses, strict=True)]
     better = fitted(problem, guesses, _POLISH, seed)
-    return [min(pair, key=lambda h: h.cost) for pair in zip(hypotheses, better, strict=True)]
+    return descended(problem, [min(pair, key=lambda h: h.cost) for pair in zip(hypotheses, better, strict=True)])
 
 
 def without_one(problem: Problem, hypothesis: Hypothesis, seed: int) -> list[Hypothesis]:
