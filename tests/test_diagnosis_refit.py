@@ -15,32 +15,6 @@ from soro_bench.inference.clouds import LowRank
 from tests.trunk import TRUTH, problem
 
 
-def test_a_search_leaves_the_minimum_in_which_a_fit_has_ended(monkeypatch):
-    """Of a cost with one every 0.5 standard deviations; the deepest is at 1."""
-
-    class Rugged:
-        robot = SimpleNamespace(priors=[SimpleNamespace(reach=np.array([-3.0, 3.0]))] * 2)
-
-        def residuals(self, points):
-            return np.array([10.0 * (x - 1.0) ** 2 + 3.0 * (1.0 - np.cos(4 * np.pi * (x - 1.0))) for x, _ in points])
-
-        def cost(self, residual, x):
-            return float(residual.sum())
-
-    def at(x, *_):
-        (residual,) = problem.residuals([(x, ())])
-        return Hypothesis((), x, residual, problem.cost(residual, x), np.zeros((2, 2)), np.zeros((0, 2)))
-
-    problem = Rugged()
-    monkeypatch.setattr(refit, "descended", lambda _, hypotheses: hypotheses)
-    monkeypatch.setattr(refit, "fitted", lambda problem, guesses, *_: [at(g.x) for g in guesses])
-    ended = at(np.array([-0.5, 2.5]))
-    (found,) = refit.searched(problem, [ended], 0)
-    assert found.x == pytest.approx([1.0, 1.0], abs=0.02)
-    monkeypatch.setattr(refit, "fitted", lambda *_: [ended])
-    assert refit.searched(problem, [found], 0) == [found]
-
-
 def test_a_descent_finds_the_frequency_and_the_decay_of_an_oscillation():
     """Of twenty swings, from where the last of them is a third of a period off."""
     time, truth = np.arange(0.0, 20.0, 0.05), np.array([0.17, -0.5])
@@ -111,15 +85,6 @@ def test_of_fits_of_the_same_laws_the_best_one_stays_in_the_place_of_the_first(r
     one, other = (suspect(robot, "coulomb_friction", Port("tendon", cable)) for cable in ("L0", "L1"))
     given = [SimpleNamespace(suspects=s, cost=c) for s, c in (((one,), 5.0), ((other,), 4.0), ((one,), 3.0))]
     assert explain._cheapest(given) == [given[2], given[1]]
-
-
-def test_the_best_hypothesis_and_its_rivals_are_searched_on_and_keep_their_places(monkeypatch):
-    asked = []
-    monkeypatch.setattr(explain, "searched", lambda problem, some, seed: asked.extend(some) or [h.name for h in some])
-    given = [SimpleNamespace(name=name, cost=cost) for name, cost in (("far", 50.0), ("best", 10.0), ("rival", 19.0))]
-    found = explain._searched(None, given, 0)
-    assert [h.name for h in asked] == ["best", "rival"]
-    assert found == [given[0], "best", "rival"]
 
 
 def test_an_effect_that_only_leads_to_better_parameters_is_dropped(robot, actions):

@@ -12,8 +12,8 @@ pytest.importorskip("rerun")
 pytest.importorskip("matplotlib")
 
 from soro_bench.diagnosis import page, pipeline
-from soro_bench.diagnosis.findings import Finding
-from soro_bench.diagnosis.localise import left_over, residual_map
+from soro_bench.diagnosis.findings import Finding, _condition
+from soro_bench.diagnosis.localise import Regime, left_over, residual_map
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.probe import places
 from soro_bench.diagnosis.propose import Proposal, motions
@@ -272,3 +272,16 @@ def test_the_same_seed_gives_the_same_report_with_one_thread_or_two(robot, monke
     robots = (robot, SuiteRobot("TrunkReach-v0", threads=2))
     first, second = (report_of(diagnosed(each, monkeypatch, hidden)) for each in robots)
     assert {**first, "seconds": 0} == {**second, "seconds": 0}
+
+
+def test_a_condition_that_fills_nearly_all_the_time_is_not_given_as_when_an_effect_acts():
+    effect = Effect("coulomb_friction", Port("tendon", "L0"), {"force": 1.0})
+    told = [Regime("just after reversals", 0.2, 0.9), Regime("while it moves on", 0.8, 0.1)]
+    assert (
+        _condition(effect, told, True)
+        == "90 % of what it explains is just after reversals of tendon L0, 20 % of the time"
+    )
+    silent = [Regime("just after reversals", 0.99, 1.0), Regime("while it rests", 0.01, 0.0)]
+    assert _condition(effect, silent, True).endswith(
+        "do not tell: 99 % of the time is just after reversals of tendon L0"
+    )

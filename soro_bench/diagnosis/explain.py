@@ -19,7 +19,6 @@ from soro_bench.diagnosis.refit import (
     persevered,
     polished,
     refitted,
-    searched,
     twins,
     unique,
     without_one,
@@ -215,7 +214,6 @@ class _Search:
         new = refitted(self.problem, leads, self.screened, next(self.seeds))
         if self.problem.rough:
             new = persevered(self.problem, new, next(self.seeds))
-            new = _searched(self.problem, new, next(self.seeds))
         self.problem, new = _with_own_floor(self.problem, self.refined, new, next(self.seeds))
         return sorted(new, key=lambda h: -h.log_evidence(self.problem))
 
@@ -240,14 +238,6 @@ def _cheapest(hypotheses):
     for h in sorted(hypotheses, key=lambda h: h.cost):
         best.setdefault(laws(h), h)
     return [best[laws(h)] for h in unique(hypotheses)]
-
-
-def _searched(problem, hypotheses, seed):
-    """The best hypothesis and its rivals, searched on."""
-    least = min(h.cost for h in hypotheses)
-    close = [h.cost < RIVAL * least for h in hypotheses]
-    better = iter(searched(problem, list(itertools.compress(hypotheses, close)), seed))
-    return [next(better) if near else h for h, near in zip(hypotheses, close, strict=True)]
 
 
 def _round(problem, base, offered, fitted) -> Round:

@@ -15,6 +15,7 @@ from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import Effect, Port
 
 NINETY = 1.645  # standard deviations on either side of the middle 90 %
+_ALWAYS = 0.9  # share of the time that a condition fills if it says nothing of when an effect acts
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,8 @@ def _condition(effect: Effect, shares: list[Regime], one: bool) -> str:
         "while it moves on": f"while {what} move{ending} on",
         "while it rests": f"while {what} rest{ending}",
     }[most.condition]
+    if most.time > _ALWAYS:
+        return f"when it acts, commands do not tell: {100 * most.time:.0f} % of the time is {when}"
     return f"{100 * most.explained:.0f} % of what it explains is {when}, {100 * most.time:.0f} % of the time"
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from soro_bench.diagnosis.descent import descended
-from soro_bench.diagnosis.fit import Guess, Hypothesis, bounds, fitted
+from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.screen import Evidence, Lead
@@ -18,8 +18,6 @@ SCALE, KEPT = 0.15, 3  # of the cloud, and how many hypotheses remain
 _TRIED, _LENGTHS = 4, (0.5, 1.0)  # how many leads are fitted, and shares of their magnitudes at which all are tried
 _POLISH = (0.3, 0.1)  # radii
 _ROUNDS, _HELPS = 5, 0.1  # of fits that go on, at most, and the share of the cost by which one has to help
-# of CMA-ES: its first step, in standard deviations of the priors, and how long it goes on
-_STEP, _GENERATIONS = 0.3, 40
 _PER_NAME = 2  # leads that differ in their places only
 
 
@@ -82,31 +80,6 @@ def persevered(problem: Problem, hypotheses: Sequence[Hypothesis], seed: int) ->
         if not (going := helped):
             break
     return descended(problem, found)
-
-
-def searched(problem: Problem, hypotheses: Sequence[Hypothesis], seed: int) -> list[Hypothesis]:
-    """The hypotheses, each after a search by CMA-ES from where it is; never worse.
-
-    For fits that are far from the recordings, whose costs have many minima: which one slopes lead to is chance.
-    """
-    import cma
-
-    rng, searches = np.random.default_rng(seed), []
-    for each in hypotheses:
-        low, high = bounds(problem, each.suspects)
-        options = {"bounds": [low.tolist(), high.tolist()], "verbose": -9, "seed": np.nan,
-                   "randn": lambda *shape: rng.standard_normal(shape)}  # fmt: skip
-        searches.append(cma.CMAEvolutionStrategy(np.clip(each.x, low, high), _STEP, options))
-    for _ in range(_GENERATIONS):
-        asked = [search.ask() for search in searches]
-        points = [(x, h.suspects) for h, some in zip(hypotheses, asked, strict=True) for x in some]
-        costs = [problem.cost(row, x) for row, (x, _) in zip(problem.residuals(points), points, strict=True)]
-        ends = np.cumsum([len(some) for some in asked])[:-1]
-        for search, some, values in zip(searches, asked, np.split(costs, ends), strict=True):
-            search.tell(some, values.tolist())
-    guesses = [Guess(search.result.xbest, h.suspects) for search, h in zip(searches, hypotheses, strict=True)]
-    better = fitted(problem, guesses, _POLISH, seed)
-    return descended(problem, [min(pair, key=lambda h: h.cost) for pair in zip(hypotheses, better, strict=True)])
 
 
 def without_one(problem: Problem, hypothesis: Hypothesis, seed: int) -> list[Hypothesis]:
