@@ -1,10 +1,10 @@
 """Frequency and decay of the silicone beam, recorded and simulated with fitted parameters.
 
     python benchmarks/beam_decay.py gravity --data data/real
-    python benchmarks/beam_decay.py load52 --data data/real --diagnose
+    python benchmarks/beam_decay.py load52 --data data/real --report runs/studies/silicone_beam_0/load
 
-The parameters are fitted to the recording a, without effects; with --diagnose also with those that the diagnosis finds
-(minutes). Then what is left of the recordings a and b, and of the height of the first marker in windows of two periods
+The parameters are fitted to the recording a, without effects; with --report those and the effects are what a diagnosis
+has found. Then what is left of the recordings a and b, and of the height of the first marker in windows of two periods
 a fit of A exp(-s t) cos(2 pi f t + p) + c + d t: amplitude A, frequency f, logarithmic decrement s / f.
 """
 
@@ -18,8 +18,9 @@ from soro_bench.assets import mjcf_path
 from soro_bench.diagnosis.audit import audit
 from soro_bench.diagnosis.explain import nominal_fit
 from soro_bench.diagnosis.model_robot import ModelRobot
-from soro_bench.diagnosis.pipeline import diagnose, unexplained
+from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.problem import Problem
+from soro_bench.diagnosis.report import earlier
 from soro_bench.diagnosis.robot import FITTED
 from soro_bench.recording.importers import import_recording
 
@@ -48,34 +49,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("kind", choices=list(FREQUENCY))
     parser.add_argument("--data", type=Path, default=Path("data/real"))
-    parser.add_argument("--diagnose", action="store_true")
+    parser.add_argument("--report", type=Path, help="folder of a diagnosis")
     options = parser.parse_args()
     kind, model = options.kind, mjcf_path("real/silicone_beam.xml")
-    robot = ModelRobot(model, model.with_suffix(".toml"))
+    found = earlier(options.report) if options.report else None
+    robot = ModelRobot(model, model.with_suffix(".toml"), earlier=found).shortened(FITTED)
     mapping, folder = mjcf_path(f"real/silicone_beam_{kind}_import.toml"), options.data / "silicone_beam_arm"
-    recordings = [import_recording(folder / f"beam_{kind}_V2_{run}.csv", mapping) for run in "ab"]
-    if options.diagnose:
-        found = diagnose(robot, recordings[:1], recordings[1:], progress=print)
-        print(f"{found.verdict}; unknown {found.comparison.unknown:.2f}; {found.seconds:.0f} s")
-        problem = found.explanation.problem
-        fits = [found.explanation.nominal, *(answer.hypothesis for answer in found.comparison.answers)]
-    else:
-        measured = robot.measured(recordings[0])
-        problem = unexplained(robot.shortened(FITTED), (measured,), audit(measured).sigma)
-        problem, nominal = nominal_fit(problem, robot.refined(), seed=0)
-        fits = [nominal]
-    for fit in fits:
-        print("\n" + ("; ".join(map(str, fit.effects(problem.parameters))) or "no effects"))
-        values = robot.parameters(fit.x)
-        print(", ".join(f"{name} {value:.4g}" for name, value in values.items()))
-        for run, recording in zip("ab", recordings, strict=True):
-            one = unexplained(problem.robot, (robot.measured(recording),), 1.0)
-            _compare(one, fit, f"{kind} {run}", FREQUENCY[kind])
+    measured = [robot.measured(import_recording(folder / f"beam_{kind}_V2_{run}.csv", mapping)) for run in "ab"]
+    x = np.zeros(len(robot.priors))
+    if not found:
+        _, nominal = nominal_fit(unexplained(robot, (measured[0],), audit(measured[0]).sigma), robot.refined(), seed=0)
+        x = nominal.x
+    print("; ".join(map(str, robot.known)) or "no effects")
+    print(", ".join(f"{name} {value:.4g}" for name, value in robot.parameters(x).items()))
+    for run, each in zip("ab", measured, strict=True):
+        _compare(unexplained(robot, (each,), 1.0), x, f"{kind} {run}", FREQUENCY[kind])
 
 
-def _compare(problem: Problem, fit, label: str, frequency: float) -> None:
+def _compare(problem: Problem, x: np.ndarray, label: str, frequency: float) -> None:
     (measured,) = problem.recordings
-    simulated = problem.simulated(problem.robot, [(fit.x, fit.suspects)])[0].reshape(measured.values.shape)
+    simulated = problem.simulated(problem.robot, [(x, ())])[0].reshape(measured.values.shape)
     left = 1e3 * np.sqrt(np.nanmean((measured.values - simulated) ** 2))
     since = measured.time - measured.time[np.flatnonzero(measured.settings[:, 0] == 0)[0]] - FROM
     seen = np.isfinite(measured.values[:, 0, 0])  # not every step of the simulation was recorded
