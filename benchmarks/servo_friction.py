@@ -3,7 +3,7 @@
     python benchmarks/servo_friction.py --data data/real [--laws coulomb_friction ...] [--seeds 3] [--threads 1]
 
 Viscous friction is a parameter of the servo's model, so the default is Coulomb and viscous friction, the model that the
-servo's simulators have. Fitted as hypotheses of a diagnosis are: on slopes, then by CMA-ES, then on slopes again.
+servo's simulators have. Fitted as hypotheses of a diagnosis are.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from soro_bench.diagnosis.explain import nominal_fit
 from soro_bench.diagnosis.fit import Guess, fitted
 from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.pipeline import unexplained
-from soro_bench.diagnosis.refit import persevered, searched
+from soro_bench.diagnosis.refit import persevered
 from soro_bench.diagnosis.robot import FITTED
 from soro_bench.diagnosis.suspects import suspect
 from soro_bench.effects.effect import Port
@@ -45,7 +45,7 @@ def main() -> None:
         for law in options.laws:
             one = suspect(robot, law, Port("joint", "hinge"))
             found = fitted(problem, [Guess(np.concatenate([nominal.x, one.simulated]), (one,))], RADII, seed)
-            found = persevered(problem, searched(problem, persevered(problem, found, seed), seed), seed)
+            found = persevered(problem, found, seed)
             errors = errors_of(problem.robot, sets, found[0])
             cells = [f"{errors[key]['mean_absolute']:.4f}" for key in sets]
             print(f"| {law} | {seed} | {' | '.join(cells)} | {problem.excess(found[0].residual):.0f} | "

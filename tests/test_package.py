@@ -1,6 +1,7 @@
 """The package: its assets, its registration, and what importing it does not need."""
 
 import os
+import runpy
 import shutil
 import subprocess
 import sys
@@ -72,3 +73,14 @@ def test_without_egl_the_package_is_imported_all_the_same():
     run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120)
     assert run.returncode == 0, run.stderr
     assert "MUJOCO_GL" not in run.stdout
+
+
+SCRIPTS = [path for folder in ("benchmarks", "baselines", "docs/images") for path in (CHECKOUT / folder).glob("*.py")]
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+def test_what_scripts_import_is_there(script, monkeypatch):
+    """Slow scripts are not run by tests; what they take from the package still has to exist."""
+    pytest.importorskip("stable_baselines3", reason="needs all extras")
+    monkeypatch.syspath_prepend(script.parent)
+    runpy.run_path(str(script), run_name="imported")
