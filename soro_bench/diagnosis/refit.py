@@ -91,7 +91,8 @@ def without_one(problem: Problem, hypothesis: Hypothesis, seed: int) -> list[Hyp
         first += suspect.size
         rest = hypothesis.suspects[:i] + hypothesis.suspects[i + 1 :]
         guesses.append(Guess(hypothesis.x[kept], rest, hypothesis.slope[kept]))
-    return fitted(problem, guesses, _POLISH, seed)
+    found = fitted(problem, guesses, _POLISH, seed)
+    return descended(problem, found) if problem.rough else found
 
 
 def _moved(problem, hypotheses, screened, seed):
