@@ -26,12 +26,6 @@ from tests.arm import ARM, MAP, TRUTH, recording
 SURE = {"inertia": 0.0, "damping": 0.0, "zero": 0.0}  # standard deviations of what was found
 
 
-@pytest.fixture(autouse=True)
-def short_search(monkeypatch):
-    """Of a real robot CMA-ES goes on for longer, which takes two minutes here and finds nothing else."""
-    monkeypatch.setattr("soro_bench.diagnosis.refit._GENERATIONS", 5)
-
-
 @pytest.fixture
 def paths(tmp_path):
     (tmp_path / "arm.xml").write_text(ARM)
