@@ -144,7 +144,7 @@ def before_after(fit: Fit, unit: str) -> str:
 
 
 def length(value: float, unit: str) -> str:
-    return f"{1e3 * value:.2f} mm" if unit == "m" else f"{value:.3g} {unit}"
+    return f"{1e3 * value:.3g} mm" if unit == "m" else f"{value:.3g} {unit}"
 
 
 def spaced(unit: str) -> str:
