@@ -125,8 +125,9 @@ def campaign(runs, work: Path, results: Path, workers: Workers, only_plan: bool 
     build(results, work)
     groups = [group for members in gather_control(results).values() for group in members]
     console.print(markdown_table(groups), soft_wrap=True)
+    recording = next(iter(sorted(work.rglob("*.rrd"))), "FILE.rrd")
     console.print(
-        f"{work / 'index.html'} shows them; watch what a policy does with: soro-bench view FILE.rrd", soft_wrap=True
+        f"{work / 'index.html'} shows them; watch what a policy does with: soro-bench view {recording}", soft_wrap=True
     )
     if failures:
         raise ValueError(f"{len(failures)} of {len(missing)} runs failed:\n" + "\n".join(failures))
