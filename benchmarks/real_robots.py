@@ -66,7 +66,7 @@ def main() -> None:
 
 
 def write_results(found: list[dict]) -> None:
-    """Put summaries in the place of earlier ones. Others stay, and each says which version of the method it is of."""
+    """Put summaries in the place of earlier ones. Others stay; ``method`` has their version (the oldest lack it)."""
     new = {(s["study"], s["part"], s["seed"]) for s in found}
     old = read_json(RESULTS) if RESULTS.exists() else []
     others = [s for s in old if (s["study"], s["part"], s["seed"]) not in new]
