@@ -39,6 +39,16 @@ def test_a_descent_finds_the_frequency_and_the_decay_of_an_oscillation():
     assert found.x == pytest.approx(truth, abs=1e-4)
 
 
+@pytest.mark.parametrize("rough", [False, True])
+def test_what_is_left_without_an_effect_is_led_down_where_all_fits_are(rough, monkeypatch):
+    monkeypatch.setattr(refit, "fitted", lambda problem, guesses, *_: ["fitted"] * len(guesses))
+    monkeypatch.setattr(refit, "descended", lambda problem, some: ["descended"] * len(some))
+    both = SimpleNamespace(suspects=(SimpleNamespace(size=1), SimpleNamespace(size=2)), x=np.zeros(5),
+                           slope=np.zeros((5, 3)))  # fmt: skip
+    found = refit.without_one(SimpleNamespace(parameters=2, rough=rough), both, 0)
+    assert found == ["descended" if rough else "fitted"] * 2
+
+
 def test_laws_of_the_class_and_place_of_the_best_lead_are_tried_whatever_they_promise(robot):
     promised = [("stribeck_friction", "L0", 1000.0), ("viscous_friction", "L1", 500.0),
                 ("viscous_friction", "L0", 200.0), ("coulomb_friction", "L0", 20.0),
