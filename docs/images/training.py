@@ -13,6 +13,7 @@ from soro_bench.leaderboard.plots import curves_of
 from soro_bench.report import pyplot
 
 RESULTS = Path(__file__).parents[2] / "leaderboard" / "results"
+COMPARED = ("oracle", "rf_dropo", "bayes_sim", "udr", "dr_box", "rf_dropo_cable", "oracle_flex")
 
 
 def curves(groups):
@@ -35,31 +36,34 @@ def curves(groups):
 
 
 def distances(groups):
-    """A point for every final distance, and means."""
-    figure, axes = pyplot().subplots(figsize=(6, 3.75), layout="constrained")
-    rng, names = np.random.default_rng(0), []
-    for group in groups:
-        for label in group.labels:
-            values, at = group.scores(label).ravel(), len(names)
-            axes.scatter(at + rng.uniform(-0.2, 0.2, len(values)), values, s=8, alpha=0.5, lw=0, color=f"C{at}")
-            axes.plot([at - 0.3, at + 0.3], 2 * [values.mean()], color="black", lw=2)
-            names.append(f"{group.name}\non {label}")
-    axes.set(ylabel="final distance [mm]", ylim=(0, None))
-    axes.set_xticks(range(len(names)), names)
-    axes.grid(axis="y", alpha=0.3)
+    """A panel for every model evaluated on, and in it a point for every final distance, and means."""
+    labels = list(groups[0].labels)
+    figure, panels = pyplot().subplots(1, len(labels), figsize=(9, 3.75), layout="constrained", sharey=True)
+    rng = np.random.default_rng(0)
+    for label, axes in zip(labels, panels, strict=True):
+        for at, group in enumerate(groups):
+            values = group.scores(label).ravel()
+            axes.scatter(at + rng.uniform(-0.25, 0.25, len(values)), values, s=6, alpha=0.4, lw=0, color=f"C{at}")
+            axes.plot([at - 0.35, at + 0.35], 2 * [values.mean()], color="black", lw=2)
+        axes.set(title=f"on {label}", yscale="log")
+        axes.set_yticks(ticks := (0.5, 1, 2, 5, 10, 20, 50, 100), [str(tick) for tick in ticks])
+        axes.minorticks_off()
+        axes.set_xticks(range(len(groups)), [group.method for group in groups], rotation=30, ha="right")
+        axes.grid(axis="y", alpha=0.3)
+    panels[0].set(ylabel="final distance [mm]")
     return figure
 
 
 def main():
     boards = gather_control(RESULTS)
     reach, push = (
-        [group for group in boards[board] if group.entry == ENTRY and group.method in ("oracle", "udr")]
+        {group.method: group for group in boards[board] if group.entry == ENTRY}
         for board in ("TrunkReach-v0", "TrunkPush-v0")
     )
     for name, figure in (
-        ("reach_curves", curves(reach)),
-        ("push_curves", curves(push)),
-        ("reach_distances", distances(reach)),
+        ("reach_curves", curves([reach["oracle"], reach["udr"]])),
+        ("push_curves", curves([push[method] for method in ("oracle", "udr") if method in push])),
+        ("reach_distances", distances([reach[method] for method in COMPARED])),
     ):
         figure.savefig(Path(__file__).with_name(f"{name}.png"), dpi=160, metadata={"Software": None})
 
