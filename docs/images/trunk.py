@@ -47,6 +47,11 @@ def final_state(env_id: str, actions, options) -> tuple[mujoco.MjModel, mujoco.M
     for action, repetitions in actions:
         for _ in range(repetitions):
             env.step(action)
+    return state_of(env)
+
+
+def state_of(env: gymnasium.Env) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Model and data of an environment as it is."""
     batch = env.unwrapped.task.sim.batch
     model = batch.get_model(0)
     data = mujoco.MjData(model)
