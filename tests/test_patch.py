@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from soro_bench.assets import mjcf_path
+from soro_bench.diagnosis.compare import Fit
 from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.patch import (
     MODEL,
     REMAINING,
     PatchError,
     model_patch,
+    patch,
     patched_spec,
     write_model_patch,
     written,
@@ -47,8 +49,7 @@ def robot():
 def diagnosis(robot, effects, heldout=(2.0, 1.0), verdict="missing_physics"):
     """A diagnosis with a known answer; the nominal fit is at the origin."""
     best = SimpleNamespace(x=X, effects=lambda parameters: list(effects))
-    before, after = heldout
-    answer = SimpleNamespace(hypothesis=best, heldout=SimpleNamespace(before=before, after=after))
+    answer = SimpleNamespace(hypothesis=best, train=Fit(2.0, 1.0, 0.0), heldout=heldout and Fit(*heldout, 0.0))
     nominal = SimpleNamespace(x=np.zeros(len(X)))
     explanation = SimpleNamespace(nominal=nominal, problem=SimpleNamespace(parameters=len(X)))
     comparison = SimpleNamespace(answers=[answer])
@@ -123,7 +124,15 @@ def test_what_a_model_cannot_hold_is_in_a_file_of_its_own(robot, tmp_path):
     assert not (tmp_path / REMAINING).exists()
 
 
-@pytest.mark.parametrize("case", [{"heldout": (1.0, 2.0)}, {"verdict": "unknown_physics"}])
+@pytest.mark.parametrize(
+    "case",
+    [
+        {"heldout": (1.0, 2.0)},
+        {"verdict": "none_detected"},
+        {"verdict": "unknown_physics", "heldout": None},
+        {"verdict": "unknown_physics", "heldout": (2.0, 1.7)},
+    ],
+)
 def test_without_a_patch_the_model_has_the_parameters_that_were_fitted_without_one(robot, case):
     found = model_patch(diagnosis(robot, [PAYLOAD, DELAY], **case))
     assert (found.effects, found.remaining) == ((), ())
@@ -131,6 +140,10 @@ def test_without_a_patch_the_model_has_the_parameters_that_were_fitted_without_o
     nominal = robot.model(robot.parameters(np.zeros(len(X))), [])
     np.testing.assert_allclose(model.body_mass, nominal.body_mass, rtol=1e-5)
     np.testing.assert_allclose(model.jnt_stiffness, nominal.jnt_stiffness, rtol=1e-5)
+
+
+def test_what_has_no_name_is_patched_by_the_nearest_that_explains_held_out_recordings_too(robot):
+    assert patch(diagnosis(robot, [PAYLOAD], verdict="unknown_physics")) == [PAYLOAD]
 
 
 def test_springs_are_in_the_model_only_where_an_effect_uses_them(robot):

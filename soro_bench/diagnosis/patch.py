@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS
 
+from soro_bench.diagnosis.compare import Answer
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.robot import Robot
@@ -16,6 +17,7 @@ from soro_bench.effects.effect import Effect, save_effects
 from soro_bench.effects.elements import without_unused_springs
 from soro_bench.files import replacing
 
+KEPT = 0.5  # of the share of the variance that is explained
 MODEL, REMAINING = "patched_model.xml", "remaining_effects.json"
 # of a field's largest value: what compiling again changes in derived fields, and the six digits that MuJoCo writes
 _ROUNDING, _PRECISION = 1e-12, 1e-5
@@ -41,10 +43,21 @@ class ModelPatch:
 
 
 def patch(diagnosis: Diagnosis) -> list[Effect]:
-    """The physics that the simulation should have; none where nothing is missing or held-out recordings got worse."""
-    if diagnosis.verdict not in ("missing_physics", "measurement_fault") or rejected(diagnosis):
+    """The physics that the simulation should have; none where nothing is missing or held-out recordings got worse.
+
+    Where what acts has no name, the nearest that has one is worth having if it is more than a description of the
+    recordings that it was fitted to: if held-out ones keep ``KEPT`` of what it explains.
+    """
+    best = diagnosis.comparison.answers[0]
+    wanted = {"unknown_physics": keeps(best), "none_detected": False}.get(diagnosis.verdict, True)
+    if not wanted or rejected(diagnosis):
         return []
-    return diagnosis.comparison.answers[0].hypothesis.effects(diagnosis.explanation.problem.parameters)
+    return best.hypothesis.effects(diagnosis.explanation.problem.parameters)
+
+
+def keeps(answer: Answer) -> bool:
+    """Whether an answer explains held-out recordings about as well as those that it was fitted to."""
+    return answer.heldout is not None and answer.heldout.explained > KEPT * answer.train.explained
 
 
 def kept(diagnosis: Diagnosis) -> Hypothesis:

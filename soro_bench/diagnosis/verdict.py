@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from soro_bench.diagnosis.findings import Finding, before_after, described, findings, length, percent, spaced
-from soro_bench.diagnosis.patch import kept, rejected
+from soro_bench.diagnosis.patch import kept, patch, rejected
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.propose import DURATION, Proposal
 from soro_bench.diagnosis.report import NEXT_ACTIONS, detectable, invisible
@@ -44,6 +44,8 @@ def verdict(diagnosis: Diagnosis) -> str:
         said.append(f"Held out: {before_after(best.heldout, unit)} ({percent(best.heldout)} explained).")
         if rejected(diagnosis):
             said.append("The patch is rejected: it makes the held-out recordings worse.")
+        elif diagnosis.verdict == "unknown_physics" and best.names:
+            said.append(_of_the_nearest(bool(patch(diagnosis)), " with ".join(best.names)))
     others = [a for a in diagnosis.comparison.answers[1:4] if a.probability >= 0.05]
     if others:
         names = ", or ".join(f"{' with '.join(a.names) or 'nothing'} ({a.probability:.2f})" for a in others)
@@ -55,6 +57,13 @@ def verdict(diagnosis: Diagnosis) -> str:
     if diagnosis.proposal:
         said.append(_what_next(diagnosis.proposal, diagnosis.verdict == "unknown_physics"))
     return "\n".join(said)
+
+
+def _of_the_nearest(worth: bool, names: str) -> str:
+    """Whether the nearest that has a name is in the patch, as a sentence."""
+    if worth:
+        return f"So the patch has {names} all the same."
+    return f"There is no patch: {names} explains much less of the held-out recordings than of the others."
 
 
 def _least(seen: dict) -> str:
