@@ -39,14 +39,38 @@ def test_a_descent_finds_the_frequency_and_the_decay_of_an_oscillation():
     assert found.x == pytest.approx(truth, abs=1e-4)
 
 
-@pytest.mark.parametrize("rough", [False, True])
-def test_what_is_left_without_an_effect_is_led_down_where_all_fits_are(rough, monkeypatch):
-    monkeypatch.setattr(refit, "fitted", lambda problem, guesses, *_: ["fitted"] * len(guesses))
-    monkeypatch.setattr(refit, "descended", lambda problem, some: ["descended"] * len(some))
-    both = SimpleNamespace(suspects=(SimpleNamespace(size=1), SimpleNamespace(size=2)), x=np.zeros(5),
-                           slope=np.zeros((5, 3)))  # fmt: skip
-    found = refit.without_one(SimpleNamespace(parameters=2, rough=rough), both, 0)
-    assert found == ["descended" if rough else "fitted"] * 2
+class Line:
+    """A problem of two parameters and one effect, whose residual is the unknowns less (1, 2, 3)."""
+
+    parameters = 2
+
+    def __init__(self, rough):
+        self.rough = rough
+
+    def residuals(self, points):
+        return np.array([x - np.array([1.0, 2.0, 3.0])[: len(x)] for x, _ in points])
+
+    def cost(self, residual, x):
+        return float(residual @ residual)
+
+
+@pytest.mark.parametrize(
+    ("rough", "nominal", "begun"),
+    [
+        (False, [1.0, 2.0], [9.0, 9.0, 3.0]),
+        (True, [1.0, 2.0], [1.0, 2.0, 3.0]),  # nearer
+        (True, [20.0, 20.0], [9.0, 9.0, 3.0]),
+    ],
+)
+def test_what_is_left_without_an_effect_is_led_down_from_what_is_nearest(rough, nominal, begun, monkeypatch):
+    led = []
+    monkeypatch.setattr(refit, "fitted", lambda problem, guesses, *_: guesses)
+    monkeypatch.setattr(refit, "descended", lambda problem, some: led.extend(some) or some)
+    suspects, x = (SimpleNamespace(size=1), SimpleNamespace(size=1)), np.array([9.0, 9.0, 5.0, 3.0])
+    both = SimpleNamespace(suspects=suspects, x=x, slope=np.zeros((4, 3)))
+    first, _ = refit.without_one(Line(rough), both, SimpleNamespace(x=np.array(nominal)), 0)
+    assert first.x.tolist() == begun
+    assert len(led) == 2 * rough
 
 
 def test_laws_of_the_class_and_place_of_the_best_lead_are_tried_whatever_they_promise(robot):

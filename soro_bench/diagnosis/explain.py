@@ -184,7 +184,7 @@ class _Search:
         self._judge()
         self.rounds.append(_round(self.problem, base, offered, self.tried[: len(new)]))
         self.nominal = _again(self.problem, self.nominal)
-        without = without_one(self.problem, self.best, next(self.seeds))
+        without = without_one(self.problem, self.best, self.nominal, next(self.seeds))
         if number > 1:
             self.tried[1:1] = without
         else:

@@ -16,6 +16,7 @@ from soro_bench.effects.catalogue import CATEGORIES
 
 SCALE, KEPT = 0.15, 3  # of the cloud, and how many hypotheses remain
 _TRIED, _LENGTHS = 4, (0.5, 1.0)  # how many leads are fitted, and shares of their magnitudes at which all are tried
+_LITTLE = 0.1  # of magnitudes: nearly none, but not so little that slopes vanish
 _POLISH = (0.3, 0.1)  # radii
 _ROUNDS, _HELPS = 5, 0.1  # of fits that go on, at most, and the share of the cost by which one has to help
 _PER_NAME = 2  # leads that differ in their places only
@@ -82,7 +83,7 @@ def persevered(problem: Problem, hypotheses: Sequence[Hypothesis], seed: int) ->
     return descended(problem, found)
 
 
-def without_one(problem: Problem, hypothesis: Hypothesis, seed: int) -> list[Hypothesis]:
+def without_one(problem: Problem, hypothesis: Hypothesis, nominal: Hypothesis, seed: int) -> list[Hypothesis]:
     """The hypotheses that have one effect less, fitted from where this one is."""
     guesses, first = [], problem.parameters
     for i, suspect in enumerate(hypothesis.suspects):
@@ -91,8 +92,21 @@ def without_one(problem: Problem, hypothesis: Hypothesis, seed: int) -> list[Hyp
         first += suspect.size
         rest = hypothesis.suspects[:i] + hypothesis.suspects[i + 1 :]
         guesses.append(Guess(hypothesis.x[kept], rest, hypothesis.slope[kept]))
-    found = fitted(problem, guesses, _POLISH, seed)
-    return descended(problem, found) if problem.rough else found
+    if not problem.rough:
+        return fitted(problem, guesses, _POLISH, seed)
+    nearer = [_nearer(problem, guess, nominal) for guess in guesses]
+    return descended(problem, fitted(problem, nearer, _POLISH, seed))
+
+
+def _nearer(problem, guess, nominal):
+    """The guess, or one from the nominal robot's parameters if that is nearer to the recordings: without an effect that
+    did most, parameters that went with it may be worse than those of no effect at all."""
+    others = [_scaled(np.concatenate([nominal.x, guess.x[problem.parameters :]]), problem.parameters, length)
+              for length in (_LITTLE, *_LENGTHS)]  # fmt: skip
+    points = [guess.x, *others]
+    residuals = problem.residuals([(x, guess.suspects) for x in points])
+    best = int(np.argmin([problem.cost(row, x) for row, x in zip(residuals, points, strict=True)]))
+    return guess if best == 0 else Guess(points[best], guess.suspects)
 
 
 def _moved(problem, hypotheses, screened, seed):
