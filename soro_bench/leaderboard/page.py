@@ -90,12 +90,14 @@ def _board_section(name: str, groups: Sequence[Group], out: Path) -> dict:
         figures.append((alt, plot_scores(rows, f"{name}-scores", f"final {board.metric} [mm], {direction} is better")))
     if any(curves_of(group) for group in groups):
         alt = f"Final {board.metric} in training, exploration included: runs, and the median of each method"
-        figures.append((alt, plot_curves(groups, f"{name}-curves", f"final {board.metric} in training [mm]")))
+        label, scale = f"final {board.metric} in training [mm]", "linear" if board.higher else "log"
+        figures.append((alt, plot_curves(groups, f"{name}-curves", label, scale)))
     return {
         "name": name,
         "metric": board.metric,
         "direction": direction,
-        "rows": [row for members in rows.values() for row in members],
+        "rows": (members := [row for some in rows.values() for row in some]),
+        "recorded": any(row["recording"] for row in members),
         "figures": figures,
     }
 

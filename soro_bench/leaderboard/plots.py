@@ -55,8 +55,12 @@ def plot_scores(rows: Mapping[str, Sequence[dict]], name: str, label: str) -> st
         return _svg(figure, name)
 
 
-def plot_curves(groups: Sequence[Group], name: str, label: str) -> str:
-    """Training curves: thin lines of single runs, and their medians; a group without curves is left out."""
+def plot_curves(groups: Sequence[Group], name: str, label: str, scale: str) -> str:
+    """Training curves: thin lines of single runs, and their medians; a group without curves is left out.
+
+    Args:
+        scale: of the metric: "log" shows what falls from far away, and "linear" what may be negative.
+    """
     with pyplot().rc_context(_SETTINGS):
         figure, axes = pyplot().subplots(figsize=(_WIDTH, 2.9 + 0.1 * len(groups)), layout="constrained")
         for i, group in enumerate(groups):
@@ -68,7 +72,11 @@ def plot_curves(groups: Sequence[Group], name: str, label: str) -> str:
                 grid = grid[grid <= min(steps[-1] for steps, _ in curves)]  # of all runs, not of those that go on
                 median = np.median([np.interp(grid, *curve) for curve in curves], axis=0)
                 axes.plot(grid, median, **look, lw=1.8, label=title_of(group))
-        axes.set(xlabel="environment steps", ylabel=label)
+        axes.set(xlabel="environment steps", ylabel=label, yscale=scale)
+        if scale == "log":
+            axes.yaxis.get_major_locator().set_params(subs=(1.0, 2.0, 5.0))
+            axes.yaxis.set_major_formatter("{x:g}")
+            axes.minorticks_off()
         axes.xaxis.set_major_formatter(lambda steps, _: f"{steps:,.0f}")
         axes.locator_params(axis="x", nbins=5)
         figure.legend(loc="outside lower center", ncols=2)
