@@ -103,9 +103,9 @@ def _lift() -> list[Run]:
 
 def _walker() -> list[Run]:
     runs = []
-    for board, seeds in (("MultiGait-v0-6", MORE_SEEDS), ("MultiGait-v0-12", SEEDS)):
+    for board in ("MultiGait-v0-6", "MultiGait-v0-12"):
         for method in (replace(ORACLE, name="no_dr"), fixed("dr", PUBLISHED_RANDOMIZATION)):
-            runs += runs_of(board, method, seeds)
+            runs += runs_of(board, method, MORE_SEEDS)
     return runs
 
 
