@@ -92,12 +92,13 @@ def _board_section(name: str, groups: Sequence[Group], out: Path) -> dict:
         alt = f"Final {board.metric} in training, exploration included: runs, and the median of each method"
         label, scale = f"final {board.metric} in training [mm]", "linear" if board.higher else "log"
         figures.append((alt, plot_curves(groups, f"{name}-curves", label, scale)))
+    every = [row for members in rows.values() for row in members]
     return {
         "name": name,
         "metric": board.metric,
         "direction": direction,
-        "rows": (members := [row for some in rows.values() for row in some]),
-        "recorded": any(row["recording"] for row in members),
+        "rows": every,
+        "recorded": any(row["recording"] for row in every),
         "figures": figures,
     }
 
