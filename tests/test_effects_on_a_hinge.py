@@ -4,6 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from soro_bench.assets import mjcf_path
+from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.effects.effect import Effect, Port
 from soro_bench.effects.elements import instrument
 from soro_bench.models.simulation import Simulation
@@ -215,3 +217,38 @@ def test_what_falls_through_a_fluid_ends_at_the_speed_at_which_drag_is_its_weigh
     sim.begin(np.arange(1))
     sim.step(np.arange(1), 1500)
     assert sim.batch.qvel[0, 2] == pytest.approx(-np.sqrt(0.1 * 9.81 / 0.05), rel=1e-3)
+
+
+@pytest.mark.parametrize(("name", "values"), [("hysteresis", {"ratio": 3.0, "yield_strain": 10.0}),
+                                              ("viscoelastic_creep", {"ratio": 3.0, "time_constant": 1e4}),
+                                              ("plastic_set", {"softness": 1e-3, "share": 0.5})])  # fmt: skip
+def test_springs_beside_that_do_not_yield_rest_where_a_bent_joint_does(name, values):
+    spec = mujoco.MjSpec.from_string(SERVO)
+    spec.joint("hinge").stiffness[0] = 1.0
+    laws = [on_hinge("rest_bend", angle_x=0.2), on_hinge(name, **values)]
+    sim = flat(Simulation(instrument(spec).compile(), ParameterSet(), (), 1, 1, laws))
+    assert turn(sim, steps=4000)[-1] == pytest.approx(0.2, abs=2e-3)
+
+
+FRICTION = {
+    "coulomb_friction": {"friction": 0.05},
+    "stribeck_friction": {"friction": 0.05, "static_ratio": 2.0, "stribeck_velocity": 5.0},
+    "load_friction": {"mu": 0.1},
+    "gear_friction": {"mu": 0.1, "preload": 0.02},
+}
+
+
+@pytest.mark.parametrize(("name", "values"), FRICTION.items())
+def test_friction_of_a_fast_servo_is_the_same_with_half_the_time_step(name, values):
+    """At 3 rad/s, of the real servo's model and its time step of 5 ms."""
+    paths = [mjcf_path(f"real/bam_servo.{suffix}") for suffix in ("xml", "toml")]
+    time = 0.01 * np.arange(300)
+    goals = 0.8 * np.sin(2 * np.pi * 0.7 * time) + 0.3 * np.sin(2 * np.pi * 1.9 * time)
+    actions, settings, found = np.stack([goals, 0 * goals], axis=1), np.ones((300, 2)) * [4.0, 1.0], []
+    for shorter in (1, 2):
+        robot = ModelRobot(*paths, threads=1, shorter=shorter)
+        parameters = np.array([[prior.nominal for prior in robot.priors]] * 2)
+        effects = [(), (on_hinge(name, **values),)]
+        bare, dragging = robot.simulate(actions, parameters, effects, np.zeros((1, 1)), settings=settings)
+        found.append(dragging - bare)
+    assert np.linalg.norm(found[1] - found[0]) < 0.05 * np.linalg.norm(found[0])

@@ -24,7 +24,7 @@ class ActiveEffects:
 
     def __init__(self, batch: Batch):
         self.batch, self.elements = batch, Elements(batch.model)
-        self._nominal = batch.model
+        self._nominal, self._plastic = batch.model, mujoco.MjData(batch.model).plastic.copy()
         self._fields: set[str] = set()
         self.assign([()] * batch.nsim)
 
@@ -101,6 +101,8 @@ class ActiveEffects:
 
     def reset(self, ids: np.ndarray) -> None:
         """Begin an episode in simulations ``ids``, whose state is complete."""
+        # as after a reset of the simulation too, where an episode begins from a given state
+        self.batch.time[ids], self.batch.plastic[ids] = 0.0, self._plastic
         self.added[ids], self._starts[ids] = 0.0, True
         for law in self._laws:
             law.reset(np.isin(law.rows, ids))

@@ -19,9 +19,9 @@ from soro_bench.effects.effect import EffectError, Quantity
 from soro_bench.effects.elements import NEVER
 from soro_bench.effects.law import Law, OnJoints, tension
 
-_SOFTER = 100.0  # a spring that slides, than one that sticks
+_SOFTER = 100.0  # a spring that slides, than one that sticks, and than one that yields within a time step
 _STABLE = 2.0  # of inertia over the square of a time step, an explicit spring; from 4 on it would be unstable
-_AT_LIMIT = 0.999  # of the force, at which it slides
+_AT_LIMIT = 0.999  # of what it gives before it slides
 _LARGEST_BEND = 50.0  # of mu times angle: nothing slips long before, and exp(mu angle) stays finite
 INFINITE = (0.0, np.inf)
 _FORCE = "N or N m"
@@ -70,14 +70,15 @@ class _Friction(Law):
         rest = self.batch.plastic[rows, self.model.tendon_plasticadr[springs]]
         shortening, lengthening = self.levels(which)
         level = np.where(length > rest, lengthening, shortening)
-        force = self.field("tendon_stiffness")[rows, springs] * (length - rest)
-        if self.of_load:
-            force = level * (length - rest) / self.field("tendon_springyield")[rows, springs]
-        slides = (np.abs(force) >= _AT_LIMIT * level) & (force * velocity > 0)
+        # of what it gives; where it slides the force follows the level, so this does not ask for the new one
+        given = (length - rest) / self.field("tendon_springyield")[rows, springs]
+        slides = (np.abs(given) >= _AT_LIMIT) & (given * velocity > 0)
+        force = level * given if self.of_load else self.field("tendon_stiffness")[rows, springs] * (length - rest)
         force = np.where(slides, np.sign(force) * level, np.clip(force, -shortening, lengthening))
         # as stiff in both directions
         ratio = np.divide(level, shortening, out=np.ones_like(level), where=shortening > 0)
-        reach = self._presliding(which, level, ratio) * np.where(slides, _SOFTER, 1.0)
+        reach = self._presliding(which, level, ratio)
+        reach = np.where(slides, _SOFTER * np.maximum(reach, np.abs(velocity) * self.dt), reach)
         self._set(which, level, reach)
         self._set_rest(which, length - reach * force / np.maximum(level, 1e-12))
 
@@ -218,20 +219,33 @@ class GearFriction(_Friction):
         return level * (1.0 + (values["static_ratio"] - 1.0) * np.exp(-(speed**2)))
 
 
-class Hysteresis(OnJoints):
-    """A Jenkins element beside the springs: stiffness ratio times theirs, slipping beyond the yield strain."""
+class _SecondSpring(OnJoints):
+    """A law of the springs beside those of joints."""
 
-    name, category, bending_only, shared = "hysteresis", "rate_independent_memory", True, True
-    quantities = (
-        Quantity("ratio", "1", 0.5, (0.0, 20.0)),
-        Quantity("yield_strain", "rad or m", 0.03, (1e-4, 10.0), also=(0.1,)),
-    )
-    fields = ("tendon_stiffness", "tendon_springyield")
+    bending_only = True
 
     def prepare(self, elements):
         super().prepare(elements)
         self.springs = np.array([elements.spring_of(joint) for joint in self.joints], int)
         self.run.claim(self, self.rows, self.springs)
+        self.slots = self.model.tendon_plasticadr[self.springs]
+
+    def reset(self, which):
+        """It begins at rest where the joint's own spring is."""
+        rows, slots = self.rows[which], self.slots[which]
+        rest = self.field("qpos_spring")[rows, self.qpos[which]]
+        self.batch.plastic[rows, slots] = self.batch.plastic[rows, slots + 1] = rest
+
+
+class Hysteresis(_SecondSpring):
+    """A Jenkins element beside the springs: stiffness ratio times theirs, slipping beyond the yield strain."""
+
+    name, category, shared = "hysteresis", "rate_independent_memory", True
+    quantities = (
+        Quantity("ratio", "1", 0.5, (0.0, 20.0)),
+        Quantity("yield_strain", "rad or m", 0.03, (1e-4, 10.0), also=(0.1,)),
+    )
+    fields = ("tendon_stiffness", "tendon_springyield")
 
     def write(self, which):
         rows, springs = self.rows[which], self.springs[which]
@@ -240,10 +254,10 @@ class Hysteresis(OnJoints):
         self.field("tendon_springyield")[rows, springs] = self.values["yield_strain"][which]
 
 
-class ViscoelasticCreep(OnJoints):
+class ViscoelasticCreep(_SecondSpring):
     """Standard linear solid: beside each spring another one whose rest length follows it with a time constant."""
 
-    name, category, bending_only, shared, stepped = "viscoelastic_creep", "slow_drift", True, True, True
+    name, category, shared, stepped = "viscoelastic_creep", "slow_drift", True, True
     only_shared = True
     quantities = (
         Quantity("ratio", "1", 0.3, (0.0, 20.0)),
@@ -251,12 +265,6 @@ class ViscoelasticCreep(OnJoints):
     )
     fields = ("tendon_stiffness",)
     outputs = ("ten_length",)
-
-    def prepare(self, elements):
-        super().prepare(elements)
-        self.springs = np.array([elements.spring_of(joint) for joint in self.joints], int)
-        self.run.claim(self, self.rows, self.springs)
-        self.slots = self.model.tendon_plasticadr[self.springs]
 
     def write(self, which):
         rows = self.rows[which]
@@ -272,24 +280,19 @@ class ViscoelasticCreep(OnJoints):
         plastic[rows, slots] = plastic[rows, slots + 1] = rest
 
 
-class PlasticSet(OnJoints):
+class PlasticSet(_SecondSpring):
     """Springs that yield: beyond a strain their rest position moves along by a share of the excess, and stays.
 
     A share of each spring is ideally plastic, the rest of it elastic.
     """
 
-    name, category, bending_only = "plastic_set", "slow_drift", True
+    name, category = "plastic_set", "slow_drift"
     # infinity is no effect, and a strength is easier to search than a threshold
     quantities = (
         Quantity("softness", "1/rad or 1/m", 5.0, (0.0, 1e4)),
         Quantity("share", "1", 0.5, (0.0, 1.0)),
     )
     fields: ClassVar = ("jnt_stiffness", "tendon_stiffness", "tendon_springyield")
-
-    def prepare(self, elements):
-        super().prepare(elements)
-        self.springs = np.array([elements.spring_of(joint) for joint in self.joints], int)
-        self.run.claim(self, self.rows, self.springs)
 
     def write(self, which):
         rows, softness = self.rows[which], self.values["softness"][which]
@@ -305,10 +308,15 @@ class PlasticSet(OnJoints):
 def _bends(model, tendon) -> list[tuple]:
     """Where a spatial tendon goes from one body to another: both, and its direction there at rest in their frames."""
     wraps = np.arange(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
-    sites = model.wrap_objid[wraps][model.wrap_type[wraps] == mujoco.mjtWrap.mjWRAP_SITE]
+    kinds = model.wrap_type[wraps]
+    if np.isin(kinds, (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER)).any():
+        raise EffectError(f"tendon {model.tendon(tendon).name} wraps around a geom; load_friction needs one that only "
+                          "goes through sites")  # fmt: skip
     data, found = mujoco.MjData(model), []
     mujoco.mj_kinematics(model, data)
-    for i, j in itertools.pairwise(sites):
+    for (i, one), (j, other) in itertools.pairwise(zip(model.wrap_objid[wraps], kinds, strict=True)):
+        if {one, other} != {int(mujoco.mjtWrap.mjWRAP_SITE)}:
+            continue  # a pulley, beyond which another branch begins
         near, far = model.site_bodyid[[i, j]]
         way = data.site_xpos[j] - data.site_xpos[i]
         if near != far and way.any():  # two sites at one place say no direction
