@@ -30,6 +30,12 @@ def shown(text: str) -> str:
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
 
 
+def brief(value) -> str:
+    """A value for a message, cut to a sensible length."""
+    text = ascii(value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
 def check_output(path: Path, suffix: str) -> None:
     """ValueError if a file that is to be written has another suffix: it would take the place of something else."""
     if path.suffix != suffix:

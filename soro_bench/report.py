@@ -32,4 +32,5 @@ def pyplot():
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
+    plt.rcParams["text.parse_math"] = False  # names of a stranger's model are no formulas
     return plt

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import soro_bench  # noqa: F401
-from soro_bench.effects.catalogue import CATEGORIES, MEASUREMENT, PHYSICS, QUANTITIES
+from soro_bench.effects import springs
+from soro_bench.effects.catalogue import ALL, CATEGORIES, MEASUREMENT, PHYSICS, QUANTITIES
 from soro_bench.effects.effect import Effect, EffectError, Port, load_effects, save_effects
 from soro_bench.effects.elements import Elements, instrument
 from soro_bench.models.simulation import Simulation
@@ -201,7 +202,7 @@ def test_an_effects_file_is_read_as_it_was_written(tmp_path):
     effects = (Effect("backlash", Port("actuator", "*"), {"width": 0.001}),
                Effect("sensor_bias", Port("sensor", "keypoints", 3), {"x": 0.1, "y": 0.0, "z": 0.0}))  # fmt: skip
     save_effects(effects, tmp_path / "effects.json")
-    assert load_effects(tmp_path / "effects.json", QUANTITIES) == effects
+    assert load_effects(tmp_path / "effects.json", ALL) == effects
 
 
 GOOD = {"name": "backlash", "where": {"kind": "actuator", "name": "L0"}, "parameters": {"width": 0.001}}
@@ -218,13 +219,21 @@ GOOD = {"name": "backlash", "where": {"kind": "actuator", "name": "L0"}, "parame
         ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "parameters": {}}]}, "needs its width"),
         ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "parameters": {"wide": 1}}]}, "has no"),
         ({"schema": "soro-bench/effects/1", "effects": [GOOD] * 101}, "at most 100"),
+        (
+            {"schema": "soro-bench/effects/1", "effects": [{**GOOD, "parameters": {"width": 10**400}}]},
+            "allowed is",
+        ),
+        (
+            {"schema": "soro-bench/effects/1", "effects": [{**GOOD, "where": {"kind": "sensor", "name": "tip"}}]},
+            "acts on",
+        ),
     ],
 )
 def test_a_bad_effects_file_is_refused_in_words(tmp_path, data, message):
     path = tmp_path / "effects.json"
     path.write_text(json.dumps(data))
     with pytest.raises(EffectError, match=message):
-        load_effects(path, QUANTITIES)
+        load_effects(path, ALL)
 
 
 @pytest.mark.parametrize(
@@ -242,3 +251,31 @@ def test_a_bad_effects_file_is_refused_in_words(tmp_path, data, message):
 def test_effects_that_have_no_place_are_refused_in_words(effects, message):
     with pytest.raises(EffectError, match=message):
         trunk([effects])
+
+
+def test_load_friction_needs_a_tendon_that_goes_through_sites_and_takes_its_branches_apart():
+    """A branch that stays on one body does not bend, and beyond a pulley another one begins."""
+    bodies = """<geom name="drum" type="cylinder" size=".03 .1"/><site name="w0"/><site name="w1" pos=".1 0 0"/>
+    <body name="b"><joint name="j" axis="0 1 0"/><geom size=".01" pos=".1 0 0"/><site name="b0"/>
+    <site name="b1" pos=".1 0 0"/></body>"""
+    branches = '<site site="w0"/><site site="w1"/><pulley divisor="2"/><site site="b0"/><site site="b1"/>'
+    wrapped = '<site site="w0"/><geom geom="drum"/><site site="b1"/>'
+    for path, refused in ((branches, False), (wrapped, True)):
+        tendons = f'<tendon><spatial name="t">{path}</spatial></tendon>'
+        spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{bodies}</worldbody>{tendons}</mujoco>")
+        model = instrument(spec).compile()
+        law = [Effect("load_friction", Port("tendon", "t"), {"mu": 0.1})]
+        assert Simulation(model, ParameterSet(), (), 1, 1, ()).accepts(law) != refused
+        assert refused or springs._bends(model, 0) == []
+
+
+def test_springs_begin_anew_when_an_episode_goes_on_from_a_state(elements):
+    task, ids = trunk([(effect(elements, "hysteresis", "body"),)]), np.arange(1)
+    motion(task, steps=3)
+    state, ends = {name: values.copy() for name, values in task.state(ids).items()}, []
+    for _ in range(2):
+        task.set_state(ids, state)
+        for _ in range(5):
+            task.step(ids, np.ones((1, 8), np.float32))
+        ends.append(task.keypoints(ids).copy())
+    assert np.array_equal(*ends)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from soro_bench.diagnosis.mapping import read_mapping
-from soro_bench.effects.catalogue import QUANTITIES
+from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import load_effects
 from soro_bench.files import read_json, write_json
 from soro_bench.randomization import load
@@ -25,7 +25,7 @@ def test_json_that_is_cut_off_in_the_middle_leaves_the_old_file(tmp_path, monkey
     assert path.read_bytes() == b"1\n" and list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("read", [read_json, load, lambda path: load_effects(path, QUANTITIES), read_mapping])
+@pytest.mark.parametrize("read", [read_json, load, lambda path: load_effects(path, ALL), read_mapping])
 def test_what_is_huge_or_no_file_is_refused_at_once(tmp_path, read):
     """A link to a device has no size, and a pipe may never end."""
     with (tmp_path / "huge").open("wb") as file:

@@ -1,6 +1,7 @@
 """The patched model: a robot's MJCF with fitted parameters and with the effects that a model can hold."""
 
 from types import SimpleNamespace
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -20,9 +21,9 @@ from soro_bench.diagnosis.patch import (
     written,
 )
 from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.effects.catalogue import QUANTITIES
+from soro_bench.effects.catalogue import ALL, QUANTITIES
 from soro_bench.effects.effect import EVERY, Effect, Port, load_effects
-from soro_bench.effects.elements import AUXILIARY
+from soro_bench.effects.elements import AUXILIARY, FOUND, instrument
 from soro_bench.envs.trunk import NUM_KEYPOINTS
 from soro_bench.models.trunk_geometry import CABLE_RATE
 
@@ -52,8 +53,7 @@ def diagnosis(robot, effects, heldout=(2.0, 1.0), verdict="missing_physics"):
     answer = SimpleNamespace(hypothesis=best, train=Fit(2.0, 1.0, 0.0), heldout=heldout and Fit(*heldout, 0.0))
     nominal = SimpleNamespace(x=np.zeros(len(X)))
     explanation = SimpleNamespace(nominal=nominal, problem=SimpleNamespace(parameters=len(X)))
-    comparison = SimpleNamespace(answers=[answer])
-    return SimpleNamespace(robot=robot, verdict=verdict, comparison=comparison, explanation=explanation)
+    return SimpleNamespace(robot=robot, verdict=verdict, best=answer, explanation=explanation)
 
 
 def moved(model, actions):
@@ -119,7 +119,7 @@ def test_what_a_model_cannot_hold_is_in_a_file_of_its_own(robot, tmp_path):
     found = model_patch(diagnosis(robot, [PAYLOAD, DELAY]))
     assert (found.effects, found.remaining) == ((PAYLOAD,), (DELAY,))
     write_model_patch(found, tmp_path)
-    assert load_effects(tmp_path / REMAINING, QUANTITIES) == (DELAY,)
+    assert load_effects(tmp_path / REMAINING, ALL) == (DELAY,)
     write_model_patch(model_patch(diagnosis(robot, [PAYLOAD])), tmp_path)
     assert not (tmp_path / REMAINING).exists()
 
@@ -149,7 +149,14 @@ def test_what_has_no_name_is_patched_by_the_nearest_that_explains_held_out_recor
 def test_springs_are_in_the_model_only_where_an_effect_uses_them(robot):
     for effects, count in ([PAYLOAD], 0), ([NATIVE[2]], 2):
         names = [tendon.name for tendon in patched_spec(robot, robot.parameters(X), effects).tendons]
-        assert sum(name.startswith(AUXILIARY) for name in names) == count
+        assert sum(name.startswith(FOUND) for name in names) == count
+        assert not any(name.startswith(AUXILIARY) for name in names)  # so that it can be diagnosed again
+
+
+def test_a_patched_model_can_be_prepared_for_effects_again(robot):
+    xml = written(patched_spec(robot, robot.parameters(X), [NATIVE[2]]), "of a file---with hyphens")
+    assert instrument(mujoco.MjSpec.from_string(xml)).compile().ntendon > 0
+    assert ElementTree.fromstring(xml).tag == "mujoco"
 
 
 def test_a_flex_has_no_patched_model_and_the_reason_is_given(tmp_path):

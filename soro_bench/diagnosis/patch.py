@@ -1,5 +1,6 @@
 """The patch: physics that the simulation should have, and a MuJoCo model with as much of it as a model can hold."""
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
@@ -48,7 +49,7 @@ def patch(diagnosis: Diagnosis) -> list[Effect]:
     Where what acts has no name, the nearest that has one is worth having if it is more than a description of the
     recordings that it was fitted to: if held-out ones keep ``KEPT`` of what it explains.
     """
-    best = diagnosis.comparison.answers[0]
+    best = diagnosis.best
     wanted = {"unknown_physics": keeps(best), "none_detected": False}.get(diagnosis.verdict, True)
     if not wanted or rejected(diagnosis):
         return []
@@ -63,12 +64,12 @@ def keeps(answer: Answer) -> bool:
 def kept(diagnosis: Diagnosis) -> Hypothesis:
     """What the patch is of; the nominal robot where there is none, since parameters that were fitted together with
     effects that are not there would be wrong."""
-    return diagnosis.comparison.answers[0].hypothesis if patch(diagnosis) else diagnosis.explanation.nominal
+    return diagnosis.best.hypothesis if patch(diagnosis) else diagnosis.explanation.nominal
 
 
 def rejected(diagnosis: Diagnosis) -> bool:
     """Whether the most probable hypothesis makes held-out recordings worse."""
-    heldout = diagnosis.comparison.answers[0].heldout
+    heldout = diagnosis.best.heldout
     return heldout is not None and heldout.after > heldout.before
 
 
@@ -119,7 +120,7 @@ def patched_spec(robot: Robot, parameters: Mapping[str, float], effects: Sequenc
 
 def written(spec: mujoco.MjSpec, comment: str) -> str:
     """MJCF of a model, with a comment at its top; PatchError if it does not give the model again."""
-    spec.comment = comment.replace("--", "- -")  # which would end a comment
+    spec.comment = re.sub("-(?=-)", "- ", comment)  # two hyphens would end it
     model, xml = spec.compile(), spec.to_xml()
     if lost := _differing(model, mujoco.MjModel.from_xml_string(xml), _PRECISION):
         raise PatchError(f"{', '.join(lost)} cannot be read again from MJCF")

@@ -1,12 +1,12 @@
 """What an effect is: a law by name, where it acts, and its parameters; and files of effects."""
 
-import math
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from soro_bench.files import read_json, write_json
+from soro_bench.files import brief, read_json, write_json
 
 SCHEMA = "soro-bench/effects/1"
 KINDS = ("tendon", "joint", "actuator", "body", "flex", "geom", "model", "sensor")
@@ -67,45 +67,47 @@ class EffectError(ValueError):
     """An effect is unknown, out of its bounds, or has no place in the model."""
 
 
-def effect_from(data, quantities: Mapping[str, Sequence[Quantity]]) -> Effect:
+def effect_from(data, laws: Mapping) -> Effect:
     """The effect that a JSON object describes.
 
     Args:
         data: {"name", "where": {"kind", "name", "index"?}, "parameters": {name: number}}.
-        quantities: of every law by name.
+        laws: by name; classes with ``kinds`` and ``quantities``, such as catalogue.ALL.
 
     Raises:
         EffectError: says what is wrong.
     """
     if not isinstance(data, dict) or data.keys() != {"name", "where", "parameters"}:
-        raise EffectError(f"an effect has name, where and parameters; this one is {_brief(data)}")
+        raise EffectError(f"an effect has name, where and parameters; this one is {brief(data)}")
     name, where = data["name"], data["where"]
-    if not isinstance(name, str) or name not in quantities:
-        raise EffectError(f"unknown effect {_brief(name)}; there are {', '.join(sorted(quantities))}")
+    if not isinstance(name, str) or name not in laws:
+        raise EffectError(f"unknown effect {brief(name)}; there are {', '.join(sorted(laws))}")
     valid = isinstance(where, dict) and where.keys() - {"index"} == {"kind", "name"} and where["kind"] in KINDS
     valid = valid and isinstance(where["name"], str) and type(where.get("index", 0)) is int
     valid = valid and where.get("index", 0) >= 0
     if not valid:
-        raise EffectError(f"where of {name} is {_brief(where)}; it has a kind ({', '.join(KINDS)}), a name, an index")
-    return checked(Effect(name, Port(**where), data["parameters"]), quantities[name])
+        raise EffectError(f"where of {name} is {brief(where)}; it has a kind ({', '.join(KINDS)}), a name, an index")
+    if where["kind"] not in laws[name].kinds:
+        raise EffectError(f"{name} acts on {', '.join(laws[name].kinds)}, not on {brief(where['kind'])}")
+    return checked(Effect(name, Port(**where), data["parameters"]), laws[name].quantities)
 
 
 def checked(effect: Effect, quantities: Sequence[Quantity]) -> Effect:
     """The effect with every parameter of its law; one that is missing has its typical value, if that is absolute."""
     given, known = effect.parameters, {q.name: q for q in quantities}
     if not isinstance(given, Mapping):
-        raise EffectError(f"parameters of {effect.name} are {_brief(given)}; expected numbers by name")
+        raise EffectError(f"parameters of {effect.name} are {brief(given)}; expected numbers by name")
     if unknown := sorted(set(given) - set(known), key=str):
-        raise EffectError(f"{effect.name} has no {_brief(unknown[0])}; it has {', '.join(known)}")
+        raise EffectError(f"{effect.name} has no {brief(unknown[0])}; it has {', '.join(known)}")
     values = {}
     for q in quantities:
         if q.name not in given and q.of:
             raise EffectError(f"{effect.name} needs its {q.name} [{q.unit}]")
         value = given.get(q.name, q.typical)
-        number = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < math.inf
+        number = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
         if not number or not q.bounds[0] <= value <= q.bounds[1]:
             low, high = q.bounds
-            raise EffectError(f"{q.name} of {effect.name} is {_brief(value)}; allowed is {low:g} to {high:g} {q.unit}")
+            raise EffectError(f"{q.name} of {effect.name} is {brief(value)}; allowed is {low:g} to {high:g} {q.unit}")
         values[q.name] = float(value)
     return Effect(effect.name, effect.where, values)
 
@@ -115,8 +117,8 @@ def save_effects(effects: Sequence[Effect], path: str | Path) -> None:
     write_json(path, {"schema": SCHEMA, "effects": [effect.to_json() for effect in effects]})
 
 
-def load_effects(path: str | Path, quantities: Mapping[str, Sequence[Quantity]]) -> tuple[Effect, ...]:
-    """Read an effects file; EffectError says what is wrong with one."""
+def load_effects(path: str | Path, laws: Mapping) -> tuple[Effect, ...]:
+    """Read an effects file with effects of some laws (as of ``effect_from``); EffectError says what is wrong."""
     try:
         data = read_json(path)
     except (ValueError, RecursionError) as error:
@@ -125,9 +127,4 @@ def load_effects(path: str | Path, quantities: Mapping[str, Sequence[Quantity]])
         raise EffectError(f"{path} is no effects file: its schema has to be {SCHEMA}, with a list of effects")
     if len(data["effects"]) > MAX_EFFECTS:
         raise EffectError(f"{path} has {len(data['effects'])} effects; at most {MAX_EFFECTS} are allowed")
-    return tuple(effect_from(item, quantities) for item in data["effects"])
-
-
-def _brief(value) -> str:
-    text = ascii(value)
-    return text if len(text) <= 80 else text[:77] + "..."
+    return tuple(effect_from(item, laws) for item in data["effects"])

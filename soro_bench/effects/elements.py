@@ -8,6 +8,7 @@ import numpy as np
 from soro_bench.effects.effect import EVERY, EffectError, Port
 
 AUXILIARY = "auxiliary:"  # and a joint's name: a spring of the effects, beside the joint's own
+FOUND = "found_at_"  # the same in a patched model
 NEVER = 1e9  # m or rad, a yield threshold that is not reached
 _SCALARS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 _SHARE = 0.03  # of a range, what counts as a typical force or length
@@ -40,13 +41,16 @@ def _do_nothing(spring) -> None:
 
 
 def without_unused_springs(spec: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Take from an instrumented model the springs that no effect has given a stiffness."""
+    """Take from an instrumented model the springs that no effect has given a stiffness; the others become parts of the
+    model, which ``instrument`` can prepare again."""
     for tendon in list(spec.tendons):
-        if not np.any(tendon.stiffness):
-            if tendon.name.startswith(AUXILIARY):
-                spec.delete(tendon)
-            else:
-                tendon.springyield = 0.0
+        own = tendon.name.startswith(AUXILIARY)
+        if np.any(tendon.stiffness):
+            tendon.name = tendon.name.replace(AUXILIARY, FOUND, 1) if own else tendon.name
+        elif own:
+            spec.delete(tendon)
+        else:
+            tendon.springyield = 0.0
     return spec
 
 

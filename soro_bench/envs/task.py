@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from gymnasium import logger, spaces
 
-from soro_bench.effects.catalogue import QUANTITIES
+from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import Effect, load_effects
 from soro_bench.models.simulation import ParameterMap, Simulation
 from soro_bench.parameters import Parameter, ParameterSet
@@ -31,7 +31,7 @@ def effects_of(effects: Sequence[Effect] | str | Path | None) -> tuple[Effect, .
         return None
     if not isinstance(effects, str | Path):
         return _checked_effects(effects)
-    found = load_effects(effects, QUANTITIES)
+    found = load_effects(effects, ALL)
     physics = tuple(effect for effect in found if effect.where.kind != "sensor")
     if faults := ", ".join(effect.name for effect in found if effect not in physics):
         logger.warn(f"{effects} has faults of measurement, which do nothing here: {faults}")

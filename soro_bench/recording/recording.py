@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from soro_bench.files import brief
+
 SCHEMA = "soro-bench/recording/1"
 MAX_DIMENSIONS = 4  # of one sample
 MAX_SIZE = 100_000  # numbers in one sample
@@ -59,7 +61,7 @@ class Signal:
             raise RecordingError("values are infinite; allowed are finite numbers, and NaN for a missing sample")
         for label, text in (("unit", self.unit), ("frame", self.frame)):
             if not isinstance(text, str) or not _SHORT.fullmatch(text):
-                raise RecordingError(f"{label} {_brief(text)} has to be at most 32 printable characters")
+                raise RecordingError(f"{label} {brief(text)} has to be at most 32 printable characters")
         if not self.unit:
             raise RecordingError('unit is ""; a quantity without a unit has "1"')
         object.__setattr__(self, "time", time)
@@ -187,7 +189,7 @@ def latest(signal: Signal, times: np.ndarray) -> np.ndarray:
 def check_name(name: str) -> str:
     """Return a valid name of a signal or parameter; raise RecordingError otherwise."""
     if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise RecordingError(f"name {_brief(name)} has to be a letter and then at most 63 of A-Z a-z 0-9 _ . -")
+        raise RecordingError(f"name {brief(name)} has to be a letter and then at most 63 of A-Z a-z 0-9 _ . -")
     return name
 
 
@@ -197,7 +199,7 @@ def check_shape(shape) -> tuple[int, ...]:
     valid = valid and all(type(n) is int and n >= 1 for n in shape)
     if not valid or math.prod(shape) > MAX_SIZE:
         allowed = f"at most {MAX_DIMENSIONS} positive integers with a product of at most {MAX_SIZE}"
-        raise RecordingError(f"shape {_brief(shape)} of a sample has to be {allowed}")
+        raise RecordingError(f"shape {brief(shape)} of a sample has to be {allowed}")
     return tuple(shape)
 
 
@@ -207,7 +209,7 @@ def check_parameters(parameters: Mapping[str, float]) -> None:
     for name, value in parameters.items():
         check_name(name)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < math.inf:
-            raise RecordingError(f"parameter {name} is {_brief(value)}; it has to be a finite number")
+            raise RecordingError(f"parameter {name} is {brief(value)}; it has to be a finite number")
 
 
 def check_metadata(metadata: Mapping[str, str]) -> None:
@@ -216,12 +218,12 @@ def check_metadata(metadata: Mapping[str, str]) -> None:
     for name, value in metadata.items():
         check_name(name)
         if not isinstance(value, str) or len(value) > MAX_TEXT or not _is_unicode(value):
-            raise RecordingError(f"metadata {name} is {_brief(value)}; it has to be a text of up to {MAX_TEXT} letters")
+            raise RecordingError(f"metadata {name} is {brief(value)}; it has to be a text of up to {MAX_TEXT} letters")
 
 
 def _check_mapping(label, mapping) -> None:
     if not isinstance(mapping, Mapping) or len(mapping) > MAX_ENTRIES:
-        raise RecordingError(f"{label} {_brief(mapping)} have to be a dict of at most {MAX_ENTRIES} entries")
+        raise RecordingError(f"{label} {brief(mapping)} have to be a dict of at most {MAX_ENTRIES} entries")
 
 
 def _check_times(time) -> None:
@@ -249,9 +251,3 @@ def _is_unicode(text) -> bool:
     except UnicodeEncodeError:
         return False
     return True
-
-
-def _brief(value) -> str:
-    """A value for a message, cut to a sensible length."""
-    text = ascii(value)
-    return text if len(text) <= 80 else text[:77] + "..."
