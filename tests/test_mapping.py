@@ -51,6 +51,11 @@ def test_sensors_of_more_than_coordinates_are_refused(paths):
         ('"body_mass:arm"', '"body:arm"', "'body:arm'; expected field:element"),
         ('"body_mass:arm"', '"body_parentid:arm"', "body_parentid is no number that a model is made of"),
         ('"body_mass:arm"', '"body_subtreemass:arm"', "body_subtreemass is no number"),
+        ('actuators = ["motor"]', 'actuators = ["motor"]\nscale = 0.001', "unknown entry 'scale' in [commands.goal]"),
+        ('actuators = ["motor"]', 'actuators = ["motor", "motor"]', "expected each name once"),
+        ("[signal]", '[commands.other]\nactuators = ["motor"]\n[signal]', "'motor', which has a command already"),
+        ('[commands.goal]\nactuators = ["motor"]', "", "say what moves them"),
+        ("add = true", 'add = "false"', "add is 'false'; expected true or false"),
         ("[initial]", '[settings.zero]\ncommand = "a"\nfields = ["dof_damping:*"]\n[initial]', "name of a setting"),
     ],
 )

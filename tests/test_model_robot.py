@@ -13,10 +13,11 @@ from soro_bench.diagnosis.audit import audit
 from soro_bench.diagnosis.findings import unit_at
 from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.page import write_reports
-from soro_bench.diagnosis.pipeline import diagnose
+from soro_bench.diagnosis.pipeline import SimulationError, diagnose
 from soro_bench.diagnosis.priors import Earlier
 from soro_bench.diagnosis.report import earlier
 from soro_bench.diagnosis.suspects import suspects
+from soro_bench.diagnosis.verdict import verdict
 from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Effect, Port
 from soro_bench.recording.parquet import save
@@ -349,3 +350,48 @@ def test_a_recording_without_a_command_of_the_mapping_is_refused(paths):
     given = Recording({}, {"angle": Signal(np.arange(5.0), np.zeros(5), "rad")})
     with pytest.raises(RecordingError, match="no command 'goal'"):
         ModelRobot(*paths, threads=1).measured(given)
+
+
+@pytest.mark.parametrize(("said", "unit", "message"), [("rad", "1", "in '1'; expected is 'rad'"),
+                                                       (None, "deg", "in 'deg'; expected is 'rad'")])  # fmt: skip
+def test_a_command_in_another_unit_is_refused(paths, said, unit, message):
+    given = recording(paths, [], 0)
+    goals = replace(given.commands["goal"], unit=unit)
+    if said:
+        paths[1].write_text(MAP.replace('["motor"]', f'["motor"]\nunit = "{said}"', 1))
+    with pytest.raises(RecordingError, match=message):
+        ModelRobot(*paths, threads=1).measured(replace(given, commands={"goal": goals}))
+
+
+def test_a_signal_by_another_clock_is_refused(paths):
+    given = recording(paths, [], 0)
+    later = {name: replace(signal, time=signal.time + 1000.0) for name, signal in given.signals.items()}
+    with pytest.raises(RecordingError, match="do they have the same clock"):
+        ModelRobot(*paths, threads=1).measured(replace(given, signals=later))
+
+
+def test_recordings_are_explained_once_and_held_out_ones_are_others(paths):
+    given, robot = recording(paths, [], 0), ModelRobot(*paths, threads=1)
+    for recordings, heldout in (([given, given], []), ([given], [given])):
+        with pytest.raises(RecordingError, match="two of the recordings are the same"):
+            diagnose(robot, recordings, heldout)
+    with pytest.raises(RecordingError, match="no recording"):
+        diagnose(robot, [])
+
+
+def test_a_simulation_that_diverges_is_no_physics(paths):
+    given = recording(paths, [], 0)
+    stiff = ARM.replace('kp="2" kv="0.05" forcerange="-1 1"', 'kp="20000"').replace('damping="0.02"', "")
+    paths[0].write_text(stiff.replace("implicitfast", "Euler"))
+    with pytest.raises(SimulationError, match=r"the simulation by arm diverges .* s into recording 1"):
+        diagnose(ModelRobot(*paths, threads=1), [given])
+
+
+def test_a_delay_of_everything_measured_is_compared_with_one_of_everything_commanded(paths):
+    """Whichever the search meets first, and on whatever else."""
+    hidden = [Effect("actuator_delay", Port("actuator", "motor"), {"delay": 0.16})]
+    found = diagnose(ModelRobot(*paths, threads=1), [recording(paths, hidden, 2)])
+    names = [answer.names for answer in found.comparison.answers]
+    assert ("actuator_delay",) in names
+    assert ("sensor_delay",) in names
+    assert "clocks do" in verdict(found)

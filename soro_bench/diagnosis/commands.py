@@ -61,6 +61,9 @@ class Diagnose:
         from soro_bench.diagnosis.pipeline import diagnose
         from soro_bench.recording.parquet import load
 
+        if not self.recordings:
+            raise ValueError("no recording to explain; give one or more .parquet files")
+        self.out.mkdir(parents=True, exist_ok=True)
         robot = self._robot()
         recordings, heldout = ([load(path) for path in paths] for paths in (self.recordings, self.heldout))
         with console.status("") as status:

@@ -7,6 +7,7 @@ accurate = "finer.xml"            # a more accurate model, if there is one (docs
 
 [commands.goal]                   # a command of the recordings, one column for each actuator
 actuators = ["motor"]
+unit = "rad"                      # compared with the recording's, if it is given
 
 [signal]                          # what is explained: positions of sites, joints, or sensors
 name = "angle"
@@ -39,6 +40,7 @@ import numpy as np
 from soro_bench.diagnosis.priors import Prior
 from soro_bench.effects.elements import AUXILIARY
 from soro_bench.models.simulation import FieldWrite
+from soro_bench.recording.importers.units import UNITS
 from soro_bench.recording.recording import Recording, RecordingError, latest
 from soro_bench.recording.untrusted import read_bytes
 
@@ -51,6 +53,7 @@ _SECTIONS = {
     "settings": None,
     "parameters": None,
 }
+_COMMAND = ("actuators", "unit")
 _SETTING = ("fields", "metadata", "command", "reference")
 _PARAMETER = ("fields", "deviation", "add", "unit")
 _FIELD = re.compile(r"(?P<field>\w+)(\[(?P<column>\d+)\])?:(?P<element>.+)")
@@ -155,11 +158,32 @@ def accurate_of(settings, mapping) -> Path | None:
     return path
 
 
-def held(recording, name, times, columns) -> np.ndarray:
+def commands_of(model, table) -> list[tuple[str, list[int], str | None]]:
+    """The commands, each with MuJoCo's numbers of its actuators and its unit, None if that is not said."""
+    found, taken = [], set()
+    for name, entry in table.items():
+        actuators = names_of(f"commands.{name}", entry, "actuators")
+        _check_keys(f"[commands.{name}]", entry, _COMMAND)
+        if twice := sorted(taken & set(actuators)):
+            raise ModelError(f"[commands.{name}] has actuator {twice[0]!r}, which has a command already")
+        taken |= set(actuators)
+        unit = entry.get("unit")
+        if not isinstance(unit, str | None):
+            raise ModelError(f"[commands.{name}] unit is {unit!r}; expected a text")
+        found.append((name, [element(model, mujoco.mjtObj.mjOBJ_ACTUATOR, one) for one in actuators], unit))
+    if model.nu and not found:
+        raise ModelError("the mapping has no [commands.<name>], and the model has actuators; say what moves them")
+    return found
+
+
+def held(recording, name, times, columns, unit=None) -> np.ndarray:
     """(T, columns) the last numbers of a command until each of the times [s], or the first ones."""
     if name not in recording.commands:
         raise RecordingError(f"the recording has no command {name!r}; it has {sorted(recording.commands)}")
     command = recording.commands[name]
+    si, factor = UNITS.get(command.unit, (command.unit, 1.0))
+    if unit not in (None, command.unit) or factor != 1.0:
+        raise RecordingError(f"the command {name!r} is in {command.unit!r}; expected is {unit or si!r}")
     values = command.values.reshape(len(command.time), -1)
     if values.shape[1] != columns:
         raise RecordingError(f"command {name!r} has {values.shape[1]} columns; expected {columns}")
@@ -198,6 +222,8 @@ def parameters_of(model, table, scaled: dict[str, list[_Entry]]) -> tuple[tuple[
             raise ModelError(f"{label} has the name of a setting")
         deviation = number(f"{label} deviation", entry.get("deviation"), 1e-9, 1e9)
         entries[name] = [_entry(model, label, text) for text in names_of(f"parameters.{name}", entry, "fields")]
+        if not isinstance(entry.get("add", False), bool):
+            raise ModelError(f"{label} add is {entry['add']!r}; expected true or false")
         if entry.get("add", False):
             added.add(name)
             bounds = (-_FAR * deviation, _FAR * deviation)
@@ -268,6 +294,8 @@ def names_of(label, entry, key) -> list[str]:
     values = entry.get(key) if isinstance(entry, dict) else None
     if not isinstance(values, list) or not values or not all(isinstance(value, str) for value in values):
         raise ModelError(f"[{label}] {key} is {values!r}; expected a list of names")
+    if len(set(values)) < len(values):
+        raise ModelError(f"[{label}] {key} is {values!r}; expected each name once")
     return values
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from soro_bench.diagnosis.mapping import (
     ModelError,
     accurate_of,
+    commands_of,
     element,
     held,
     joint,
@@ -65,10 +66,7 @@ class ModelRobot(Robot):
             raise ModelError(f"control_timestep {self.control_timestep} s is no multiple of {compiled.opt.timestep} s")
         self.settling = round(number("[robot] settle", settings.get("settle", 0.0), 0, 1e4) / self.control_timestep)
         self._accurate = accurate_of(settings, mapping)
-        self._commands = []
-        for name, entry in table["commands"].items():
-            actuators = names_of(f"commands.{name}", entry, "actuators")
-            self._commands.append((name, [element(compiled, mujoco.mjtObj.mjOBJ_ACTUATOR, one) for one in actuators]))
+        self._commands = commands_of(compiled, table["commands"])
         self._set_signal(table["signal"])
         wanted = names_of("initial", table["initial"], "joints") if table["initial"] else []
         self._initial = [joint(compiled, name) for name in wanted]
@@ -103,8 +101,8 @@ class ModelRobot(Robot):
         if not 1 <= steps <= _MOST_STEPS:
             raise RecordingError(f"{recording.duration} s are {steps} control steps; expected 1 to {_MOST_STEPS}")
         actions = np.zeros((steps, self._model.nu))
-        for name, actuators in self._commands:
-            actions[:, actuators] = held(recording, name, self._times(recording, steps), len(actuators))
+        for name, actuators, unit in self._commands:
+            actions[:, actuators] = held(recording, name, self._times(recording, steps), len(actuators), unit)
         return actions
 
     def settings(self, recording: Recording, steps: int) -> np.ndarray | None:
@@ -118,7 +116,7 @@ class ModelRobot(Robot):
 
     @property
     def _named(self) -> list[str]:
-        return [name for name, _ in self._commands]
+        return [name for name, _, _ in self._commands]
 
     def _times(self, recording, steps):
         """(steps,) s, the beginnings of the control steps."""

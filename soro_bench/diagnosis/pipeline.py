@@ -1,5 +1,6 @@
 """The whole diagnosis of a robot: from recordings to what is missing in its simulation."""
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -7,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from soro_bench.diagnosis.audit import Audit, audit, noise, outliers
-from soro_bench.diagnosis.compare import Comparison, compared, shortlist
+from soro_bench.diagnosis.compare import Answer, Comparison, compared, shortlist
 from soro_bench.diagnosis.explain import Explanation, explained, nominal_fit
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.floor import numerical_floor
@@ -25,9 +26,14 @@ MOST_NUMBERS = 300_000  # of all samples: four minutes of a trunk, of which ever
 UNSURE = 0.1  # probability of physics without a name, above which its place is looked for
 
 
+class SimulationError(ValueError):
+    """The nominal robot cannot be simulated."""
+
+
 @dataclass(frozen=True)
 class Outliers:
-    """Samples left out because they are alone and far off: share of all points, and their rms distance [unit]."""
+    """Samples left out because they are alone and far off: share of all points that there are, and the rms distance of
+    a coordinate [unit]."""
 
     share: float
     size: float
@@ -52,9 +58,13 @@ class Diagnosis:
 
     @property
     def detected(self) -> bool:
-        """Whether something is missing or wrong beside outliers: whether nothing else is likelier."""
-        nothing = sum(a.probability for a in self.comparison.answers if not a.names)
-        return max(self.comparison.likeliest, self.comparison.unknown) > nothing
+        """Whether something is missing or wrong beside outliers."""
+        return self.comparison.detected
+
+    @property
+    def best(self) -> Answer:
+        """The answer that the report is of."""
+        return self.comparison.best
 
     @property
     def verdict(self) -> str:
@@ -63,8 +73,7 @@ class Diagnosis:
             return "measurement_fault" if self.outliers.share else "none_detected"
         if self.comparison.unknown > self.comparison.likeliest:
             return "unknown_physics"
-        best = next(a for a in self.comparison.answers if a.names)
-        faults = all(s.where.kind == "sensor" for s in best.hypothesis.suspects)
+        faults = all(s.where.kind == "sensor" for s in self.best.hypothesis.suspects)
         return "measurement_fault" if faults else "missing_physics"
 
 
@@ -85,6 +94,7 @@ def diagnose(
 
     Raises:
         RecordingError: a recording lacks something; says what.
+        SimulationError: the simulation diverges.
     """
     start = time.perf_counter()
     progress("audit")
@@ -94,6 +104,8 @@ def diagnose(
     # of one sensor: motion only adds to it
     sigma = max(min(a.sigma for a in audits), max(a.least for a in audits))
     problem, nominal = nominal_fit(unexplained(fitted, measured, sigma), refined, seed, progress)
+    for simulation in (fitted, *refined):
+        _check_it_stays_finite(problem, simulation, nominal.x)
     problem, nominal, found_outliers = _without_outliers(problem, nominal)
     if not problem.rough:
         problem, nominal = _with_noise(problem, nominal, max(a.least for a in audits))
@@ -110,11 +122,33 @@ def diagnose(
 
 
 def _measured(robot, *groups: Sequence[Recording]) -> list[tuple[Measured, ...]]:
-    """What the diagnosis sees of the recordings of each group."""
+    """What the diagnosis sees of the recordings of each group, the first of which is explained."""
+    if not groups[0]:
+        raise RecordingError("there is no recording to explain")
     found = [tuple(robot.measured(each) for each in group) for group in groups]
+    for i, j in itertools.combinations([each for group in groups for each in group], 2):
+        if _same(robot, i, j):
+            raise RecordingError("two of the recordings are the same; what is explained twice is no more certain, and "
+                                 "held-out recordings have to be others than those that are explained")  # fmt: skip
     if (size := sum(each.values.size for group in found for each in group)) > MOST_NUMBERS:
         raise RecordingError(f"{size} numbers to explain; at most {MOST_NUMBERS}, so cut the recordings")
     return found
+
+
+def _same(robot: Robot, one: Recording, other: Recording) -> bool:
+    """Whether two recordings have the same samples of the robot's signal."""
+    signals = [each.signals.get(robot.signal) for each in (one, other)]
+    return None not in signals and np.array_equal(*(each.values for each in signals), equal_nan=True)
+
+
+def _check_it_stays_finite(problem: Problem, robot: Robot, x: np.ndarray) -> None:
+    """Raise SimulationError if a robot with the fitted parameters diverges: that would be taken for physics."""
+    (simulated,), first = problem.simulated(robot, [(x, ())]), 0
+    for number, each in enumerate(problem.recordings, 1):
+        part, first = simulated[first : first + each.values.size].reshape(len(each.time), -1), first + each.values.size
+        if not (finite := np.isfinite(part).all(axis=1)).all():
+            raise SimulationError(f"the simulation by {robot.model_name} diverges {each.time[finite.argmin()]:.3g} s "
+                                  f"into recording {number}; a shorter time step may help")  # fmt: skip
 
 
 def _proposal(found: Diagnosis, seed: int) -> Proposal | None:
@@ -159,11 +193,13 @@ def _without_outliers(problem, nominal):
     far = _outliers(problem, nominal.residual)
     if not far.any():
         return problem, nominal, Outliers(0.0, 0.0)
+    far &= problem.weight > 0
     size = problem.sigma * float(np.sqrt((problem.floor.without(nominal.residual)[far] ** 2).mean()))
+    share = float(far.sum() / problem.weight.sum())
     problem = _masked(problem, far)
     nominal = replace(nominal, **{n: getattr(nominal, n) * ~far for n in ("residual", "slope", "error")})
     nominal = replace(nominal, cost=problem.cost(nominal.residual, nominal.x))
-    return problem, nominal, Outliers(float(far.mean()), size)
+    return problem, nominal, Outliers(share, size)
 
 
 def _masked(problem: Problem, far: np.ndarray) -> Problem:

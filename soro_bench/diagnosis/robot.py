@@ -17,6 +17,7 @@ from soro_bench.effects.measurement import distorted
 from soro_bench.models.simulation import Simulation
 from soro_bench.recording.recording import Recording, RecordingError, resampled, sampled
 
+_APART = 0.5  # of a recording's duration
 SIMULATIONS = 128  # side by side, at least
 # time steps, in one of the given robot, of the one that is fitted and of the refined one: fitted to a trunk with far
 # shorter steps, one leaves 0.66 mm with the given steps of 10 ms and 0.29 mm with half of them
@@ -218,6 +219,10 @@ class Robot(ABC):
         if given.values[0].size != np.prod(self.shape):
             shapes = f"{given.values.shape[1:]}; those of this robot have {self.shape}"
             raise RecordingError(f"{self.signal} has samples of shape {shapes}")
+        apart = abs(given.time[0] - min(command.time[0] for command in recording.commands.values()))
+        if apart > _APART * recording.duration:
+            raise RecordingError(f"{self.signal} and the commands begin {apart:.3g} s apart; do they have the same "
+                                 "clock?")  # fmt: skip
         begin = self.begins(recording)
         times = begin + self.control_timestep * np.arange(1, len(actions) + 1)
         values = resampled(given, times).values.reshape(-1, *self.shape)
