@@ -51,3 +51,9 @@ def test_polishing_leaves_a_local_optimum_of_a_rugged_replay():
     found, lower = polished(residuals, deviation, [slice(0, 4)], start, cost, EvaluationLog(None, ""), [0])
     assert np.abs(found - truth).max() < 0.002
     assert lower < cost
+
+
+def test_a_basis_explains_no_more_than_it_is_likely_to(rng):
+    """Of what it would have to be ten times as large for, three times its size."""
+    basis = rng.standard_normal((1, 1000))
+    assert LowRank(basis).without(10.0 * basis[0]) == pytest.approx(7.0 * basis[0], rel=1e-3)

@@ -30,15 +30,25 @@ def test_a_lead_like_those_of_nulls_is_no_detection():
     ],
 )
 def test_the_verdict_is_what_is_likeliest(answers, unknown, verdict):
-    def answer(chance, name):
-        where = Port("sensor", "keypoints") if name == "sensor_delay" else Port("body", "vertebra4")
-        some = () if name == "none" else (Suspect(name, where, (0.1,), (True,)),)
-        names = tuple(s.name for s in some)
-        return SimpleNamespace(probability=chance, names=names, hypothesis=SimpleNamespace(suspects=some))
-
-    comparison = compare.Comparison(tuple(answer(*each) for each in answers), unknown, 0.0)
+    comparison = compare.Comparison(tuple(_answer(*each) for each in answers), unknown, 0.0)
     found = Diagnosis(None, (), Outliers(0.0, 0.0), None, comparison, (), None, 0.0)
     assert found.verdict == verdict
+
+
+def test_the_report_is_of_the_likeliest_effect_even_if_nothing_is_the_first_answer():
+    """It is likelier than nothing in two answers together, and in neither of them."""
+    answers = (_answer(0.35), _answer(0.32, "payload"), _answer(0.3, "payload", "actuator_gain"))
+    found = compare.Comparison(answers, 0.03, 0.5)
+    assert found.detected
+    assert found.best is answers[1]
+    assert compare.Comparison(answers[:2], 0.33, 0.5).best is answers[0]
+
+
+def _answer(chance, *names):
+    names = tuple(name for name in names if name != "none")
+    places = [Port("sensor", "keypoints") if name == "sensor_delay" else Port("body", "vertebra4") for name in names]
+    suspects = tuple(Suspect(name, where, (0.1,), (True,)) for name, where in zip(names, places, strict=True))
+    return SimpleNamespace(probability=chance, names=names, hypothesis=SimpleNamespace(suspects=suspects))
 
 
 def test_what_nothing_explains_is_unknown_and_what_something_explains_is_not(robot, actions):
@@ -48,6 +58,7 @@ def test_what_nothing_explains_is_unknown_and_what_something_explains_is_not(rob
     poor, good = (Hypothesis((), np.zeros(5), scale * residual, 0.0, slope, error) for scale in (5.0, 1.0))
     assert compare._unknown(given, [poor], 0.0) > 0.95
     assert compare._unknown(given, [poor, poor], 0.0) > 0.95
+    assert compare._unknown(given.allowing(20 * SIGMA), [good], 0.0) == 1.0  # however few samples there are
     assert compare._unknown(given, [poor, good], 0.0) < 0.05
     assert compare._unknown(given, [poor, good], 3000.0) > 0.95  # something else is there, which no law explains
     assert compare._unknown(given, [good], 400.0) < 0.05  # a lead that was not worth a try
@@ -62,7 +73,7 @@ def test_what_is_far_beyond_the_sensors_noise_and_not_explained_is_unknown_and_n
     lead = Hypothesis((Suspect("actuator_gain", Port("actuator", "L0"), (0.85,), (True,)),), np.zeros(6),
                       0.99 * residual, 0.0, np.zeros((6, residual.size)), error)  # fmt: skip
     found = compare.compared(Explanation(given, nominal, (lead,), 0.0, 0.0, 0.0, ()), None)
-    assert found.p_value == 0.0
+    assert found.p_value is None
     assert found.unknown > 0.9
 
 

@@ -112,7 +112,7 @@ def test_other_laws_are_kept_before_other_places_of_one(robot):
     given = [("viscous_friction", "L0"), ("viscous_friction", "L1"), ("viscous_friction", "L2"), ("compliance", "L1"),
              ("stribeck_friction", "L1"), ("stribeck_friction", "L0")]  # fmt: skip
     ranked = [SimpleNamespace(suspects=[suspect(robot, name, Port("tendon", cable))]) for name, cable in given]
-    assert refit._varied(ranked, range(6), 2) == [ranked[0], ranked[1], ranked[3]]
+    assert refit._varied(robot, ranked, range(6), 2) == [ranked[0], ranked[1], ranked[3]]
 
 
 def test_of_fits_of_the_same_laws_the_best_one_stays_in_the_place_of_the_first(robot):

@@ -12,7 +12,7 @@ pytest.importorskip("rerun")
 pytest.importorskip("matplotlib")
 
 from soro_bench.diagnosis import page, pipeline
-from soro_bench.diagnosis.findings import Finding, _condition
+from soro_bench.diagnosis.findings import _condition
 from soro_bench.diagnosis.localise import Regime, left_over, residual_map
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.probe import places
@@ -21,7 +21,7 @@ from soro_bench.diagnosis.report import report_of, write_json_report
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import suspect, suspects
 from soro_bench.diagnosis.verdict import _twin, verdict
-from soro_bench.effects.catalogue import QUANTITIES
+from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import Effect, Port, load_effects
 from soro_bench.proof.unseen import unseen
 from soro_bench.randomization import load
@@ -99,7 +99,7 @@ def test_a_hidden_payload_is_named_with_its_place_and_mass_and_the_held_out_fit_
     assert not any(one.name == "payload" and one.where.name == "vertebra7" for one, _ in found.explanation.minimum)
     low, high = first["parameters"]["mass"]["ci90"]
     assert 0.5 * 0.04 < low < 0.04 < high < 2 * 0.04
-    (effect,) = load_effects(tmp_path / "effects.json", QUANTITIES)
+    (effect,) = load_effects(tmp_path / "effects.json", ALL)
     assert effect.name == "payload"
     assert (report["model_patch"], report["model_patch_effects"]) == ("patched_model.xml", ["payload"])
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "patched_model.xml"))
@@ -166,10 +166,10 @@ def test_parameters_far_from_their_nominal_values_are_pointed_out(payload):
     ("actuator_delay", Port("actuator", "L0"), ""),
     ("payload", Port("body", "vertebra7"), ""),
 ])  # fmt: skip
-def test_a_delay_of_everything_measured_is_no_other_than_one_of_everything_commanded(name, where, said):
-    found = Finding(None, Effect(name, where, {}), None, 1.0)
-    assert said in _twin(found)
-    assert bool(said) == bool(_twin(found))
+def test_a_delay_of_everything_measured_is_no_other_than_one_of_everything_commanded(robot, name, where, said):
+    found = _twin(robot, Effect(name, where, {}))
+    assert said in found
+    assert bool(said) == bool(found)
 
 
 def test_what_has_no_name_gets_a_place_and_a_force_over_time(robot, payload, tmp_path):

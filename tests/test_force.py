@@ -59,8 +59,7 @@ def diagnosis(robot, actions, hidden, fitted, coordinates):
     points = np.concatenate([x[None], x + 0.05 * np.eye(len(x))])
     residuals = problem.residuals([(point, (fitted,)) for point in points])
     best = Hypothesis((fitted,), x, residuals[0], 0.0, (residuals[1:] - residuals[0]) / 0.05, nothing)
-    answers = [SimpleNamespace(hypothesis=best)]
-    return SimpleNamespace(explanation=SimpleNamespace(problem=problem), comparison=SimpleNamespace(answers=answers))
+    return SimpleNamespace(explanation=SimpleNamespace(problem=problem), best=SimpleNamespace(hypothesis=best))
 
 
 def curve(robot, actions, fitted, coordinates, hidden=None):

@@ -74,20 +74,45 @@ class Answer:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Answers, the most probable first, the nominal robot among them; and the probability that it is none of them."""
+    """Answers, the most probable first, the nominal robot among them; and the probability that it is none of them.
+
+    p_value: None where more is taken for noise than the sensor's, as nobody has counted false alarms there.
+    """
 
     answers: tuple[Answer, ...]
     unknown: float
-    p_value: float
+    p_value: float | None
 
     @property
     def likeliest(self) -> float:
         """The probability of the likeliest effect at a place, whatever comes with it."""
+        return max(self._chances().values(), default=0.0)
+
+    @property
+    def nothing(self) -> float:
+        """The probability that nothing is missing."""
+        return sum(answer.probability for answer in self.answers if not answer.names)
+
+    @property
+    def detected(self) -> bool:
+        """Whether something is missing: whether nothing else is likelier."""
+        return max(self.likeliest, self.unknown) > self.nothing
+
+    @property
+    def best(self) -> Answer:
+        """The most probable answer; where something is missing, of those that have its likeliest effect."""
+        chances = self._chances()
+        if not self.detected or not chances:
+            return self.answers[0]
+        likeliest = max(chances, key=chances.get)
+        return next(a for a in self.answers if likeliest in [(s.name, s.where) for s in a.hypothesis.suspects])
+
+    def _chances(self) -> Counter:
         chances = Counter()
         for answer in self.answers:
             for suspect in answer.hypothesis.suspects:
                 chances[suspect.name, suspect.where] += answer.probability
-        return max(chances.values(), default=0.0)
+        return chances
 
 
 def p_value(gain: float) -> float:
@@ -135,7 +160,8 @@ def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> 
     ]
     unknown = float(np.clip((1.0 - nothing) * _unknown(problem, hypotheses, found.left), BLUNDER, 1.0 - BLUNDER))
     answers = [replace(a, probability=a.probability * (1.0 - unknown)) for a in answers]
-    return Comparison(tuple(sorted(answers, key=lambda a: -a.probability)), unknown, chance)
+    ranked = tuple(sorted(answers, key=lambda a: -a.probability))
+    return Comparison(ranked, unknown, None if problem.rough else chance)
 
 
 def _chance(hypothesis) -> float:
@@ -158,6 +184,8 @@ def _chances(scores, nothing, excess):
 def _unknown(problem, hypotheses, promised) -> float:
     """Probability that the physics has no name: of what the nominal robot leaves, the first, all leave much; or one
     more effect, on top of the best of all, still promises more than where the laws are right."""
+    if problem.rough and len(hypotheses) == 1:
+        return 1.0  # many times the sensor's noise is left, and nothing promised to explain any of it
     samples, more = float(problem.weight.sum()), (problem.sigma / problem.sensor) ** 2
     left = [0.5 * ((2.0 * problem.excess(h.residual) + samples) * more - samples) for h in hypotheses]
     share, width, least = UNKNOWN

@@ -15,6 +15,7 @@ from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.refit import (
     distinct,
+    exchanged,
     laws,
     persevered,
     polished,
@@ -185,9 +186,11 @@ class _Search:
         self.rounds.append(_round(self.problem, base, offered, self.tried[: len(new)]))
         self.nominal = _again(self.problem, self.nominal)
         without = without_one(self.problem, self.best, self.nominal, next(self.seeds))
-        if number > 1:
-            self.tried[1:1] = without
-        else:
+        others = without if number > 1 else []
+        known = {laws(h) for h in self.tried}
+        others += exchanged(self.problem, [self.best, *others], self.candidates, known, next(self.seeds))
+        self.tried[1:1] = others
+        if number == 1:
             before, self.nominal = self.nominal, min(self.nominal, *without, key=lambda h: h.cost)
             gained = before.cost - self.nominal.cost
             self.misled = not self.problem.rough and gained > WORTH > self.nominal.cost - self.best.cost
@@ -274,7 +277,7 @@ def _leads(problem, screened, leads):
     which one law may have steeper ones than another that fits better."""
     best = [lead for lead in distinct(leads, LEADS, problem.robot) if lead.gain > PROMISING * leads[0].gain]
     taken = {lead.chosen for lead in best}
-    others = [lead for lead in leads if best and twins(lead, best[0]) and lead.chosen not in taken]
+    others = [lead for lead in leads if best and twins(problem.robot, lead, best[0]) and lead.chosen not in taken]
     best += [lead for lead in others if problem.robot.accepts(lead.effects)]
     return [screened.guess(lead) for lead in best]
 

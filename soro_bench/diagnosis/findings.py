@@ -20,7 +20,8 @@ _ALWAYS = 0.9  # share of the time that a condition fills if it says nothing of 
 
 @dataclass(frozen=True)
 class Finding:
-    """An effect at a place, in the most probable hypothesis that has it, and its probability in all of them."""
+    """An effect at a place, in the answer that the report is of, or the most probable one that has it, and its
+    probability in all of them."""
 
     suspect: Suspect
     effect: Effect
@@ -32,7 +33,7 @@ def findings(diagnosis: Diagnosis) -> list[Finding]:
     """Every effect of any hypothesis, the most probable first; of those in one hypothesis that which gains most."""
     best: dict[tuple[str, Port], Finding] = {}
     d = diagnosis.explanation.problem.parameters
-    for answer in diagnosis.comparison.answers:
+    for answer in sorted(diagnosis.comparison.answers, key=lambda a: a is not diagnosis.best):
         for suspect, effect in zip(answer.hypothesis.suspects, answer.hypothesis.effects(d), strict=True):
             key = (effect.name, effect.where)
             first = best.get(key)
@@ -126,7 +127,7 @@ def _evidence(diagnosis: Diagnosis, answer: Answer) -> list[str]:
 
 
 def _against(diagnosis: Diagnosis, answer: Answer) -> list[str]:
-    best, said = diagnosis.comparison.answers[0], []
+    best, said = diagnosis.best, []
     if answer.heldout is not None and answer.heldout.after > answer.heldout.before:
         said.append("makes held-out recordings worse")
     if answer is not best:

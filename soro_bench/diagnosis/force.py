@@ -55,7 +55,7 @@ class Curve:
 
 def force_against_state(diagnosis: Diagnosis) -> Curve | None:
     """Of the first effect of the best hypothesis whose law is a function of the state of a place; None without one."""
-    problem, hypothesis = diagnosis.explanation.problem, diagnosis.comparison.answers[0].hypothesis
+    problem, hypothesis = diagnosis.explanation.problem, diagnosis.best.hypothesis
     for i, suspect in enumerate(hypothesis.suspects):
         place = place_of(problem.robot, suspect)
         if place and (curve := _curve(problem, hypothesis, i, place)):

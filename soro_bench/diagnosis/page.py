@@ -98,7 +98,7 @@ def _page(diagnosis: Diagnosis, report: dict, text: str) -> str:
         ("Before and after", "The point with the largest error: measured less simulated. The band is two standard "
          "deviations of the noise." + which, _overlay(diagnosis)),
     ]  # fmt: skip
-    if diagnosis.comparison.answers[0].names:
+    if diagnosis.best.names:
         caption = "Evidence gained by the best hypothesis in every second." + which
         plots.append(("When it is explained", caption, _gain(diagnosis)))
     if curve := force_against_state(diagnosis):
@@ -200,7 +200,7 @@ def _detectable_table(report) -> str:
 
 def _ranking(diagnosis) -> str:
     shown = [(f"{f.effect.name} at {f.effect.where}", f.probability) for f in findings(diagnosis)][:_RANKED]
-    nothing = sum(a.probability for a in diagnosis.comparison.answers if not a.names)
+    nothing = diagnosis.comparison.nothing
     no_more = "outliers only" if only_outliers(diagnosis) else "nothing missing"
     shown = sorted([*shown, (no_more, nothing), ("unknown", diagnosis.comparison.unknown)], key=lambda pair: pair[1])
     figure, axes = pyplot().subplots(figsize=(9, 0.4 + 0.3 * len(shown)), layout="constrained")
@@ -223,7 +223,7 @@ def _heat(diagnosis) -> str:
 
 def _overlay(diagnosis) -> str:
     explanation = diagnosis.explanation
-    problem, best = explanation.problem, diagnosis.comparison.answers[0].hypothesis
+    problem, best = explanation.problem, diagnosis.best.hypothesis
     measured = problem.recordings[0]
     before, after = (left_over(problem, h.residual) for h in (explanation.nominal, best))
     point = int(np.nansum(before**2, axis=(0, 2)).argmax())
@@ -257,7 +257,7 @@ def _residual_force(force) -> str:
 def _gain(diagnosis) -> str:
     explanation = diagnosis.explanation
     measured = explanation.problem.recordings[0]
-    gain = explained_over_time(explanation.problem, explanation.nominal, diagnosis.comparison.answers[0].hypothesis)
+    gain = explained_over_time(explanation.problem, explanation.nominal, diagnosis.best.hypothesis)
     figure, axes = pyplot().subplots(figsize=(9, 2.4), layout="constrained")
     edges = np.arange(0.0, measured.time[-1] + 1.0)
     axes.stairs(np.histogram(measured.time - 1e-9, edges, weights=gain)[0], edges, fill=True)

@@ -11,7 +11,7 @@ from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.screen import Evidence, Lead
-from soro_bench.diagnosis.suspects import effects_at
+from soro_bench.diagnosis.suspects import Suspect, effects_at, late
 from soro_bench.effects.catalogue import CATEGORIES
 
 SCALE, KEPT = 0.15, 3  # of the cloud, and how many hypotheses remain
@@ -43,7 +43,7 @@ def refitted(problem: Problem, guesses: Sequence[Guess], screened: Evidence, see
     found = fitted(problem, _tried(problem, guesses), (SCALE,), seed)
     found = _moved(problem, unique(sorted(found, key=lambda h: h.cost)), screened, seed + 1)
     ranked = unique(sorted(found, key=lambda h: -h.log_evidence(problem)))
-    return _varied(ranked, range(len(ranked)), KEPT)
+    return _varied(problem.robot, ranked, range(len(ranked)), KEPT)
 
 
 def unique(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -96,6 +96,25 @@ def without_one(problem: Problem, hypothesis: Hypothesis, nominal: Hypothesis, s
         return fitted(problem, guesses, _POLISH, seed)
     nearer = [_nearer(problem, guess, nominal) for guess in guesses]
     return descended(problem, fitted(problem, nearer, _POLISH, seed))
+
+
+def exchanged(
+    problem: Problem, hypotheses: Sequence[Hypothesis], candidates: Sequence[Suspect], known: set, seed: int
+) -> list[Hypothesis]:
+    """The hypotheses with a delay of all commands instead of one of all measurements, and the other way round, fitted
+    from where they are; but for those whose laws are known."""
+    robot, guesses = problem.robot, {}
+    late_ones = [s for s in candidates if late(robot, s.name, s.where)]
+    for h in hypotheses:
+        ends = problem.parameters + np.cumsum([s.size for s in h.suspects], dtype=int)
+        for i, (one, end) in enumerate(zip(h.suspects, ends, strict=True)):
+            for other in late_ones if one in late_ones else ():
+                x, slope, factor = h.x.copy(), h.slope.copy(), float(one.deviations[0] / other.deviations[0])
+                x[end - 1], slope[end - 1] = x[end - 1] * factor, slope[end - 1] / factor
+                guess = Guess(x, (*h.suspects[:i], other, *h.suspects[i + 1 :]), slope)
+                if laws(guess) not in known and robot.accepts(effects_at(x[problem.parameters :], guess.suspects)):
+                    guesses.setdefault(laws(guess), guess)
+    return fitted(problem, list(guesses.values()), _POLISH, seed) if guesses else []
 
 
 def _nearer(problem, guess, nominal):
@@ -154,10 +173,10 @@ def _tried(problem, guesses):
     costs = [problem.cost(row, x) for row, (x, _) in zip(problem.residuals(points), points, strict=True)]
     best = np.reshape(costs, (len(guesses), -1))
     started = [replace(g, x=some[int(k)]) for g, some, k in zip(guesses, starts, best.argmin(axis=1), strict=True)]
-    return _varied(started, best.min(axis=1), _TRIED)
+    return _varied(problem.robot, started, best.min(axis=1), _TRIED)
 
 
-def _varied(given, costs, count):
+def _varied(robot, given, costs, count):
     """The best so many of different laws, each at the first of its places, the best of other places, and the twins of
     the very best. The best first."""
     firsts = {}
@@ -165,13 +184,18 @@ def _varied(given, costs, count):
         firsts.setdefault(frozenset(s.name for s in each.suspects), i)
     order = np.argsort(costs, kind="stable")
     kept = [i for i in order if i in firsts.values()][:count] + [i for i in order if i not in firsts.values()][:1]
-    return [given[i] for i in order if i in kept or twins(given[i], given[order[0]])]
+    return [given[i] for i in order if i in kept or twins(robot, given[i], given[order[0]])]
 
 
-def twins(one: Guess | Hypothesis | Lead, other: Guess | Hypothesis | Lead) -> bool:
-    """Whether they are laws of the same classes at the same places, which leave nearly the same traces."""
-    first, second = (Counter((CATEGORIES[s.name], s.where) for s in each.suspects) for each in (one, other))
+def twins(robot: Robot, one: Guess | Hypothesis | Lead, other: Guess | Hypothesis | Lead) -> bool:
+    """Whether they are laws of the same classes at the same places, or delays of everything, which leave nearly the
+    same traces."""
+    first, second = (Counter(_trace(robot, s) for s in each.suspects) for each in (one, other))
     return first == second
+
+
+def _trace(robot, suspect):
+    return "late" if late(robot, suspect.name, suspect.where) else (CATEGORIES[suspect.name], suspect.where)
 
 
 def _screened(guess):

@@ -22,7 +22,7 @@ from soro_bench.diagnosis.priors import LIMIT, Earlier
 from soro_bench.diagnosis.propose import DURATION, Proposal
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import Suspect
-from soro_bench.effects.catalogue import CATEGORIES, QUANTITIES
+from soro_bench.effects.catalogue import ALL, CATEGORIES
 from soro_bench.effects.effect import load_effects, save_effects
 from soro_bench.files import read_json, write_json
 from soro_bench.randomization import TruncatedNormal
@@ -72,7 +72,7 @@ def earlier(folder: str | Path) -> Earlier:
         spread = {name: abs(float(each["ci90"][1]) - float(each["ci90"][0])) / (2 * NINETY) for name, each in found}
     except (AttributeError, LookupError, TypeError, ValueError) as error:
         raise ValueError(f"{path} has no parameters with values and intervals ({error!r})") from error
-    return Earlier(values, spread, load_effects(Path(folder) / "effects.json", QUANTITIES))
+    return Earlier(values, spread, load_effects(Path(folder) / "effects.json", ALL))
 
 
 def posterior(diagnosis: Diagnosis) -> TruncatedNormal:
@@ -84,9 +84,9 @@ def posterior(diagnosis: Diagnosis) -> TruncatedNormal:
 
 def report_of(diagnosis: Diagnosis) -> dict:
     """The contents of report.json."""
-    comparison, best = diagnosis.comparison, diagnosis.comparison.answers[0]
+    comparison, best = diagnosis.comparison, diagnosis.best
     ranked = [described(diagnosis, finding) for finding in findings(diagnosis)]
-    nothing = next((a.probability for a in comparison.answers if not a.names), 0.0)
+    nothing = comparison.nothing
     outliers = only_outliers(diagnosis)
     ranked.append(_nameless("none", 0.0 if outliers else nothing))
     ranked.append(_nameless("unknown", comparison.unknown, diagnosis))

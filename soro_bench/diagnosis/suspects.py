@@ -116,6 +116,13 @@ def _possible(robot, name, ports) -> list[Suspect]:
     return [one for one in at if robot.accepts([one.effect(np.zeros(one.size))])]
 
 
+def late(robot: Robot, name: str, where: Port) -> bool:
+    """Whether an effect delays all commands or all measurements: either way what follows from a command is measured
+    late by as much."""
+    all_actuators = where.name == EVERY or robot.ports("actuator") == [where]
+    return name == "sensor_delay" or (name == "actuator_delay" and all_actuators)
+
+
 def suspect(robot: Robot, name: str, where: Port) -> Suspect:
     """An effect at a port, with what is typical there."""
     port = robot.ports(where.kind)[0] if where.name == EVERY else where

@@ -9,15 +9,17 @@ from soro_bench.diagnosis.patch import kept, patch, rejected
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.propose import DURATION, Proposal
 from soro_bench.diagnosis.report import NEXT_ACTIONS, detectable, invisible
+from soro_bench.diagnosis.robot import Robot
+from soro_bench.diagnosis.suspects import late
 from soro_bench.effects.catalogue import CATEGORIES
-from soro_bench.effects.effect import EVERY
+from soro_bench.effects.effect import Effect
 
 FAR = 3.0  # standard deviations of its prior: one parameter in 400 is that far from its nominal value
 
 
 def verdict(diagnosis: Diagnosis) -> str:
     """What was found, in sentences."""
-    best, unit = diagnosis.comparison.answers[0], diagnosis.explanation.problem.recordings[0].unit
+    best, unit = diagnosis.best, diagnosis.explanation.problem.recordings[0].unit
     said = []
     if diagnosis.outliers.share:
         said.append(f"{100 * diagnosis.outliers.share:.2g} % of the points are outliers; they are left out.")
@@ -36,7 +38,8 @@ def verdict(diagnosis: Diagnosis) -> str:
                     f"(probability {diagnosis.comparison.unknown:.2f}); nearest is {nearest}.")  # fmt: skip
         said.append(_force(diagnosis, unit))
     else:
-        said += [_sentence(diagnosis, f) + _twin(f) for f in findings(diagnosis) if f.answer is best]
+        found = [f for f in findings(diagnosis) if f.answer is best]
+        said += [_sentence(diagnosis, f) + _twin(diagnosis.robot, f.effect) for f in found]
     if far := _far(diagnosis):
         said.append(far)
     said.append(f"Fit: {before_after(best.train, unit)}.")
@@ -46,7 +49,7 @@ def verdict(diagnosis: Diagnosis) -> str:
             said.append("The patch is rejected: it makes the held-out recordings worse.")
         elif diagnosis.verdict == "unknown_physics" and best.names:
             said.append(_of_the_nearest(bool(patch(diagnosis)), " with ".join(best.names)))
-    others = [a for a in diagnosis.comparison.answers[1:4] if a.probability >= 0.05]
+    others = [a for a in diagnosis.comparison.answers if a is not best and a.probability >= 0.05][:3]
     if others:
         names = ", or ".join(f"{' with '.join(a.names) or 'nothing'} ({a.probability:.2f})" for a in others)
         said.append(f"It may also be {names}.")
@@ -121,13 +124,9 @@ def _sentence(diagnosis: Diagnosis, finding: Finding) -> str:
             f"visible at {when}; {shown['condition']}.")  # fmt: skip
 
 
-def _twin(finding: Finding) -> str:
-    """What hardly any recording can tell from the finding, as a sentence; nothing if there is no such thing."""
-    # all commands or all measurements late: either way what follows from a command is measured late by as much
-    if finding.effect.name == "sensor_delay":
-        twin = "actuator_delay at every actuator"
-    elif finding.effect.name == "actuator_delay" and finding.effect.where.name == EVERY:
-        twin = "sensor_delay"
-    else:
+def _twin(robot: Robot, effect: Effect) -> str:
+    """What hardly any recording can tell from an effect, as a sentence; nothing if there is no such thing."""
+    if not late(robot, effect.name, effect.where):
         return ""
+    twin = "actuator_delay at every actuator" if effect.name == "sensor_delay" else "sensor_delay"
     return f" Only motion that no command began tells it from {twin}; clocks do."

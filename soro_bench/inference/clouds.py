@@ -12,6 +12,7 @@ import numpy as np
 from scipy.stats import qmc
 
 LENGTHS = (0.5, 1.0, 1.5)  # of a step, tried
+MOST = 3.0  # standard deviations of what a basis explains, rms of its coefficients
 RIDGE, FREE = 1.0, 0.05  # observations that a slope is worth which is known beforehand, or not
 
 
@@ -29,10 +30,13 @@ class LowRank:
         return a @ b.T - (a @ self.basis.T) @ np.linalg.solve(self._inner, self.basis @ b.T)
 
     def without(self, residual: np.ndarray) -> np.ndarray:
-        """(M,) what the basis does not explain."""
+        """(M,) what the basis does not explain with coefficients that are possible: of a residual that is far larger,
+        it could take up most of what looks like it only if it were many times enlarged."""
         if not len(self.basis):
             return residual
-        return residual - np.linalg.solve(self._inner, self.basis @ residual) @ self.basis
+        coefficients = np.linalg.solve(self._inner, self.basis @ residual)
+        size = np.sqrt((coefficients**2).mean())
+        return residual - min(1.0, MOST / max(size, MOST)) * coefficients @ self.basis
 
 
 @dataclass(frozen=True)
