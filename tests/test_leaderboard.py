@@ -288,10 +288,11 @@ def test_the_command_fails_where_a_figure_differs(tmp_path):
     edited = tmp_path / "seed0.json"
     for file in (shipped, shipped.with_suffix(".safetensors")):
         shutil.copy(file, tmp_path)
-    edit(edited, _set("evaluations", "cable", "final_mm", value=[1.0]))
+    (true,) = json.loads(shipped.read_text())["evaluations"]["cable"]["final_mm"]
+    edit(edited, _set("evaluations", "cable", "final_mm", value=[true + 1.25]))
     command = [sys.executable, "-c", code, "leaderboard", "verify", str(shipped), str(edited), "--labels", "cable"]
     run = subprocess.run(command, capture_output=True, text=True, timeout=120)
     first, second = run.stdout.strip().splitlines()
     assert first == f"{shipped}: cable: same"
-    assert second == f"{edited}: cable: differs: final_mm by up to 1.74 mm"
+    assert second == f"{edited}: cable: differs: final_mm by up to 1.25 mm"
     assert run.returncode == 1
