@@ -99,6 +99,15 @@ def test_a_law_begun_at_a_neighbour_ends_at_its_place(robot, actions, began):
     assert payload.parameters["mass"] == pytest.approx(0.04, rel=0.1)
 
 
+def test_what_is_far_behind_the_best_is_not_tried_at_other_places(monkeypatch):
+    asked = []
+    monkeypatch.setattr(refit, "_beside", lambda problem, h, responses: asked.append(h) or [])
+    problem, screened = SimpleNamespace(excess=float), SimpleNamespace(candidates=(), responses=())
+    best, rival, behind = (SimpleNamespace(residual=left, suspects=()) for left in (3000.0, 5000.0, 7000.0))
+    assert refit._moved(problem, [best, rival, behind], screened, 0) == [best, rival, behind]
+    assert asked == [best, rival]
+
+
 @pytest.mark.parametrize(("name", "sides"), [("vertebra0", ["vertebra1"]), ("vertebra4", ["vertebra3", "vertebra5"])])
 def test_beside_a_segment_are_the_ones_before_and_after(robot, name, sides):
     assert [port.name for port in robot.beside(Port("body", name))] == sides

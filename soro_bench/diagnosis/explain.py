@@ -14,6 +14,8 @@ from soro_bench.diagnosis.fit import Guess, Hypothesis, allowing, fitted
 from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.refit import (
+    CLEAN,
+    RIVAL,
     distinct,
     exchanged,
     laws,
@@ -35,13 +37,11 @@ SEEDS = 10_000  # of clouds, for each seed of a diagnosis
 RADII, LAST = ((0.7, 0.3), (0.15,), (0.05, 0.05)), 0.07
 FAR_DRAWS, FAR = 3, 0.7  # replays of each refined robot at first, and their standard deviation
 NEAR = (0.15, 0.05, 0.0)  # of the one near each fit
-# polishes at most, the excess below which none is needed (nulls leave as much), and the share that one more has to take
-# off; and their radii: a cloud as wide as the nominal fit's at first, as parameters that have absorbed an effect may be
-# far from where they belong
-POLISHES, CLEAN, ENOUGH = 4, 1000.0, 0.1
+# polishes at most, and the share that one more has to take off; and their radii: a cloud as wide as the nominal fit's
+# at first, as parameters that have absorbed an effect may be far from where they belong
+POLISHES, ENOUGH = 4, 0.1
 LACKING = 10_000.0  # nats, an excess of the nominal robot far beyond that of nulls: polishing supplies no physics
 WIDE, NARROW = (0.7, 0.15), (0.3, 0.1)
-RIVAL = 2.0  # a hypothesis that leaves less than so many times what the best one leaves
 MOST = 3  # effects
 # leads that are tried, the share of the best one's promise that they have to make, and hypotheses of a round with
 # floors of their own

@@ -20,6 +20,8 @@ _LITTLE = 0.1  # of magnitudes: nearly none, but not so little that slopes vanis
 _POLISH = (0.3, 0.1)  # radii
 _ROUNDS, _HELPS = 5, 0.1  # of fits that go on, at most, and the share of the cost by which one has to help
 _PER_NAME = 2  # leads that differ in their places only
+RIVAL = 2.0  # a hypothesis that leaves less than so many times what the best one leaves
+CLEAN = 1000.0  # nats, the excess below which nothing has to be better: nulls leave as much
 
 
 def distinct(leads: Sequence[Lead], count: int, robot: Robot) -> list[Lead]:
@@ -129,13 +131,16 @@ def _nearer(problem, guess, nominal):
 
 
 def _moved(problem, hypotheses, screened, seed):
-    """The hypotheses, each with its last effect one segment or measured point further as long as that helps.
+    """The hypotheses, the best one and its rivals with their last effect one segment or measured point further as long
+    as that helps.
 
     Screening sees the robot without the effect, and so far from it neighbours leave other traces: what it promises
     decides between laws, and hardly between segments.
     """
     found, tried = list(hypotheses), {laws(h) for h in hypotheses}
-    responses, going = dict(zip(screened.candidates, screened.responses, strict=True)), range(len(found))
+    responses = dict(zip(screened.candidates, screened.responses, strict=True))
+    left = [problem.excess(h.residual) for h in found]
+    going = [i for i, each in enumerate(left) if each < RIVAL * max(min(left), CLEAN)]
     while sides := [(i, g) for i in going for g in _beside(problem, found[i], responses) if laws(g) not in tried]:
         tried |= {laws(guess) for _, guess in sides}
         going = set()
