@@ -5,6 +5,9 @@ Ramos, Possas, Fox, "BayesSim: adaptive domain randomization via probabilistic i
 docs/inference.md.
 """
 
+import contextlib
+import io
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,7 +40,8 @@ class Estimator:
         x = torch.as_tensor((summary - self.center) / self.scale, dtype=torch.float32)
         kept = np.zeros((0, self.dimension))
         for _ in range(BATCHES):  # sbi's own rejection goes on for ever where nothing is accepted
-            drawn = self.posterior.sample((count,), x=x, show_progress_bars=False, reject_outside_prior=False)
+            with _quiet():
+                drawn = self.posterior.sample((count,), x=x, show_progress_bars=False, reject_outside_prior=False)
             inside = drawn[((drawn >= 0) & (drawn <= 1)).all(dim=1)]
             kept = np.concatenate([kept, inside.detach().numpy().astype(float)])
             if len(kept) >= count:
@@ -80,7 +84,8 @@ def train(points: np.ndarray, summaries: np.ndarray, features: str = "mdn", seed
                              num_components=COMPONENTS, embedding_net=embedding)  # fmt: skip
         prior = BoxUniform(torch.zeros(theta.shape[1]), torch.ones(theta.shape[1]))
         inference = NPE(prior, density_estimator=build, show_progress_bars=False, tracker=_NoTracker())
-        inference.append_simulations(theta, x).train(show_train_summary=False)
+        with _quiet():
+            inference.append_simulations(theta, x).train(show_train_summary=False)
         return Estimator(inference.build_posterior(), theta.shape[1], center, scale)
     finally:
         torch.set_num_threads(threads)
@@ -125,6 +130,16 @@ def calibration(estimator: Estimator, points: np.ndarray, summaries: np.ndarray,
     sbc = check_sbc(ranks, theta, averaged, CHECK_SAMPLES)["ks_pvals"]
     coverage, nominal = run_tarp(theta, x, estimator.posterior, num_posterior_samples=CHECK_SAMPLES, **quiet)
     return {"sbc": [float(p) for p in sbc], "tarp": [float(check_tarp(coverage, nominal)[1])]}
+
+
+@contextlib.contextmanager
+def _quiet():
+    """Without what sbi prints into progress bars, and its warnings of what is taken care of here: summaries that are
+    always the same say nothing, and samples outside the search box are left out."""
+    with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+        for text in ("Data has constant values", ".* lie outside the prior support"):
+            warnings.filterwarnings("ignore", text)
+        yield
 
 
 class _NoTracker:
