@@ -162,7 +162,7 @@ def _summary(study: Study, part: Part, found: Diagnosis, text: str, seed: int) -
         "unit": robot.unit,
         **{key: errors_of(robot, measured, h) for key, h in hypotheses.items()},
         "answers": [
-            _answer(found, each, errors_of(robot, measured, each.hypothesis)) for each in found.comparison.answers
+            _answer(found, each, errors_of(robot, measured, each.hypothesis)) for each in found.comparison.ranked
         ],
         "unknown": found.comparison.unknown,
         "seconds": round(found.seconds, 1),

@@ -99,10 +99,24 @@ def test_a_law_with_more_unknowns_has_to_explain_more_than_what_no_law_has_quite
 
 
 def test_what_is_compared_has_most_evidence_whatever_round_it_is_of():
-    """The twin of a law is of the first round, and later ones have more hypotheses than are compared."""
-    twin, *later = [SimpleNamespace(suspects=(), log_evidence=lambda _, e=e: e) for e in (-90.0, *range(-107, -100))]
-    found = Explanation(None, SimpleNamespace(), (*later, twin), 0.0, 0.0, 0.0, ())
-    assert compare.shortlist(found)[1:] == [twin, *reversed(later[2:])]
+    """The right law is of the first round, and in later ones there are more hypotheses than are compared that have one
+    effect more: what they gain is no more than what a law with more unknowns always gains."""
+
+    def leaving(excess, size):
+        suspects = tuple(SimpleNamespace(size=1) for _ in range(size))
+        return SimpleNamespace(suspects=suspects, residual=excess, log_evidence=lambda _: -excess)
+
+    nominal, right = leaving(200_000.0, 0), leaving(2000.0, 1)
+    later = [leaving(900.0 + k, 2) for k in range(compare.COMPARED)]
+    problem = SimpleNamespace(excess=float)
+    found = Explanation(problem, nominal, (*later, right), 0.0, 0.0, 0.0, ())
+    assert compare.shortlist(found) == [nominal, right, *later[:-1]]
+
+
+def test_the_answer_that_the_report_is_of_comes_first():
+    answers = (_answer(0.34, "payload", "backlash"), _answer(0.33, "actuator_lag", "compliance"),
+               _answer(0.3, "actuator_lag", "actuator_gain"))  # fmt: skip
+    assert compare.Comparison(answers, 0.03, 0.0).ranked == (answers[1], answers[0], answers[2])
 
 
 def test_answers_are_never_certain(robot, actions):

@@ -8,12 +8,14 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
+from mujoco.batch import Batch
 
 import soro_bench  # noqa: F401
 from soro_bench.effects import springs
 from soro_bench.effects.catalogue import ALL, CATEGORIES, MEASUREMENT, PHYSICS, QUANTITIES
 from soro_bench.effects.effect import Effect, EffectError, Port, load_effects, save_effects
 from soro_bench.effects.elements import Elements, instrument
+from soro_bench.effects.runtime import ActiveEffects
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import ParameterSet
 from soro_bench.registration import make_task
@@ -251,6 +253,17 @@ def test_a_bad_effects_file_is_refused_in_words(tmp_path, data, message):
 def test_effects_that_have_no_place_are_refused_in_words(effects, message):
     with pytest.raises(EffectError, match=message):
         trunk([effects])
+
+
+def test_friction_needs_a_tendon_without_a_spring_of_its_own_that_yields():
+    """Its own would be lost, with a friction of nothing too."""
+    spring = """<joint name="j"/><geom size=".1"/></body></worldbody>
+    <tendon><fixed name="t" stiffness="3" springyield=".1"><joint joint="j" coef="1"/></fixed></tendon>"""
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody><body>{spring}</mujoco>")
+    assert model.tendon_plasticadr[0] >= 0
+    run = ActiveEffects(Batch(model, 1, 1, persistent=True))
+    with pytest.raises(EffectError, match="without a spring of their own"):
+        run.assign([[Effect("coulomb_friction", Port("tendon", "t"), {"friction": 0.0})]])
 
 
 def test_load_friction_needs_a_tendon_that_goes_through_sites_and_takes_its_branches_apart():

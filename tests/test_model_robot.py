@@ -352,6 +352,14 @@ def test_a_recording_without_a_command_of_the_mapping_is_refused(paths):
         ModelRobot(*paths, threads=1).measured(given)
 
 
+def test_a_command_is_in_the_unit_that_the_mapping_says(paths):
+    given = recording(paths, [], 0)
+    paths[1].write_text(MAP.replace('["motor"]', '["motor"]\nunit = "deg"', 1))
+    goals = replace(given.commands["goal"], unit="deg")
+    measured = ModelRobot(*paths, threads=1).measured(replace(given, commands={"goal": goals}))
+    np.testing.assert_array_equal(measured.actions, goals.values)
+
+
 @pytest.mark.parametrize(("said", "unit", "message"), [("rad", "1", "in '1'; expected is 'rad'"),
                                                        (None, "deg", "in 'deg'; expected is 'rad'")])  # fmt: skip
 def test_a_command_in_another_unit_is_refused(paths, said, unit, message):
@@ -368,6 +376,21 @@ def test_a_signal_by_another_clock_is_refused(paths):
     later = {name: replace(signal, time=signal.time + 1000.0) for name, signal in given.signals.items()}
     with pytest.raises(RecordingError, match="do they have the same clock"):
         ModelRobot(*paths, threads=1).measured(replace(given, signals=later))
+
+
+def test_a_command_may_come_only_where_it_changes(paths):
+    given = recording(paths, [], 0)
+    late = Signal(np.array([0.8 * given.duration]), np.array([[0.1]]))
+    measured = ModelRobot(*paths, threads=1).measured(replace(given, commands={"goal": late}))
+    assert (measured.actions == 0.1).all()
+
+
+def test_a_robot_without_actuators_needs_no_commands(tmp_path):
+    model, mapping = tmp_path / "arm.xml", tmp_path / "map.toml"
+    model.write_text(re.sub("<actuator>.*</actuator>", "", ARM))
+    mapping.write_text(re.sub(r"\[commands.goal\]\n.*\n", "", MAP).partition("[parameters.zero]")[0])
+    falling = Recording({}, {"angle": Signal(0.02 * np.arange(20), np.linspace(0.0, 0.3, 20), "rad")})
+    assert ModelRobot(model, mapping, threads=1).measured(falling).actions.shape == (19, 0)
 
 
 def test_recordings_are_explained_once_and_held_out_ones_are_others(paths):

@@ -23,7 +23,7 @@ from soro_bench.diagnosis.patch import (
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.effects.catalogue import ALL, QUANTITIES
 from soro_bench.effects.effect import EVERY, Effect, Port, load_effects
-from soro_bench.effects.elements import AUXILIARY, FOUND, instrument
+from soro_bench.effects.elements import AUXILIARY, FOUND, instrument, without_unused_springs
 from soro_bench.envs.trunk import NUM_KEYPOINTS
 from soro_bench.models.trunk_geometry import CABLE_RATE
 
@@ -157,6 +157,17 @@ def test_a_patched_model_can_be_prepared_for_effects_again(robot):
     xml = written(patched_spec(robot, robot.parameters(X), [NATIVE[2]]), "of a file---with hyphens")
     assert instrument(mujoco.MjSpec.from_string(xml)).compile().ntendon > 0
     assert ElementTree.fromstring(xml).tag == "mujoco"
+
+
+def test_what_is_found_at_a_place_again_gets_another_name(robot):
+    spec = patched_spec(robot, robot.parameters(X), [NATIVE[2]])
+    once = {tendon.name for tendon in spec.tendons if tendon.name.startswith(FOUND)}
+    for tendon in instrument(spec).tendons:
+        if tendon.name.replace(AUXILIARY, FOUND) in once and tendon.name not in once:
+            tendon.stiffness = [1.0, 0.0, 0.0]
+    names = [tendon.name for tendon in without_unused_springs(spec).tendons]
+    assert {name for name in names if name.startswith(FOUND)} == once | {f"{name}_2" for name in once}
+    assert spec.compile().ntendon == len(names)
 
 
 def test_a_flex_has_no_patched_model_and_the_reason_is_given(tmp_path):

@@ -107,6 +107,12 @@ class Comparison:
         likeliest = max(chances, key=chances.get)
         return next(a for a in self.answers if likeliest in [(s.name, s.where) for s in a.hypothesis.suspects])
 
+    @property
+    def ranked(self) -> tuple[Answer, ...]:
+        """The answers, the one that the report is of first."""
+        best = self.best
+        return (best, *(answer for answer in self.answers if answer is not best))
+
     def _chances(self) -> Counter:
         chances = Counter()
         for answer in self.answers:
@@ -130,8 +136,10 @@ def temperature(excess: float) -> float:
 
 def shortlist(found: Explanation) -> list[Hypothesis]:
     """The hypotheses that are compared: the nominal robot, and of the others those with most evidence."""
-    ranked = sorted(found.found, key=lambda h: _chance(h) - h.log_evidence(found.problem))
-    return [found.nominal, *ranked[:COMPARED]]
+    problem, hypotheses = found.problem, [found.nominal, *found.found]
+    scores = _evidence(problem, hypotheses) - _spare(hypotheses, [problem.excess(h.residual) for h in hypotheses])
+    order = np.argsort(-scores[1:], kind="stable")[:COMPARED]
+    return [found.nominal, *(found.found[i] for i in order)]
 
 
 def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> Comparison:
@@ -141,7 +149,7 @@ def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> 
         heldout: the problem of the held-out recordings, and its residuals (H, M) under the short list.
     """
     problem, hypotheses = found.problem, shortlist(found)
-    scores = np.array([h.log_evidence(problem) - _chance(h) for h in hypotheses])
+    scores = _evidence(problem, hypotheses)
     # what was promised, and where the simulation was too far off for a promise, what has been gained; where much more
     # is left than the sensor's noise something is missing, whether or not a law explains it
     chance = 0.0 if problem.rough else p_value(max(found.promised, *(scores - scores[0])))
@@ -153,7 +161,7 @@ def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> 
         excess = [unfitted.excess(row) for row in residuals]
         scores, left = scores - excess, [a + b for a, b in zip(left, excess, strict=True)]
         tested = [unfitted.left(row) for row in residuals]
-    scores = scores - SPARE * (left[0] - min(left)) * np.array([_unknowns(h) for h in hypotheses])
+    scores = scores - _spare(hypotheses, left)
     chances = _chances(scores, nothing, min(left))
     answers = [
         Answer(h, p, e, Fit(train[0], a, problem.sensor), None if b is None else Fit(tested[0], b, problem.sensor), c)
@@ -165,8 +173,16 @@ def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> 
     return Comparison(ranked, unknown, None if problem.rough else chance)
 
 
-def _chance(hypothesis) -> float:
-    return EFFECT * len(hypothesis.suspects) + UNKNOWNS * _unknowns(hypothesis)
+def _evidence(problem, hypotheses) -> np.ndarray:
+    """(H,) of what they were fitted to, less what their effects gain by chance."""
+    chance = [EFFECT * len(h.suspects) + UNKNOWNS * _unknowns(h) for h in hypotheses]
+    return np.array([h.log_evidence(problem) for h in hypotheses]) - chance
+
+
+def _spare(hypotheses, left) -> np.ndarray:
+    """(H,) what a law that is not quite right leaves for others with more unknowns, where hypotheses, the nominal robot
+    first, leave ``left``."""
+    return SPARE * (left[0] - min(left)) * np.array([_unknowns(h) for h in hypotheses])
 
 
 def _unknowns(hypothesis) -> int:

@@ -33,7 +33,7 @@ def findings(diagnosis: Diagnosis) -> list[Finding]:
     """Every effect of any hypothesis, the most probable first; of those in one hypothesis that which gains most."""
     best: dict[tuple[str, Port], Finding] = {}
     d = diagnosis.explanation.problem.parameters
-    for answer in sorted(diagnosis.comparison.answers, key=lambda a: a is not diagnosis.best):
+    for answer in diagnosis.comparison.ranked:
         for suspect, effect in zip(answer.hypothesis.suspects, answer.hypothesis.effects(d), strict=True):
             key = (effect.name, effect.where)
             first = best.get(key)

@@ -176,14 +176,18 @@ def commands_of(model, table) -> list[tuple[str, list[int], str | None]]:
     return found
 
 
-def held(recording, name, times, columns, unit=None) -> np.ndarray:
+def check_unit(command, name: str, unit: str | None) -> None:
+    """Refuse a command that is not in a unit, by default the SI unit of what it is."""
+    expected = unit or UNITS.get(command.unit, (command.unit,))[0]
+    if command.unit != expected:
+        raise RecordingError(f"the command {name!r} is in {command.unit!r}; expected is {expected!r}")
+
+
+def held(recording, name, times, columns) -> np.ndarray:
     """(T, columns) the last numbers of a command until each of the times [s], or the first ones."""
     if name not in recording.commands:
         raise RecordingError(f"the recording has no command {name!r}; it has {sorted(recording.commands)}")
     command = recording.commands[name]
-    si, factor = UNITS.get(command.unit, (command.unit, 1.0))
-    if unit not in (None, command.unit) or factor != 1.0:
-        raise RecordingError(f"the command {name!r} is in {command.unit!r}; expected is {unit or si!r}")
     values = command.values.reshape(len(command.time), -1)
     if values.shape[1] != columns:
         raise RecordingError(f"command {name!r} has {values.shape[1]} columns; expected {columns}")

@@ -8,6 +8,7 @@ import numpy as np
 from soro_bench.diagnosis.mapping import (
     ModelError,
     accurate_of,
+    check_unit,
     commands_of,
     element,
     held,
@@ -102,7 +103,8 @@ class ModelRobot(Robot):
             raise RecordingError(f"{recording.duration} s are {steps} control steps; expected 1 to {_MOST_STEPS}")
         actions = np.zeros((steps, self._model.nu))
         for name, actuators, unit in self._commands:
-            actions[:, actuators] = held(recording, name, self._times(recording, steps), len(actuators), unit)
+            actions[:, actuators] = held(recording, name, self._times(recording, steps), len(actuators))
+            check_unit(recording.commands[name], name, unit)
         return actions
 
     def settings(self, recording: Recording, steps: int) -> np.ndarray | None:

@@ -68,7 +68,7 @@ def kept(diagnosis: Diagnosis) -> Hypothesis:
 
 
 def rejected(diagnosis: Diagnosis) -> bool:
-    """Whether the most probable hypothesis makes held-out recordings worse."""
+    """Whether the hypothesis that the report is of makes held-out recordings worse."""
     heldout = diagnosis.best.heldout
     return heldout is not None and heldout.after > heldout.before
 

@@ -104,7 +104,7 @@ def diagnose(
     # of one sensor: motion only adds to it
     sigma = max(min(a.sigma for a in audits), max(a.least for a in audits))
     problem, nominal = nominal_fit(unexplained(fitted, measured, sigma), refined, seed, progress)
-    for simulation in (fitted, *refined):
+    for simulation in (robot, fitted, *refined):
         _check_it_stays_finite(problem, simulation, nominal.x)
     problem, nominal, found_outliers = _without_outliers(problem, nominal)
     if not problem.rough:

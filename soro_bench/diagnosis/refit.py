@@ -110,13 +110,16 @@ def exchanged(
     for h in hypotheses:
         ends = problem.parameters + np.cumsum([s.size for s in h.suspects], dtype=int)
         for i, (one, end) in enumerate(zip(h.suspects, ends, strict=True)):
-            for other in late_ones if one in late_ones else ():
+            for other in [each for each in late_ones if each != one] if one in late_ones else ():
                 x, slope, factor = h.x.copy(), h.slope.copy(), float(one.deviations[0] / other.deviations[0])
                 x[end - 1], slope[end - 1] = x[end - 1] * factor, slope[end - 1] / factor
                 guess = Guess(x, (*h.suspects[:i], other, *h.suspects[i + 1 :]), slope)
                 if laws(guess) not in known and robot.accepts(effects_at(x[problem.parameters :], guess.suspects)):
                     guesses.setdefault(laws(guess), guess)
-    return fitted(problem, list(guesses.values()), _POLISH, seed) if guesses else []
+    if not guesses:
+        return []
+    found = fitted(problem, list(guesses.values()), _POLISH, seed)
+    return descended(problem, found) if problem.rough else found
 
 
 def _nearer(problem, guess, nominal):

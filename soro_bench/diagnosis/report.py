@@ -102,7 +102,7 @@ def report_of(diagnosis: Diagnosis) -> dict:
         "still_promised": diagnosis.explanation.left,
         "effects": ranked,
         "classes": _classes(diagnosis, ranked),
-        "hypotheses": [_hypothesis(diagnosis, answer) for answer in comparison.answers],
+        "hypotheses": [_hypothesis(diagnosis, answer) for answer in comparison.ranked],
         "rounds": [_round(each) for each in diagnosis.explanation.rounds],
         "credible_set": _credible(comparison, "outliers" if outliers else "none"),
         "fit": {

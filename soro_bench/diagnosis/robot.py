@@ -17,7 +17,6 @@ from soro_bench.effects.measurement import distorted
 from soro_bench.models.simulation import Simulation
 from soro_bench.recording.recording import Recording, RecordingError, resampled, sampled
 
-_APART = 0.5  # of a recording's duration
 SIMULATIONS = 128  # side by side, at least
 # time steps, in one of the given robot, of the one that is fitted and of the refined one: fitted to a trunk with far
 # shorter steps, one leaves 0.66 mm with the given steps of 10 ms and 0.29 mm with half of them
@@ -219,10 +218,7 @@ class Robot(ABC):
         if given.values[0].size != np.prod(self.shape):
             shapes = f"{given.values.shape[1:]}; those of this robot have {self.shape}"
             raise RecordingError(f"{self.signal} has samples of shape {shapes}")
-        apart = abs(given.time[0] - min(command.time[0] for command in recording.commands.values()))
-        if apart > _APART * recording.duration:
-            raise RecordingError(f"{self.signal} and the commands begin {apart:.3g} s apart; do they have the same "
-                                 "clock?")  # fmt: skip
+        _check_clocks(self.signal, given.time, [command.time for command in recording.commands.values()])
         begin = self.begins(recording)
         times = begin + self.control_timestep * np.arange(1, len(actions) + 1)
         values = resampled(given, times).values.reshape(-1, *self.shape)
@@ -322,3 +318,13 @@ class Robot(ABC):
             value[lost] = np.nan
             values.append(value)
         return [value[: 1 + length] for value, length in zip(np.stack(values, axis=1), lengths, strict=True)]
+
+
+def _check_clocks(name, times, commands) -> None:
+    """Refuse commands that are all after a signal, or before it by more than it lasts; some come only where they
+    change."""
+    start, end = times[0], times[-1]
+    first, last = (least([stamps[i] for stamps in commands], default=start) for i, least in ((0, min), (-1, max)))
+    if first > end or last < start - (end - start):
+        raise RecordingError(f"{name} is from {start:.6g} to {end:.6g} s, and the commands from {first:.6g} to "
+                             f"{last:.6g} s; do they have the same clock?")  # fmt: skip

@@ -49,7 +49,7 @@ def verdict(diagnosis: Diagnosis) -> str:
             said.append("The patch is rejected: it makes the held-out recordings worse.")
         elif diagnosis.verdict == "unknown_physics" and best.names:
             said.append(_of_the_nearest(bool(patch(diagnosis)), " with ".join(best.names)))
-    others = [a for a in diagnosis.comparison.answers if a is not best and a.probability >= 0.05][:3]
+    others = [a for a in diagnosis.comparison.ranked[1:] if a.probability >= 0.05][:3]
     if others:
         names = ", or ".join(f"{' with '.join(a.names) or 'nothing'} ({a.probability:.2f})" for a in others)
         said.append(f"It may also be {names}.")

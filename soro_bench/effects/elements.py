@@ -46,12 +46,18 @@ def without_unused_springs(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     for tendon in list(spec.tendons):
         own = tendon.name.startswith(AUXILIARY)
         if np.any(tendon.stiffness):
-            tendon.name = tendon.name.replace(AUXILIARY, FOUND, 1) if own else tendon.name
+            tendon.name = _free(spec, tendon.name.replace(AUXILIARY, FOUND, 1)) if own else tendon.name
         elif own:
             spec.delete(tendon)
         else:
             tendon.springyield = 0.0
     return spec
+
+
+def _free(spec, name: str) -> str:
+    """The name, with a number where one of that name was found before."""
+    taken = {tendon.name for tendon in spec.tendons}
+    return next(one for one in (name, *(f"{name}_{k}" for k in range(2, len(taken) + 3))) if one not in taken)
 
 
 @dataclass

@@ -43,7 +43,8 @@ class _Friction(Law):
         # a tendon's own spring, a joint's second one
         on_joint = [port.kind == "joint" for port in self.ports]
         self.springs = np.array([elements.spring_of(i) if j else i for i, j in zip(self.ids, on_joint, strict=True)])
-        if (self.model.tendon_plasticadr[self.springs] < 0).any():
+        taken = (self.model.tendon_plasticadr[self.springs] < 0) | (self.model.tendon_stiffness[self.springs] != 0)
+        if taken.any():
             raise EffectError(f"{self.name} needs tendons without a spring of their own; see instrument()")
         self.run.claim(self, self.rows, self.springs)
         # only the discrete integrator is implicit in stiffness
