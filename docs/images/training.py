@@ -1,4 +1,4 @@
-"""Draws reach_curves.png, push_curves.png and reach_distances.png from the leaderboard's entries.
+"""Draws reach_curves.png, push_curves.png, reach_distances.png and push_distances.png from the leaderboard's entries.
 
 python docs/images/training.py
 """
@@ -13,7 +13,9 @@ from soro_bench.leaderboard.plots import curves_of
 from soro_bench.report import pyplot
 
 RESULTS = Path(__file__).parents[2] / "leaderboard" / "results"
-COMPARED = ("oracle", "rf_dropo", "bayes_sim", "udr", "dr_box", "rf_dropo_cable", "oracle_flex")
+ON_REACH = ("oracle", "rf_dropo", "bayes_sim", "udr", "dr_box", "rf_dropo_cable", "oracle_flex")
+ON_PUSH = ("oracle", "rf_dropo", "bayes_sim", "bayes_sim_variance", "udr", "dr_box", "rf_dropo_cable",
+           "rf_dropo_unmodelled", "bayes_sim_unmodelled", "udr_unmodelled")  # fmt: skip
 
 
 def curves(groups):
@@ -39,15 +41,17 @@ def distances(groups):
     """A panel for every model evaluated on, and in it a point for every final distance, and means."""
     labels = list(groups[0].labels)
     figure, panels = pyplot().subplots(1, len(labels), figsize=(9, 3.75), layout="constrained", sharey=True)
-    rng = np.random.default_rng(0)
+    rng, everything = np.random.default_rng(0), [group.scores(label) for group in groups for label in labels]
     for label, axes in zip(labels, panels, strict=True):
         for at, group in enumerate(groups):
             values = group.scores(label).ravel()
-            axes.scatter(at + rng.uniform(-0.25, 0.25, len(values)), values, s=6, alpha=0.4, lw=0, color=f"C{at}")
+            size, alpha = (6, 0.4) if len(values) > 30 else (20, 0.7)
+            axes.scatter(at + rng.uniform(-0.25, 0.25, len(values)), values, s=size, alpha=alpha, lw=0, color=f"C{at}")
             axes.plot([at - 0.35, at + 0.35], 2 * [values.mean()], color="black", lw=2)
         axes.set(title=f"on {label}", yscale="log")
-        axes.set_yticks(ticks := (0.5, 1, 2, 5, 10, 20, 50, 100), [str(tick) for tick in ticks])
+        axes.set_yticks(ticks := (0.5, 1, 2, 5, 10, 20, 50, 100, 200), [str(tick) for tick in ticks])
         axes.minorticks_off()
+        axes.set_ylim(0.9 * min(map(np.min, everything)), 1.1 * max(map(np.max, everything)))
         axes.set_xticks(range(len(groups)), [group.method for group in groups], rotation=30, ha="right")
         axes.grid(axis="y", alpha=0.3)
     panels[0].set(ylabel="final distance [mm]")
@@ -62,8 +66,9 @@ def main():
     )
     for name, figure in (
         ("reach_curves", curves([reach["oracle"], reach["udr"]])),
-        ("push_curves", curves([push[method] for method in ("oracle", "udr") if method in push])),
-        ("reach_distances", distances([reach[method] for method in COMPARED])),
+        ("push_curves", curves([push["oracle"], push["udr"]])),
+        ("reach_distances", distances([reach[method] for method in ON_REACH])),
+        ("push_distances", distances([push[method] for method in ON_PUSH])),
     ):
         figure.savefig(Path(__file__).with_name(f"{name}.png"), dpi=160, metadata={"Software": None})
 
