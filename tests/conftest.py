@@ -48,3 +48,13 @@ def robot():
 def actions():
     """(50, 8) random actions of the trunk, each held for five control steps."""
     return np.repeat(np.random.default_rng(0).uniform(-1, 1, (10, 8)), 5, axis=0).astype(np.float32)
+
+
+@pytest.fixture
+def paths(tmp_path):
+    """Of an arm's model and its mapping."""
+    from tests.arm import ARM, MAP
+
+    (tmp_path / "arm.xml").write_text(ARM)
+    (tmp_path / "map.toml").write_text(MAP)
+    return tmp_path / "arm.xml", tmp_path / "map.toml"

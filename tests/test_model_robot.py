@@ -9,7 +9,6 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
-from soro_bench.diagnosis.audit import audit
 from soro_bench.diagnosis.findings import unit_at
 from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.page import write_reports
@@ -21,17 +20,10 @@ from soro_bench.diagnosis.verdict import verdict
 from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Effect, Port
 from soro_bench.recording.parquet import save
-from soro_bench.recording.recording import Recording, RecordingError, Signal
+from soro_bench.recording.recording import RecordingError, Signal
 from tests.arm import ARM, MAP, TRUTH, recording
 
 SURE = {"inertia": 0.0, "damping": 0.0, "zero": 0.0}  # standard deviations of what was found
-
-
-@pytest.fixture
-def paths(tmp_path):
-    (tmp_path / "arm.xml").write_text(ARM)
-    (tmp_path / "map.toml").write_text(MAP)
-    return tmp_path / "arm.xml", tmp_path / "map.toml"
 
 
 @pytest.mark.parametrize(
@@ -326,80 +318,6 @@ def test_a_delayed_servo_stays_where_its_first_command_holds_it(paths):
 )
 def test_units_are_those_of_what_turns(paths, name, kind, place, unit):
     assert unit_at(ModelRobot(*paths, threads=1), QUANTITIES[name][0].unit, Port(kind, place)) == unit
-
-
-def test_what_lies_between_two_samples_is_not_measured(paths):
-    """Else every second of the robot's steps would count as another sample, with half of the noise."""
-    given = recording(paths, [], 0)
-    signal = given.signals["angle"]
-    sparse = replace(given, signals={"angle": Signal(signal.time[::2], signal.values[::2], "rad")})
-    measured = ModelRobot(*paths, threads=1).measured(sparse)
-    assert np.isfinite(measured.values[1::2]).all() and np.isnan(measured.values[::2]).all()
-    assert measured.values[1::2].ravel() == pytest.approx(signal.values[2::2])
-    assert audit(measured) == audit(replace(measured, values=measured.values[1::2], time=measured.time[1::2]))
-
-
-def test_a_recording_that_does_not_say_where_it_begins_is_refused(paths):
-    given = recording(paths, [], 0)
-    given.signals["angle"].values[0] = np.nan
-    with pytest.raises(RecordingError, match=r"\[initial\] needs"):
-        ModelRobot(*paths, threads=1).measured(given)
-
-
-def test_a_recording_without_a_command_of_the_mapping_is_refused(paths):
-    given = Recording({}, {"angle": Signal(np.arange(5.0), np.zeros(5), "rad")})
-    with pytest.raises(RecordingError, match="no command 'goal'"):
-        ModelRobot(*paths, threads=1).measured(given)
-
-
-def test_a_command_is_in_the_unit_that_the_mapping_says(paths):
-    given = recording(paths, [], 0)
-    paths[1].write_text(MAP.replace('["motor"]', '["motor"]\nunit = "deg"', 1))
-    goals = replace(given.commands["goal"], unit="deg")
-    measured = ModelRobot(*paths, threads=1).measured(replace(given, commands={"goal": goals}))
-    np.testing.assert_array_equal(measured.actions, goals.values)
-
-
-@pytest.mark.parametrize(("said", "unit", "message"), [("rad", "1", "in '1'; expected is 'rad'"),
-                                                       (None, "deg", "in 'deg'; expected is 'rad'")])  # fmt: skip
-def test_a_command_in_another_unit_is_refused(paths, said, unit, message):
-    given = recording(paths, [], 0)
-    goals = replace(given.commands["goal"], unit=unit)
-    if said:
-        paths[1].write_text(MAP.replace('["motor"]', f'["motor"]\nunit = "{said}"', 1))
-    with pytest.raises(RecordingError, match=message):
-        ModelRobot(*paths, threads=1).measured(replace(given, commands={"goal": goals}))
-
-
-def test_a_signal_by_another_clock_is_refused(paths):
-    given = recording(paths, [], 0)
-    later = {name: replace(signal, time=signal.time + 1000.0) for name, signal in given.signals.items()}
-    with pytest.raises(RecordingError, match="do they have the same clock"):
-        ModelRobot(*paths, threads=1).measured(replace(given, signals=later))
-
-
-def test_a_command_may_come_only_where_it_changes(paths):
-    given = recording(paths, [], 0)
-    late = Signal(np.array([0.8 * given.duration]), np.array([[0.1]]))
-    measured = ModelRobot(*paths, threads=1).measured(replace(given, commands={"goal": late}))
-    assert (measured.actions == 0.1).all()
-
-
-def test_a_robot_without_actuators_needs_no_commands(tmp_path):
-    model, mapping = tmp_path / "arm.xml", tmp_path / "map.toml"
-    model.write_text(re.sub("<actuator>.*</actuator>", "", ARM))
-    mapping.write_text(re.sub(r"\[commands.goal\]\n.*\n", "", MAP).partition("[parameters.zero]")[0])
-    falling = Recording({}, {"angle": Signal(0.02 * np.arange(20), np.linspace(0.0, 0.3, 20), "rad")})
-    assert ModelRobot(model, mapping, threads=1).measured(falling).actions.shape == (19, 0)
-
-
-def test_recordings_are_explained_once_and_held_out_ones_are_others(paths):
-    given, robot = recording(paths, [], 0), ModelRobot(*paths, threads=1)
-    for recordings, heldout in (([given, given], []), ([given], [given])):
-        with pytest.raises(RecordingError, match="two of the recordings are the same"):
-            diagnose(robot, recordings, heldout)
-    with pytest.raises(RecordingError, match="no recording"):
-        diagnose(robot, [])
 
 
 def test_a_simulation_that_diverges_is_no_physics(paths):
