@@ -73,6 +73,25 @@ def test_what_is_left_without_an_effect_is_led_down_from_what_is_nearest(rough, 
     assert len(led) == 2 * rough
 
 
+@pytest.mark.parametrize("rough", [False, True])
+def test_a_delay_is_exchanged_for_its_twin_and_led_down_where_fits_are_rough(robot, rough, monkeypatch):
+    """As late, and from the same parameters."""
+    led = []
+    monkeypatch.setattr(refit, "fitted", lambda problem, guesses, *_: guesses)
+    monkeypatch.setattr(refit, "descended", lambda problem, some: led.extend(some) or some)
+    commanded = suspect(robot, "actuator_delay", Port("actuator", "*"))
+    measured = suspect(robot, "sensor_delay", Port("sensor", robot.signal))
+    late = np.array([0.1, 0.2, 0.3])
+    one = SimpleNamespace(suspects=(commanded,), x=late, slope=np.ones((3, 4)))
+    given = SimpleNamespace(robot=robot, parameters=2, rough=rough)
+    (other,) = refit.exchanged(given, [one], [commanded, measured], set(), 0)
+    assert other.suspects == (measured,)
+    assert other.x[:2].tolist() == [0.1, 0.2]
+    delays = [s.effect(x[2:]).parameters["delay"] for s, x in ((commanded, late), (measured, other.x))]
+    assert delays[0] == pytest.approx(delays[1])
+    assert led == ([other] if rough else [])
+
+
 def test_laws_of_the_class_and_place_of_the_best_lead_are_tried_whatever_they_promise(robot):
     promised = [("stribeck_friction", "L0", 1000.0), ("viscous_friction", "L1", 500.0),
                 ("viscous_friction", "L0", 200.0), ("coulomb_friction", "L0", 20.0),

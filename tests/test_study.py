@@ -1,7 +1,9 @@
 """Studies of real robots, with an arm of one joint in their place."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +11,8 @@ import pytest
 pytest.importorskip("pyarrow")
 
 from soro_bench import study as module
+from soro_bench.diagnosis.compare import Answer, Comparison
+from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.study import STUDIES, Part, Study, errors, load_study, row, run_study
 from tests.arm import ARM, MAP, recording
 
@@ -68,6 +72,28 @@ def test_a_study_writes_reports_summaries_and_a_row_and_goes_on_where_it_was(stu
     for summary in (*first, *again):
         summary.pop("seconds")
     assert json.dumps(again) == json.dumps(first)
+
+
+def test_a_summary_begins_with_the_answer_that_its_report_is_of(study, monkeypatch):
+    """Which is not the most probable one where an effect is likelier whatever comes with it."""
+    monkeypatch.setattr(module, "errors_of", lambda *_: {})
+    monkeypatch.setattr(Hypothesis, "log_evidence", lambda *_: 0.0)
+    monkeypatch.setattr(
+        Hypothesis, "effects", lambda h, _: [SimpleNamespace(to_json=lambda s=s: s.name) for s in h.suspects]
+    )
+    nominal = Hypothesis((), np.zeros(3), np.zeros(1), 0.0, np.zeros((3, 1)), np.zeros((0, 1)))
+
+    def answer(probability, *names):
+        suspects = tuple(SimpleNamespace(name=name, where="hinge") for name in names)
+        return Answer(replace(nominal, suspects=suspects), probability, 0.0, None, None, 0.0)
+
+    answers = (answer(0.4, "payload"), answer(0.3, "backlash", "compliance"), answer(0.27, "backlash"))
+    robot = SimpleNamespace(measured=lambda _: None, priors=[None] * 3, unit="rad")
+    problem = SimpleNamespace(robot=robot, parameters=3, sensor=1e-3)
+    explanation = SimpleNamespace(problem=problem, nominal=nominal)
+    found = SimpleNamespace(explanation=explanation, comparison=Comparison(answers, 0.03, 0.0), seconds=1.0)
+    summary = module._summary(study, study.parts[1], found, "", 0)
+    assert [each["effects"] for each in summary["answers"]] == [["backlash", "compliance"], ["payload"], ["backlash"]]
 
 
 def test_an_unknown_study_and_missing_recordings_are_named(tmp_path):
