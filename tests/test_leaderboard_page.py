@@ -6,6 +6,7 @@ import shutil
 import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -17,6 +18,7 @@ from soro_bench.files import write_json
 from soro_bench.leaderboard.entry import write_entry
 from soro_bench.leaderboard.gather import gather_control
 from soro_bench.leaderboard.page import build
+from soro_bench.leaderboard.plots import plot_curves
 from soro_bench.leaderboard.verify import verify_control
 from tests.entries import BOARD, edit, policy, put_policy, scores, shrink_board, true_entry
 from tests.test_bad_input import says
@@ -129,6 +131,14 @@ def test_names_in_plots_are_unlike_one_another(results, tmp_path):
     ids = re.findall(r"\bid=\"([^\"]+)", page)
     assert page.count("<svg") == 3 and len(ids) == len(set(ids))
     assert set(re.findall(r"(?:href=\"#|url\(#)([^\")]+)", page)) <= set(ids)
+
+
+@pytest.mark.parametrize(("final", "alike"), [([0.0, 0.0], True), ([0.0, 5.0], False)])
+def test_a_curve_that_is_nothing_but_zeros_is_drawn_without_logarithms(final, alike):
+    curve = {"curve": {"steps": [0, 100], "final_mm": final}}
+    group = SimpleNamespace(name="ours", entry="udr", entries=[(None, {"training": curve})])
+    drawn = [plot_curves([group], "curves", "mm", scale) for scale in ("log", "linear")]
+    assert (drawn[0] == drawn[1]) == alike
 
 
 def test_a_folder_without_entries_gives_a_page_that_says_so(tmp_path):

@@ -59,8 +59,11 @@ def plot_curves(groups: Sequence[Group], name: str, label: str, scale: str) -> s
     """Training curves: thin lines of single runs, and their medians; a group without curves is left out.
 
     Args:
-        scale: of the metric: "log" shows what falls from far away, and "linear" what may be negative.
+        scale: of the metric: "log" shows what falls from far away, and "linear" what may be negative. Where nothing is
+            above zero, a logarithm would show nothing.
     """
+    if max((value for group in groups for _, final in curves_of(group) for value in final), default=0.0) <= 0.0:
+        scale = "linear"
     with pyplot().rc_context(_SETTINGS):
         figure, axes = pyplot().subplots(figsize=(_WIDTH, 2.9 + 0.1 * len(groups)), layout="constrained")
         for i, group in enumerate(groups):
