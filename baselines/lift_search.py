@@ -230,11 +230,14 @@ class Judge:
         }
 
 
-def polish(judge, start, options, until, found):
-    """CMA-ES from the plan ``start`` (10, 4) [m] until the time ``until`` or ``found(plan, worth)`` is content."""
+def polish(judge, start, best, options, until, found):
+    """CMA-ES from the plan ``start`` (10, 4) [m] until the time ``until`` or ``found(plan, worth)`` is content.
+
+    It is asked of every plan that is worth more than ``best`` and those before.
+    """
     import cma
 
-    best, step, seed, content = -np.inf, 2.0, 1 + options.seed, False
+    step, seed, content = 2.0, 1 + options.seed, False
     while time.time() < until and not content:
         limits = np.tile(1e3 * BEND_LIMITS, NUM_KNOTS)
         settings = {"popsize": options.popsize, "seed": seed, "bounds": [-limits, limits], "verbose": -9}
@@ -288,7 +291,8 @@ def search(options) -> None:
         print(f"{name} {time.time() - begin:5.0f} s: worth {value:.2f} mm, {figures}", flush=True)
         return figures["elevation_held_mm"] >= options.enough
 
-    polish(judge, plans[worth.argmax()], options, begin + 60 * options.minutes, found)
+    stored = worth[len(known) - 1] if sequence_file.exists() else -np.inf  # only a better one takes its place
+    polish(judge, plans[worth.argmax()], stored, options, begin + 60 * options.minutes, found)
 
 
 def main():
