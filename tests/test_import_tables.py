@@ -189,6 +189,8 @@ SIMPLE = '[time]\ncolumn = "t"\n[signals.f]\ncolumns = ["f"]\nunit = "N"\n'
         ("t,f\n0,\x00\n", SIMPLE, ("a.csv",)),
         ('t,f\n0,"1\n', SIMPLE, ("a.csv",)),
         ("t,f\n0," + "1" * 200_000 + "\n", SIMPLE, ("a.csv",)),
+        ("t,f\n0" + ",1" * 600_000 + "\n", SIMPLE, ("the row in line 2 has more than 1000000 letters",)),
+        ("t,f\n" + ('0,"\n",' + "1," * 100_000) * 6, SIMPLE, ("has more than 1000000 letters",)),
         ("t,f\n0,1\n", "[format]\ndelimiter = ','\ndecimal = ','\n" + SIMPLE, ("delimiter ','",)),
         ("t,f\n0,1\n", "[format]\nskip_rows = '2'\n" + SIMPLE, ("skip_rows", "'2'")),
         ("t,f\n0,1\n", "[format]\nlabel = 't'\n" + SIMPLE, ("label", "only", "together")),

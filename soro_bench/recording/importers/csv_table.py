@@ -4,7 +4,7 @@ import csv
 import io
 import math
 from array import array
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from soro_bench.recording.untrusted import MAX_BYTES, MAX_COLUMNS, MAX_ROWS, nam
 _PLACE = ("columns", "first", "last", "time")
 _FORMAT = ("delimiter", "decimal", "skip_rows", "header", "missing", "label", "only")
 _MAX_CELLS = 50_000_000  # that a mapping asks for
+_MAX_ROW = 1_000_000  # letters, as every cell of a row is a text of its own before they are counted
 
 
 def import_csv(path: str | Path, mapping: str | Path | None, max_bytes: int = MAX_BYTES) -> Recording:
@@ -81,8 +82,8 @@ class _Table:
         lines = io.StringIO(text, newline="")
         for _ in range(skip):
             lines.readline()
-        self._skipped = skip
-        self._rows = csv.reader(lines, delimiter=delimiter, strict=True)
+        self._skipped, self._letters = skip, 0
+        self._rows = csv.reader(self._bounded(lines), delimiter=delimiter, strict=True)
         self._first = [cell.strip() for cell in next(self._rows, [])]
         if not 1 <= len(self._first) <= MAX_COLUMNS:
             raise RecordingError(f"{len(self._first)} columns; expected 1 to {MAX_COLUMNS}")
@@ -135,9 +136,19 @@ class _Table:
 
     def _all_rows(self, start):
         yield from start
+        self._letters = 0
         for row in self._rows:
+            self._letters = 0
             if len(row) > 1 or any(cell.strip() for cell in row):  # a row of empty cells counts, an empty line does not
                 yield row
+
+    def _bounded(self, lines: io.StringIO) -> Iterator[str]:
+        """The lines, of which a quoted cell may join several to a row."""
+        while line := lines.readline(_MAX_ROW + 1):
+            self._letters += len(line)
+            if self._letters > _MAX_ROW:
+                raise RecordingError(f"the row in line {self._line + 1} has more than {_MAX_ROW} letters")
+            yield line
 
     def _position(self, name) -> int:
         if not isinstance(name, str) or self.header.count(name) != 1:
