@@ -247,6 +247,12 @@ def test_actions_for_a_controller_are_a_table_in_si_units(tmp_path):
     assert table[:, 1:] == pytest.approx(actions, abs=1e-8)
 
 
+def test_times_of_a_long_table_increase_by_a_time_step_each(tmp_path):
+    write_actions(tmp_path / "a.csv", 1e-3, np.zeros((100_003, 1)))
+    last = [float(line.split(",")[0]) for line in (tmp_path / "a.csv").read_text().splitlines()[-3:]]
+    assert last == [100.0, 100.001, 100.002]
+
+
 def test_a_robot_with_hidden_physics_is_recorded_and_a_replay_does_not_have_it():
     delay = Effect("actuator_delay", Port("actuator", "*"), {"delay": 0.1})
     plain, hidden = (record("TrunkReach-v0", model="cable", steps=10, effects=some) for some in (None, [delay]))

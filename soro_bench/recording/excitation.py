@@ -71,7 +71,7 @@ def write_actions(path: str | Path, timestep: float, actions: np.ndarray) -> Non
     with replacing(path) as temporary, open(temporary, "w", newline="") as file:
         table = csv.writer(file)
         table.writerow(["time", *(f"action.{i}" for i in range(actions.shape[1]))])
-        table.writerows([f"{step * timestep:.6g}", *(f"{a:.9g}" for a in row)] for step, row in enumerate(actions))
+        table.writerows([f"{step * timestep:.12g}", *(f"{a:.9g}" for a in row)] for step, row in enumerate(actions))
 
 
 def triangles(stroke: int, slowness: Sequence[int] = SLOWNESS) -> np.ndarray:
