@@ -141,6 +141,12 @@ def test_a_curve_that_is_nothing_but_zeros_is_drawn_without_logarithms(final, al
     assert (drawn[0] == drawn[1]) == alike
 
 
+def test_a_page_among_the_entries_is_refused_and_one_beside_them_is_not(results):
+    with pytest.raises(ValueError, match=says("is within", "choose another folder")):
+        build(results, results)
+    assert build(results, results.parent).parent == results.parent
+
+
 def test_a_folder_without_entries_gives_a_page_that_says_so(tmp_path):
     (tmp_path / "results").mkdir()
     assert build(tmp_path / "results", tmp_path / "site").read_text().count("No entry yet.") == 2

@@ -32,7 +32,11 @@ def build(
         record: whether to write rerun recordings too, of the best policy of every method on the accurate model.
         progress: is told what is being done.
     """
-    out, boards, diagnoses = Path(out), gather_control(results), gather_diagnosis(results)
+    out, own = Path(out), Path(results).resolve()
+    copies = (out / "results").resolve()
+    if copies != own and copies.is_relative_to(own):  # they would be taken for entries of another board
+        raise ValueError(f"{out} is within {results}; choose another folder for the page")
+    boards, diagnoses = gather_control(results), gather_diagnosis(results)
     groups = [group for members in boards.values() for group in members]
     for group in groups if record else ():
         progress(f"recording {title_of(group)} on {group.board}")
