@@ -114,8 +114,10 @@ class ParameterSet:
             low, high = self.parameters[name].bounds
             try:
                 checked[name] = float(value)
-            except (TypeError, ValueError, OverflowError):
-                checked[name] = np.nan
+            except OverflowError:
+                checked[name] = np.inf
+            except (TypeError, ValueError):
+                raise ValueError(f"{name} = {value!r} has to be one number") from None
             if not low <= checked[name] <= high:
                 raise ValueError(f"{name} = {value} is outside [{low}, {high}] {self.parameters[name].unit}")
         return checked

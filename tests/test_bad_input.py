@@ -72,13 +72,15 @@ OPTIONS = [
     ({"goal": [0, 0, 120]}, ("[0, 0, 120]", "3 coordinates within 0.3 m")),
     ({"goal": [0, float("nan"), 0.1]}, ("nan", "3 coordinates within 0.3 m")),
     ({"goal": "left"}, ("left", "3 coordinates within 0.3 m")),
+    ({"goal": [[0, 0], [0]]}, ("[[0, 0], [0]]", "3 coordinates within 0.3 m")),
     ({"params": {"young": 4e6}}, ("parameter 'young'", "young_modulus")),
     ({"params": {"young_modulus": 4500}}, ("young_modulus = 4500", "[1000000.0, 10000000.0] Pa")),
     ({"params": {"poisson_ratio": 0.5}}, ("poisson_ratio = 0.5", "[0.4, 0.495]")),
     ({"params": {"trunk_mass": -0.1}}, ("trunk_mass = -0.1", "[0.001, 2.0] kg")),
     ({"params": {"trunk_mass": float("nan")}}, ("trunk_mass = nan", "[0.001, 2.0] kg")),
-    ({"params": {"trunk_mass": "heavy"}}, ("trunk_mass = heavy", "[0.001, 2.0] kg")),
-    ({"params": {"trunk_mass": None}}, ("trunk_mass = None", "[0.001, 2.0] kg")),
+    ({"params": {"trunk_mass": "heavy"}}, ("trunk_mass = 'heavy'", "one number")),
+    ({"params": {"trunk_mass": None}}, ("trunk_mass = None", "one number")),
+    ({"params": {"trunk_mass": [0.3, 0.4, 0.5]}}, ("trunk_mass = [0.3, 0.4, 0.5]", "one number")),
     ({"params": 0.42}, ("params 0.42", "dict", "trunk_mass")),
     (5, ("reset options 5", "a dict")),
 ]
@@ -96,6 +98,14 @@ def test_reset_options(env_id, num_envs, options, parts):
     with pytest.raises(ValueError, match=says(*parts)):
         env.reset(seed=0, options=options)
     np.testing.assert_array_equal(env.reset(seed=0)[0], start)
+
+
+def test_seeds_of_vector_environments():
+    envs = gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable")
+    with pytest.raises(ValueError, match=says("seed 1.0", "an integer, or one for each of 2")):
+        envs.reset(seed=1.0)
+    with pytest.raises(ValueError, match="3 seeds for 2 environments"):
+        envs.reset(seed=[1, 2, 3])
 
 
 def test_parameter_of_another_task():

@@ -54,6 +54,7 @@ def assert_same_info(ours, theirs):
         if isinstance(theirs[key], dict):
             assert_same_info(ours[key], theirs[key])
         else:
+            assert (ours[key].dtype == object) == (theirs[key].dtype == object), key
             for i in np.flatnonzero(present):
                 np.testing.assert_array_equal(ours[key][i], theirs[key][i], err_msg=key)
 

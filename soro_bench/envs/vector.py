@@ -1,7 +1,7 @@
 """The Gymnasium vector environment: a task with many simulations on a thread pool."""
 
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import gymnasium
@@ -73,8 +73,10 @@ class SoftRobotVectorEnv(VectorEnv):
             seeds = [None] * self.num_envs
         elif isinstance(seed, int | np.integer):
             seeds = [int(seed) + i for i in range(self.num_envs)]
-        else:
+        elif isinstance(seed, Iterable):
             seeds = list(seed)
+        else:
+            raise ValueError(f"seed {seed!r} has to be an integer, or one for each of {self.num_envs} environments")
         if len(seeds) != self.num_envs:
             raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments")
         options = dict(checked_options(options))
@@ -111,8 +113,11 @@ class SoftRobotVectorEnv(VectorEnv):
         self._done = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
             done = np.flatnonzero(self._done)
-            final = {"final_obs": self._observation[done], "final_info": _moved_out(info, done)}
-            _scatter(info, final, done, self.num_envs)
+            _scatter(info, {"final_info": _moved_out(info, done)}, done, self.num_envs)
+            # one observation each and None, as Gymnasium has them
+            info["final_obs"], info["_final_obs"] = np.full(self.num_envs, None), self._done.copy()
+            for i in done:
+                info["final_obs"][i] = self._observation[i].copy()
             self._restart(done, [{}] * len(done), info)
         return self._observation.copy(), reward, terminated, truncated, info
 
@@ -141,7 +146,10 @@ def _options_of(options: Mapping[str, Any], i: int, num_envs: int) -> dict[str, 
     """Environment i's options: rows of arrays whose first axis has one entry per environment, else shared values."""
 
     def pick(value, ndim):
-        array = np.asarray(value)
+        try:
+            array = np.asarray(value)
+        except ValueError:  # lists of unlike lengths, which the task refuses
+            return value
         return array[i] if array.ndim == ndim + 1 and len(array) == num_envs else value
 
     picked = {name: pick(value, 1) for name, value in options.items()}
