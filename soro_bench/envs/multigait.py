@@ -199,7 +199,7 @@ class MultiGaitEnv(SoftRobotEnv):
       published observation averages points of the chambers; this is the centre of mass.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {**SoftRobotEnv.metadata, "render_fps": 2}
+    metadata: ClassVar[dict[str, Any]] = {**SoftRobotEnv.metadata, "render_fps": 1 / MultiGaitTask.control_timestep}
     task_type = MultiGaitTask
 
 

@@ -136,9 +136,9 @@ class Task(ABC):
         self._bad_states[ids] = bad
         observation, space = self._observe(ids), self.single_observation_space
         # A state on its way to infinity leaves the space before the engine calls it bad; a unit quaternion does by
-        # rounding.
+        # rounding. What is no number is outside too.
         inside = np.clip(observation, space.low, space.high)
-        diverged |= (np.abs(observation - inside) > 1e-6).any(axis=1)
+        diverged |= ~(np.abs(observation - inside) <= 1e-6).all(axis=1)
         reward_terms, success = self._score(ids)
         info = {**self._info(ids), **reward_terms, "is_success": success, "diverged": diverged}
         return Step(inside, sum(reward_terms.values()), success, diverged, info)

@@ -72,7 +72,7 @@ class OnnxPolicy:
             raise ValueError(f"{self._source} answers with {found.ravel()[:3]}; finite numbers are needed")
         if self.card.action == "continuous":
             return np.clip(found, -1.0, 1.0)
-        return found[:, 0] if np.issubdtype(found.dtype, np.integer) else found.argmax(axis=1)
+        return found[:, 0] if found.shape[1] == 1 else found.argmax(axis=1)
 
 
 _FLOATS = {1: np.float32, 11: np.float64}  # by TensorProto's number
