@@ -6,6 +6,7 @@ rather than assumed). What looks like them is no evidence of missing physics. Th
 hypothesis they have to be computed with its effects.
 """
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -14,6 +15,7 @@ from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.suspects import Suspect
 from soro_bench.effects.effect import EVERY
+from soro_bench.parallel import side_by_side
 
 
 def numerical_floor(problem: Problem, refined: Sequence[Robot], points: Sequence[tuple[np.ndarray, Sequence[Suspect]]]):
@@ -21,11 +23,13 @@ def numerical_floor(problem: Problem, refined: Sequence[Robot], points: Sequence
 
     The accurate model has other parts: an effect that has no place in it is left out on both sides.
     """
-    columns = [np.zeros((0, problem.weight.size))]
-    for finer in refined:
-        common = [_common(problem, finer, *point) for point in points]
-        columns.append(problem.simulated(finer, common) - problem.simulated(problem.robot, common))
-    return np.nan_to_num(np.concatenate(columns))
+    if not refined:
+        return np.zeros((0, problem.weight.size))
+    common = [[_common(problem, finer, *point) for point in points] for finer in refined]
+    # there are too few replays of each robot to keep its threads busy
+    robots, asked = [*refined, problem.robot], [*common, list(itertools.chain(*common))]
+    *finer, plain = side_by_side(problem.robot.simulation.batch.nthread, problem.simulated, robots, asked)
+    return np.nan_to_num(np.concatenate(finer) - plain)
 
 
 def _common(problem, finer, x, suspects):

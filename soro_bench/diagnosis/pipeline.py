@@ -4,6 +4,7 @@ import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from soro_bench.diagnosis.propose import Proposal, proposed
 from soro_bench.diagnosis.robot import FITTED, Robot
 from soro_bench.diagnosis.suspects import suspects
 from soro_bench.inference.clouds import LowRank
-from soro_bench.parallel import one_blas_thread
+from soro_bench.parallel import one_blas_thread, side_by_side
 from soro_bench.recording.recording import Recording, RecordingError
 
 MOST_NUMBERS = 300_000  # of all samples: four minutes of a trunk, of which every suspect is one more
@@ -104,8 +105,8 @@ def diagnose(
     # of one sensor: motion only adds to it
     sigma = max(min(a.sigma for a in audits), max(a.least for a in audits))
     problem, nominal = nominal_fit(unexplained(fitted, measured, sigma), refined, seed, progress)
-    for simulation in (robot, fitted, *refined):
-        _check_it_stays_finite(problem, simulation, nominal.x)
+    check = partial(_check_it_stays_finite, problem, nominal.x)
+    side_by_side(robot.simulation.batch.nthread, check, (robot, fitted, *refined))
     problem, nominal, found_outliers = _without_outliers(problem, nominal)
     if not problem.rough:
         problem, nominal = _with_noise(problem, nominal, max(a.least for a in audits))
@@ -141,7 +142,7 @@ def _same(robot: Robot, one: Recording, other: Recording) -> bool:
     return None not in signals and np.array_equal(*(each.values for each in signals), equal_nan=True)
 
 
-def _check_it_stays_finite(problem: Problem, robot: Robot, x: np.ndarray) -> None:
+def _check_it_stays_finite(problem: Problem, x: np.ndarray, robot: Robot) -> None:
     """Raise SimulationError if a robot with the fitted parameters diverges: that would be taken for physics."""
     (simulated,), first = problem.simulated(robot, [(x, ())]), 0
     for number, each in enumerate(problem.recordings, 1):

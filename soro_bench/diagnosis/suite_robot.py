@@ -98,7 +98,7 @@ class SuiteRobot(Robot):
         self._task.reset(np.arange(n), [np.random.default_rng(0)] * n, options)
 
     def _step(self, actions):
-        return self._task.step(np.arange(len(actions)), actions).diverged
+        return self._task.hold(np.arange(len(actions)), actions)[1]
 
     def _read(self, count):
         return self._task.signals(np.arange(count))[self.signal]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
+from mujoco.batch import DATA_FIELDS, Batch
 
 from soro_bench.effects.catalogue import PHYSICS
 from soro_bench.effects.commands import SetpointLaw
@@ -23,7 +23,7 @@ class ActiveEffects:
     """
 
     def __init__(self, batch: Batch):
-        self.batch, self.elements = batch, Elements(batch.model)
+        self.batch, self.elements = _Once(batch), Elements(batch.model)
         self._nominal, self._plastic = batch.model, mujoco.MjData(batch.model).plastic.copy()
         self._fields: set[str] = set()
         self.assign([()] * batch.nsim)
@@ -60,6 +60,7 @@ class ActiveEffects:
         self.filters = [law for law in self._laws if isinstance(law, SetpointLaw)]
         self._stepped = [law for law in self._laws if law.stepped]
         self._prepare_setpoints()
+        self._ids: np.ndarray | None = None  # of the last step
 
     @property
     def native(self) -> bool:
@@ -113,23 +114,30 @@ class ActiveEffects:
             self.batch.step(ids, nstep=nstep, stage=stage)
             return
         asked = self.batch.ctrl[ids]
-        which = {law: np.isin(law.rows, ids) for law in self._stepped}
-        commands = _Commands(self, ids) if self.filters else None
-        if commands:
+        self._choose(ids)
+        if self.filters:
             self._start(ids[self._starts[ids]])
+            self._commands.hold()
         reads = any(law.outputs for law in self._stepped)
         for left in range(nstep - 1, -1, -1):
-            if commands:
-                commands.step()
+            if self.filters:
+                self._commands.step()
             for field in self._scaled.values():
                 field.begin(ids)
             for law in self._stepped:
-                law.step(which[law])
+                law.step(self._which[law])
             # forward stages at the new state only where they are read: a persistent batch reuses them, but not
             # once a law has written a field
             between = mujoco.mjtStage.mjSTAGE_VEL if reads else mujoco.mjtStage.mjSTAGE_NONE
             self.batch.step(ids, stage=between if left else stage)
         self.batch.ctrl[ids] = asked
+
+    def _choose(self, ids) -> None:
+        """Look up what acts in simulations ``ids``, which are mostly those of the last step."""
+        if self._ids is None or not np.array_equal(ids, self._ids):
+            self._ids = ids.copy()
+            self._which = {law: np.isin(law.rows, ids) for law in self._stepped}
+            self._commands = _Commands(self, ids)
 
     def _start(self, ids) -> None:
         """The first setpoints of an episode: the activation, or where it is none the first control."""
@@ -184,17 +192,28 @@ class Scaled:
         self.values[ids] = self._own[ids]
 
 
+class _Once:
+    """A batch whose fields are looked up once; itself it makes a view of the state each time that it is asked for."""
+
+    def __init__(self, batch: Batch):
+        self._batch = batch
+
+    def __getattr__(self, name):
+        found = getattr(self._batch, name)
+        if name in DATA_FIELDS:
+            setattr(self, name, found)
+        return found
+
+
 class _Commands:
-    """The setpoints of some simulations on their way through the laws, while the control is held."""
+    """The setpoints of some simulations on their way through the laws."""
 
     def __init__(self, run: ActiveEffects, ids: np.ndarray):
         self.run, model = run, run.batch.model
         self.rows, self.actuators = run.touched_in(ids)
         i = self.actuators
         self.integrates, self.early = run.integrates[i], model.actuator_actearly[i].astype(bool)
-        limits = model.actuator_ctrlrange[i].T
-        asked = run.batch.ctrl[self.rows, i]
-        self.asked = np.where(model.actuator_ctrllimited[i], np.clip(asked, *limits), asked)
+        self.limited, self.limits = model.actuator_ctrllimited[i].astype(bool), model.actuator_ctrlrange[i].T
         self.low, self.high = run.limits[i].T
         place = np.zeros(run.setpoint.shape, int)
         place[self.rows, i] = np.arange(len(i))
@@ -202,6 +221,11 @@ class _Commands:
         for law in run.filters:
             which = np.isin(law.rows, ids)
             self.laws.append((law, which, place[law.rows[which], law.ids[which]]))
+
+    def hold(self) -> None:
+        """Ask for the control for some time steps."""
+        asked = self.run.batch.ctrl[self.rows, self.actuators]
+        self.asked = np.where(self.limited, np.clip(asked, *self.limits), asked)
 
     def step(self) -> None:
         """One time step."""

@@ -128,6 +128,13 @@ class Task(ABC):
 
     def step(self, ids: np.ndarray, actions: np.ndarray) -> Step:
         """Apply one checked action to each simulation of ``ids`` for ``control_timestep``."""
+        observation, diverged = self.hold(ids, actions)
+        reward_terms, success = self._score(ids)
+        info = {**self._info(ids), **reward_terms, "is_success": success, "diverged": diverged}
+        return Step(observation, sum(reward_terms.values()), success, diverged, info)
+
+    def hold(self, ids: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same without rewards: (n, k) observations, and (n,) whether the simulations have diverged."""
         batch = self.sim.batch
         batch.ctrl[ids] = self._controls(actions)
         self._advance(ids)
@@ -139,9 +146,7 @@ class Task(ABC):
         # rounding. What is no number is outside too.
         inside = np.clip(observation, space.low, space.high)
         diverged |= ~(np.abs(observation - inside) <= 1e-6).all(axis=1)
-        reward_terms, success = self._score(ids)
-        info = {**self._info(ids), **reward_terms, "is_success": success, "diverged": diverged}
-        return Step(inside, sum(reward_terms.values()), success, diverged, info)
+        return inside, diverged
 
     @property
     def distribution(self) -> Distribution | None:
