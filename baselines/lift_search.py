@@ -292,6 +292,8 @@ def search(options) -> None:
         return figures["elevation_held_mm"] >= options.enough
 
     stored = worth[len(known) - 1] if sequence_file.exists() else -np.inf  # only a better one takes its place
+    if sequence_file.exists() and read_json(sequence_file)["elevation_held_mm"] >= options.enough:
+        return
     polish(judge, plans[worth.argmax()], stored, options, begin + 60 * options.minutes, found)
 
 

@@ -51,6 +51,8 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=20, help="the first ones")
     options = parser.parse_args()
     cases = sorted((options.folder / "cases").glob("case_*"))[: options.cases]
+    if not cases:
+        parser.error(f"{options.folder} has no cases")
     found = [options.folder / "cost" / f"{case.name}.json" for case in cases]
     for case, path in track(list(zip(cases, found, strict=True)), "cases"):
         if not path.exists():

@@ -72,6 +72,18 @@ def test_a_network_may_pick_its_discrete_action_itself():
     )
 
 
+def test_of_integers_for_all_discrete_actions_the_largest_counts_and_one_float_is_refused():
+    rounded = [helper.make_node("Mul", ["answer", "many"], ["larger"]),
+               helper.make_node("Cast", ["larger"], ["whole"], to=TensorProto.INT64)]  # fmt: skip
+    made = model(rounded, "whole", TensorProto.INT64, weights=[numpy_helper.from_array(np.array(1e6), "many")])
+    observations = np.random.default_rng(1).normal(size=(20, INPUTS))
+    expected = loaded(model(), "discrete").act(observations)
+    np.testing.assert_array_equal(loaded(made, "discrete").act(observations), expected)
+    mean = model([helper.make_node("ReduceMean", ["answer"], ["mean_answer"], axes=[-1])], "mean_answer")
+    with pytest.raises(ValueError, match=says("one float", "a number for every action")):
+        loaded(mean, "discrete")
+
+
 def test_networks_may_be_normalised_between_layers():
     """Layer normalisation, whole as PyTorch 2 exports it, and in parts as older exporters do."""
     ones, zeros = np.ones(OUTPUTS), np.zeros(OUTPUTS)

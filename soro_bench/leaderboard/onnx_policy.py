@@ -72,7 +72,13 @@ class OnnxPolicy:
             raise ValueError(f"{self._source} answers with {found.ravel()[:3]}; finite numbers are needed")
         if self.card.action == "continuous":
             return np.clip(found, -1.0, 1.0)
-        return found[:, 0] if found.shape[1] == 1 else found.argmax(axis=1)
+        if found.shape[1] > 1:
+            return found.argmax(axis=1)
+        if not np.issubdtype(found.dtype, np.integer):
+            raise ValueError(
+                f"{self._source} answers with one float; one integer, or a number for every action is needed"
+            )
+        return found[:, 0]
 
 
 _FLOATS = {1: np.float32, 11: np.float64}  # by TensorProto's number
