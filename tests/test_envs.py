@@ -392,6 +392,15 @@ def test_diverged_state_ends_the_episode(make, env_id, model):
     assert not truncated and not info["diverged"]
 
 
+def test_an_observation_that_is_no_number_ends_the_episode(make, monkeypatch):
+    env = make("TrunkReach-v0", model="cable")
+    env.reset(seed=0)
+    task, size = env.unwrapped.task, env.observation_space.shape[0]
+    monkeypatch.setattr(task, "_observe", lambda ids: np.full((len(ids), size), np.nan))
+    *_, truncated, info = env.step(0)
+    assert truncated and info["diverged"]
+
+
 def test_render_without_a_mode_warns(make):
     """render() without a render_mode returns None and says how to get pictures."""
     env = make("TrunkReach-v0", model="cable").unwrapped

@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from soro_bench.envs.multigait import INFLATION_NOISE, INFLATION_PER_ACTION, MultiGaitTask
 from soro_bench.evaluation import evaluate
@@ -135,3 +136,16 @@ def test_evaluation_records_an_episode():
     assert episode.signals["vertices"].shape == (13, 110, 3)
     assert episode.metric_name == "displacement" and episode.metric.shape == (13,)
     assert episode.goal is None and not episode.diverged
+
+
+def test_an_evaluation_has_one_blas_thread():
+    """The last digits of a wide policy's actions would depend on how many there are."""
+    found = []
+
+    def act(observations):
+        found.extend(each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas")
+        return np.zeros(len(observations), int)
+
+    with threadpool_limits(2, user_api="blas"):
+        evaluate(act, "MultiGait-v0", "coarse", "discrete", max_episode_steps=1)
+    assert set(found) == {1}
