@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 
+import gymnasium
 import pytest
 
 SCRIPT = """
@@ -35,6 +36,14 @@ print(json.dumps({
     "moved": float((np.abs(first - last).max(axis=-1) > 20).mean()),
 }))
 """
+
+
+@pytest.mark.parametrize("env_id", ["TrunkReach-v0", "TrunkPush-v0", "TrunkLift-v0", "MultiGait-v0"])
+def test_videos_run_in_real_time(env_id):
+    """The rate of the pictures is that of the control steps."""
+    env = gymnasium.make(env_id)
+    assert env.metadata["render_fps"] * env.unwrapped.task.control_timestep == pytest.approx(1)
+    env.close()
 
 
 @pytest.mark.parametrize(("env_id", "arguments", "action"), [
