@@ -16,13 +16,14 @@ BLOCK = f"""<mujoco><option timestep="{TIMESTEP}"/>
 <geom name="block" type="box" size="0.05 0.05 0.01" mass="0.2"/></body></worldbody></mujoco>"""
 
 
-def slide(effects, velocity=0.0, tilt=0.0, gravity=GRAVITY, duration=1.0):
-    """(T, 3) m, the way of a block on a plane that is tilted about y (a slope down along +x) [rad]."""
+def slide(effects, velocity=0.0, tilt=0.0, gravity=GRAVITY, duration=1.0, height=0.0):
+    """(T, 3) m, the way of a block on a plane, or above it, that is tilted about y (a slope down along +x) [rad]."""
     model = instrument(mujoco.MjSpec.from_string(BLOCK)).compile()
     sim = Simulation(model, ParameterSet(), (), 1, 1, effects)
     sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
     sim.batch.expand("opt.gravity")[:] = gravity * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
     sim.batch.qvel[0, 0] = velocity
+    sim.batch.qpos[0, 2] += height
     sim.begin(np.arange(1))
     way = []
     for _ in range(round(duration / TIMESTEP)):
@@ -63,3 +64,10 @@ def test_adhesion_holds_up_to_its_force(pull, holds):
     """A block that hangs from the plane by its four corners, pulled at with ``pull`` times what they hold."""
     way = slide(on_block("adhesion", force=0.2 * GRAVITY / pull / 4), gravity=-GRAVITY, duration=0.5)
     assert (way[-1, 2] < 0.005) == holds
+
+
+def test_adhesion_does_not_cushion_a_fall():
+    """A block that falls 2 cm meets the plane as it would without."""
+    before = slide([], gravity=GRAVITY, height=0.02, duration=0.2)
+    after = slide(on_block("adhesion", force=1e-6), gravity=GRAVITY, height=0.02, duration=0.2)
+    assert np.abs(after - before).max() < 1e-4

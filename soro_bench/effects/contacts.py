@@ -7,7 +7,7 @@ import numpy as np
 from soro_bench.effects.effect import EffectError, Quantity
 from soro_bench.effects.law import Law
 
-_REACH = 1e-3  # m, far beyond the micrometres by which a contact opens before it tears
+_REACH = 1e-5  # m, beyond the micrometres by which a contact opens before it tears; it also cushions impacts
 
 
 class _Sliding(Law):
@@ -65,7 +65,7 @@ class Stiction(_Sliding):
 
 
 class Adhesion(Law):
-    """Contacts that hold on until each of their points is pulled off with this force, within a reach of 1 mm."""
+    """Contacts that hold on until each of their points is pulled off with this force, within a reach of 10 um."""
 
     name, category, kinds = "adhesion", "contact", ("geom",)
     quantities = (Quantity("force", "N", 0.1, (0.0, np.inf)),)
