@@ -4,8 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from soro_bench.effects.catalogue import MEASUREMENT
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.catalogue import MEASUREMENT, PHYSICS, QUANTITIES
+from soro_bench.effects.commands import SetpointLaw
+from soro_bench.effects.effect import Effect, EffectError, Port
 from soro_bench.effects.elements import Elements, instrument
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
@@ -81,6 +82,54 @@ def test_filling_lags_and_venting_does_not():
     assert found[120] == pytest.approx(0.1 * (1 - np.exp(-1.1)), rel=0.05)
     assert found[499] == pytest.approx(0.1, rel=0.02)
     assert found[539] == pytest.approx(-0.1, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [
+        ("pressure_leak", {"rate": 1e-9}),
+        ("supply_coupling", {"coupling": 1e-9}),
+    ],
+)
+def test_a_weak_supply_leaves_what_laws_before_it_have_done(name, parameters):
+    """A chamber that is filled half as far as it is told, or that leaks, long after it was told to be full."""
+    rates, where = np.repeat([[2.0, 0.0, 0.0]], 2000, axis=0), Port("actuator", "a")
+    before = [Effect("actuator_gain", where, {"gain": 0.5})]
+    if name == "supply_coupling":
+        before = [Effect("pressure_leak", where, {"rate": 5.0})]
+    found = pressures([*before, Effect(name, where, parameters)], rates, CLOSED)
+    assert found[:, 0] == pytest.approx(pressures(before, rates, CLOSED)[:, 0], abs=1e-5)
+
+
+@pytest.mark.parametrize("name", [name for name, law in PHYSICS.items() if issubclass(law, SetpointLaw)])
+def test_a_law_of_the_chambers_without_magnitude_moves_the_walker_bit_for_bit_as_before(name):
+    null = {q.name: q.null if i == 0 else q.typical for i, q in enumerate(QUANTITIES[name])}
+    assert np.array_equal(walk([Effect(name, Port("actuator", "*"), null)]), walk(None))
+
+
+def walk(effects):
+    """(3, n) observations of a walker under random rates of inflation."""
+    task, rng = (
+        make_task("MultiGait-v0", 1, 1, "coarse", action="continuous", effects=effects),
+        np.random.default_rng(0),
+    )
+    task.reset(np.arange(1), [rng], [{}])
+    return np.concatenate([task.step(np.arange(1), rng.uniform(-0.3, 1, (1, 3))).observation for _ in range(3)])
+
+
+@pytest.mark.parametrize("stage", [mujoco.mjtStage.mjSTAGE_NONE, mujoco.mjtStage.mjSTAGE_VEL])
+def test_drag_slows_a_fall_as_it_should_whatever_is_computed_after_a_step(stage):
+    """m v' = m g - c v^2 from rest: v = vt tanh(g t / vt), with vt^2 = m g / c."""
+    ball = """<mujoco><option timestep="0.001"/><worldbody><body name="ball"><joint type="slide" axis="0 0 1"/>
+    <geom size="0.01" mass="0.1"/></body></worldbody></mujoco>"""
+    drag = [Effect("fluid_drag", Port("body", "ball"), {"drag": 0.2})]
+    sim = Simulation(instrument(mujoco.MjSpec.from_string(ball)).compile(), ParameterSet(), (), 1, 1, drag)
+    sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    sim.begin(np.arange(1))
+    for _ in range(50):
+        sim.step(np.arange(1), 10, stage)
+    terminal = np.sqrt(0.1 * 9.81 / 0.2)
+    assert sim.batch.qvel[0, 0] == pytest.approx(-terminal * np.tanh(9.81 * 0.5 / terminal), rel=2e-3)
 
 
 WEAK = {
@@ -222,6 +271,26 @@ def test_a_material_without_magnitude_moves_the_flex_model_bit_for_bit_as_before
     parameters, _ = MATERIAL[name]
     none = {**parameters, next(iter(parameters)): 0.0}
     assert sag([Effect(name, Port("body", "*"), none)], "flex") == sag((), "flex")
+
+
+SHEET = """<mujoco><worldbody><flexcomp name="sheet" type="grid" count="4 3 1" spacing="0.02 0.02 0.1" dim="2"
+radius="0.001" mass="0.05">{elasticity}<contact selfcollide="none"/></flexcomp></worldbody></mujoco>"""
+
+
+def test_a_softer_sheet_stretches_and_bends_more_easily():
+    elasticity = '<elasticity young="3e6" poisson="0.2" thickness="0.003" elastic2d="both"/>'
+    model = instrument(mujoco.MjSpec.from_string(SHEET.format(elasticity=elasticity))).compile()
+    softer = [Effect("local_stiffness", Port("flex", "sheet"), {"factor": 0.5})]
+    batch = Simulation(model, ParameterSet(), (), 1, 1, softer).batch
+    for field in ("flex_stiffness", "flex_bending"):
+        assert np.any(getattr(model, field))
+        np.testing.assert_array_equal(batch.expand(field)[0], 0.5 * getattr(model, field))
+
+
+def test_a_flex_without_elasticity_has_none_to_change():
+    model = instrument(mujoco.MjSpec.from_string(SHEET.format(elasticity='<edge equality="true"/>'))).compile()
+    with pytest.raises(EffectError, match="needs elasticity of the flex; that of flex sheet has none"):
+        Simulation(model, ParameterSet(), (), 1, 1, [Effect("local_stiffness", Port("flex", "sheet"), {"factor": 0.5})])
 
 
 @pytest.mark.parametrize(

@@ -140,11 +140,14 @@ class _Pneumatic(_Following):
 
     def filter(self, which, setpoint):
         rows, ids = self.rows[which], self.ids[which]
-        # the supply goes on where the setpoint has ended: what was lost is filled again
-        change, self.asked[which] = setpoint - self.asked[which] + self.run.beyond[rows, ids], setpoint
-        changed = np.clip(self.pressure(which, self.output[which], change), *self.run.limits[ids].T)
+        change, self.asked[which] = setpoint - self.asked[which], setpoint
+        before = self.output[which]
+        changed = self.pressure(which, before, change)
+        # the supply goes on where the activation has ended: what was lost is filled again, up to the setpoint
+        refilled = self.pressure(which, before, change + self.run.beyond[rows, ids])
+        refilled = np.clip(refilled, np.minimum(changed, setpoint), np.maximum(changed, setpoint))
         magnitude = self.values[self.quantities[0].name][which]
-        self.output[which] = np.where(magnitude > 0, changed, setpoint)
+        self.output[which] = np.where(magnitude > 0, np.clip(refilled, *self.run.limits[ids].T), setpoint)
         return self.output[which]
 
     def pressure(self, which, before, change):

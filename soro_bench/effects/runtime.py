@@ -118,7 +118,7 @@ class ActiveEffects:
         if self.filters:
             self._start(ids[self._starts[ids]])
             self._commands.hold()
-        reads = any(law.outputs for law in self._stepped)
+        reads, nothing = any(law.outputs for law in self._stepped), mujoco.mjtStage.mjSTAGE_NONE
         for left in range(nstep - 1, -1, -1):
             if self.filters:
                 self._commands.step()
@@ -128,8 +128,8 @@ class ActiveEffects:
                 law.step(self._which[law])
             # forward stages at the new state only where they are read: a persistent batch reuses them, but not
             # once a law has written a field
-            between = mujoco.mjtStage.mjSTAGE_VEL if reads else mujoco.mjtStage.mjSTAGE_NONE
-            self.batch.step(ids, stage=between if left else stage)
+            between = mujoco.mjtStage.mjSTAGE_VEL if reads else nothing
+            self.batch.step(ids, stage=between if left or stage == nothing else stage)
         self.batch.ctrl[ids] = asked
 
     def _choose(self, ids) -> None:

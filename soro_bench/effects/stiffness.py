@@ -5,6 +5,8 @@ import numpy as np
 from soro_bench.effects.effect import EffectError, Quantity
 from soro_bench.effects.law import Law, OnJoints
 
+_OF_FLEX = ("flex_stiffness", "flex_bending")
+
 
 class ViscousFriction(Law):
     """A force in proportion to the velocity."""
@@ -29,7 +31,7 @@ class LocalStiffness(OnJoints):
 
     name, category, kinds = "local_stiffness", "local", ("body", "joint", "flex")
     quantities = (Quantity("factor", "1", 0.7, (0.02, 50.0), null=1.0),)
-    fields = ("jnt_stiffness", "dof_damping", "flex_stiffness")
+    fields = ("jnt_stiffness", "dof_damping", *_OF_FLEX)
 
     def prepare(self, elements):
         self.springs = _Springs(self, elements)
@@ -44,7 +46,7 @@ class StiffnessDrift(OnJoints):
     name, category, kinds, stepped = "stiffness_drift", "local", ("body", "joint", "flex"), True
     only_shared = True
     quantities = (Quantity("rate", "1/min", -0.4, (-10.0, 10.0)),)
-    fields = ("jnt_stiffness", "dof_damping", "flex_stiffness")
+    fields = ("jnt_stiffness", "dof_damping", *_OF_FLEX)
     shared = True
 
     def prepare(self, elements):
@@ -131,9 +133,10 @@ class _Springs:
             flex = i if port.kind == "flex" else elements.flex_before(i)
             if flex is None:
                 raise EffectError(f"{law.name} needs joints or a flex; {port} has none")
-            start = model.flex_stiffnessadr[flex]  # its damping is in proportion
-            end = min([a for a in model.flex_stiffnessadr if a > start], default=len(model.flex_stiffness))
-            return [("flex_stiffness", column) for column in range(start, end)]
+            found = [(field, column) for field in _OF_FLEX for column in _columns(model, field, flex)]
+            if not found:
+                raise EffectError(f"{law.name} needs elasticity of the flex; that of {port} has none")
+            return found  # its damping is in proportion
         return [("jnt_stiffness", j) for j in joints] + [("dof_damping", model.jnt_dofadr[j]) for j in joints]
 
     def share(self, run):
@@ -145,3 +148,11 @@ class _Springs:
         for field in np.unique(self.fields):
             i = np.flatnonzero(which & (self.fields == field))
             np.multiply.at(self.law.field(str(field)), (self.law.rows[i], self.columns[i]), factor[i])
+
+
+def _columns(model, field, flex) -> range:
+    """Where the values of a flex are in a field; none where it has no such elasticity."""
+    starts = getattr(model, field + "adr")
+    if (start := starts[flex]) < 0:
+        return range(0)
+    return range(start, min(starts[starts > start], default=len(getattr(model, field))))

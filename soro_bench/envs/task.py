@@ -178,7 +178,9 @@ class Task(ABC):
         self.sim.begin(ids)
 
     def refine(self, factor: int) -> None:
-        """Simulate with time steps that are shorter by a factor."""
+        """Simulate with time steps that are shorter by a factor; effects, which know the time step, come after this."""
+        if not self.sim.native:
+            raise RuntimeError("shorten the time steps before there are effects, whose laws know them")
         self.sim.batch.expand("opt.timestep")[...] /= factor
         self._substeps *= factor
 

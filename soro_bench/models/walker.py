@@ -130,6 +130,7 @@ def _add_chambers(spec):
             actlimited=True,
             actrange=[0, 1],
             ctrllimited=False,
+            actearly=True,  # so that effects can change the inflation of the coming time step, not the one after
         )
         actuator.gainprm[0] = 0.0
 
