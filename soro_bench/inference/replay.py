@@ -15,8 +15,8 @@ from soro_bench.recording.simulated import COMMAND, recorded_actions
 from soro_bench.registration import make_task, task_type
 
 # What a simulation is trusted to beside the sensor's noise, standard deviations by unit: in metres that of the
-# published eps, 1e-4 mm^2 (what rf-dropo's README asks for); without a unit (quaternions) the same 25 mm off the
-# centre; of forces what stretches a cable of 10 N/mm by as much
+# published eps, 1e-4 mm^2 (what rf-dropo's README asks for); without a unit (quaternions, half of 0.8 mrad) the same
+# 12.5 mm off the centre; of forces what stretches a cable of 10 N/mm by as much
 RESOLUTION = {"m": 1e-5, "1": 4e-4, "N": 0.1}
 MISSING = 1e6  # standard deviation of a sample that is missing: it says nothing
 SIMULATIONS = 32  # at a time
@@ -31,7 +31,8 @@ class Replay:
             known ones.
         known: values of parameters that are not inferred; the others have their nominal values.
         model: the environment's model or mesh; by default what was recorded.
-        noise: standard deviation [m] of the recorded positions; so are orientations, as of points 25 mm off the centre.
+        noise: standard deviation [m] of the recorded positions; so are orientations, as of points 12.5 mm off the
+            centre.
         restart: every time step starts from the recorded state, for a recording with its full state, instead of from
             what was simulated before.
         threads: 0 for all processors; results do not depend on it.

@@ -23,7 +23,7 @@ from soro_bench.training.policy import Policy
 POLICIES = ("random", "excitation")  # and the folder or leaderboard entry of a trained one
 COMMAND = "action"  # the command that an episode is driven by
 MAX_STEPS = 100_000  # of a replay
-MARKER_DISTANCE = 0.025  # m: orientations are as noisy as those of markers so far off the centre
+MARKER_DISTANCE = 0.0125  # m: orientations are as noisy as those of markers so far off the centre
 
 
 def record(
@@ -49,7 +49,7 @@ def record(
             it takes) for an excitation.
         seed: of the goal, the actions and the noise.
         noise: m, standard deviation of normal noise on every number of all positions; orientations are as noisy as
-            those of markers 25 mm off the centre.
+            those of markers 12.5 mm off the centre.
         full_state: whether to record the simulation's whole state too, as signals named state.qpos and so on.
         effects: physics that the model leaves out, as the environment takes it; a replay does not have it.
 
@@ -159,7 +159,8 @@ def _recording(episode, action, noise, seed, metadata) -> Recording:
         if noise and (unit, frame) == ("m", "world"):
             values = values + noise * rng.standard_normal(values.shape)
         if noise and (unit, frame) == ("1", "world"):  # orientations
-            values = values + noise / MARKER_DISTANCE * turns.standard_normal(values.shape)
+            half_angle = noise / (2 * MARKER_DISTANCE)  # rad, what a unit quaternion changes by
+            values = values + half_angle * turns.standard_normal(values.shape)
             values /= np.linalg.norm(values, axis=-1, keepdims=True)
         signals[name] = Signal(episode.time, values, unit, frame)
     commands = {COMMAND: Signal(episode.time[: len(episode.actions)], episode.actions, "1")}
