@@ -120,6 +120,38 @@ def test_a_recording_can_begin_later_than_its_file(csv):
         csv("t,f\n0,1\n1,2\n", mapping.replace("0.3", "9.0"))
 
 
+@pytest.mark.parametrize(
+    ("table", "begin", "time", "said"),
+    [
+        ("0,1,1 0.1,2,1 0.2,,1 0.5,3,1 0.6,,1", 0.15, [0.0, 0.35], [2, 3]),
+        ("0,1,1 0.1,2,1 0.2,,1 0.5,3,1 0.6,,1", 0.1, [0.0, 0.4], [2, 3]),
+        ("0,1,1 0.1,2,1 0.2,,1 0.5,3,1 0.6,,1", 0.55, [0.0], [3]),
+        ("0,1,1 0.1,2,1 0.2,3,1", 0.15, [0.05], [3]),  # control steps begin with commands that come at intervals
+    ],
+)
+def test_a_recording_that_begins_later_has_the_command_in_force(csv, table, begin, time, said):
+    mapping = f"""
+        [time]
+        column = "t"
+        begin = {begin}
+        [commands.goal]
+        columns = ["goal"]
+        unit = "1"
+        [signals.f]
+        columns = ["f"]
+        unit = "N"
+    """
+    goal = csv("t,goal,f\n" + table.replace(" ", "\n") + "\n", mapping).commands["goal"]
+    np.testing.assert_allclose(goal.time, time, atol=1e-12)
+    assert goal.values.tolist() == said
+
+
+def test_a_column_that_a_signal_names_twice_is_refused(csv):
+    mapping = '[time]\ninterval = 1.0\n[signals.f]\ncolumns = ["f", "f"]\nunit = "N"\n'
+    with pytest.raises(RecordingError, match="expected each once"):
+        csv("f,g\n0,0\n1,1\n", mapping)
+
+
 def test_a_row_of_empty_cells_counts_and_an_empty_line_does_not(csv):
     mapping = '[time]\ninterval = 1.0\n[signals.f]\ncolumns = ["f"]\nunit = "N"\n'
     signal = csv("f,g\n0,0\n1,1\n,\n\n3,3\n", mapping).signals["f"]

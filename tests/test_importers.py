@@ -53,7 +53,7 @@ def test_command_line(tmp_path, monkeypatch, capsys):
     assert recording.metadata["noise"] == "0.0005"
     run("view", tmp_path / "b.parquet", "--no-open")
     assert (tmp_path / "b.rrd").stat().st_size > 10_000
-    with pytest.raises(SystemExit, match="soro-bench: env_id None"):
+    with pytest.raises(SystemExit, match="is of no environment that could be simulated"):
         run("view", tmp_path / "a.parquet", "--no-open")
 
 

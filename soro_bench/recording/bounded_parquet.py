@@ -94,7 +94,7 @@ class BoundedParquet:
 def _footer(data, most) -> Footer:
     """Its length is known before it is parsed."""
     if len(data) < 12 or data[:4] != _MAGIC or data[-4:] != _MAGIC:
-        raise RecordingError("no complete Parquet file")
+        raise RecordingError("no complete Parquet file; soro-bench import makes one of tables and logs")
     (size,) = struct.unpack("<I", data[-8:-4])
     most = min(len(data) - 12, most)
     if not 0 < size <= most:

@@ -32,7 +32,7 @@ class Record:
     """The environment's length by default; 30 s, or as long as it needs, for an excitation."""
     seed: int = 0
     noise: float = 0.0
-    """Standard deviation [m] of normal noise on all positions; orientations are as noisy as 25 mm off the centre."""
+    """Standard deviation [m] of normal noise on all positions; orientations are as noisy as 12.5 mm off the centre."""
     full_state: bool = False
     """Record the simulation's whole state too, which DROPO restarts from."""
     effects: Path | None = None
@@ -120,7 +120,11 @@ class View:
 
             path = self.out or path.with_suffix(".rrd")
             check_output(path, ".rrd")
-            write_comparison(load(self.recording), path, self.recording.stem)
+            recording = load(self.recording)
+            if "env_id" not in recording.metadata:
+                raise ValueError(f"{self.recording} is of no environment that could be simulated beside it; of other "
+                                 "robots soro-bench diagnose writes comparison.rrd")  # fmt: skip
+            write_comparison(recording, path, self.recording.stem)
             console.print(f"{path}", soft_wrap=True)
         if self.open:
             open_viewer(path)

@@ -101,7 +101,10 @@ class _Table:
         """The columns of a signal: a list, or all from the first to the last."""
         place = source.place
         if "columns" in place and not {"first", "last"} & place.keys():
-            return texts("columns", place["columns"])
+            names = texts("columns", place["columns"])
+            if len(set(names)) < len(names):
+                raise RecordingError(f"columns are {ascii(names)[:80]}; expected each once")
+            return names
         if {"first", "last"} <= place.keys() and "columns" not in place:
             first, last = self._position(place["first"]), self._position(place["last"])
             if first <= last:
@@ -168,7 +171,8 @@ class _Table:
         except ValueError:
             value = math.inf
         if not math.isfinite(value):
-            raise RecordingError(f"line {self._line}: {ascii(cell)[:40]} is no finite number")
+            hint = "what stands for a missing one belongs into [format] missing"
+            raise RecordingError(f"line {self._line}: {ascii(cell)[:40]} is no finite number; {hint}")
         return value
 
 

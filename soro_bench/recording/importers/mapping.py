@@ -15,6 +15,7 @@ from soro_bench.recording.untrusted import named_errors, read_bytes
 
 MAX_BYTES = 1_000_000
 _ROUNDING = 1e-9  # s
+_REGULAR = 1.5  # times the median interval, up to which others are regular too
 _SECTIONS = ("format", "time", "commands", "signals", "parameters", "metadata")
 _VALUE_KEYS = ("unit", "scale", "offset", "frame", "shape", "shift", "leaves")
 
@@ -92,6 +93,8 @@ class FileMapping:
         for (group, name), (time, numbers) in found.items():
             build, since = getattr(self, group)[name].signal, seconds(time - start) - begin
             kept = (since > -_ROUNDING) & (since < until)
+            if group == "commands" and not (_regular(since) and kept.any()):
+                kept |= _in_force(since)
             if len(time) and not kept.any():
                 raise RecordingError(f"{group}.{name} has nothing from [time] begin = {begin:g} to until = {until:g}")
             groups[group][name] = _named(f"{group}.{name}", build, np.maximum(since[kept], 0.0), numbers[kept])
@@ -112,6 +115,19 @@ def _check_order(time) -> None:
     if (back := np.flatnonzero(np.diff(time) <= 0)).size:
         i = back[0]
         raise RecordingError(f"time has to increase strictly; {time[i + 1]} follows {time[i]} in row {i + 1}")
+
+
+def _regular(since) -> bool:
+    """Whether a command comes at intervals; others come where they change."""
+    intervals = np.diff(since)
+    return len(intervals) > 0 and intervals.max() < _REGULAR * np.median(intervals)
+
+
+def _in_force(since) -> np.ndarray:
+    """(T,) whether a command is the last one until the beginning, at zero."""
+    found = np.zeros(len(since), bool)
+    found[np.flatnonzero(since < _ROUNDING)[-1:]] = True
+    return found
 
 
 def seconds(time):
