@@ -113,6 +113,8 @@ class ParameterSet:
         for name, value in values.items():
             low, high = self.parameters[name].bounds
             try:
+                if isinstance(value, str | bytes | bool | np.bool_):  # which float() would take
+                    raise TypeError
                 checked[name] = float(value)
             except OverflowError:
                 checked[name] = np.inf

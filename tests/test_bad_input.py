@@ -40,6 +40,7 @@ def test_render_mode(env_id):
         ({"num_envs": -1}, ("num_envs = -1", "1 or more")),
         ({"num_envs": 1.5}, ("num_envs = 1.5", "an integer")),
         ({"num_threads": -1}, ("num_threads = -1", "0 or more")),
+        ({"autoreset_mode": "samestep"}, ("autoreset_mode 'samestep'", "NextStep, SameStep, Disabled")),
         ({"max_episode_steps": 0}, ("max_episode_steps 0", "1 or more, or -1")),
         ({"max_episode_steps": "a"}, ("max_episode_steps 'a'", "an integer")),
         ({"model": ["flex"]}, ("model ['flex']", "flex, cable")),
@@ -50,6 +51,12 @@ def test_arguments_of_a_vector_environment(argument, parts):
     """Numbers that are none, or too small; things of another kind."""
     with pytest.raises(ValueError, match=says(*parts)):
         gymnasium.make_vec("TrunkReach-v0", **argument)
+
+
+@pytest.mark.parametrize("argument", ["num_envs", "num_threads"])
+def test_arguments_of_vector_environments_for_a_single_one(argument):
+    with pytest.raises(TypeError, match=says(argument, "make_vec")):
+        gymnasium.make("TrunkReach-v0", **{argument: 2})
 
 
 def test_noise_that_is_neither_on_nor_off():
@@ -75,6 +82,8 @@ OPTIONS = [
     ({"goal": [[0, 0], [0]]}, ("[[0, 0], [0]]", "3 coordinates within 0.3 m")),
     ({"params": {"young": 4e6}}, ("parameter 'young'", "young_modulus")),
     ({"params": {"young_modulus": 4500}}, ("young_modulus = 4500", "[1000000.0, 10000000.0] Pa")),
+    ({"params": {"trunk_mass": "1"}}, ("trunk_mass = '1'", "one number")),
+    ({"params": {"trunk_mass": True}}, ("trunk_mass = True", "one number")),
     ({"params": {"poisson_ratio": 0.5}}, ("poisson_ratio = 0.5", "[0.4, 0.495]")),
     ({"params": {"trunk_mass": -0.1}}, ("trunk_mass = -0.1", "[0.001, 2.0] kg")),
     ({"params": {"trunk_mass": float("nan")}}, ("trunk_mass = nan", "[0.001, 2.0] kg")),

@@ -26,6 +26,7 @@ from soro_bench.effects.effect import EVERY, Effect, Port, load_effects
 from soro_bench.effects.elements import AUXILIARY, FOUND, instrument, without_unused_springs
 from soro_bench.envs.trunk import NUM_KEYPOINTS
 from soro_bench.models.trunk_geometry import CABLE_RATE
+from tests.arm import ARM
 
 X = np.array([0.3, -0.4, 0.2, 0.3, 0.1])  # fitted parameters, in standard deviations of their priors
 PAYLOAD = Effect("payload", Port("body", "vertebra7"), {"mass": 0.04})
@@ -54,6 +55,21 @@ def diagnosis(robot, effects, heldout=(2.0, 1.0), verdict="missing_physics"):
     nominal = SimpleNamespace(x=np.zeros(len(X)))
     explanation = SimpleNamespace(nominal=nominal, problem=SimpleNamespace(parameters=len(X)))
     return SimpleNamespace(robot=robot, verdict=verdict, best=answer, explanation=explanation)
+
+
+def test_a_model_with_a_mesh_is_patched_and_loads_from_anywhere(paths, tmp_path):
+    model, mapping = paths
+    corners = [(x, y, z) for x in (0, 0.1) for y in (0, 0.1) for z in (0, 0.1)]
+    (tmp_path / "meshes").mkdir()
+    vertices = "".join(f"v {x} {y} {z}\n" for x, y, z in corners)
+    (tmp_path / "meshes" / "box.obj").write_text(vertices + "f 1 2 3\nf 5 6 7\n")
+    mesh = '<compiler meshdir="meshes"/><asset><mesh name="box" file="box.obj" inertia="convex"/></asset><worldbody>'
+    geom = '<geom type="mesh" mesh="box" contype="0" conaffinity="0"/><site name="tip"'
+    model.write_text(ARM.replace("<worldbody>", mesh).replace('<site name="tip"', geom))
+    robot = ModelRobot(model, mapping, threads=1)
+    nominal = {prior.name: prior.nominal for prior in robot.priors}
+    xml = written(patched_spec(robot, nominal, []), "")
+    assert mujoco.MjModel.from_xml_string(xml).nmesh == 1
 
 
 def moved(model, actions):

@@ -297,6 +297,8 @@ def test_sb3_adapter_refuses_what_it_would_lose():
 
     with pytest.raises(ValueError, match="SameStep"):
         SB3VecEnv(gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable"))
+    with pytest.raises(TypeError, match="TrunkReachEnv: a vector environment of the suite is needed"):
+        SB3VecEnv(gymnasium.make("TrunkReach-v0", model="cable").unwrapped)
     envs = SB3VecEnv(gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable", autoreset_mode="SameStep"))
     envs.set_options({"goal": [0.0, 0.0, 0.18]})
     with pytest.raises(ValueError, match="reset options go to the environments"):

@@ -122,7 +122,11 @@ def written(spec: mujoco.MjSpec, comment: str) -> str:
     """MJCF of a model, with a comment at its top; PatchError if it does not give the model again."""
     spec.comment = re.sub("-(?=-)", "- ", comment)  # two hyphens would end it
     model, xml = spec.compile(), spec.to_xml()
-    if lost := _differing(model, mujoco.MjModel.from_xml_string(xml), _PRECISION):
+    try:
+        again = mujoco.MjModel.from_xml_string(xml)
+    except ValueError as error:
+        raise PatchError(f"the fitted model cannot be read again from MJCF: {error}") from error
+    if lost := _differing(model, again, _PRECISION):
         raise PatchError(f"{', '.join(lost)} cannot be read again from MJCF")
     return xml
 

@@ -21,6 +21,9 @@ class SB3VecEnv(VecEnv):
     """
 
     def __init__(self, envs: SoftRobotVectorEnv, finite_horizon: bool = False):
+        if not isinstance(getattr(envs, "unwrapped", None), SoftRobotVectorEnv):
+            raise TypeError(f"{type(envs).__name__}: a vector environment of the suite is needed, from "
+                            "gymnasium.make_vec(..., autoreset_mode='SameStep')")  # fmt: skip
         if envs.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
             raise ValueError("Stable-Baselines3 resets in the same step: make the envs with autoreset_mode='SameStep'")
         self.envs = envs  # before super().__init__, which reads attributes of it

@@ -24,6 +24,8 @@ class SoftRobotEnv(gymnasium.Env):
     def __init__(self, render_mode: str | None = None, **task_options):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"unknown render_mode {render_mode!r}; there are {self.metadata['render_modes']}")
+        if several := {"num_envs", "num_threads"} & set(task_options):
+            raise TypeError(f"{', '.join(sorted(several))}: gymnasium.make_vec takes this; here is one simulation")
         self.task = self.task_type(num_envs=1, **task_options)
         self.observation_space = self.task.single_observation_space
         self.action_space = self.task.single_action_space

@@ -44,7 +44,7 @@ class SoftRobotVectorEnv(VectorEnv):
         self.task = self.task_type(num_envs=num_envs, num_threads=num_threads, **task_options)
         self.num_envs = num_envs
         self._max_steps = _limit(max_episode_steps)
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.autoreset_mode = _mode(autoreset_mode)
         self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.single_observation_space = self.task.single_observation_space
         self.single_action_space = self.task.single_action_space
@@ -131,6 +131,15 @@ class SoftRobotVectorEnv(VectorEnv):
         self._done[ids] = False
         self._begun[ids] = True
         _scatter(info, rows, ids, self.num_envs)
+
+
+def _mode(autoreset_mode) -> AutoresetMode:
+    """ValueError names the modes, which Gymnasium's does not."""
+    try:
+        return AutoresetMode(autoreset_mode)
+    except ValueError:
+        allowed = ", ".join(mode.value for mode in AutoresetMode)
+        raise ValueError(f"autoreset_mode {autoreset_mode!r}: allowed are {allowed}") from None
 
 
 def _limit(max_episode_steps: int | None) -> float:
