@@ -42,6 +42,18 @@ def check_output(path: Path, suffix: str) -> None:
         raise ValueError(f"{path}: expected a name that ends in {suffix}")
 
 
+@contextmanager
+def results_folder(path: Path) -> Iterator[None]:
+    """A folder that can be written to, and that is gone again if nothing was written into it."""
+    new = not path.exists()
+    path.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    finally:
+        if new and not any(path.iterdir()):
+            path.rmdir()
+
+
 def write_json(path: str | Path, data) -> None:
     """Write ``data`` as indented JSON; NaN and infinity are refused."""
     text = json.dumps(data, indent=2, allow_nan=False) + "\n"

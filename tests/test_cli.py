@@ -65,6 +65,13 @@ def test_a_campaign_is_planned_without_being_run(call, tmp_path):
     assert not list(tmp_path.rglob("*.safetensors"))
 
 
+def test_a_diagnosis_of_what_is_no_recording_says_so_and_leaves_no_folder(call, tmp_path):
+    (tmp_path / "run.csv").write_text("t,angle\n0,0\n")
+    with pytest.raises(SystemExit, match=r"run.csv: no complete Parquet file; soro-bench import makes one"):
+        call("diagnose", tmp_path / "run.csv", "--env", "TrunkReach-v0", "--out", tmp_path / "reports" / "run")
+    assert not (tmp_path / "reports" / "run").exists()
+
+
 def test_an_error_is_one_line(call):
     with pytest.raises(SystemExit, match="soro-bench: 60 steps are too few for an excitation; it needs 364"):
         call("excite", "TrunkReach-v0", "--duration", "3", "--out", "a.csv")

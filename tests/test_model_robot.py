@@ -273,7 +273,7 @@ def test_channels_are_those_of_all_actuators(paths):
     assert robot.channels == ["actuator number 0", "actuator pull", "actuator motor"]
     places = [Port("actuator", "motor"), Port("tendon", "string"), Port("actuator", "*"), Port("joint", "hinge")]
     assert [robot.channel(where) for where in places] == [2, 1, None, None]
-    assert robot.commanded(np.eye(3)).shape == (3, 3)
+    assert robot.commanded(np.eye(3), np.ones((1, 3))).shape == (3, 3)
 
 
 def test_a_proposed_motion_of_controls_that_are_rates_comes_back(paths):
@@ -281,7 +281,7 @@ def test_a_proposed_motion_of_controls_that_are_rates_comes_back(paths):
     valve = '<intvelocity name="motor" joint="hinge" kp="2" actrange="-1 1" ctrllimited="true" ctrlrange="-0.3 0.3"/>'
     model.write_text(re.sub(r"<actuator>.*</actuator>", f"<actuator>{valve}</actuator>", ARM, flags=re.DOTALL))
     rates = np.repeat([[1.0], [-1.0]], 50, axis=0)
-    goals = ModelRobot(model, mapping, threads=1).commanded(rates)
+    goals = ModelRobot(model, mapping, threads=1).commanded(rates, rates)
     assert goals.sum() == pytest.approx(0.0, abs=1e-9)
     assert np.abs(goals).max() == pytest.approx(0.3)
     assert 0.02 * np.abs(np.cumsum(goals)).max() <= 0.6 + 1e-9
@@ -290,8 +290,14 @@ def test_a_proposed_motion_of_controls_that_are_rates_comes_back(paths):
 def test_a_proposed_motion_is_within_the_range_of_an_actuator(paths):
     model, mapping = paths
     model.write_text(ARM.replace('kp="2"', 'kp="2" ctrllimited="true" ctrlrange="5 10"'))
-    goals = ModelRobot(model, mapping, threads=1).commanded(np.array([[1.0], [1.0], [-1.0], [-1.0], [-1.0], [-1.0]]))
+    rates, recorded = np.array([[1.0], [1.0], [-1.0], [-1.0], [-1.0], [-1.0]]), np.array([[0.0], [20.0]])
+    goals = ModelRobot(model, mapping, threads=1).commanded(rates, recorded)
     assert goals[:, 0] == pytest.approx([7.25, 8.0, 7.25, 6.5, 5.75, 5.0])
+
+
+def test_a_proposed_motion_of_an_actuator_without_a_range_is_within_what_was_recorded(paths):
+    goals = ModelRobot(*paths, threads=1).commanded(np.array([[1.0], [-1.0], [-1.0]]), np.array([[200.0], [300.0]]))
+    assert goals[:, 0] == pytest.approx([260.0, 230.0, 200.0])
 
 
 def test_a_delayed_servo_stays_where_its_first_command_holds_it(paths):
@@ -321,14 +327,16 @@ def test_units_are_those_of_what_turns(paths, name, kind, place, unit):
 
 
 @pytest.mark.parametrize("stiffness", [20000, 500])
-def test_a_simulation_that_diverges_is_no_physics(paths, stiffness):
+def test_a_simulation_that_diverges_is_no_physics(paths, stiffness, tmp_path, monkeypatch, capfd):
     """With any time step; or with that of the model only (of 5 ms: beyond 220 N m/rad), by which effects are screened,
-    while fits have half of it."""
+    while fits have half of it. MuJoCo's warnings of every replay are not shown."""
+    monkeypatch.chdir(tmp_path)
     given = recording(paths, [], 0)
     stiff = ARM.replace('kp="2" kv="0.05" forcerange="-1 1"', f'kp="{stiffness}"').replace('damping="0.02"', "")
     paths[0].write_text(stiff.replace("implicitfast", "Euler"))
     with pytest.raises(SimulationError, match=r"the simulation by arm diverges .* s into recording 1"):
         diagnose(ModelRobot(*paths, threads=1), [given])
+    assert "WARNING" not in "".join(capfd.readouterr()) and not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
 def test_a_delay_of_everything_measured_is_compared_with_one_of_everything_commanded(paths):

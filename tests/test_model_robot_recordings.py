@@ -58,6 +58,38 @@ def test_a_command_in_another_unit_is_refused(paths, said, unit, message):
         ModelRobot(*paths, threads=1).measured(replace(given, commands={"goal": goals}))
 
 
+def test_a_command_that_mujoco_would_cut_off_is_refused(paths):
+    given = recording(paths, [], 0)
+    paths[0].write_text(ARM.replace('kp="2"', 'kp="2" ctrllimited="true" ctrlrange="-0.1 0.1"'))
+    with pytest.raises(RecordingError, match=r"'goal' is from -0.\d+ to 0.\d+; .* of actuator 'motor', -0.1 to 0.1"):
+        ModelRobot(*paths, threads=1).measured(given)
+
+
+def test_samples_with_points_and_coordinates_exchanged_are_refused(paths):
+    """Two points of three coordinates are not three of two."""
+    sites = MAP.replace('joints = ["hinge"]\nunit = "rad"', 'sites = ["tip", "base"]\nunit = "m"', 1)
+    paths[0].write_text(ARM.replace("</worldbody>", '<site name="base"/></worldbody>'))
+    paths[1].write_text(sites.replace('[initial]\njoints = ["hinge"]\n', ""))
+    robot, time = ModelRobot(*paths, threads=1), 0.02 * np.arange(10)
+
+    def measured(*shape):
+        points = Signal(time, np.ones((10, *shape)), "m")
+        return robot.measured(Recording({"goal": Signal(time[:-1], np.zeros((9, 1)))}, {"angle": points}))
+
+    assert measured(2, 3).values.shape == measured(6).values.shape == (9, 2, 3)
+    with pytest.raises(RecordingError, match=r"samples of shape \(3, 2\); those of this robot have \(2, 3\)"):
+        measured(3, 2)
+
+
+def test_an_error_says_which_recording_it_is_of(paths):
+    good, robot = recording(paths, [], 0), ModelRobot(*paths, threads=1)
+    bad = replace(recording(paths, [], 1), commands={"goal": Signal(np.array([0.0, 1.0]), np.array([[0.0], [np.nan]]))})
+    with pytest.raises(RecordingError, match=r"^recording 2: the command 'goal' has missing numbers, first at 1 s"):
+        diagnose(robot, [good, bad])
+    with pytest.raises(RecordingError, match=r"^held-out recording 1: the command 'goal'"):
+        diagnose(robot, [good], [bad])
+
+
 def test_a_signal_by_another_clock_is_refused(paths):
     given = recording(paths, [], 0)
     later = {name: replace(signal, time=signal.time + 1000.0) for name, signal in given.signals.items()}

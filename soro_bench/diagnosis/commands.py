@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from soro_bench.files import check_output
+from soro_bench.files import check_output, results_folder
 from soro_bench.options import EnvId, Parallel
 from soro_bench.parallel import HERE
 from soro_bench.progress import StageBars, console
@@ -63,10 +63,9 @@ class Diagnose:
 
         if not self.recordings:
             raise ValueError("no recording to explain; give one or more .parquet files")
-        self.out.mkdir(parents=True, exist_ok=True)
-        robot = self._robot()
-        recordings, heldout = ([load(path) for path in paths] for paths in (self.recordings, self.heldout))
-        with console.status("") as status:
+        with results_folder(self.out), console.status("") as status:
+            robot = self._robot()
+            recordings, heldout = ([load(path) for path in paths] for paths in (self.recordings, self.heldout))
             found = diagnose(robot, recordings, heldout, self.seed, lambda stage: status.update(f"{stage} ..."))
             status.update("report ...")
             text = write_reports(found, recordings, self.out)

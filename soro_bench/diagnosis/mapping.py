@@ -68,6 +68,7 @@ _OBJECTS = {
 }
 _DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_length0", "tendon_invweight0")
 _WIDTH = {"mjJNT_FREE": 6, "mjJNT_BALL": 3}  # degrees of freedom of a joint; others have one
+_SOME = 20  # names in a message
 _FAR = 100.0  # deviations, the bounds of a parameter that is added
 
 
@@ -170,7 +171,10 @@ def commands_of(model, table) -> list[tuple[str, list[int], str | None]]:
         unit = entry.get("unit")
         if not isinstance(unit, str | None):
             raise ModelError(f"[commands.{name}] unit is {unit!r}; expected a text")
-        found.append((name, [element(model, mujoco.mjtObj.mjOBJ_ACTUATOR, one) for one in actuators], unit))
+        try:
+            found.append((name, [element(model, mujoco.mjtObj.mjOBJ_ACTUATOR, one) for one in actuators], unit))
+        except ModelError as error:
+            raise ModelError(f"[commands.{name}]: {error}") from error
     if model.nu and not found:
         raise ModelError("the mapping has no [commands.<name>], and the model has actuators; say what moves them")
     return found
@@ -186,14 +190,14 @@ def check_unit(command, name: str, unit: str | None) -> None:
 def held(recording, name, times, columns) -> np.ndarray:
     """(T, columns) the last numbers of a command until each of the times [s], or the first ones."""
     if name not in recording.commands:
-        raise RecordingError(f"the recording has no command {name!r}; it has {sorted(recording.commands)}")
+        raise RecordingError(f"no command {name!r}, which the mapping names; there are {sorted(recording.commands)}")
     command = recording.commands[name]
     values = command.values.reshape(len(command.time), -1)
     if values.shape[1] != columns:
         raise RecordingError(f"command {name!r} has {values.shape[1]} columns; expected {columns}")
     held = values[np.maximum(latest(command, times), 0)]
-    if np.isnan(held).any():
-        raise RecordingError(f"the command {name!r} has missing numbers")
+    if (missing := np.isnan(held).any(axis=1)).any():
+        raise RecordingError(f"the command {name!r} has missing numbers, first at {times[missing.argmax()]:.6g} s")
     return held
 
 
@@ -281,8 +285,17 @@ def _springs(model) -> int:
 def element(model, kind, name) -> int:
     """MuJoCo's number of an element."""
     if not isinstance(name, str) or (number := mujoco.mj_name2id(model, kind, name)) < 0:
-        raise ModelError(f"the model has no {kind.name[6:].lower()} {name!r}")
+        raise ModelError(f"the model has no {kind.name[6:].lower()} {name!r}; it has {_names(model, kind)}")
     return number
+
+
+def _names(model, kind) -> str:
+    """Those of the model's elements of a kind, or the first of many."""
+    label = kind.name[6:].lower()
+    count = getattr(model, {"joint": "njnt", "actuator": "nu"}.get(label, f"n{label}"))
+    found = [mujoco.mj_id2name(model, kind, i) for i in range(count)]
+    own = [name for name in found if name and not name.startswith(AUXILIARY)]
+    return ", ".join(own[:_SOME] + ["..."] * (len(own) > _SOME)) or "none with a name"
 
 
 def joint(model, name) -> int:

@@ -33,6 +33,7 @@ _LARGE = 1e6  # of a signal, in its unit: the simulation has diverged
 # time step of a small model costs less than what calls it
 _FREEDOM, _MOST_SIMULATIONS = 2000, 256
 _SHARE = 0.3  # of an actuator's range, how far a proposed motion goes
+_BEYOND = 1e-3  # of an actuator's range, by which a command may be outside of it
 
 
 class ModelRobot(Robot):
@@ -105,7 +106,19 @@ class ModelRobot(Robot):
         for name, actuators, unit in self._commands:
             actions[:, actuators] = held(recording, name, self._times(recording, steps), len(actuators))
             check_unit(recording.commands[name], name, unit)
+            for actuator in actuators:
+                self._check_range(name, actuator, actions[:, actuator])
         return actions
+
+    def _check_range(self, command, actuator, asked):
+        """Refuse what MuJoCo would cut off."""
+        model, (low, high) = self._model, self._model.actuator_ctrlrange[actuator]
+        beyond = max(low - asked.min(), asked.max() - high)
+        if model.actuator_ctrllimited[actuator] and beyond > _BEYOND * (high - low):
+            raise RecordingError(
+                f"the command {command!r} is from {asked.min():g} to {asked.max():g}; the model cuts off what is not "
+                f"within the ctrlrange of actuator {model.actuator(actuator).name!r}, {low:g} to {high:g}"
+            )
 
     def settings(self, recording: Recording, steps: int) -> np.ndarray | None:
         """(steps, S) of the mapping's settings, as multiples of their references."""
@@ -115,6 +128,12 @@ class ModelRobot(Robot):
     def begins(self, recording: Recording) -> float:
         """With the first of the commands that the mapping names."""
         return recording.control_steps(self._named, self.control_timestep)[0]
+
+    @property
+    def setpoint_unit(self) -> str:
+        """What the mapping says that commands are in."""
+        units = {unit for _, _, unit in self._commands}
+        return units.pop() if len(units) == 1 and None not in units else super().setpoint_unit
 
     @property
     def _named(self) -> list[str]:
@@ -137,18 +156,21 @@ class ModelRobot(Robot):
         shares = moved / np.maximum(np.abs(moved).max(axis=0), 1e-12)
         return np.where(self._model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR, actions, shares)
 
-    def commanded(self, rates: np.ndarray) -> np.ndarray:
-        """(T, nu) setpoints that go the way of rates (T, nu), within a share of each actuator's range on both sides of
-        zero, or of what is nearest to it; or, where controls are rates, those that lead the same way."""
+    def commanded(self, rates: np.ndarray, recorded: np.ndarray) -> np.ndarray:
+        """(T, nu) setpoints that go the way of rates (T, nu), within a share of each actuator's range (of what is
+        recorded if it has none) on both sides of zero, or of what is nearest to it; or, where controls are rates, those
+        that lead the same way."""
         way, model = np.cumsum(rates, axis=0), self._model
         integrates = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR
         limited = np.where(integrates, model.actuator_actlimited, model.actuator_ctrllimited).astype(bool)
         ranges = np.where(integrates[:, None], model.actuator_actrange, model.actuator_ctrlrange)
-        low, high = np.where(limited[:, None], ranges, (-1.0, 1.0)).T
+        been = np.where(integrates, np.cumsum(recorded, axis=0) * self.control_timestep, recorded)
+        low, high = np.where(limited, ranges.T, (been.min(axis=0), been.max(axis=0)))
         reach = _SHARE * (high - low)
         moved = way / max(np.abs(way).max(), 1e-9) * reach
         speeds = np.diff(moved, axis=0, prepend=0.0) / self.control_timestep
-        fastest = np.where(model.actuator_ctrllimited, np.abs(model.actuator_ctrlrange).min(axis=1), np.inf)
+        bounds = np.abs(model.actuator_ctrlrange).min(axis=1)
+        fastest = np.where(model.actuator_ctrllimited, bounds, np.abs(recorded).max(axis=0))
         slower = np.maximum(np.abs(speeds).max(axis=0) / np.maximum(fastest, 1e-9), 1.0)
         return np.where(integrates, speeds / slower, np.clip(0.0, low + reach, high - reach) + moved)
 
@@ -206,7 +228,13 @@ class ModelRobot(Robot):
 
 
 def _spec(path) -> mujoco.MjSpec:
-    return instrument(mujoco.MjSpec.from_file(str(path)))
+    spec, folder = mujoco.MjSpec.from_file(str(path)), Path(path).resolve().parent
+    # a patched model, which lies elsewhere, finds the same files
+    if spec.meshes or spec.hfields or spec.skins:
+        spec.meshdir = str(folder / spec.meshdir)
+    if spec.textures:
+        spec.texturedir = str(folder / spec.texturedir)
+    return instrument(spec)
 
 
 def _compiled(path) -> mujoco.MjModel:

@@ -20,6 +20,7 @@ from soro_bench.diagnosis.propose import Proposal, proposed
 from soro_bench.diagnosis.robot import FITTED, Robot
 from soro_bench.diagnosis.suspects import suspects
 from soro_bench.inference.clouds import LowRank
+from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread, side_by_side
 from soro_bench.recording.recording import Recording, RecordingError
 
@@ -79,6 +80,7 @@ class Diagnosis:
 
 
 @one_blas_thread
+@quiet()
 def diagnose(
     robot: Robot,
     recordings: Sequence[Recording],
@@ -122,11 +124,21 @@ def diagnose(
     return replace(found, proposal=proposal, seconds=time.perf_counter() - start)
 
 
+def _named(label: str, function, recording: Recording):
+    try:
+        return function(recording)
+    except RecordingError as error:
+        raise RecordingError(f"{label}: {error}") from error
+
+
 def _measured(robot, *groups: Sequence[Recording]) -> list[tuple[Measured, ...]]:
-    """What the diagnosis sees of the recordings of each group, the first of which is explained."""
+    """What the diagnosis sees of the recordings to explain, and of held-out ones."""
     if not groups[0]:
         raise RecordingError("there is no recording to explain")
-    found = [tuple(robot.measured(each) for each in group) for group in groups]
+    found = [
+        tuple(_named(f"{label}recording {number}", robot.measured, each) for number, each in enumerate(group, 1))
+        for label, group in zip(("", "held-out "), groups, strict=True)
+    ]
     for i, j in itertools.combinations([each for group in groups for each in group], 2):
         if _same(robot, i, j):
             raise RecordingError("two of the recordings are the same; what is explained twice is no more certain, and "

@@ -45,6 +45,11 @@ class Problem:
         """Number of parameters, which come first among the unknowns."""
         return len(self.robot.priors)
 
+    @property
+    def recorded(self) -> np.ndarray:
+        """(S, ...) the actions of all recordings."""
+        return np.concatenate([each.actions for each in self.recordings])
+
     def simulated(self, robot: Robot, points: Sequence[tuple[np.ndarray, Sequence[Suspect]]]) -> np.ndarray:
         """(N, M) [signal's unit] by a robot, for N points: unknowns, and suspects they belong to."""
         d = self.parameters

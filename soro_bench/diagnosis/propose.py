@@ -134,7 +134,7 @@ def predictions(
     """
     first = problem.recordings[0]
     seen = np.isfinite(first.values).any(axis=0)  # not what it never sees
-    asked = replace(problem, recordings=(first.under(problem.robot.commanded(actions)),))
+    asked = replace(problem, recordings=(first.under(problem.robot.commanded(actions, problem.recorded)),))
     values = asked.simulated(problem.robot, points).reshape(len(points), len(actions), *seen.shape)
     values = values[:, :, seen] - values[:, :, seen].mean(axis=1, keepdims=True)
     return values.reshape(len(points), -1) / problem.sigma

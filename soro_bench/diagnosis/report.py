@@ -43,7 +43,8 @@ def write_json_report(diagnosis: Diagnosis, folder: str | Path) -> dict:
     if isinstance(diagnosis.robot, SuiteRobot):  # the others are not trained on
         write_json(folder / "posterior.json", posterior(diagnosis).to_dict())
     if diagnosis.proposal:
-        actions = diagnosis.robot.commanded(diagnosis.proposal.motion.actions)
+        rates, recorded = diagnosis.proposal.motion.actions, diagnosis.explanation.problem.recorded
+        actions = diagnosis.robot.commanded(rates, recorded)
         write_actions(folder / NEXT_ACTIONS, diagnosis.robot.control_timestep, actions)
     else:
         (folder / NEXT_ACTIONS).unlink(missing_ok=True)  # of an earlier diagnosis

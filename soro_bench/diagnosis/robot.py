@@ -1,6 +1,7 @@
 """The robot of a diagnosis: a simulation that replays a recording under parameters and effects."""
 
 import itertools
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -145,8 +146,9 @@ class Robot(ABC):
 
     @property
     def setpoint_unit(self) -> str:
-        """Of all actuators: lengths where they pull tendons."""
-        return "m" if self.pulls_cables else "setpoint"
+        """Of all actuators: lengths where they are servos that pull tendons."""
+        servos = self.elements.model.actuator_biasprm[:, 1] != 0
+        return "m" if self.pulls_cables and servos.all() else "setpoint"
 
     @property
     def moves(self) -> np.ndarray:
@@ -173,8 +175,12 @@ class Robot(ABC):
         """(T, A) how fast actions (T, A) move each channel, in any unit."""
         return actions
 
-    def commanded(self, rates: np.ndarray) -> np.ndarray:
-        """(T, A) actions that move as rates (T, A) from -1 to 1 do, one column per channel."""
+    def commanded(self, rates: np.ndarray, recorded: np.ndarray) -> np.ndarray:
+        """(T, A) actions that move as rates (T, A) from -1 to 1 do, one column per channel.
+
+        Args:
+            recorded: (S, A) actions that the robot has done, where nothing else says how far it may go.
+        """
         return rates
 
     def parameters(self, x: np.ndarray) -> dict[str, float]:
@@ -209,15 +215,17 @@ class Robot(ABC):
         """The part of a recording that a diagnosis uses; RecordingError says what it lacks."""
         actions = self.actions(recording)
         if self.signal not in recording.signals:
-            raise RecordingError(f"the recording has no {self.signal}; it has {', '.join(recording.names)}")
+            raise RecordingError(f"the recording has no signal {self.signal!r}; it has {', '.join(recording.names)}")
         given = recording.signals[self.signal]
         if (given.unit, given.frame) != (self.unit, self.frame):
             raise RecordingError(
                 f"{self.signal} is in {given.unit!r}, frame {given.frame!r}; expected are {self.unit!r}, {self.frame!r}"
             )
-        if given.values[0].size != np.prod(self.shape):
-            shapes = f"{given.values.shape[1:]}; those of this robot have {self.shape}"
-            raise RecordingError(f"{self.signal} has samples of shape {shapes}")
+        shape = given.values.shape[1:]
+        if math.prod(shape) != math.prod(self.shape) or (len(shape) > 1 and shape != self.shape):
+            raise RecordingError(
+                f"{self.signal} has samples of shape {shape}; those of this robot have {self.shape}, points first"
+            )
         _check_clocks(self.signal, given.time, [command.time for command in recording.commands.values()])
         begin = self.begins(recording)
         times = begin + self.control_timestep * np.arange(1, len(actions) + 1)

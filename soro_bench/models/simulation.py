@@ -1,6 +1,7 @@
 """N simulations of one model, each with its own physical parameters, on ``mujoco.batch``."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,6 +12,18 @@ from mujoco.batch import Batch
 from soro_bench.effects.effect import Effect, EffectError
 from soro_bench.effects.runtime import ActiveEffects
 from soro_bench.parameters import ParameterSet
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """MuJoCo neither prints nor logs its warnings; states that diverge are counted by ``Simulation.bad_states``."""
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(lambda message: None)
+    try:
+        yield
+    finally:
+        mujoco.set_mju_user_warning(before)
+
 
 _BAD_STATE = [
     int(warning)
