@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.fit import Guess, Hypothesis, bounds, fitted
+from soro_bench.diagnosis.fit import Guess, Hypothesis, bounds, fitted, fitted_under_floor
 from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.localise import windows
 from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
@@ -101,6 +101,17 @@ def test_the_numerical_floor_leaves_out_on_both_sides_what_a_finer_model_cannot_
     assert np.array_equal(numerical_floor(given, [finer], [(np.append(np.zeros(5), 0.5), [stiffer])]), plain)
 
 
+@pytest.mark.parametrize("refined", [0, 1])
+def test_a_fit_beside_its_numerical_floor_is_that_after_it(robot, actions, refined):
+    given, finer, guesses = problem(robot, actions[:10]), robot.refined()[:refined], [Guess(np.full(5, 0.1))]
+    points = [(np.zeros(5), ())]
+    beside, (one,) = fitted_under_floor(given, finer, points, guesses, (0.3, 0.1), seed=3)
+    after = given.with_floor(numerical_floor(given, finer, points))
+    (other,) = fitted(after, guesses, (0.3, 0.1), seed=3)
+    assert np.array_equal(beside.floor.basis, after.floor.basis)
+    assert np.array_equal(one.x, other.x) and one.cost == other.cost
+
+
 def test_a_recording_of_something_else_is_refused(robot):
     metadata = {"env_id": "TrunkReach-v0", "action": "continuous"}
     commands = {"action": Signal(0.05 * np.arange(5), np.zeros((5, 8)), "1")}
@@ -108,7 +119,7 @@ def test_a_recording_of_something_else_is_refused(robot):
     millimetres = Signal(times, np.zeros((6, 21, 3)), "mm", "world")
     with pytest.raises(RecordingError, match="'mm'"):
         robot.measured(Recording(commands, {"keypoints": millimetres}, {}, metadata))
-    with pytest.raises(RecordingError, match="no keypoints"):
+    with pytest.raises(RecordingError, match="no signal 'keypoints'"):
         robot.measured(Recording(commands, {"tip": Signal(times, np.zeros((6, 3)), "m")}, {}, metadata))
     with pytest.raises(RecordingError, match="shape"):
         robot.measured(

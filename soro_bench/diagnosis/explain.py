@@ -10,8 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from soro_bench.diagnosis.fit import Guess, Hypothesis, allowing, fitted
-from soro_bench.diagnosis.floor import numerical_floor
+from soro_bench.diagnosis.fit import Guess, Hypothesis, allowing, fitted_under_floor
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.refit import (
     CLEAN,
@@ -99,10 +98,9 @@ def nominal_fit(problem: Problem, refined: Sequence[Robot], seed: int, progress=
     draws[0] = 0.0
     guess = Guess(np.zeros(d))
     for k, radii in enumerate(RADII):
-        progress("numerical floor")
-        problem = problem.with_floor(numerical_floor(problem, refined, [(x, ()) for x in draws]))
-        progress("joint fit of the parameters")
-        (fit,) = fitted(problem, [guess], radii, SEEDS * seed + k)
+        progress("numerical floor and joint fit of the parameters")
+        points = [(x, ()) for x in draws]
+        problem, (fit,) = fitted_under_floor(problem, refined, points, [guess], radii, SEEDS * seed + k)
         problem, (fit,) = allowing(problem, fit, [fit])
         guess = Guess(fit.x, slope=fit.slope)
         draws = np.clip(fit.x + NEAR[k] * rng.standard_normal((1, d)), -2, 2)
@@ -296,8 +294,8 @@ def _with_own_floor(problem, refined, hypotheses, seed):
     points: dict[tuple, tuple] = {}
     for h in hypotheses:
         points.setdefault(tuple((CATEGORIES[s.name], s.where) for s in h.suspects), (h.x, h.suspects))
-    problem = problem.with_floor(numerical_floor(problem, refined, list(points.values())[:FLOORS]))
-    again = fitted(problem, [Guess(h.x, h.suspects, h.slope) for h in hypotheses], (LAST,), seed)
+    chosen, guesses = list(points.values())[:FLOORS], [Guess(h.x, h.suspects, h.slope) for h in hypotheses]
+    problem, again = fitted_under_floor(problem, refined, chosen, guesses, (LAST,), seed)
     before = [_again(problem, h) for h in hypotheses]
     return problem, [min(pair, key=lambda h: h.cost) for pair in zip(before, again, strict=True)]
 

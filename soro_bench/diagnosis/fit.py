@@ -11,7 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from soro_bench.diagnosis.floor import Points, floor_and_residuals
 from soro_bench.diagnosis.problem import Problem
+from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.suspects import Suspect, effects_at
 from soro_bench.effects.effect import Effect
 from soro_bench.inference.clouds import LENGTHS, LowRank, cloud, linearised
@@ -70,17 +72,24 @@ class Guess:
     slope: np.ndarray | None = None
 
 
-def fitted(problem: Problem, guesses: Sequence[Guess], scales: Sequence[float], seed: int) -> list[Hypothesis]:
+def fitted(
+    problem: Problem,
+    guesses: Sequence[Guess],
+    scales: Sequence[float],
+    seed: int,
+    first: Sequence[np.ndarray] | None = None,
+) -> list[Hypothesis]:
     """The most probable unknowns of several hypotheses, whose replays run together.
 
     Args:
         scales: radii of the clouds, in standard deviations of the priors.
+        first: residuals (N, M) of the first cloud of each guess, where it has been replayed.
     """
     best: list[Hypothesis] = []
-    guesses = [replace(g, x=np.clip(g.x, *bounds(problem, g.suspects))) for g in guesses]
+    guesses = _within(problem, guesses)
     for k, scale in enumerate(scales):
-        clouds = [_cloud(problem, guess, scale, [seed, k]) for guess in guesses]
-        found = replayed(problem, guesses, clouds)
+        clouds = _clouds(problem, guesses, scale, [seed, k])
+        found = first if k == 0 and first is not None else replayed(problem, guesses, clouds)
         lines = [linearised(g.x, points, rows, g.slope) for g, points, rows in zip(guesses, clouds, found, strict=True)]
         trials = [_trials(problem, guess, line) for guess, line in zip(guesses, lines, strict=True)]
         found = replayed(problem, guesses, trials)
@@ -94,6 +103,19 @@ def fitted(problem: Problem, guesses: Sequence[Guess], scales: Sequence[float], 
     return best
 
 
+def fitted_under_floor(
+    problem: Problem, refined: Sequence[Robot], points: Points, guesses: Sequence[Guess], scales: Sequence[float],
+    seed: int,
+) -> tuple[Problem, list[Hypothesis]]:  # fmt: skip
+    """The problem with the numerical floor at points too, and fits under it, whose first clouds need no floor and are
+    replayed beside it."""
+    guesses = _within(problem, guesses)
+    clouds = _clouds(problem, guesses, scales[0], [seed, 0])
+    floor, found = floor_and_residuals(problem, refined, points, _asked(guesses, clouds))
+    problem = problem.with_floor(floor)
+    return problem, fitted(problem, guesses, scales, seed, _split(found, clouds))
+
+
 def _hypotheses(problem, guess, points, residuals, line):
     return [
         Hypothesis(guess.suspects, x, row, problem.cost(row, x), line.slope, line.error)
@@ -105,9 +127,23 @@ def replayed(
     problem: Problem, guesses: Sequence[Guess | Hypothesis], groups: Sequence[Sequence[np.ndarray]]
 ) -> list[np.ndarray]:
     """Residuals (N, M) at the points (N, n) of each guess, replayed together."""
-    asked = [(x, guess.suspects) for guess, points in zip(guesses, groups, strict=True) for x in points]
-    ends = np.cumsum([len(points) for points in groups])
-    return np.split(problem.residuals(asked), ends[:-1])
+    return _split(problem.residuals(_asked(guesses, groups)), groups)
+
+
+def _asked(guesses, groups):
+    return [(x, guess.suspects) for guess, points in zip(guesses, groups, strict=True) for x in points]
+
+
+def _split(rows, groups):
+    return np.split(rows, np.cumsum([len(points) for points in groups])[:-1])
+
+
+def _within(problem, guesses):
+    return [replace(g, x=np.clip(g.x, *bounds(problem, g.suspects))) for g in guesses]
+
+
+def _clouds(problem, guesses, scale, seed):
+    return [_cloud(problem, guess, scale, seed) for guess in guesses]
 
 
 def bounds(problem: Problem, suspects: Sequence[Suspect]) -> np.ndarray:

@@ -17,19 +17,31 @@ from soro_bench.diagnosis.suspects import Suspect
 from soro_bench.effects.effect import EVERY
 from soro_bench.parallel import side_by_side
 
+Points = Sequence[tuple[np.ndarray, Sequence[Suspect]]]  # unknowns, and the suspects that they belong to
 
-def numerical_floor(problem: Problem, refined: Sequence[Robot], points: Sequence[tuple[np.ndarray, Sequence[Suspect]]]):
-    """(F, M) differences [signal's unit] of refined replays from plain ones, at points: unknowns and suspects.
+
+def numerical_floor(problem: Problem, refined: Sequence[Robot], points: Points) -> np.ndarray:
+    """(F, M) differences [signal's unit] of refined replays from plain ones, at points.
 
     The accurate model has other parts: an effect that has no place in it is left out on both sides.
     """
-    if not refined:
-        return np.zeros((0, problem.weight.size))
+    return floor_and_residuals(problem, refined, points, ())[0]
+
+
+def floor_and_residuals(
+    problem: Problem, refined: Sequence[Robot], points: Points, others: Points
+) -> tuple[np.ndarray, np.ndarray]:
+    """The numerical floor at points, and the residuals (N, M) at others, which are replayed meanwhile: there are too
+    few replays of each refined robot to keep all processors busy."""
     common = [[_common(problem, finer, *point) for point in points] for finer in refined]
-    # there are too few replays of each robot to keep its threads busy
-    robots, asked = [*refined, problem.robot], [*common, list(itertools.chain(*common))]
-    *finer, plain = side_by_side(problem.robot.simulation.batch.nthread, problem.simulated, robots, asked)
-    return np.nan_to_num(np.concatenate(finer) - plain)
+    plain = [*itertools.chain(*common), *others]
+    robots, asked = [*refined, problem.robot], [*common, plain]
+    if not plain:
+        return np.zeros((0, problem.weight.size)), np.zeros((0, problem.weight.size))
+    *finer, found = side_by_side(problem.robot.simulation.batch.nthread, problem.simulated, robots, asked)
+    count = len(plain) - len(others)
+    error = np.concatenate(finer) - found[:count] if finer else found[:0]
+    return np.nan_to_num(error), problem.residuals_of(found[count:])
 
 
 def _common(problem, finer, x, suspects):

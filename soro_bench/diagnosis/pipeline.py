@@ -12,7 +12,7 @@ from soro_bench.diagnosis.audit import Audit, audit, noise, outliers
 from soro_bench.diagnosis.compare import Answer, Comparison, compared, shortlist
 from soro_bench.diagnosis.explain import Explanation, explained, nominal_fit
 from soro_bench.diagnosis.fit import Hypothesis
-from soro_bench.diagnosis.floor import numerical_floor
+from soro_bench.diagnosis.floor import floor_and_residuals
 from soro_bench.diagnosis.measured import Measured
 from soro_bench.diagnosis.probe import Place, places
 from soro_bench.diagnosis.problem import Problem
@@ -188,8 +188,8 @@ def tried_on(
     tested = replace(unexplained(problem.robot, measured, problem.sigma), noise=problem.noise)
     tested = _masked(tested, _outliers(tested, tested.residuals([(found.nominal.x, ())])[0]))
     points = [(h.x, h.suspects) for h in hypotheses]
-    tested = tested.with_floor(numerical_floor(tested, refined, points))
-    return tested, tested.residuals(points)
+    floor, residuals = floor_and_residuals(tested, refined, points, points)
+    return tested.with_floor(floor), residuals
 
 
 def _outliers(problem: Problem, residual: np.ndarray) -> np.ndarray:

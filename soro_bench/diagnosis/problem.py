@@ -61,8 +61,12 @@ class Problem:
 
     def residuals(self, points: Sequence[tuple[np.ndarray, Sequence[Suspect]]]) -> np.ndarray:
         """(N, M) measured less simulated, in units of sigma, of N points."""
+        return self.residuals_of(self.simulated(self.robot, points))
+
+    def residuals_of(self, simulated: np.ndarray) -> np.ndarray:
+        """The same of what has been simulated (N, M) [signal's unit]."""
         measured = np.concatenate([each.values.ravel() for each in self.recordings])
-        residual = (np.nan_to_num(measured) - self.simulated(self.robot, points)) / self.sigma
+        residual = (np.nan_to_num(measured) - simulated) / self.sigma
         return np.nan_to_num(residual, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED) * self.weight
 
     def with_floor(self, columns: np.ndarray) -> "Problem":
