@@ -18,6 +18,16 @@ from soro_bench.recording.rerun_log import write_recording
 from soro_bench.registration import task_type
 
 REFERENCES = ("oracle", "no_dr")  # methods that others are compared with: the first one that a board has
+HEADLINES = {  # gates by which diagnoses are compared at a glance, and what they are called there
+    "false alarms": "false alarms",
+    "first answer right": "first right",
+    "class right": "class right",
+    "expected calibration error": "calibration error",
+    "unseen motion: variance explained, median, numerical error off": "unseen explained",
+    "unknown called unknown": "unknown found",
+    "unknown called so, at the right place": "and located",
+    "seconds, median": "seconds",
+}
 _HERE = Path(__file__).parent
 
 
@@ -43,7 +53,8 @@ def build(
         _record(group, out / _recording(group))
     progress("statistics")
     sections = [_board_section(board, members, out) for board, members in boards.items()]
-    text = _render(boards=sections, diagnoses=[_diagnosis_section(i, entry) for i, entry in enumerate(diagnoses)])
+    scored = sorted((_diagnosis_section(i, entry) for i, entry in enumerate(diagnoses)), key=_rank)
+    text = _render(boards=sections, diagnoses=scored, headlines=HEADLINES)
     for path, entry in (member for group in groups for member in group.entries):
         _copy(path.read_bytes(), out / "results" / path.relative_to(results))
         file = path.with_name(entry["policy"]["file"])
@@ -154,7 +165,23 @@ def _diagnosis_section(number: int, entry: dict) -> dict:
         figures = [(alt, plot_calibration(entry["calibration"], f"diagnosis-{number}"))]
     worst = sorted(entry["confusion"], key=lambda pair: -pair["cases"])
     columns = [name for name in (entry["ablations"] or [{}])[0] if name != "variant"]
-    return entry | {"figures": figures, "worst": worst, "columns": columns}
+    barred = [gate["met"] for gate in entry["gates"] if gate["bar"] is not None and gate["value"] is not None]
+    by_name = {gate["gate"]: gate for gate in entry["gates"]}
+    return entry | {
+        "id": f"diagnosis-entry-{number}",
+        "met": sum(barred),
+        "barred": len(barred),
+        "by_name": by_name,
+        "figures": figures,
+        "worst": worst,
+        "columns": columns,
+    }
+
+
+def _rank(section: dict) -> tuple[float, float]:
+    """The more gates are met the better; then, the more often the first answer is right."""
+    first = section["by_name"].get("first answer right", {}).get("value")
+    return -section["met"], -(first or 0.0)
 
 
 def _render(**content) -> str:
