@@ -127,6 +127,11 @@ def test_no_magnitude_is_no_effect_with_a_refined_time_step_either(name, element
     assert np.array_equal(*runs)
 
 
+def test_a_time_step_is_not_refined_under_effects_that_know_it(elements):
+    with pytest.raises(RuntimeError, match="before there are effects"):
+        trunk([(effect(elements, "actuator_delay", "actuator"),)]).refine(2)
+
+
 def test_effects_end_with_their_assignment(elements, nominal):
     task = trunk([(effect(elements, "local_stiffness", "body"), effect(elements, "actuator_delay", "actuator"))])
     motion(task, steps=3)

@@ -66,6 +66,18 @@ def test_a_mapping_that_does_not_fit_is_refused_in_words(paths, old, new, messag
         ModelRobot(model, mapping)
 
 
+def test_an_actuator_that_is_not_there_is_refused_with_those_that_are(paths):
+    paths[1].write_text(MAP.replace('["motor"]', '["moter"]', 1))
+    with pytest.raises(ModelError, match=r"\[commands.goal\]: the model has no actuator 'moter'; it has motor"):
+        ModelRobot(*paths, threads=1)
+
+
+def test_setpoints_are_in_the_unit_that_the_mapping_says(paths):
+    assert ModelRobot(*paths, threads=1).setpoint_unit == "setpoint"
+    paths[1].write_text(MAP.replace('["motor"]', '["motor"]\nunit = "rad"', 1))
+    assert ModelRobot(*paths, threads=1).setpoint_unit == "rad"
+
+
 def test_a_finer_model_outside_the_folder_of_the_mapping_is_refused(paths):
     model, mapping = paths
     inner = mapping.parent / "inner"

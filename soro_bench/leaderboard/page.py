@@ -165,7 +165,7 @@ def _diagnosis_section(number: int, entry: dict) -> dict:
         figures = [(alt, plot_calibration(entry["calibration"], f"diagnosis-{number}"))]
     worst = sorted(entry["confusion"], key=lambda pair: -pair["cases"])
     columns = [name for name in (entry["ablations"] or [{}])[0] if name != "variant"]
-    barred = [gate["met"] for gate in entry["gates"] if gate["bar"] is not None and gate["value"] is not None]
+    barred = [gate["met"] for gate in entry["gates"] if gate["met"] is not None]
     by_name = {gate["gate"]: gate for gate in entry["gates"]}
     return entry | {
         "id": f"diagnosis-entry-{number}",

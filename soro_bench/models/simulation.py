@@ -13,6 +13,15 @@ from soro_bench.effects.effect import Effect, EffectError
 from soro_bench.effects.runtime import ActiveEffects
 from soro_bench.parameters import ParameterSet
 
+_BAD_STATE = [
+    int(warning)
+    for warning in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+]
+
 
 @contextmanager
 def quiet() -> Iterator[None]:
@@ -23,16 +32,6 @@ def quiet() -> Iterator[None]:
         yield
     finally:
         mujoco.set_mju_user_warning(before)
-
-
-_BAD_STATE = [
-    int(warning)
-    for warning in (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-    )
-]
 
 
 @dataclass(frozen=True)
