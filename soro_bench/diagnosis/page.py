@@ -247,8 +247,7 @@ def _residual_force(force) -> str:
     figure, axes = pyplot().subplots(figsize=(9, 3), layout="constrained")
     first = force.recording == 0
     for name, unit, values in zip(force.components, force.units, force.values[first].T, strict=True):
-        start = force.start[first]
-        axes.stairs(values, np.append(start, start[-1] + force.window), baseline=None, label=f"{name} [{unit}]")
+        axes.plot(force.start[first], values, label=f"{name} [{unit}]")
     axes.set(xlabel="time [s]")
     axes.legend(loc="upper right")
     return _image(figure)

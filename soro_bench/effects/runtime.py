@@ -8,7 +8,7 @@ from mujoco.batch import DATA_FIELDS, Batch
 
 from soro_bench.effects.catalogue import PHYSICS
 from soro_bench.effects.commands import SetpointLaw
-from soro_bench.effects.effect import Effect, EffectError, checked
+from soro_bench.effects.effect import Effect, EffectError, Port, checked
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.necks import NECKS
 
@@ -81,6 +81,17 @@ class ActiveEffects:
     def scaled(self, name: str) -> None:
         """Note that a law multiplies a model field before every time step."""
         self._scaled.setdefault(name, Scaled(self.batch.expand(name)))
+
+    def change(self, name: str, row: int, port: Port, quantity: str, value: float) -> None:
+        """Give an effect that acts in a simulation another value of a quantity, from the next time step on."""
+        law, i = next(
+            (law, i)
+            for law in self._laws
+            if law.name == name
+            for i in np.flatnonzero(law.rows == row)
+            if law.ports[i] == port
+        )
+        law.values[quantity][i] = value
 
     def restore(self, ids: np.ndarray) -> None:
         """Model fields that effects changed become nominal again."""

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from soro_bench.effects.effect import Effect, EffectError
+from soro_bench.effects.effect import Effect, EffectError, Port
 from soro_bench.effects.runtime import ActiveEffects
 from soro_bench.parameters import ParameterSet
 
@@ -95,6 +95,10 @@ class Simulation:
         except EffectError:
             return False
         return True
+
+    def change(self, name: str, row: int, port: Port, quantity: str, value: float) -> None:
+        """Give an effect that acts in simulation ``row`` another value of a quantity, from the next time step on."""
+        self._effects.change(name, row, port, quantity, value)
 
     @property
     def native(self) -> bool:
