@@ -29,7 +29,7 @@ from soro_bench.diagnosis.robot import Robot
 from soro_bench.effects.effect import Port
 
 WINDOW = 0.15  # s, times the number of directions
-FIRST, AGAIN, OF_A_KIND = 9, 5, 2  # places that are looked at once, and again; at least, of every kind
+FIRST, AGAIN, OF_A_KIND = 9, 6, 3  # places that are looked at once, and again; at least, of every kind
 ROUNDS = 2
 _SCALES = np.geomspace(0.03, 30.0, 13)  # of a force in a window, standard deviations of the prior in those units
 
@@ -60,38 +60,36 @@ class Place:
     force: Force
 
 
-def places(problem: Problem, robot: Robot, base: Hypothesis) -> list[Place]:
+def places(problem: Problem, robot: Robot, base: Hypothesis, refined: Sequence[Robot] = ()) -> list[Place]:
     """Where forces would explain most of what a hypothesis leaves, the best place first.
 
     Args:
         robot: that is pushed, with the time steps of its model.
+        refined: the same simulated more accurately.
     """
-    search, everything = Search(problem, robot, base), sources(problem, robot, base)
+    search, everything = Search(problem, robot, base, refined), sources(problem, robot, base)
     gains = _constant(problem, robot, base, everything)
-    driven = search.begin(_first(everything, gains, FIRST))
+    driven = search.begin(_leads(everything, gains))
     looked_at: dict[int, Driven] = {}
     for _ in range(ROUNDS):
         driven = search.better(driven)
         looked_at |= {id(one.source): one for one in driven}
-        driven = _first(driven, [one.promise for one in driven], AGAIN)
+        driven = sorted(driven, key=lambda one: -one.gain)[:AGAIN]
     best: dict[Port, Driven] = {}
     for one in sorted(looked_at.values(), key=lambda one: -one.gain):
         best.setdefault(one.where, one)
     return [Place(one.where, one.gain, _force(problem, search, one)) for one in best.values()]
 
 
-def _first(given: Sequence, gains: Sequence[float], count: int) -> list:
-    """Everything at the places that gain most: so many, and of every kind but measured points a few."""
-    at: dict[Port, float] = {}
-    for one, gain in zip(given, gains, strict=True):
-        at[one.where] = max(gain, at.get(one.where, -np.inf))
-    order, kinds = sorted(at, key=lambda where: -at[where]), Counter()
-    chosen = set(order[:count])
-    for where in order:
-        kinds[where.kind] += 1
-        if where.kind != "sensor" and kinds[where.kind] <= OF_A_KIND:
-            chosen.add(where)
-    return [one for one in given if one.where in chosen]
+def _leads(everything: Sequence[Source], gains: Sequence[float]) -> list[Source]:
+    """What gains most, and of every kind but faults of measured points a few."""
+    order, kinds, chosen = np.argsort(-np.asarray(gains), kind="stable"), Counter(), []
+    for rank, i in enumerate(order.tolist()):
+        kind = everything[i].pushes[0].kind, everything[i].where.kind
+        kinds[kind] += 1
+        if rank < FIRST or (not everything[i].measured and kinds[kind] <= OF_A_KIND):
+            chosen.append(everything[i])
+    return chosen
 
 
 def _force(problem, search, one: Driven) -> Force:

@@ -18,7 +18,7 @@ from scipy.linalg import block_diag, solve_triangular
 
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.problem import DIVERGED, Problem
-from soro_bench.diagnosis.pushes import Source, replayed
+from soro_bench.diagnosis.pushes import Source, replayed, told
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.effects.effect import Port
 from soro_bench.inference.clouds import LowRank
@@ -27,24 +27,51 @@ SPACING = 0.1  # s, of the nodes; piecewise constant forces of 0.15 s put a base
 MEMORY = 0.9  # s, after which a trunk is where it would be without a pulse
 UNKNOWNS = 1000  # of a place; in long recordings nodes are farther apart
 TIMES = (0.2, 0.6, 2.0)  # s, correlation of a force (Matern 3/2)
+LINEAR = False
+PARTS, SHAPES = (0.003, 0.03), 10  # of a linear force that are free in time, and principal components of the robot's shape
 SCALES = np.geomspace(0.03, 1000.0, 14)  # standard deviations of a force in units of the pushes
-LENGTHS = (0.35, 0.7, 1.0)  # of a step, tried
+LENGTHS, SMALLER = (0.15, 0.5, 1.0), (1.0, 8.0, 64.0, 512.0)  # of a step, tried, and how many times smaller forces than promise most
+PULSE = 1.0  # of a push, of differences
+STEP = 0.05  # standard deviations of the priors of parameters, of differences
 _JITTER = 1e-9
+
+
+class Covariance:
+    """Of parameters, numerical error and noise in units of the noise: I + Bᵀ B, of a basis B (F, M)."""
+
+    def __init__(self, basis: np.ndarray):
+        self.basis = basis
+        self._root = np.linalg.cholesky(np.eye(len(basis)) + basis @ basis.T)
+
+    def white(self, rows) -> np.ndarray:
+        """(C, F) of rows (C, M): products of rows less products of these are products with the inverse."""
+        return solve_triangular(self._root, np.asarray(rows @ self.basis.T).T, lower=True).T
+
+    def cost(self, residual: np.ndarray) -> float:
+        """Minus the logarithm of the probability of a residual (M,), but for a constant."""
+        squares = residual @ residual - (self.white(residual[None]) ** 2).sum()
+        return 0.5 * float(squares) + float(np.log(np.diag(self._root)).sum())
 
 
 @dataclass(frozen=True)
 class Driven:
     """A robot on which something acts.
 
-    values: (n, K) at the nodes. simulated: (M,) under it. gain: evidence (natural logarithm) against nothing acting.
-    promise: the same to first order, before the last step.
+    x: (d,) parameters. values: (n, K) at the nodes. simulated: (M,) under both. slope: (d, M) of the residual by the
+    parameters, where they were last replayed. error: (F, M) numerical error under what acts. root: Cholesky factor
+    (n K, n K) of the prior's covariance. occam: what the evidence loses by what else the values might have been. gain:
+    evidence (natural logarithm) against nothing acting.
     """
 
     source: Source
+    x: np.ndarray
     values: np.ndarray
     simulated: np.ndarray
-    gain: float
-    promise: float
+    slope: np.ndarray
+    error: np.ndarray
+    root: np.ndarray | None = None
+    occam: float = 0.0
+    gain: float = 0.0
 
     @property
     def where(self) -> Port:
@@ -98,126 +125,182 @@ class Grid:
             first += steps * self.sample
         return found
 
-    def root(self, correlation: float, components: int) -> np.ndarray:
-        """(n K, n K) Cholesky factor of the prior's correlation."""
+    def kernels(self, features: np.ndarray) -> list[np.ndarray]:
+        """(n, n) covariances of a force in one direction: free in time, and linear in features (n, F) and then free by a
+        part of that."""
+        free = [self._in_time(correlation) for correlation in TIMES]
+        linear = features @ features.T / features.shape[1]
+        return [linear + part**2 * free[1] for part in PARTS] if LINEAR else free
+
+    def _in_time(self, correlation: float) -> np.ndarray:
+        """(n, n) Matern 3/2 of each recording, whose correlation falls within so many seconds."""
         blocks = []
         for count in self.counts:
             lag = np.abs(np.subtract.outer(*[self.timestep * self.every * np.arange(count)] * 2)) / correlation
             blocks.append((1.0 + lag) * np.exp(-lag))
-        matrix = np.kron(block_diag(*blocks), np.eye(components))
-        return np.linalg.cholesky(matrix + _JITTER * np.eye(len(matrix)))
+        return block_diag(*blocks)
+
+
+def features(problem: Problem, grid: Grid, displacements: Sequence[np.ndarray]) -> np.ndarray:
+    """(n, F) what a force may be linear in: a constant, what the actuators were told, and where the robot is."""
+    steps = []
+    for told, each in zip(displacements, problem.recordings, strict=True):
+        values = each.values.reshape(len(each.values), -1)
+        values = np.where(np.isnan(values), np.nanmean(values, axis=0), values)
+        steps.append(np.concatenate([told, values], axis=1))
+    every = np.concatenate(steps)
+    width = displacements[0].shape[1]
+    told, moved = np.split(every - every.mean(axis=0), [width], axis=1)
+    moved = moved @ np.linalg.svd(moved, full_matrices=False)[2][:SHAPES].T
+    found = np.concatenate([np.ones((len(every), 1)), told, moved], axis=1)
+    found = found / np.maximum(np.sqrt((found**2).mean(axis=0)), 1e-12)
+    parts = np.split(found, np.cumsum(grid.steps)[:-1])
+    at = [np.minimum(grid.every * np.arange(count), len(part) - 1) for count, part in zip(grid.counts, parts, strict=True)]
+    return np.concatenate([part[i] for part, i in zip(parts, at, strict=True)])
 
 
 class Search:
-    """The search for forces at some places on a robot, which leaves what a hypothesis does."""
+    """The search for forces at some places on a robot, which leaves what a hypothesis does.
 
-    def __init__(self, problem: Problem, robot: Robot, base: Hypothesis):
-        self.problem, self.robot, self.base = problem, robot, base
-        # parameters are numerical error too: what their slopes make of a standard normal deviation
-        self._basis = np.concatenate([base.floor(problem).basis, base.slope])
-        self._root = np.linalg.cholesky(np.eye(len(self._basis)) + self._basis @ self._basis.T)
-        self.start = base.residual - base.x @ base.slope
+    Args:
+        refined: the robot simulated more accurately. What that changes depends on what acts: of a `flex` trunk one
+            motor of which moves another's cable, numerical error without that leaves thirteen times as much as with it.
+    """
+
+    def __init__(self, problem: Problem, robot: Robot, base: Hypothesis, refined: Sequence[Robot]):
+        self.problem, self.robot, self.base, self.refined = problem, robot, base, refined
+        self.d = problem.parameters
         nothing = [np.zeros((len(each.values), 0)) for each in problem.recordings]
-        (self._free,) = replayed(problem, robot, base, [(Source(()), nothing)])
+        self.told = told(problem, robot, base)
+        (self._free,) = replayed(problem, robot, base, [(base.x, Source(()), nothing)])
+        slope = base.slope[: self.d]
+        self._nothing = Covariance(np.concatenate([problem.floor.basis, slope])).cost(base.residual - base.x[: self.d] @ slope)
 
     def begin(self, sources: Sequence[Source]) -> list[Driven]:
         """Nothing acts."""
-        counts = [(sum(Grid(self.problem, len(each.pushes)).counts), len(each.pushes)) for each in sources]
-        return [
-            Driven(each, np.zeros(count), self._free, 0.0, 0.0) for each, count in zip(sources, counts, strict=True)
-        ]
+        base, found = self.base, []
+        for each in sources:
+            values = np.zeros((sum(Grid(self.problem, len(each.pushes)).counts), len(each.pushes)))
+            none = np.zeros((0, self._free.size))
+            found.append(Driven(each, base.x[: self.d], values, self._free, base.slope[: self.d], none))
+        return found
 
     def better(self, driven: Sequence[Driven]) -> list[Driven]:
         """The same one step of Gauss-Newton further."""
-        steps = [self._step(one, self._responses(one)) for one in driven]
-        tried = [
-            (one, one.values + length * (step.values - one.values))
-            for one, step in zip(driven, steps, strict=True)
-            for length in LENGTHS
-        ]
-        replays, found = iter(zip(tried, self._simulated(tried), strict=True)), []
-        for one, step in zip(driven, steps, strict=True):
-            trials = [one]
-            for (_, values), simulated in itertools.islice(replays, len(LENGTHS)):
-                trials.append(Driven(one.source, values, simulated, self._gain(values, simulated, step), 0.0))
-            found.append(replace(max(trials, key=lambda each: each.gain), promise=step.gain))
-        return found
+        tried = [trial for one in driven for trial in self._trials(one)]
+        simulated = self._simulated(self.robot, tried)
+        trials, found = iter([replace(one, simulated=row) for one, row in zip(tried, simulated, strict=True)]), []
+        for one in driven:
+            some = [self._weighed(each) for each in itertools.islice(trials, len(LENGTHS) * len(SMALLER))]
+            found.append(max([*([one] if one.root is not None else []), *some], key=lambda each: each.gain))
+        return self._with_own_error(found)
 
     def left(self, one: Driven) -> float:
         """rms [signal's unit] of what neither parameters, numerical error nor the force explain."""
-        rest = LowRank(self._basis).without(self._residual(one.simulated))
+        rest = LowRank(self._basis(one)).without(self._residual(one))
         return self.problem.sigma * float(np.sqrt((rest**2).sum() / self.problem.weight.sum()))
 
-    def _simulated(self, asked) -> list[np.ndarray]:
-        """(M,) each, of (driven, values) pairs: replays, but for faults of sensors."""
-        problem, found = self.problem, [np.zeros(0)] * len(asked)
-        replays = [i for i, (one, _) in enumerate(asked) if not one.source.measured]
-        acting = [(asked[i][0].source, self._grid(asked[i][0]).factors(asked[i][1])) for i in replays]
-        for i, row in zip(replays, replayed(problem, self.robot, self.base, acting) if acting else (), strict=True):
-            found[i] = row
-        for i, (one, values) in enumerate(asked):
+    def _basis(self, one: Driven) -> np.ndarray:
+        """Of the covariance: parameters are numerical error too, what their slopes make of a standard deviation."""
+        return np.concatenate([self.problem.floor.basis, one.error, one.slope])
+
+    def _with_own_error(self, driven: Sequence[Driven]) -> list[Driven]:
+        """The same with the numerical error under what acts."""
+        asked = [one for one in driven if not one.source.measured]
+        errors = {id(one): [] for one in asked}
+        for finer in self.refined if asked else ():
+            simulated = self._simulated(finer, asked)
+            for one, row in zip(asked, simulated, strict=True):
+                if np.isfinite(row).all():
+                    errors[id(one)].append(self.problem.residuals_of(row[None])[0] - self._beside(one.simulated))
+        return [self._weighed(replace(one, error=np.array(errors[id(one)]))) if errors.get(id(one)) else one for one in driven]
+
+    def _simulated(self, robot: Robot, asked: Sequence[Driven]) -> np.ndarray:
+        """(N, M) replays, but for faults of sensors."""
+        problem, found = self.problem, np.zeros((len(asked), self._free.size))
+        replays = [i for i, one in enumerate(asked) if not one.source.measured]
+        acting = [(asked[i].x, asked[i].source, self._grid(asked[i]).factors(asked[i].values)) for i in replays]
+        if acting:
+            found[replays] = replayed(problem, robot, self.base, acting)
+        for i, one in enumerate(asked):
             if one.source.measured:
-                factors = np.repeat(np.concatenate(self._grid(one).factors(values)), self._grid(one).sample, axis=0)
+                factors = np.repeat(np.concatenate(self._grid(one).factors(one.values)), self._grid(one).sample, axis=0)
                 found[i] = self._free - problem.sigma * (factors * one.source.rows(problem).T).sum(axis=1)
         return found
 
     def _grid(self, one: Driven) -> Grid:
         return Grid(self.problem, len(one.source.pushes))
 
-    def _residual(self, simulated: np.ndarray) -> np.ndarray:
-        moved = (simulated - self._free) / self.problem.sigma * self.problem.weight
-        return np.nan_to_num(self.start - moved, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED)
+    def _moved(self, simulated: np.ndarray) -> np.ndarray:
+        return (simulated - self._free) / self.problem.sigma * self.problem.weight
 
-    def _responses(self, one: Driven) -> sp.csr_array:
-        """(n K, M) change of the residual by a pulse at every node, in every direction."""
+    def _beside(self, simulated: np.ndarray) -> np.ndarray:
+        """(M,) the residual with the parameters of the hypothesis."""
+        return _finite(self.base.residual - self._moved(simulated))
+
+    def _residual(self, one: Driven) -> np.ndarray:
+        """(M,) the residual with the parameters in the middle of their priors, to first order."""
+        return _finite(self._beside(one.simulated) - one.x @ one.slope)
+
+    def _responses(self, one: Driven) -> tuple[np.ndarray, sp.csr_array]:
+        """(d, M) and (n K, M) change of the residual by the parameters, and by a pulse at every node in every
+        direction."""
         grid, size = self._grid(one), one.values.shape[1]
         combs = grid.combs()[:, :, None]
-        asked = [(one, one.values + comb * direction) for direction in np.eye(size) for comb in combs]
-        moved = (one.simulated - np.array(self._simulated(asked))) / self.problem.sigma * self.problem.weight
-        return _pulses(np.nan_to_num(moved).reshape(size, grid.apart, -1), grid)
+        pulsed = [replace(one, values=one.values + PULSE * comb * direction) for direction in np.eye(size) for comb in combs]
+        shifted = [replace(one, x=one.x + shift) for shift in STEP * np.eye(self.d)]
+        if one.root is None or one.source.measured:  # the slopes are known, or those of nothing acting
+            shifted = []
+        moved = np.nan_to_num(self._moved(one.simulated) - self._moved(self._simulated(self.robot, [*shifted, *pulsed])))
+        slope, rows = moved[: len(shifted)] / STEP, moved[len(shifted) :] / PULSE
+        return (slope if len(slope) else one.slope), _pulses(rows.reshape(size, grid.apart, -1), grid)
 
-    def _white(self, rows) -> np.ndarray:
-        """(C, F) of rows (C, M): their products with each other less those of this are products with the inverse of the
-        covariance of parameters, numerical error and noise."""
-        return solve_triangular(self._root, np.asarray(rows @ self._basis.T).T, lower=True).T
-
-    def _cost(self, residual: np.ndarray) -> float:
-        return 0.5 * float(residual @ residual - (self._white(residual[None]) ** 2).sum())
-
-    def _step(self, one: Driven, rows) -> "_Step":
-        """Where the evidence is largest, to first order."""
+    def _trials(self, one: Driven) -> list[Driven]:
+        """Towards where the evidence is largest, to first order, and where forces have to be smaller."""
         z, grid = one.values.ravel(), self._grid(one)
-        origin = self._residual(one.simulated) - rows.T @ z  # what the linear model says of no force
-        white = self._white(rows)
+        slope, rows = self._responses(one)
+        here = replace(one, slope=slope)
+        covariance = Covariance(self._basis(here))
+        origin = self._residual(here) - rows.T @ z  # what the linear model says of no force
+        white = covariance.white(rows)
         information = (rows @ rows.T).toarray() - white @ white.T
-        pull = rows @ origin - white @ self._white(origin[None])[0]
-        before, best = self._cost(self.start) - self._cost(origin), None
-        for correlation in TIMES:
-            root = grid.root(correlation, one.values.shape[1])
+        pull = rows @ origin - white @ covariance.white(origin[None])[0]
+        aims = []
+        for kernel in grid.kernels(features(self.problem, grid, self.told)):
+            root = np.linalg.cholesky(np.kron(kernel + _JITTER * np.eye(len(kernel)), np.eye(one.values.shape[1])))
             size, turn = np.linalg.eigh(root.T @ information @ root)
             size, turned = np.maximum(size, 0.0), turn.T @ (root.T @ pull)
             for scale in SCALES:
                 occam = 0.5 * float(np.log1p(scale**2 * size).sum())
-                gain = before + 0.5 * float((turned**2 / (size + scale**-2)).sum()) - occam
-                if best is None or gain > best.gain:
-                    values = -root @ turn @ (turned / (size + scale**-2))
-                    best = _Step(values.reshape(one.values.shape), gain, scale * root, occam)
-        return best
+                gain = 0.5 * float((turned**2 / (size + scale**-2)).sum()) - occam
+                aims.append((gain, scale, occam, root, -root @ (turn @ (turned / (size + scale**-2)))))
+        most = max(aims, key=lambda aim: aim[0])[1]
+        found = []
+        for smaller in SMALLER:
+            _, scale, occam, root, values = max((a for a in aims if a[1] <= 1.01 * most / smaller), key=lambda a: a[0], default=aims[0])
+            x = self._parameters(here, origin + rows.T @ values)
+            for length in LENGTHS:
+                moved = one.values + length * (values.reshape(one.values.shape) - one.values)
+                found.append(replace(here, x=one.x + length * (x - one.x), values=moved, root=scale * root, occam=occam))
+        return found
 
-    def _gain(self, values, simulated, step: "_Step") -> float:
-        prior = solve_triangular(step.root, values.ravel(), lower=True)
-        return self._cost(self.start) - self._cost(self._residual(simulated)) - 0.5 * float(prior @ prior) - step.occam
+    def _parameters(self, one: Driven, residual: np.ndarray) -> np.ndarray:
+        """(d,) the most probable ones, of the residual (M,) that is left in the middle of their priors."""
+        floor = LowRank(np.concatenate([self.problem.floor.basis, one.error]))
+        if one.source.measured:
+            return one.x
+        information = floor.product(one.slope, one.slope) + np.eye(self.d)
+        return -np.linalg.solve(information, floor.product(one.slope, residual[None])[:, 0])
+
+    def _weighed(self, one: Driven) -> Driven:
+        """With the evidence of its replay."""
+        prior = solve_triangular(one.root, one.values.ravel(), lower=True)
+        cost = Covariance(self._basis(one)).cost(self._residual(one)) + 0.5 * float(prior @ prior) + one.occam
+        return replace(one, gain=self._nothing - cost)
 
 
-@dataclass(frozen=True)
-class _Step:
-    """Values (n, K) that promise most evidence, ``gain``; the Cholesky factor (n K, n K) of their prior's covariance;
-    and what the evidence loses by what else they might have been (Occam's factor)."""
-
-    values: np.ndarray
-    gain: float
-    root: np.ndarray
-    occam: float
+def _finite(residual: np.ndarray) -> np.ndarray:
+    return np.nan_to_num(residual, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED)
 
 
 def _pulses(rows: np.ndarray, grid: Grid) -> sp.csr_array:

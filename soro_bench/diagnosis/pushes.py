@@ -1,7 +1,7 @@
 """What may act at a place, whatever it is: forces on tendons, bodies, joints and everything; setpoints and sensors that
 are off."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,28 +22,79 @@ _SETPOINT = "pretension", "offset"  # the law that moves a setpoint
 
 @dataclass(frozen=True)
 class Push:
-    """A force [N] or moment [N m] at a place, as generalised forces on the bodies or degrees of freedom ``numbers``:
-    along a tendon, on a body or all of them in a direction of the world, on a joint. In all it is ``amount`` [unit]."""
+    """A force [N] or moment [N m] at a place: along a tendon, on a body or all of them in a direction of the world, on
+    a joint of a body or where that has none about an axis of the neck before it. In all it is ``amount`` [unit].
+
+    kind: "tendon", "world" or "joint". axis: of the world, or of the neck.
+    """
 
     where: Port
     kind: str
     component: str
     unit: str
     amount: float
-    numbers: np.ndarray
-    sizes: np.ndarray
+    axis: int = 0
 
-    def act(self, robot: Robot, row: int, factor: float, before: float) -> None:
-        """Let ``factor`` times it act in a simulation until the next control step, after ``before`` times it."""
-        batch, model = robot.simulation.batch, robot.simulation.model
-        if self.kind == "world":  # where effects of the robot may push the same bodies
-            batch.xfrc_applied[row, self.numbers, AXES.index(self.component)] += (factor - before) * self.sizes
-        elif self.kind == "joint":
-            batch.qfrc_applied[row, self.numbers] = factor * self.sizes
-        else:
-            (tendon,) = self.numbers
-            entries = model.ten_J_rowadr[tendon] + np.arange(model.ten_J_rownnz[tendon])
-            batch.qfrc_applied[row, model.ten_J_colind[entries]] = -factor * self.sizes * batch.ten_J[row, entries]
+    def on(self, robot: Robot) -> "Act | None":
+        """What exerts it on a robot; None where that lacks the place."""
+        elements = robot.elements
+        if self.where not in robot.ports(self.where.kind):
+            return None
+        if self.kind == "tendon":
+            return _pull(robot, elements.id(self.where), self.amount)
+        if self.where.kind == "model":
+            return _push(np.arange(1, elements.model.nbody), self.axis, self.amount * elements.model.body_mass[1:])
+        body = elements.id(self.where)
+        if self.kind == "world":
+            return _push(np.array([body]), self.axis, np.array([self.amount]))
+        if self.component in [elements.model.joint(j).name for j in elements.joints_of(body)]:
+            return _turn(elements.model.joint(self.component).dofadr, self.amount)
+        flex = elements.flex_before(body)
+        return None if flex is None else _couple(robot, body, flex, self.axis, self.amount)
+
+
+# adds ``factor`` times a push to the wrenches (nbody, 6) on bodies and generalised forces (nv,) of simulation ``row``
+Act = Callable[[int, float, np.ndarray, np.ndarray], None]
+
+
+def _push(bodies, axis, sizes) -> Act:
+    def act(row, factor, wrench, force):
+        wrench[bodies, axis] += factor * sizes
+
+    return act
+
+
+def _turn(dof, size) -> Act:
+    def act(row, factor, wrench, force):
+        force[dof] += factor * size
+
+    return act
+
+
+def _pull(robot, tendon, size) -> Act:
+    batch, model = robot.simulation.batch, robot.simulation.model
+    entries = model.ten_J_rowadr[tendon] + np.arange(model.ten_J_rownnz[tendon])
+    columns = model.ten_J_colind[entries]
+
+    def act(row, factor, wrench, force):
+        force[columns] -= factor * size * batch.ten_J[row, entries]
+
+    return act
+
+
+def _couple(robot, far, flex, axis, size) -> Act:
+    batch, model = robot.simulation.batch, robot.simulation.model
+    first = model.flex_nodeadr[flex]
+    near = model.flex_nodebodyid[first : first + model.flex_nodenum[flex]].min()
+
+    def act(row, factor, wrench, force):
+        matrix = np.zeros(9)
+        mujoco.mju_quat2Mat(matrix, batch.xquat[row, near])
+        moment = factor * size * matrix.reshape(3, 3)[:, axis]
+        wrench[far, 3:] += moment
+        wrench[near, 3:] -= moment
+
+    return act
 
 
 @dataclass(frozen=True)
@@ -63,9 +114,13 @@ class Offset:
     def kind(self) -> str:
         return self.where.kind
 
-    def act(self, robot: Robot, row: int, factor: float, before: float) -> None:
-        """Let a setpoint be off by ``factor`` times as much until the next control step."""
-        robot.simulation.change(_SETPOINT[0], row, self.where, _SETPOINT[1], factor * self.amount)
+    def on(self, robot: Robot) -> "Act | None":
+        """What moves a setpoint of a robot on which ``Source.effects`` are."""
+
+        def act(row, factor, wrench, force):
+            robot.simulation.change(_SETPOINT[0], row, self.where, _SETPOINT[1], factor * self.amount)
+
+        return act
 
 
 @dataclass(frozen=True)
@@ -119,8 +174,7 @@ def _gravity(robot) -> float:
 def _on_tendons(robot):
     elements = robot.elements
     for port in robot.ports("tendon"):
-        size = elements.scale(port, "force")
-        yield Push(port, "tendon", "pull", "N", size, np.array([elements.id(port)]), np.array([size]))
+        yield Push(port, "tendon", "pull", "N", elements.scale(port, "force"))
 
 
 def _on_bodies(robot):
@@ -128,7 +182,7 @@ def _on_bodies(robot):
     elements, size = robot.elements, _SHARE * _weight(robot)
     for port in robot.ports("body"):
         body = elements.id(port)
-        yield Source(tuple(Push(port, "world", axis, "N", size, np.array([body]), np.array([size])) for axis in AXES))
+        yield Source(tuple(Push(port, "world", axis, "N", size, i) for i, axis in enumerate(AXES)))
         joints = elements.joints_of(body, bending_only=True)
         if len(joints):
             yield Source(tuple(_on_joint(elements, port, joint) for joint in joints))
@@ -138,17 +192,14 @@ def _on_joint(elements, port, joint) -> Push:
     model = elements.model
     name, turns = model.joint(joint).name, model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
     size = elements.scale(Port("joint", name), "force")
-    unit, dof = "N m" if turns else "N", model.jnt_dofadr[[joint]]
-    return Push(port, "joint", name, unit, size, dof, np.array([size]))
+    return Push(port, "joint", name, "N m" if turns else "N", size, int(np.abs(model.jnt_axis[joint]).argmax()))
 
 
 def _on_everything(robot):
     """Forces on all bodies by their mass, as gravity."""
-    model, size = robot.elements.model, _SHARE * _gravity(robot)
-    everything = np.arange(1, model.nbody)
     for port in robot.ports("model"):
-        pushed = size * model.body_mass[everything]
-        yield tuple(Push(port, "world", axis, "m/s^2", size, everything, pushed) for axis in AXES)
+        size = _SHARE * _gravity(robot)
+        yield tuple(Push(port, "world", axis, "m/s^2", size, i) for i, axis in enumerate(AXES))
 
 
 def _setpoints(problem, robot, base):
@@ -169,30 +220,57 @@ def _measured(problem):
         )
 
 
-Acting = tuple[Source, Sequence[np.ndarray]]  # and (T, K) factors in every control step of each recording
+# parameters (d,), what acts, and (T, K) factors in every control step of each recording
+Acting = tuple[np.ndarray, Source, Sequence[np.ndarray]]
 
 
 def replayed(problem: Problem, robot: Robot, base: Hypothesis, acting: Sequence[Acting]) -> np.ndarray:
-    """(N, M) simulated [signal's unit], of a hypothesis with what acts on it in each of N replays."""
+    """(N, M) simulated [signal's unit], of a hypothesis with what acts on it in each of N replays; NaN where the robot
+    lacks the place."""
     batch = robot.simulation.batch
-    for name in ("ten_J", "xfrc_applied", "qfrc_applied"):
+    for name in ("ten_J", "xfrc_applied", "qfrc_applied", "xquat"):
         batch.bind(name)
-    parameters, effects = [list(robot.parameters(base.x).values())], base.effects(problem.parameters)
-    found = []
-    for first in range(0, len(acting), SIMULATIONS):
-        some = acting[first : first + SIMULATIONS]
-        given = [[*effects, *source.effects] for source, _ in some]
+    parameters = np.array([list(robot.parameters(x[: problem.parameters]).values()) for x, _, _ in acting])
+    effects = base.effects(problem.parameters)
+    found = np.full((len(acting), problem.weight.size), np.nan)
+    pushes = [[push.on(robot) for push in source.pushes] for _, source, _ in acting]
+    possible = [i for i, acts in enumerate(pushes) if None not in acts]
+    for first in range(0, len(possible), SIMULATIONS):
+        some = possible[first : first + SIMULATIONS]
+        given = [[*effects, *acting[i][1].effects] for i in some]
         parts = []
         for k, each in enumerate(problem.recordings):
+            pushed = np.zeros((len(some), *batch.xfrc_applied.shape[1:]))
 
-            def act(step, some=some, k=k):
-                for row, (source, factors) in enumerate(some):
-                    now, before = factors[k][step], factors[k][step - 1] if step else np.zeros(len(source.pushes))
-                    for push, factor, last in zip(source.pushes, now, before, strict=True):
-                        push.act(robot, row, factor, last)
+            def act(step, some=some, k=k, pushed=pushed):
+                wrench, force = np.zeros_like(pushed), np.zeros((len(some), batch.qfrc_applied.shape[1]))
+                for row, i in enumerate(some):
+                    for push, factor in zip(pushes[i], acting[i][2][k][step], strict=True):
+                        push(row, factor, wrench[row], force[row])
+                batch.xfrc_applied[: len(some)] += wrench - pushed  # where effects of the robot may push the same bodies
+                batch.qfrc_applied[: len(some)] = force
+                pushed[:] = wrench
 
-            simulated = robot.simulate_all([each.drive], np.repeat(parameters, len(some), axis=0), given, act)[0]
+            simulated = robot.simulate_all([each.drive], parameters[some], given, act)[0]
             parts.append(simulated.reshape(len(some), -1))
             batch.xfrc_applied[:] = batch.qfrc_applied[:] = 0.0
-        found.append(np.concatenate(parts, axis=1))
-    return np.concatenate(found)
+        found[some] = np.concatenate(parts, axis=1)
+    return found
+
+
+def told(problem: Problem, robot: Robot, base: Hypothesis) -> list[np.ndarray]:
+    """(T, nu) setpoints of the actuators in the middle of every control step of each recording."""
+    batch, model = robot.simulation.batch, robot.simulation.model
+    for name in ("act", "ctrl"):
+        batch.bind(name)
+    parameters, found = np.array([list(robot.parameters(base.x).values())]), []
+    for each in problem.recordings:
+        rows = []
+
+        def note(step, rows=rows):
+            rows.append(np.where(model.actuator_actnum > 0, batch.act[0, model.actuator_actadr], batch.ctrl[0]))
+
+        robot.simulate_all([each.drive], parameters, [base.effects(problem.parameters)], note)
+        rows = np.array(rows)
+        found.append(0.5 * (rows + np.concatenate([rows[1:], rows[-1:]])))
+    return found
