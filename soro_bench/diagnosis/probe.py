@@ -29,7 +29,7 @@ from soro_bench.diagnosis.robot import Robot
 from soro_bench.effects.effect import Port
 
 WINDOW = 0.15  # s, times the number of directions
-FIRST, AGAIN, OF_A_KIND = 9, 6, 3  # places that are looked at once, and again; at least, of every kind
+FIRST, AGAIN, FINAL, OF_A_KIND = 6, 4, 2, 2  # places that are looked at once, and again; at least, of every kind
 ROUNDS = 2
 _SCALES = np.geomspace(0.03, 30.0, 13)  # of a force in a window, standard deviations of the prior in those units
 
@@ -67,62 +67,55 @@ def places(problem: Problem, robot: Robot, base: Hypothesis, refined: Sequence[R
         robot: that is pushed, with the time steps of its model.
         refined: the same simulated more accurately.
     """
-    search, everything = Search(problem, robot, base, refined), sources(problem, robot, base)
-    gains = _constant(problem, robot, base, everything)
-    driven = search.begin(_leads(everything, gains))
-    looked_at: dict[int, Driven] = {}
-    for _ in range(ROUNDS):
+    search = Search(problem, robot, base, refined)
+    everything, rows = search.sized(sources(problem, robot, base))
+    driven = []
+    for linear in (False, True):
+        gains = [_gain(problem, base, row, search.linear.features if linear else None) for row in rows]
+        driven += search.begin(_leads(robot, everything, gains), linear)
+    looked_at: dict[tuple, Driven] = {}
+    for count in (AGAIN, FINAL, 0):
         driven = search.better(driven)
-        looked_at |= {id(one.source): one for one in driven}
-        driven = sorted(driven, key=lambda one: -one.gain)[:AGAIN]
+        looked_at |= {(one.form is search.linear, id(one.source)): one for one in driven}
+        ranked = sorted(driven, key=lambda one: -one.gain)
+        driven = [one for form in (False, True) for one in [o for o in ranked if (o.form is search.linear) == form][:count]]
     best: dict[Port, Driven] = {}
     for one in sorted(looked_at.values(), key=lambda one: -one.gain):
         best.setdefault(one.where, one)
     return [Place(one.where, one.gain, _force(problem, search, one)) for one in best.values()]
 
 
-def _leads(everything: Sequence[Source], gains: Sequence[float]) -> list[Source]:
-    """What gains most, and of every kind but faults of measured points a few."""
-    order, kinds, chosen = np.argsort(-np.asarray(gains), kind="stable"), Counter(), []
-    for rank, i in enumerate(order.tolist()):
-        kind = everything[i].pushes[0].kind, everything[i].where.kind
-        kinds[kind] += 1
-        if rank < FIRST or (not everything[i].measured and kinds[kind] <= OF_A_KIND):
-            chosen.append(everything[i])
-    return chosen
+def _leads(robot: Robot, everything: Sequence[Source], gains: Sequence[float]) -> list[Source]:
+    """What gains most, of every kind but faults of measured points a few, and what else may act on the same cables."""
+    order, kinds, chosen = np.argsort(-np.asarray(gains), kind="stable").tolist(), Counter(), []
+    for rank, i in enumerate(order):
+        one = everything[i]
+        kinds[one.pushes[0].kind, one.where.kind] += 1
+        if rank < FIRST or (not one.measured and kinds[one.pushes[0].kind, one.where.kind] <= OF_A_KIND):
+            chosen.append(one)
+    cables = {robot.channel(one.where) for one in chosen} - {None}
+    return [one for one in everything if one in chosen or robot.channel(one.where) in cables]
 
 
 def _force(problem, search, one: Driven) -> Force:
     pushes, grid = one.source.pushes, Grid(problem, len(one.source.pushes))
+    values = grid.values(one.form.factors(one.values))
     return Force(
         tuple(push.component for push in pushes),
         tuple(push.unit for push in pushes),
         grid.time,
         np.repeat(np.arange(len(grid.counts)), grid.counts),
-        one.values * [push.amount for push in pushes],
+        values * [push.amount for push in pushes],
         search.left(one),
     )
 
 
-def _constant(problem, robot, base, everything: Sequence[Source]) -> list[float]:
-    """Evidence that constant forces gain if they may be scaled freely in every window."""
-    steps, acting = [len(each.values) for each in problem.recordings], []
-    for source in everything:
-        if not source.measured:
-            acting += [(source, [np.tile(unit, (n, 1)) for n in steps]) for unit in np.eye(len(source.pushes))]
-    nothing = (Source(()), [np.zeros((n, 0)) for n in steps])
-    free, *rows = replayed(problem, robot, base, [nothing, *acting])
-    rows = iter(np.nan_to_num((free - np.array(rows)) / problem.sigma * problem.weight))
-    return [
-        _gain(problem, base, each.rows(problem) if each.measured else np.array([next(rows) for _ in each.pushes]))
-        for each in everything
-    ]
-
-
-def _gain(problem, base, rows) -> float:
-    """Of free combinations of rows (K, M) in every window, the best of several sizes."""
+def _gain(problem, base, rows, features=None) -> float:
+    """Of free combinations of rows (K, M) in every window, or of such that are linear in features (T, F); the best of
+    several sizes."""
     duration = sum(each.time[-1] for each in problem.recordings)
-    free = _Windowed(rows, windows(problem, max(WINDOW * len(rows), duration * len(rows) / UNKNOWNS)))
+    window = windows(problem, max(WINDOW * len(rows), duration * len(rows) / UNKNOWNS))
+    free = _Windowed(rows, window)
     floor = base.floor(problem)
     hessian = floor.product(base.slope, base.slope) + np.eye(len(base.x))
     explained, inner = free.times(floor.basis), np.eye(len(floor.basis)) + floor.basis @ floor.basis.T
@@ -136,6 +129,11 @@ def _gain(problem, base, rows) -> float:
     information = free.squares() - explained @ np.linalg.solve(inner, explained.T) - cross @ reduced
     gradient = floor.product(base.slope, base.residual[None])[:, 0] + base.x
     pull = product(base.residual[None])[:, 0] - reduced.T @ gradient
+    if features is not None:
+        one = window[:: len(window) // len(features)]  # of every control step
+        means = np.array([features[one == number].mean(axis=0) for number in np.unique(one)])
+        weights = np.kron(means, np.eye(len(rows)))
+        information, pull = weights.T @ information @ weights, weights.T @ pull
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
     values, turned = np.maximum(values, 0.0), vectors.T @ pull
     return max(

@@ -27,11 +27,10 @@ SPACING = 0.1  # s, of the nodes; piecewise constant forces of 0.15 s put a base
 MEMORY = 0.9  # s, after which a trunk is where it would be without a pulse
 UNKNOWNS = 1000  # of a place; in long recordings nodes are farther apart
 TIMES = (0.2, 0.6, 2.0)  # s, correlation of a force (Matern 3/2)
-LINEAR = False
-PARTS, SHAPES = (0.003, 0.03), 10  # of a linear force that are free in time, and principal components of the robot's shape
+SHAPES = 8  # principal components of how the robot is shaped
 SCALES = np.geomspace(0.03, 1000.0, 14)  # standard deviations of a force in units of the pushes
-LENGTHS, SMALLER = (0.15, 0.5, 1.0), (1.0, 8.0, 64.0, 512.0)  # of a step, tried, and how many times smaller forces than promise most
-PULSE = 1.0  # of a push, of differences
+LENGTHS, SMALLER = (0.4, 1.0), (1.0, 8.0, 64.0)  # of a step, tried, and how many times smaller forces than promise most
+REACH, PULSE = 4.0, 0.5  # standard deviations of the noise, rms, by which pushes move a robot; of a push, of differences
 STEP = 0.05  # standard deviations of the priors of parameters, of differences
 _JITTER = 1e-9
 
@@ -64,6 +63,7 @@ class Driven:
     """
 
     source: Source
+    form: "Grid | Linear"
     x: np.ndarray
     values: np.ndarray
     simulated: np.ndarray
@@ -109,6 +109,11 @@ class Grid:
             found.append(part[low] + (at - low)[:, None] * (part[low + 1] - part[low]))
         return found
 
+    def values(self, factors: Sequence[np.ndarray]) -> np.ndarray:
+        """(n, K) at the nodes, of factors (T, K) in every control step of each recording."""
+        nodes = [np.minimum(self.every * np.arange(count), steps - 1) for count, steps in zip(self.counts, self.steps, strict=True)]
+        return np.concatenate([part[at] for part, at in zip(factors, nodes, strict=True)])
+
     def combs(self) -> np.ndarray:
         """(P, n) 1 at the nodes of each of P replays."""
         comb = np.concatenate([np.arange(count) for count in self.counts]) % self.apart
@@ -125,12 +130,13 @@ class Grid:
             first += steps * self.sample
         return found
 
-    def kernels(self, features: np.ndarray) -> list[np.ndarray]:
-        """(n, n) covariances of a force in one direction: free in time, and linear in features (n, F) and then free by a
-        part of that."""
-        free = [self._in_time(correlation) for correlation in TIMES]
-        linear = features @ features.T / features.shape[1]
-        return [linear + part**2 * free[1] for part in PARTS] if LINEAR else free
+    def kernels(self) -> list[np.ndarray]:
+        """(n, n) covariances of the values in one direction."""
+        return [self._in_time(correlation) + _JITTER * np.eye(sum(self.counts)) for correlation in TIMES]
+
+    def parts(self, rows: np.ndarray) -> sp.csr_array:
+        """(n K, M) response of each value, of replays (K P, M) of the combs."""
+        return _pulses(rows.reshape(-1, self.apart, rows.shape[1]), self)
 
     def _in_time(self, correlation: float) -> np.ndarray:
         """(n, n) Matern 3/2 of each recording, whose correlation falls within so many seconds."""
@@ -141,22 +147,42 @@ class Grid:
         return block_diag(*blocks)
 
 
-def features(problem: Problem, grid: Grid, displacements: Sequence[np.ndarray]) -> np.ndarray:
-    """(n, F) what a force may be linear in: a constant, what the actuators were told, and where the robot is."""
-    steps = []
-    for told, each in zip(displacements, problem.recordings, strict=True):
-        values = each.values.reshape(len(each.values), -1)
-        values = np.where(np.isnan(values), np.nanmean(values, axis=0), values)
-        steps.append(np.concatenate([told, values], axis=1))
-    every = np.concatenate(steps)
-    width = displacements[0].shape[1]
-    told, moved = np.split(every - every.mean(axis=0), [width], axis=1)
-    moved = moved @ np.linalg.svd(moved, full_matrices=False)[2][:SHAPES].T
-    found = np.concatenate([np.ones((len(every), 1)), told, moved], axis=1)
-    found = found / np.maximum(np.sqrt((found**2).mean(axis=0)), 1e-12)
-    parts = np.split(found, np.cumsum(grid.steps)[:-1])
-    at = [np.minimum(grid.every * np.arange(count), len(part) - 1) for count, part in zip(grid.counts, parts, strict=True)]
-    return np.concatenate([part[i] for part, i in zip(parts, at, strict=True)])
+class Linear:
+    """What is linear in what the actuators are told and in how the robot is shaped.
+
+    Args:
+        told: setpoints of the actuators (T, nu) in the middle of every control step of each recording.
+    """
+
+    def __init__(self, problem: Problem, told: Sequence[np.ndarray]):
+        steps = []
+        for each, row in zip(problem.recordings, told, strict=True):
+            values = each.values.reshape(len(each.values), -1)
+            steps.append((row, np.where(np.isnan(values), np.nanmean(values, axis=0), values)))
+        told, moved = (np.concatenate(part) for part in zip(*steps, strict=True))
+        told, moved = told - told.mean(axis=0), moved - moved.mean(axis=0)
+        moved = moved @ np.linalg.svd(moved, full_matrices=False)[2][:SHAPES].T
+        found = np.concatenate([np.ones((len(told), 1)), told, moved], axis=1)
+        found = found / np.maximum(np.sqrt((found**2).mean(axis=0)), 1e-12)
+        self.features = found
+        self._parts = np.split(found, np.cumsum([len(row) for row, _ in steps])[:-1])
+        self.counts = [found.shape[1]]
+
+    def factors(self, values: np.ndarray) -> list[np.ndarray]:
+        """(T, K) in every control step of each recording, of weights (F, K)."""
+        return [part @ values for part in self._parts]
+
+    def combs(self) -> np.ndarray:
+        """(F, F): each weight has a replay of its own."""
+        return np.eye(self.counts[0])
+
+    def kernels(self) -> list[np.ndarray]:
+        """(F, F): weights are independent."""
+        return [np.eye(self.counts[0])]
+
+    def parts(self, rows: np.ndarray) -> np.ndarray:
+        """(F K, M) response of each weight, of replays (K F, M)."""
+        return rows.reshape(-1, self.counts[0], rows.shape[1]).swapaxes(0, 1).reshape(rows.shape)
 
 
 class Search:
@@ -171,19 +197,37 @@ class Search:
         self.problem, self.robot, self.base, self.refined = problem, robot, base, refined
         self.d = problem.parameters
         nothing = [np.zeros((len(each.values), 0)) for each in problem.recordings]
-        self.told = told(problem, robot, base)
+        self.linear = Linear(problem, told(problem, robot, base))
         (self._free,) = replayed(problem, robot, base, [(base.x, Source(()), nothing)])
         slope = base.slope[: self.d]
         self._nothing = Covariance(np.concatenate([problem.floor.basis, slope])).cost(base.residual - base.x[: self.d] @ slope)
 
-    def begin(self, sources: Sequence[Source]) -> list[Driven]:
+    def begin(self, sources: Sequence[Source], linear: bool) -> list[Driven]:
         """Nothing acts."""
         base, found = self.base, []
         for each in sources:
-            values = np.zeros((sum(Grid(self.problem, len(each.pushes)).counts), len(each.pushes)))
+            form = self.linear if linear else Grid(self.problem, len(each.pushes))
+            values = np.zeros((sum(form.counts), len(each.pushes)))
             none = np.zeros((0, self._free.size))
-            found.append(Driven(each, base.x[: self.d], values, self._free, base.slope[: self.d], none))
+            found.append(Driven(each, form, base.x[: self.d], values, self._free, base.slope[: self.d], none))
         return found
+
+    def sized(self, sources: Sequence[Source]) -> tuple[list[Source], list[np.ndarray]]:
+        """The same, of such sizes that each moves the robot by ``REACH`` if it acts all the time, and the changes (K, M)
+        of the residual when they do."""
+        problem, found, rows = self.problem, [], []
+        pushed = [each for each in sources if not each.measured]
+        steps = [len(each.values) for each in problem.recordings]
+        for _ in range(2):  # what was far too large was no measure of it
+            acting = [(self.base.x, each, [np.tile(unit, (n, 1)) for n in steps]) for each in pushed for unit in np.eye(len(each.pushes))]
+            changes = iter(np.nan_to_num(-self._moved(replayed(problem, self.robot, self.base, acting))))
+            rows = [np.array([next(changes) for _ in each.pushes]) for each in pushed]
+            size = [np.sqrt((row**2).sum(axis=1).max() / problem.weight.sum()) for row in rows]
+            factors = [REACH / s if s > 0 else 1.0 for s in size]
+            pushed = [each.times(factor) for each, factor in zip(pushed, factors, strict=True)]
+            rows = [row * factor for row, factor in zip(rows, factors, strict=True)]
+        again, moved = iter(pushed), iter(rows)
+        return [each if each.measured else next(again) for each in sources], [each.rows(problem) if each.measured else next(moved) for each in sources]
 
     def better(self, driven: Sequence[Driven]) -> list[Driven]:
         """The same one step of Gauss-Newton further."""
@@ -219,17 +263,14 @@ class Search:
         """(N, M) replays, but for faults of sensors."""
         problem, found = self.problem, np.zeros((len(asked), self._free.size))
         replays = [i for i, one in enumerate(asked) if not one.source.measured]
-        acting = [(asked[i].x, asked[i].source, self._grid(asked[i]).factors(asked[i].values)) for i in replays]
+        acting = [(asked[i].x, asked[i].source, asked[i].form.factors(asked[i].values)) for i in replays]
         if acting:
             found[replays] = replayed(problem, robot, self.base, acting)
         for i, one in enumerate(asked):
             if one.source.measured:
-                factors = np.repeat(np.concatenate(self._grid(one).factors(one.values)), self._grid(one).sample, axis=0)
+                factors = np.repeat(np.concatenate(one.form.factors(one.values)), int(np.prod(problem.robot.shape)), axis=0)
                 found[i] = self._free - problem.sigma * (factors * one.source.rows(problem).T).sum(axis=1)
         return found
-
-    def _grid(self, one: Driven) -> Grid:
-        return Grid(self.problem, len(one.source.pushes))
 
     def _moved(self, simulated: np.ndarray) -> np.ndarray:
         return (simulated - self._free) / self.problem.sigma * self.problem.weight
@@ -245,29 +286,29 @@ class Search:
     def _responses(self, one: Driven) -> tuple[np.ndarray, sp.csr_array]:
         """(d, M) and (n K, M) change of the residual by the parameters, and by a pulse at every node in every
         direction."""
-        grid, size = self._grid(one), one.values.shape[1]
-        combs = grid.combs()[:, :, None]
+        size, combs = one.values.shape[1], one.form.combs()[:, :, None]
         pulsed = [replace(one, values=one.values + PULSE * comb * direction) for direction in np.eye(size) for comb in combs]
         shifted = [replace(one, x=one.x + shift) for shift in STEP * np.eye(self.d)]
         if one.root is None or one.source.measured:  # the slopes are known, or those of nothing acting
             shifted = []
         moved = np.nan_to_num(self._moved(one.simulated) - self._moved(self._simulated(self.robot, [*shifted, *pulsed])))
         slope, rows = moved[: len(shifted)] / STEP, moved[len(shifted) :] / PULSE
-        return (slope if len(slope) else one.slope), _pulses(rows.reshape(size, grid.apart, -1), grid)
+        return (slope if len(slope) else one.slope), one.form.parts(rows)
 
     def _trials(self, one: Driven) -> list[Driven]:
         """Towards where the evidence is largest, to first order, and where forces have to be smaller."""
-        z, grid = one.values.ravel(), self._grid(one)
+        z = one.values.ravel()
         slope, rows = self._responses(one)
         here = replace(one, slope=slope)
         covariance = Covariance(self._basis(here))
         origin = self._residual(here) - rows.T @ z  # what the linear model says of no force
         white = covariance.white(rows)
-        information = (rows @ rows.T).toarray() - white @ white.T
+        information = rows @ rows.T
+        information = (information.toarray() if sp.issparse(information) else information) - white @ white.T
         pull = rows @ origin - white @ covariance.white(origin[None])[0]
         aims = []
-        for kernel in grid.kernels(features(self.problem, grid, self.told)):
-            root = np.linalg.cholesky(np.kron(kernel + _JITTER * np.eye(len(kernel)), np.eye(one.values.shape[1])))
+        for kernel in one.form.kernels():
+            root = np.kron(np.linalg.cholesky(kernel), np.eye(one.values.shape[1]))
             size, turn = np.linalg.eigh(root.T @ information @ root)
             size, turned = np.maximum(size, 0.0), turn.T @ (root.T @ pull)
             for scale in SCALES:

@@ -2,7 +2,7 @@
 are off."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import mujoco
@@ -143,6 +143,10 @@ class Source:
         """What has to be among the effects of a robot on which it acts."""
         moved = [push.where for push in self.pushes if push.where.kind == "actuator"]
         return [Effect(_SETPOINT[0], where, {_SETPOINT[1]: 0.0}) for where in moved]
+
+    def times(self, factor: float) -> "Source":
+        """The same, so many times as large."""
+        return Source(tuple(replace(push, amount=factor * push.amount) for push in self.pushes))
 
     def rows(self, problem: Problem) -> np.ndarray:
         """(K, M) change of the residual under each offset of a measured point."""
