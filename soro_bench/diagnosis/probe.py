@@ -29,7 +29,7 @@ from soro_bench.diagnosis.robot import Robot
 from soro_bench.effects.effect import Port
 
 WINDOW = 0.15  # s, times the number of directions
-FIRST, AGAIN, FINAL, OF_A_KIND = 6, 4, 2, 2  # places that are looked at once, and again; at least, of every kind
+FIRST, AGAIN, FINAL, OF_A_KIND = 6, 3, 1, 2  # places that are looked at once, and again; at least, of every kind
 ROUNDS = 2
 _SCALES = np.geomspace(0.03, 30.0, 13)  # of a force in a window, standard deviations of the prior in those units
 
