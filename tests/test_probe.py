@@ -69,7 +69,8 @@ def test_what_pushes_a_body_and_a_law_that_does_so_too_add_up(robot, actions):
     (source,) = [
         each for each in sources(given, robot, bases[0]) if each.where == where and each.pushes[0].kind == "world"
     ]
-    acting = [(source, ones), (Source(()), [np.zeros((len(actions), 0))])]
+    at = np.zeros(5)
+    acting = [(at, source, ones), (at, Source(()), [np.zeros((len(actions), 0))])]
     plain, dragged = (np.subtract(*replayed(given, robot, base, acting)) / given.sigma for base in bases)
     assert np.abs(plain).max() > 1.0  # standard deviations of the noise
     assert np.abs(dragged - plain).max() < 1e-3 * np.abs(plain).max()

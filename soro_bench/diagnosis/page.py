@@ -106,7 +106,8 @@ def _page(diagnosis: Diagnosis, report: dict, text: str) -> str:
         plots.append((f"What {curve.effect.name} does", caption, _curve(curve)))
     if diagnosis.places:
         place = diagnosis.places[0]
-        caption = f"What would explain most of it at {place.where}, free in every window, to first order.{which}"
+        form = "linear in what the robot is told and in its shape" if place.force.shares else "free in time"
+        caption = f"What would explain most of it at {place.where}, {form}.{which}"
         plots.append(("What has no name", caption, _residual_force(place.force)))
     figures = "".join(
         f"<h2>{title}</h2><figure><img alt='{html.escape(caption)}' src='data:image/png;base64,{image}'>"

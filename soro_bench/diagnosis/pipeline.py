@@ -118,7 +118,7 @@ def diagnose(
     found = Diagnosis(robot, audits, found_outliers, explanation, comparison, (), None, 0.0)
     if comparison.unknown > UNSURE:
         progress("place of what has no name")
-        found = replace(found, places=tuple(places(explanation.problem, robot, explanation.nominal)))
+        found = replace(found, places=tuple(places(explanation.problem, robot, explanation.nominal, refined)))
     progress("next recording")
     proposal = _proposal(found, seed)
     return replace(found, proposal=proposal, seconds=time.perf_counter() - start)

@@ -3,10 +3,11 @@
 A constant force is let act at one place after the other, and the robot replayed: along every tendon, in three
 directions on every body, on the joints of every body, and in three directions on all bodies by their mass, as gravity.
 The setpoint of every actuator is moved as well, since a servo gives way to no force. Cut into short windows, of which
-each may be scaled freely, these responses stand for anything at a place that changes slowly within a window; a free
-offset of each measured point stands for a fault there. No law is assumed. That says where to look: at the places at
-which they explain most of what parameters and numerical error do not, forces that are free in time are found by replays
-(pulses.py), and the one that is more probable than all others says where something acts.
+each may be scaled freely or linearly in what the robot is told and in its shape, these responses stand for anything at
+a place that changes slowly within a window; an offset of each measured point stands for a fault there. No law is
+assumed. That says where to look: at the places at which they explain most of what parameters and numerical error do
+not, forces are found by replays (forces.py), and the one that is more probable than all others says where something
+acts.
 
 A body is pushed in three directions where a tendon or an actuator pulls in one, so the windows of those are a third as
 long: every place has as many free numbers. With the same windows for all, a force at the tip explained more of what the
@@ -21,16 +22,17 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from soro_bench.diagnosis.fit import Hypothesis
+from soro_bench.diagnosis.forces import Driven, Search
+from soro_bench.diagnosis.forms import UNKNOWNS, Free
 from soro_bench.diagnosis.localise import windows
 from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.pulses import UNKNOWNS, Driven, Grid, Search
-from soro_bench.diagnosis.pushes import Source, replayed, sources
+from soro_bench.diagnosis.pushes import Source, sources
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.effects.effect import Port
 
 WINDOW = 0.15  # s, times the number of directions
-FIRST, AGAIN, FINAL, OF_A_KIND = 6, 3, 1, 2  # places that are looked at once, and again; at least, of every kind
-ROUNDS = 2
+FIRST, OF_A_KIND = 6, 2  # places that are looked at, and of every kind at least
+ROUNDS = (None, 3, 1)  # how many of them, of each form of a force, in each round
 _SCALES = np.geomspace(0.03, 30.0, 13)  # of a force in a window, standard deviations of the prior in those units
 
 
@@ -40,7 +42,7 @@ class Force:
 
     components: K names, such as "x" (of the world) or "pull". units: of each. start: (n,) s, nodes with straight lines
     between them, of all recordings one after the other; recording: (n,) their numbers. values: (n, K). left: rms
-    [signal's unit] of what it does not explain.
+    [signal's unit] of what it does not explain. shares: what part of it is linear in what; empty if it is free in time.
     """
 
     components: tuple[str, ...]
@@ -49,6 +51,7 @@ class Force:
     recording: np.ndarray
     values: np.ndarray
     left: float
+    shares: dict[str, float]
 
 
 @dataclass(frozen=True)
@@ -74,11 +77,11 @@ def places(problem: Problem, robot: Robot, base: Hypothesis, refined: Sequence[R
         gains = [_gain(problem, base, row, search.linear.features if linear else None) for row in rows]
         driven += search.begin(_leads(robot, everything, gains), linear)
     looked_at: dict[tuple, Driven] = {}
-    for count in (AGAIN, FINAL, 0):
-        driven = search.better(driven)
-        looked_at |= {(one.form is search.linear, id(one.source)): one for one in driven}
+    for count in ROUNDS:
         ranked = sorted(driven, key=lambda one: -one.gain)
-        driven = [one for form in (False, True) for one in [o for o in ranked if (o.form is search.linear) == form][:count]]
+        forms = [[one for one in ranked if one.form.linear == linear] for linear in (False, True)]
+        driven = search.better([one for form in forms for one in form[:count]])
+        looked_at |= {(one.form.linear, id(one.source)): one for one in driven}
     best: dict[Port, Driven] = {}
     for one in sorted(looked_at.values(), key=lambda one: -one.gain):
         best.setdefault(one.where, one)
@@ -98,15 +101,15 @@ def _leads(robot: Robot, everything: Sequence[Source], gains: Sequence[float]) -
 
 
 def _force(problem, search, one: Driven) -> Force:
-    pushes, grid = one.source.pushes, Grid(problem, len(one.source.pushes))
-    values = grid.values(one.form.factors(one.values))
+    pushes, nodes = one.source.pushes, Free(problem, len(one.source.pushes))
     return Force(
         tuple(push.component for push in pushes),
         tuple(push.unit for push in pushes),
-        grid.time,
-        np.repeat(np.arange(len(grid.counts)), grid.counts),
-        values * [push.amount for push in pushes],
+        nodes.time,
+        nodes.recording,
+        nodes.values(one.form.factors(one.values)) * [push.amount for push in pushes],
         search.left(one),
+        one.form.shares(one.values) if one.form.linear else {},
     )
 
 

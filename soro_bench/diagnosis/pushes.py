@@ -162,7 +162,7 @@ def sources(problem: Problem, robot: Robot, base: Hypothesis) -> list[Source]:
         *(Source((push,)) for push in _on_tendons(robot)),
         *_on_bodies(robot),
         *(Source(pushes) for pushes in _on_everything(robot)),
-        *(Source((offset,)) for offset in _setpoints(problem, robot, base)),
+        *(Source((offset,)) for offset in _on_setpoints(problem, robot, base)),
         *(Source(offsets) for offsets in _measured(problem)),
     ]
 
@@ -206,7 +206,7 @@ def _on_everything(robot):
         yield tuple(Push(port, "world", axis, "m/s^2", size, i) for i, axis in enumerate(AXES))
 
 
-def _setpoints(problem, robot, base):
+def _on_setpoints(problem, robot, base):
     for port in robot.ports("actuator"):
         moved = suspect(robot, _SETPOINT[0], port)
         if robot.accepts([*base.effects(problem.parameters), typical(moved)]):
@@ -251,7 +251,9 @@ def replayed(problem: Problem, robot: Robot, base: Hypothesis, acting: Sequence[
                 for row, i in enumerate(some):
                     for push, factor in zip(pushes[i], acting[i][2][k][step], strict=True):
                         push(row, factor, wrench[row], force[row])
-                batch.xfrc_applied[: len(some)] += wrench - pushed  # where effects of the robot may push the same bodies
+                batch.xfrc_applied[: len(some)] += (
+                    wrench - pushed
+                )  # where effects of the robot may push the same bodies
                 batch.qfrc_applied[: len(some)] = force
                 pushed[:] = wrench
 
@@ -262,7 +264,7 @@ def replayed(problem: Problem, robot: Robot, base: Hypothesis, acting: Sequence[
     return found
 
 
-def told(problem: Problem, robot: Robot, base: Hypothesis) -> list[np.ndarray]:
+def setpoints(problem: Problem, robot: Robot, base: Hypothesis) -> list[np.ndarray]:
     """(T, nu) setpoints of the actuators in the middle of every control step of each recording."""
     batch, model = robot.simulation.batch, robot.simulation.model
     for name in ("act", "ctrl"):

@@ -143,6 +143,7 @@ def _residual_force(diagnosis: Diagnosis) -> dict | None:
         "start_s": best.force.start.tolist(),
         "values": best.force.values.tolist(),
         "rmse_after": best.force.left,
+        "linear_in": best.force.shares or None,
     }
 
 
