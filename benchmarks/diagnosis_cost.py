@@ -82,8 +82,9 @@ def main() -> None:
     seconds = [row["diagnosis"] for row in rows]
     print(f"\nMedian {np.median(seconds):.0f} s on {rows[0]['threads']} threads ({min(seconds):.0f} to "
           f"{max(seconds):.0f}), at most {max(row['megabytes'] for row in rows)} MB.")  # fmt: skip
-    ratios = [row["diagnosis"] / row["bare_replay"] for row in rows]
-    print(f"Median {np.median(ratios):.0f} times {DURATION:.0f} s of the bare engine on one thread.")
+    ratios = [row["diagnosis"] / row["bare_replay"] for row in rows if "bare_replay" in row]  # older ones lack it
+    if ratios:
+        print(f"Median {np.median(ratios):.0f} times {DURATION:.0f} s of the bare engine on one thread.")
 
 
 if __name__ == "__main__":
