@@ -3,7 +3,8 @@
     python benchmarks/diagnosis_cost.py FOLDER --cases 20    # as soro-bench prove leaves it
 
 Run it with nothing beside it. The diagnosis has all processors, or OMP_NUM_THREADS of them. A case that is in
-FOLDER/cost is not diagnosed again.
+FOLDER/cost is not diagnosed again. Machines are compared by how often the bare engine could have simulated 30 s of the
+same robot instead.
 """
 
 import argparse
@@ -15,12 +16,26 @@ import tempfile
 import time
 from pathlib import Path
 
+import mujoco
 import numpy as np
 from rich.progress import track
 
+from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.files import read_json, write_json
 from soro_bench.parallel import processors
 from soro_bench.proof.ablations import ENV_ID
+
+DURATION = 30.0  # s, of a recording
+
+
+def bare_replay() -> float:
+    """Wall time [s] of mj_step for DURATION of the robot at rest, on one thread; the least of three."""
+    model, taken = SuiteRobot(ENV_ID, threads=1).simulation.model, []
+    for _ in range(3):
+        data, begin = mujoco.MjData(model), time.perf_counter()
+        mujoco.mj_step(model, data, nstep=round(DURATION / model.opt.timestep))
+        taken.append(time.perf_counter() - begin)
+    return min(taken)
 
 
 def diagnosed(case: Path) -> dict:
@@ -38,6 +53,7 @@ def diagnosed(case: Path) -> dict:
     return {
         "seconds": round(seconds, 1),
         "diagnosis": report["seconds"],
+        "bare_replay": round(bare_replay(), 3),
         "megabytes": usage.ru_maxrss // 1024,
         "threads": processors(),
         "verdict": report["verdict"],
@@ -66,6 +82,9 @@ def main() -> None:
     seconds = [row["diagnosis"] for row in rows]
     print(f"\nMedian {np.median(seconds):.0f} s on {rows[0]['threads']} threads ({min(seconds):.0f} to "
           f"{max(seconds):.0f}), at most {max(row['megabytes'] for row in rows)} MB.")  # fmt: skip
+    ratios = [row["diagnosis"] / row["bare_replay"] for row in rows if "bare_replay" in row]  # older ones lack it
+    if ratios:
+        print(f"Median {np.median(ratios):.0f} times {DURATION:.0f} s of the bare engine on one thread.")
 
 
 if __name__ == "__main__":
