@@ -35,7 +35,7 @@ SEEDS = 10_000  # of clouds, for each seed of a diagnosis
 # deviations of the priors
 RADII, LAST = ((0.7, 0.3), (0.15,), (0.05, 0.05)), 0.07
 FAR_DRAWS, FAR = 3, 0.7  # replays of each refined robot at first, and their standard deviation
-NEAR = (0.15, 0.05, 0.0)  # of the one near each fit
+NEAR = (0.15, 0.05)  # of the one near each fit but the last
 # polishes at most, and the share that one more has to take off; and their radii: a cloud as wide as the nominal fit's
 # at first, as parameters that have absorbed an effect may be far from where they belong
 POLISHES, ENOUGH = 4, 0.1
@@ -99,11 +99,12 @@ def nominal_fit(problem: Problem, refined: Sequence[Robot], seed: int, progress=
     guess = Guess(np.zeros(d))
     for k, radii in enumerate(RADII):
         progress("numerical floor and joint fit of the parameters")
+        if k > 0:
+            draws = np.clip(guess.x + NEAR[k - 1] * rng.standard_normal((1, d)), -2, 2)
         points = [(x, ()) for x in draws]
         problem, (fit,) = fitted_under_floor(problem, refined, points, [guess], radii, SEEDS * seed + k)
         problem, (fit,) = allowing(problem, fit, [fit])
         guess = Guess(fit.x, slope=fit.slope)
-        draws = np.clip(fit.x + NEAR[k] * rng.standard_normal((1, d)), -2, 2)
     if problem.rough:
         (fit,) = persevered(problem, [fit], SEEDS * seed + len(RADII))
         problem, (fit,) = allowing(problem, fit, [fit])

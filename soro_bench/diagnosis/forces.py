@@ -128,14 +128,17 @@ class Search:
         ]
 
     def better(self, driven: Sequence[Driven]) -> list[Driven]:
-        """The same one step of Gauss-Newton further."""
-        tried = [trial for one in driven for trial in self._trials(one)]
-        simulated = self._simulated(self.robot, tried)
-        trials, found = iter([replace(one, simulated=row) for one, row in zip(tried, simulated, strict=True)]), []
-        for one in driven:
-            some = [self._weighed(each) for each in itertools.islice(trials, len(LENGTHS) * len(SMALLER))]
-            found.append(max([*([one] if one.root is not None else []), *some], key=lambda each: each.gain))
-        return self._with_own_error(found)
+        """The same one step of Gauss-Newton further, or as they are if that leads nowhere."""
+        tried = [self._trials(one) for one in driven]
+        simulated = iter(self._simulated(self.robot, list(itertools.chain(*tried))))
+        found = [
+            max((self._weighed(replace(trial, simulated=next(simulated))) for trial in some), key=lambda one: one.gain)
+            for some in tried
+        ]
+        return [
+            one if one.root is not None and one.gain >= new.gain else new
+            for one, new in zip(driven, self._with_own_error(found), strict=True)
+        ]
 
     def left(self, one: Driven) -> float:
         """rms [signal's unit] of what neither parameters, numerical error nor the force explain."""

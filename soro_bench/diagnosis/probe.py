@@ -32,7 +32,8 @@ from soro_bench.effects.effect import Port
 
 WINDOW = 0.15  # s, times the number of directions
 FIRST, OF_A_KIND = 6, 2  # places that are looked at, and of every kind at least
-ROUNDS = (None, 3, 1)  # how many of them, of each form of a force, in each round
+ROUNDS, FINALISTS = 8, 8  # of the search for forces, and how many go on after the first one, at most
+RATE, SETTLED = 0.25, 1e-3  # of what a round gained, expected of the next ones; of all evidence, no longer of interest
 _SCALES = np.geomspace(0.03, 30.0, 13)  # of a force in a window, standard deviations of the prior in those units
 
 
@@ -76,14 +77,8 @@ def places(problem: Problem, robot: Robot, base: Hypothesis, refined: Sequence[R
     for linear in (False, True):
         gains = [_gain(problem, base, row, search.linear.features if linear else None) for row in rows]
         driven += search.begin(_leads(robot, everything, gains), linear)
-    looked_at: dict[tuple, Driven] = {}
-    for count in ROUNDS:
-        ranked = sorted(driven, key=lambda one: -one.gain)
-        forms = [[one for one in ranked if one.form.linear == linear] for linear in (False, True)]
-        driven = search.better([one for form in forms for one in form[:count]])
-        looked_at |= {(one.form.linear, id(one.source)): one for one in driven}
     best: dict[Port, Driven] = {}
-    for one in sorted(looked_at.values(), key=lambda one: -one.gain):
+    for one in sorted(_raced(search, driven), key=lambda one: -one.gain):
         best.setdefault(one.where, one)
     return [Place(one.where, one.gain, _force(problem, search, one)) for one in best.values()]
 
@@ -98,6 +93,17 @@ def _leads(robot: Robot, everything: Sequence[Source], gains: Sequence[float]) -
             chosen.append(one)
     cables = {robot.channel(one.where) for one in chosen} - {None}
     return [one for one in everything if one in chosen or robot.channel(one.where) in cables]
+
+
+def _raced(search: Search, driven: Sequence[Driven]) -> list[Driven]:
+    """The same after as many rounds as those need that may still turn out to be the most probable."""
+    driven, gain, last = list(driven), np.zeros(len(driven)), np.full(len(driven), np.inf)
+    for count in range(ROUNDS):
+        hopeful = (gain + RATE * last >= gain.max()) & (last > SETTLED * gain.max())
+        chosen = np.flatnonzero(hopeful)[np.argsort(-gain[hopeful], kind="stable")][: FINALISTS if count else None]
+        for i, one in zip(chosen, search.better([driven[i] for i in chosen]), strict=True):
+            driven[i], gain[i], last[i] = one, one.gain, one.gain - gain[i]
+    return driven
 
 
 def _force(problem, search, one: Driven) -> Force:

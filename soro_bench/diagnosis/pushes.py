@@ -231,37 +231,40 @@ Acting = tuple[np.ndarray, Source, Sequence[np.ndarray]]
 def replayed(problem: Problem, robot: Robot, base: Hypothesis, acting: Sequence[Acting]) -> np.ndarray:
     """(N, M) simulated [signal's unit], of a hypothesis with what acts on it in each of N replays; NaN where the robot
     lacks the place."""
-    batch = robot.simulation.batch
     for name in ("ten_J", "xfrc_applied", "qfrc_applied", "xquat"):
-        batch.bind(name)
+        robot.simulation.batch.bind(name)
     parameters = np.array([list(robot.parameters(x[: problem.parameters]).values()) for x, _, _ in acting])
     effects = base.effects(problem.parameters)
     found = np.full((len(acting), problem.weight.size), np.nan)
-    pushes = [[push.on(robot) for push in source.pushes] for _, source, _ in acting]
-    possible = [i for i, acts in enumerate(pushes) if None not in acts]
+    acts = [[push.on(robot) for push in source.pushes] for _, source, _ in acting]
+    possible = [i for i, some in enumerate(acts) if None not in some]
     for first in range(0, len(possible), SIMULATIONS):
         some = possible[first : first + SIMULATIONS]
-        given = [[*effects, *acting[i][1].effects] for i in some]
-        parts = []
+        given, parts = [[*effects, *acting[i][1].effects] for i in some], []
         for k, each in enumerate(problem.recordings):
-            pushed = np.zeros((len(some), *batch.xfrc_applied.shape[1:]))
-
-            def act(step, some=some, k=k, pushed=pushed):
-                wrench, force = np.zeros_like(pushed), np.zeros((len(some), batch.qfrc_applied.shape[1]))
-                for row, i in enumerate(some):
-                    for push, factor in zip(pushes[i], acting[i][2][k][step], strict=True):
-                        push(row, factor, wrench[row], force[row])
-                batch.xfrc_applied[: len(some)] += (
-                    wrench - pushed
-                )  # where effects of the robot may push the same bodies
-                batch.qfrc_applied[: len(some)] = force
-                pushed[:] = wrench
-
-            simulated = robot.simulate_all([each.drive], parameters[some], given, act)[0]
-            parts.append(simulated.reshape(len(some), -1))
-            batch.xfrc_applied[:] = batch.qfrc_applied[:] = 0.0
+            pushed = [(acts[i], acting[i][2][k]) for i in some]
+            parts.append(_simulated(robot, each.drive, parameters[some], given, pushed))
         found[some] = np.concatenate(parts, axis=1)
     return found
+
+
+def _simulated(robot, drive, parameters, effects, pushed) -> np.ndarray:
+    """(N, M) while acts with factors (T, K) push each of N simulations."""
+    batch = robot.simulation.batch
+    earlier = np.zeros((len(pushed), *batch.xfrc_applied.shape[1:]))
+
+    def push(step):
+        wrench, force = np.zeros_like(earlier), np.zeros((len(pushed), batch.qfrc_applied.shape[1]))
+        for row, (acts, factors) in enumerate(pushed):
+            for act, factor in zip(acts, factors[step], strict=True):
+                act(row, factor, wrench[row], force[row])
+        batch.xfrc_applied[: len(pushed)] += wrench - earlier  # effects of the robot may push the same bodies
+        batch.qfrc_applied[: len(pushed)] = force
+        earlier[:] = wrench
+
+    simulated = robot.simulate_all([drive], parameters, effects, push)[0]
+    batch.xfrc_applied[:] = batch.qfrc_applied[:] = 0.0
+    return simulated.reshape(len(pushed), -1)
 
 
 def setpoints(problem: Problem, robot: Robot, base: Hypothesis) -> list[np.ndarray]:
