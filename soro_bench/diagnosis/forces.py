@@ -1,15 +1,14 @@
 """Forces that have no law: what has to act at a place to explain most of what a hypothesis leaves.
 
 A force is free in time or linear in what the robot is told and in how it is shaped (forms.py). Its values, the
-parameters and the numerical error are estimated together, in steps of Gauss-Newton: the robot is replayed with a little
-more of each value and parameter, then under several forces on the way to the most probable one, the best of which the
-next step begins with. A cable that goes slack, or what is hit, makes the responses of one step wrong where forces are
-large. Numerical error is that under the force, by replays of the refined robots; of a `flex` trunk one motor of which
-also moves another's cable, that of the robot without it leaves 41,000 nats of the truth unexplained. The evidence is
-that of the last replay, by Laplace's approximation.
+parameters and the numerical error are estimated together, in rounds of Gauss-Newton: the robot is replayed with a
+little more of each value and parameter, then under several forces on the way to the most probable one, and from the
+best of these again, with the same responses. A cable that goes slack, or what is hit, makes responses wrong where
+forces are large. Numerical error is that under the force, by replays of the refined robots; of a `flex` trunk one motor
+of which also moves another's cable, that of the robot without it leaves 41,000 nats of the truth unexplained. The
+evidence is that of the last replay, by Laplace's approximation.
 """
 
-import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -20,7 +19,7 @@ from scipy.linalg import solve_triangular
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.forms import Free, Linear
 from soro_bench.diagnosis.problem import DIVERGED, Problem
-from soro_bench.diagnosis.pushes import Source, replayed, setpoints
+from soro_bench.diagnosis.pushes import Acting, Source, replayed, setpoints
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.effects.effect import Port
 from soro_bench.inference.clouds import LowRank
@@ -29,6 +28,8 @@ SCALES = np.geomspace(0.03, 1000.0, 14)  # standard deviations of a force in uni
 LENGTHS, SMALLER = (0.4, 1.0), (1.0, 16.0)  # of a step, tried, and how many times smaller forces than promise most
 REACH = 4.0  # standard deviations of the noise, rms, by which a push moves a robot
 PULSE = 0.5  # of a push, of differences
+STEPS = 4  # of a round, at most
+SETTLED = 10.0  # natural logarithm of the evidence, what is no longer worth one more
 STEP = 0.05  # standard deviations of the priors of parameters, of differences
 
 
@@ -54,9 +55,9 @@ class Driven:
     """A robot on which something acts.
 
     x: (d,) parameters. values: (n, K) at the nodes. simulated: (M,) under both. slope: (d, M) of the residual by the
-    parameters, where they were last replayed. error: (F, M) numerical error under what acts. root: Cholesky factor
-    (n K, n K) of the prior's covariance. occam: what the evidence loses by what else the values might have been. gain:
-    evidence (natural logarithm) against nothing acting.
+    parameters, where they were last replayed. error: (F, M) numerical error under what acts, and what has acted in
+    earlier steps. root: Cholesky factor (n K, n K) of the prior's covariance. occam: what the evidence loses by what
+    else the values might have been. gain: evidence (natural logarithm) against nothing acting.
     """
 
     source: Source
@@ -73,6 +74,10 @@ class Driven:
     @property
     def where(self) -> Port:
         return self.source.where
+
+    @property
+    def acting(self) -> Acting:
+        return self.x, self.source, self.form.factors(self.values)
 
 
 class Search:
@@ -128,17 +133,13 @@ class Search:
         ]
 
     def better(self, driven: Sequence[Driven]) -> list[Driven]:
-        """The same one step of Gauss-Newton further, or as they are if that leads nowhere."""
-        tried = [self._trials(one) for one in driven]
-        simulated = iter(self._simulated(self.robot, list(itertools.chain(*tried))))
-        found = [
-            max((self._weighed(replace(trial, simulated=next(simulated))) for trial in some), key=lambda one: one.gain)
-            for some in tried
-        ]
-        return [
-            one if one.root is not None and one.gain >= new.gain else new
-            for one, new in zip(driven, self._with_own_error(found), strict=True)
-        ]
+        """The same a round further. The first one only sorts out: numerical error is simulated at its end; later after
+        every step."""
+        found = [self._descended(one) for one in driven]
+        first = [i for i, one in enumerate(driven) if one.root is None]
+        for i, one in zip(first, self._with_own_error([found[i] for i in first]), strict=True):
+            found[i] = one
+        return found
 
     def left(self, one: Driven) -> float:
         """rms [signal's unit] of what neither parameters, numerical error nor the force explain."""
@@ -150,30 +151,29 @@ class Search:
         return np.concatenate([self.problem.floor.basis, one.error, one.slope])
 
     def _with_own_error(self, driven: Sequence[Driven]) -> list[Driven]:
-        """The same with the numerical error under what acts."""
+        """The same with the numerical error under what acts too: beside that of earlier steps, as it changes on the
+        way; with the last one alone the way to the truth looks as if it led uphill."""
         asked = [i for i, one in enumerate(driven) if not one.source.measured]
         errors: dict[int, list] = {i: [] for i in asked}
         for finer in self.refined if asked else ():
-            for i, row in zip(asked, self._simulated(finer, [driven[i] for i in asked]), strict=True):
+            for i, row in zip(asked, self._simulated(finer, [driven[i].acting for i in asked]), strict=True):
                 if np.isfinite(row).all():  # it has this place
                     errors[i].append(self.problem.residuals_of(row[None])[0] - self._beside(driven[i].simulated))
         return [
-            self._weighed(replace(one, error=np.array(errors[i]))) if errors.get(i) else one
+            self._weighed(replace(one, error=np.concatenate([one.error, errors[i]]))) if errors.get(i) else one
             for i, one in enumerate(driven)
         ]
 
-    def _simulated(self, robot: Robot, asked: Sequence[Driven]) -> np.ndarray:
+    def _simulated(self, robot: Robot, asked: Sequence[Acting]) -> np.ndarray:
         """(N, M) replays, but for faults of sensors."""
         problem, found = self.problem, np.zeros((len(asked), self._free.size))
-        replays = [i for i, one in enumerate(asked) if not one.source.measured]
-        acting = [(asked[i].x, asked[i].source, asked[i].form.factors(asked[i].values)) for i in replays]
-        if acting:
-            found[replays] = replayed(problem, robot, self.base, acting)
-        for i, one in enumerate(asked):
-            if one.source.measured:
-                factors = np.concatenate(one.form.factors(one.values))
-                factors = np.repeat(factors, int(np.prod(problem.robot.shape)), axis=0)
-                found[i] = self._free - problem.sigma * (factors * one.source.rows(problem).T).sum(axis=1)
+        replays = [i for i, (_, source, _) in enumerate(asked) if not source.measured]
+        if replays:
+            found[replays] = replayed(problem, robot, self.base, [asked[i] for i in replays])
+        for i, (_, source, factors) in enumerate(asked):
+            if source.measured:
+                all_factors = np.repeat(np.concatenate(factors), int(np.prod(problem.robot.shape)), axis=0)
+                found[i] = self._free - problem.sigma * (all_factors * source.rows(problem).T).sum(axis=1)
         return found
 
     def _moved(self, simulated: np.ndarray) -> np.ndarray:
@@ -189,44 +189,47 @@ class Search:
 
     def _responses(self, one: Driven) -> tuple[np.ndarray, np.ndarray | sp.csr_array]:
         """(d, M) and (n K, M) change of the residual by the parameters, and by each value of the force."""
-        size, replays = one.values.shape[1], one.form.replays()[:, :, None]
-        asked = [replace(one, values=one.values + PULSE * each * push) for push in np.eye(size) for each in replays]
+        x, source, factors = one.acting
+        pulses, size = one.form.pulses(), one.values.shape[1]
+        asked = [(x, source, [part + PULSE * more * unit for part, more in zip(factors, pulse, strict=True)])
+                 for unit in np.eye(size) for pulse in pulses]  # fmt: skip
         # of the nominal robot the slopes are known, and what a sensor says does not change them
-        shifts = np.zeros((0, self.d)) if one.root is None or one.source.measured else STEP * np.eye(self.d)
-        asked += [replace(one, x=one.x + shift) for shift in shifts]
+        shifts = np.zeros((0, self.d)) if one.root is None or source.measured else STEP * np.eye(self.d)
+        asked += [(x + shift, source, factors) for shift in shifts]
         moved = np.nan_to_num(self._moved(one.simulated) - self._moved(self._simulated(self.robot, asked)))
-        rows, slope = np.split(moved, [size * len(replays)])
-        return (slope / STEP if len(slope) else one.slope), one.form.parts(rows / PULSE)
+        rows, slope = np.split(moved, [size * len(pulses)])
+        rows = one.form.parts(rows.reshape(size, len(pulses), -1) / PULSE)
+        return (slope / STEP if len(slope) else one.slope), rows
 
-    def _trials(self, one: Driven) -> list[Driven]:
-        """Towards where the evidence is largest, to first order, and where forces have to be smaller."""
-        z = one.values.ravel()
+    def _descended(self, one: Driven) -> Driven:
+        """Steps towards the most probable force, with the same responses as long as that helps."""
         slope, rows = self._responses(one)
         here = replace(one, slope=slope)
-        covariance = Covariance(self._basis(here))
-        origin = self._residual(here) - rows.T @ z  # what the linear model says of no force
-        white = covariance.white(rows)
-        information = rows @ rows.T
-        information = (information.toarray() if sp.issparse(information) else information) - white @ white.T
-        pull = rows @ origin - white @ covariance.white(origin[None])[0]
-        aims = []
-        for kernel in one.form.covariances():
-            root = np.kron(np.linalg.cholesky(kernel), np.eye(one.values.shape[1]))
-            size, turn = np.linalg.eigh(root.T @ information @ root)
-            size, turned = np.maximum(size, 0.0), turn.T @ (root.T @ pull)
-            for scale in SCALES:
-                occam = 0.5 * float(np.log1p(scale**2 * size).sum())
-                gain = 0.5 * float((turned**2 / (size + scale**-2)).sum()) - occam
-                values = -root @ (turn @ (turned / (size + scale**-2)))
-                aims.append(_Aim(gain, scale, occam, root, values.reshape(one.values.shape)))
+        here = here if here.root is None else self._weighed(here)
+        for _ in range(STEPS):
+            tried = self._trials(here, _FirstOrder(here, rows, Covariance(self._basis(here))))
+            simulated = self._simulated(self.robot, [each.acting for each in tried])
+            some = [self._weighed(replace(trial, simulated=row)) for trial, row in zip(tried, simulated, strict=True)]
+            new = max(some, key=lambda each: each.gain)
+            if one.root is not None:
+                (new,) = self._with_own_error([new])
+            if here.root is not None and new.gain <= here.gain + SETTLED:
+                break
+            here = new
+        return max(one, here, key=lambda each: each.gain) if one.root is not None else here
+
+    def _trials(self, one: Driven, first_order: "_FirstOrder") -> list[Driven]:
+        """Towards where the evidence is largest, to first order, and where forces have to be smaller."""
+        origin = self._residual(one) - first_order.changed(one.values)  # what the linear model says of no force
+        aims = first_order.aims(origin)
         found, most = [], max(aims, key=lambda aim: aim.gain).scale
         for smaller in SMALLER:
             possible = [aim for aim in aims if aim.scale <= max(1.01 * most / smaller, SCALES[0])]
             aim = max(possible, key=lambda aim: aim.gain)
-            x = self._parameters(here, origin + rows.T @ aim.values.ravel())
+            x = self._parameters(one, origin + first_order.changed(aim.values))
             for length in LENGTHS:
                 values, at = one.values + length * (aim.values - one.values), one.x + length * (x - one.x)
-                found.append(replace(here, x=at, values=values, root=aim.scale * aim.root, occam=aim.occam))
+                found.append(replace(one, x=at, values=values, root=aim.scale * aim.root, occam=aim.occam))
         return found
 
     def _parameters(self, one: Driven, residual: np.ndarray) -> np.ndarray:
@@ -253,6 +256,39 @@ class _Aim:
     occam: float
     root: np.ndarray
     values: np.ndarray
+
+
+class _FirstOrder:
+    """What the residual is to first order in the values of a force.
+
+    Args:
+        rows: (n K, M) its change by each value.
+        covariance: of everything else.
+    """
+
+    def __init__(self, one: Driven, rows: np.ndarray | sp.csr_array, covariance: Covariance):
+        self._rows, self._covariance, self._white = rows, covariance, covariance.white(rows)
+        self._shape = one.values.shape
+        information = rows @ rows.T
+        information = (information.toarray() if sp.issparse(information) else information) - self._white @ self._white.T
+        roots = [np.kron(np.linalg.cholesky(each), np.eye(self._shape[1])) for each in one.form.covariances()]
+        self._systems = [(root, *np.linalg.eigh(root.T @ information @ root)) for root in roots]
+
+    def changed(self, values: np.ndarray) -> np.ndarray:
+        """(M,) change of the residual by values (n, K)."""
+        return self._rows.T @ values.ravel()
+
+    def aims(self, origin: np.ndarray) -> list[_Aim]:
+        """The most probable values under every prior, of what is left (M,) without a force."""
+        pull, found = self._rows @ origin - self._white @ self._covariance.white(origin[None])[0], []
+        for root, size, turn in self._systems:
+            size, turned = np.maximum(size, 0.0), turn.T @ (root.T @ pull)
+            for scale in SCALES:
+                occam = 0.5 * float(np.log1p(scale**2 * size).sum())
+                gain = 0.5 * float((turned**2 / (size + scale**-2)).sum()) - occam
+                values = -root @ (turn @ (turned / (size + scale**-2)))
+                found.append(_Aim(gain, scale, occam, root, values.reshape(self._shape)))
+        return found
 
 
 def _finite(residual: np.ndarray) -> np.ndarray:

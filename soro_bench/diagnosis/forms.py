@@ -4,8 +4,7 @@ Both are Gaussian: values with a prior covariance, and factors of the pushes at 
 """
 
 import math
-from collections.abc import Sequence
-from itertools import pairwise
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,79 +20,97 @@ SHAPES = 8  # principal components of what is measured
 _JITTER = 1e-9
 
 
-class Free:
-    """Nodes in time with straight lines between them, of all recordings one after the other: (n, K) values of K pushes.
+class Nodes:
+    """Nodes in time with straight lines between them, of all recordings one after the other.
 
     Attributes:
-        time: (n,) s of the nodes in their recordings. recording: (n,) the numbers of these.
+        every: control steps between nodes. time: (n,) s of the nodes in their recordings. recording: (n,) the numbers
+            of these. counts: how many each recording has.
     """
 
-    linear = False
-
-    def __init__(self, problem: Problem, components: int):
+    def __init__(self, problem: Problem, fewest: int = 1):
         timestep = problem.robot.control_timestep
         self._steps = [len(each.values) for each in problem.recordings]
         self._sample = int(np.prod(problem.robot.shape))
-        fewest = math.ceil(components * sum(self._steps) / UNKNOWNS)
-        self._every = max(1, round(SPACING / timestep), fewest)  # control steps between nodes
-        self._apart = max(2, math.ceil(MEMORY / (self._every * timestep)))  # nodes between pulses of a replay
-        self._counts = [(steps - 1) // self._every + 2 for steps in self._steps]
-        self.size = sum(self._counts)
-        self._number = np.concatenate([np.arange(count) for count in self._counts])
-        self.time = timestep * self._every * self._number
-        self.recording = np.repeat(np.arange(len(self._counts)), self._counts)
+        self.every = max(1, round(SPACING / timestep), fewest)
+        self._apart = max(2, math.ceil(MEMORY / (self.every * timestep)))  # nodes between pulses of a replay
+        self.counts = [(steps - 1) // self.every + 2 for steps in self._steps]
+        self._number = np.concatenate([np.arange(count) for count in self.counts])
+        self.time = timestep * self.every * self._number
+        self.recording = np.repeat(np.arange(len(self.counts)), self.counts)
 
     def factors(self, values: np.ndarray) -> list[np.ndarray]:
-        """(T, K) in every control step of each recording."""
+        """(T, K) in every control step of each recording, of values (n, K) at the nodes."""
         found = []
-        for steps, part in zip(self._steps, np.split(values, np.cumsum(self._counts)[:-1]), strict=True):
-            at = np.arange(steps) / self._every
+        for steps, part in zip(self._steps, np.split(values, np.cumsum(self.counts)[:-1]), strict=True):
+            at = np.arange(steps) / self.every
             low = at.astype(int)
             found.append(part[low] + (at - low)[:, None] * (part[low + 1] - part[low]))
         return found
 
     def values(self, factors: Sequence[np.ndarray]) -> np.ndarray:
-        """(n, K) of factors (T, K) in every control step of each recording."""
+        """(n, K) at the nodes, of factors (T, K) in every control step of each recording."""
         found = []
-        for part, count in zip(factors, self._counts, strict=True):
-            found.append(part[np.minimum(self._every * np.arange(count), len(part) - 1)])
+        for part, count in zip(factors, self.counts, strict=True):
+            found.append(part[np.minimum(self.every * np.arange(count), len(part) - 1)])
         return np.concatenate(found)
 
-    def replays(self) -> np.ndarray:
-        """(P, n) values of one push in each of P replays: pulses that are a memory of the robot apart share one."""
-        return (self._number % self._apart == np.arange(self._apart)[:, None]).astype(float)
+    def pulses(self) -> list[list[np.ndarray]]:
+        """Factors (T, 1) of each of P replays: pulses at nodes that are a memory of the robot apart share one."""
+        return [
+            self.factors((self._number % self._apart == comb)[:, None].astype(float)) for comb in range(self._apart)
+        ]
+
+    def owners(self) -> Iterator[tuple[int, int, slice]]:
+        """Every node, the replay that has a pulse there, and the samples in which that shows."""
+        first, node = 0, 0
+        for steps, count in zip(self._steps, self.counts, strict=True):
+            for number in range(count):
+                begin, end = (np.clip((number + k) * self.every, 0, steps) for k in (-1, self._apart - 1))
+                shown = slice(first + int(begin) * self._sample, first + int(end) * self._sample)
+                yield node, number % self._apart, shown
+                node += 1
+            first += steps * self._sample
+
+
+class Free:
+    """(n, K) values of K pushes at nodes in time; in long recordings these are farther apart."""
+
+    linear = False
+
+    def __init__(self, problem: Problem, components: int):
+        steps = sum(len(each.values) for each in problem.recordings)
+        self.nodes = Nodes(problem, math.ceil(components * steps / UNKNOWNS))
+        self.size = len(self.nodes.time)
+
+    def factors(self, values: np.ndarray) -> list[np.ndarray]:
+        """(T, K) in every control step of each recording."""
+        return self.nodes.factors(values)
+
+    def pulses(self) -> list[list[np.ndarray]]:
+        """Factors (T, 1) of each of P replays."""
+        return self.nodes.pulses()
 
     def parts(self, rows: np.ndarray) -> sp.csr_array:
-        """(n K, M) what each value changes, of what the replays do (K P, M), those of a push one after the other."""
-        samples = rows.shape[1]
-        rows = rows.reshape(-1, self._apart, samples)
+        """(n K, M) what each value changes, of what replays of pulses do (K, P, M)."""
         values, columns, ends = [], [], [0]
-        for comb, (begin, end) in zip(self._number % self._apart, self._spans(), strict=True):
+        for _, comb, shown in self.nodes.owners():
             for row in rows[:, comb]:
-                values.append(row[begin:end])
-                columns.append(np.arange(begin, end))
-                ends.append(ends[-1] + end - begin)
-        return sp.csr_array((np.concatenate(values), np.concatenate(columns), ends), shape=(len(ends) - 1, samples))
+                values.append(row[shown])
+                columns.append(np.arange(shown.start, shown.stop))
+                ends.append(ends[-1] + shown.stop - shown.start)
+        shape = len(ends) - 1, rows.shape[-1]
+        return sp.csr_array((np.concatenate(values), np.concatenate(columns), ends), shape=shape)
 
     def covariances(self) -> list[np.ndarray]:
         """(n, n) of one push, some: Matern 3/2 in each recording."""
         found = []
         for correlation in TIMES:
             blocks = []
-            for begin, end in pairwise([0, *np.cumsum(self._counts)]):
-                lag = np.abs(np.subtract.outer(self.time[begin:end], self.time[begin:end])) / correlation
+            for time in np.split(self.nodes.time, np.cumsum(self.nodes.counts)[:-1]):
+                lag = np.abs(np.subtract.outer(time, time)) / correlation
                 blocks.append((1.0 + lag) * np.exp(-lag))
             found.append(block_diag(*blocks) + _JITTER * np.eye(self.size))
-        return found
-
-    def _spans(self) -> list[tuple[int, int]]:
-        """The samples in which a pulse at each node shows."""
-        found, first = [], 0
-        for steps, count in zip(self._steps, self._counts, strict=True):
-            for node in range(count):
-                begin, end = (np.clip((node + k) * self._every, 0, steps) for k in (-1, self._apart - 1))
-                found.append((first + int(begin) * self._sample, first + int(end) * self._sample))
-            first += steps * self._sample
         return found
 
 
@@ -126,13 +143,13 @@ class Linear:
         """(T, K) in every control step of each recording."""
         return [part @ values for part in self._parts]
 
-    def replays(self) -> np.ndarray:
-        """(F, F) weights of one push in each of F replays."""
-        return np.eye(self.size)
+    def pulses(self) -> list[list[np.ndarray]]:
+        """Factors (T, 1) of each of F replays, one a feature: where cables go slack, sums of others mislead."""
+        return [[part[:, [i]] for part in self._parts] for i in range(self.size)]
 
     def parts(self, rows: np.ndarray) -> np.ndarray:
-        """(F K, M) what each weight changes, of what the replays do (K F, M), those of a push one after the other."""
-        return rows.reshape(-1, self.size, rows.shape[1]).swapaxes(0, 1).reshape(rows.shape)
+        """(F K, M) what each weight changes, of what replays of pulses do (K, F, M)."""
+        return rows.swapaxes(0, 1).reshape(-1, rows.shape[-1])
 
     def covariances(self) -> list[np.ndarray]:
         """(F, F) of one push: weights are independent."""

@@ -22,8 +22,8 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from soro_bench.diagnosis.fit import Hypothesis
-from soro_bench.diagnosis.forces import Driven, Search
-from soro_bench.diagnosis.forms import UNKNOWNS, Free
+from soro_bench.diagnosis.forces import SETTLED, Driven, Search
+from soro_bench.diagnosis.forms import UNKNOWNS, Nodes
 from soro_bench.diagnosis.localise import windows
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.pushes import Source, sources
@@ -32,8 +32,7 @@ from soro_bench.effects.effect import Port
 
 WINDOW = 0.15  # s, times the number of directions
 FIRST, OF_A_KIND = 6, 2  # places that are looked at, and of every kind at least
-ROUNDS, FINALISTS = 8, 8  # of the search for forces, and how many go on after the first one, at most
-RATE, SETTLED = 0.25, 1e-3  # of what a round gained, expected of the next ones; of all evidence, no longer of interest
+FINALISTS, ROUNDS = 8, 8  # of the first round of the search for forces, and how many more rounds they get, at most
 _SCALES = np.geomspace(0.03, 30.0, 13)  # of a force in a window, standard deviations of the prior in those units
 
 
@@ -96,18 +95,20 @@ def _leads(robot: Robot, everything: Sequence[Source], gains: Sequence[float]) -
 
 
 def _raced(search: Search, driven: Sequence[Driven]) -> list[Driven]:
-    """The same after as many rounds as those need that may still turn out to be the most probable."""
-    driven, gain, last = list(driven), np.zeros(len(driven)), np.full(len(driven), np.inf)
-    for count in range(ROUNDS):
-        hopeful = (gain + RATE * last >= gain.max()) & (last > SETTLED * gain.max())
-        chosen = np.flatnonzero(hopeful)[np.argsort(-gain[hopeful], kind="stable")][: FINALISTS if count else None]
+    """The same after as many rounds as those need that would lead if they gained once more what they gained last;
+    the most probable first but for these rounds."""
+    driven = sorted(search.better(driven), key=lambda one: -one.gain)
+    gain = np.array([one.gain for one in driven[:FINALISTS]])
+    last = np.full(len(gain), np.inf)
+    for _ in range(ROUNDS):
+        chosen = np.flatnonzero((gain + last >= gain.max()) & (last > SETTLED))
         for i, one in zip(chosen, search.better([driven[i] for i in chosen]), strict=True):
             driven[i], gain[i], last[i] = one, one.gain, one.gain - gain[i]
     return driven
 
 
 def _force(problem, search, one: Driven) -> Force:
-    pushes, nodes = one.source.pushes, Free(problem, len(one.source.pushes))
+    pushes, nodes = one.source.pushes, Nodes(problem) if one.form.linear else one.form.nodes
     return Force(
         tuple(push.component for push in pushes),
         tuple(push.unit for push in pushes),
