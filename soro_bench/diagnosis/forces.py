@@ -29,7 +29,7 @@ LENGTHS, SMALLER = (0.4, 1.0), (1.0, 16.0)  # of a step, tried, and how many tim
 REACH = 4.0  # standard deviations of the noise, rms, by which a push moves a robot
 PULSE = 0.5  # of a push, of differences
 STEPS = 4  # of a round, at most
-SETTLED = 10.0  # natural logarithm of the evidence, what is no longer worth one more
+SETTLED = 1.0  # natural logarithm of the evidence, what is no longer worth one more
 STEP = 0.05  # standard deviations of the priors of parameters, of differences
 
 
