@@ -9,7 +9,7 @@ of which also moves another's cable, that of the robot without it leaves 41,000 
 evidence is that of the last replay, by Laplace's approximation.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,6 +29,7 @@ LENGTHS, SMALLER = (0.4, 1.0), (1.0, 16.0)  # of a step, tried, and how many tim
 REACH = 4.0  # standard deviations of the noise, rms, by which a push moves a robot
 PULSE = 0.5  # of a push, of differences
 STEPS = 4  # of a round, at most
+TOGETHER = 8  # are replayed side by side
 SETTLED = 1.0  # natural logarithm of the evidence, what is no longer worth one more
 STEP = 0.05  # standard deviations of the priors of parameters, of differences
 
@@ -133,13 +134,18 @@ class Search:
         ]
 
     def better(self, driven: Sequence[Driven]) -> list[Driven]:
-        """The same a round further. The first one only sorts out: numerical error is simulated at its end; later after
-        every step."""
-        found = [self._descended(one) for one in driven]
-        first = [i for i, one in enumerate(driven) if one.root is None]
-        for i, one in zip(first, self._with_own_error([found[i] for i in first]), strict=True):
-            found[i] = one
-        return found
+        """The same a round further. The first one, in which nothing acts on any of them yet, only sorts out."""
+        parts = [driven[first : first + TOGETHER] for first in range(0, len(driven), TOGETHER)]
+        return [one for part in parts for one in (self._first if part[0].root is None else self._further)(part)]
+
+    def _first(self, driven: Sequence[Driven]) -> list[Driven]:
+        """Numerical error is simulated at the end only."""
+        return self._with_own_error(self._descended(driven, lambda some: some))
+
+    def _further(self, driven: Sequence[Driven]) -> list[Driven]:
+        """Numerical error is simulated after every step, as it changes on the way."""
+        found = self._descended(driven, self._with_own_error)
+        return [max(pair, key=lambda one: one.gain) for pair in zip(driven, found, strict=True)]
 
     def left(self, one: Driven) -> float:
         """rms [signal's unit] of what neither parameters, numerical error nor the force explain."""
@@ -151,8 +157,8 @@ class Search:
         return np.concatenate([self.problem.floor.basis, one.error, one.slope])
 
     def _with_own_error(self, driven: Sequence[Driven]) -> list[Driven]:
-        """The same with the numerical error under what acts too: beside that of earlier steps, as it changes on the
-        way; with the last one alone the way to the truth looks as if it led uphill."""
+        """The same with the numerical error under what acts too, beside that of earlier steps: with one alone the way
+        to the truth looks as if it led away from it."""
         asked = [i for i, one in enumerate(driven) if not one.source.measured]
         errors: dict[int, list] = {i: [] for i in asked}
         for finer in self.refined if asked else ():
@@ -201,22 +207,28 @@ class Search:
         rows = one.form.parts(rows.reshape(size, len(pulses), -1) / PULSE)
         return (slope / STEP if len(slope) else one.slope), rows
 
-    def _descended(self, one: Driven) -> Driven:
-        """Steps towards the most probable force, with the same responses as long as that helps."""
-        slope, rows = self._responses(one)
-        here = replace(one, slope=slope)
-        here = here if here.root is None else self._weighed(here)
+    def _descended(self, driven: Sequence[Driven], finished: Callable) -> list[Driven]:
+        """Steps towards the most probable forces, with the same responses as long as that helps."""
+        here, rows = [], []
+        for one in driven:
+            slope, response = self._responses(one)
+            here.append(replace(one, slope=slope) if one.root is None else self._weighed(replace(one, slope=slope)))
+            rows.append(response)
+        going = list(range(len(driven)))
         for _ in range(STEPS):
-            tried = self._trials(here, _FirstOrder(here, rows, Covariance(self._basis(here))))
-            simulated = self._simulated(self.robot, [each.acting for each in tried])
-            some = [self._weighed(replace(trial, simulated=row)) for trial, row in zip(tried, simulated, strict=True)]
-            new = max(some, key=lambda each: each.gain)
-            if one.root is not None:
-                (new,) = self._with_own_error([new])
-            if here.root is not None and new.gain <= here.gain + SETTLED:
-                break
-            here = new
-        return max(one, here, key=lambda each: each.gain) if one.root is not None else here
+            new = finished(self._stepped([here[i] for i in going], [rows[i] for i in going]))
+            ahead = {i: one for i, one in zip(going, new, strict=True)
+                     if here[i].root is None or one.gain > here[i].gain + SETTLED}  # fmt: skip
+            here, going = [ahead.get(i, one) for i, one in enumerate(here)], list(ahead)
+        return here
+
+    def _stepped(self, driven: Sequence[Driven], rows: Sequence) -> list[Driven]:
+        """The best of some trials of each."""
+        tried = [self._trials(one, _FirstOrder(one, some, Covariance(self._basis(one))))
+                 for one, some in zip(driven, rows, strict=True)]  # fmt: skip
+        simulated = iter(self._simulated(self.robot, [trial.acting for some in tried for trial in some]))
+        weighed = [[self._weighed(replace(trial, simulated=next(simulated))) for trial in some] for some in tried]
+        return [max(some, key=lambda one: one.gain) for some in weighed]
 
     def _trials(self, one: Driven, first_order: "_FirstOrder") -> list[Driven]:
         """Towards where the evidence is largest, to first order, and where forces have to be smaller."""
