@@ -25,7 +25,7 @@ from soro_bench.effects.effect import Port
 from soro_bench.inference.clouds import LowRank
 
 SCALES = np.geomspace(0.03, 1000.0, 14)  # standard deviations of a force in units of the pushes
-LENGTHS, SMALLER = (0.4, 1.0), (1.0, 16.0)  # of a step, tried, and how many times smaller forces than promise most
+LENGTHS, SMALLER = (0.1, 0.4, 1.0), (1.0, 16.0)  # of a step, tried, and how many times smaller forces than promise most
 REACH = 4.0  # standard deviations of the noise, rms, by which a push moves a robot
 PULSE = 0.5  # of a push, of differences
 STEPS = 4  # of a round, at most

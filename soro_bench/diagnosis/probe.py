@@ -33,6 +33,7 @@ from soro_bench.effects.effect import Port
 WINDOW = 0.15  # s, times the number of directions
 FIRST, OF_A_KIND = 6, 2  # places that are looked at, and of every kind at least
 FINALISTS, ROUNDS = 8, 8  # of the first round of the search for forces, and how many more rounds they get, at most
+HOPE = 0.25  # of what the first round gained, what the next one may gain
 _SCALES = np.geomspace(0.03, 30.0, 13)  # of a force in a window, standard deviations of the prior in those units
 
 
@@ -99,7 +100,7 @@ def _raced(search: Search, driven: Sequence[Driven]) -> list[Driven]:
     the most probable first but for these rounds."""
     driven = sorted(search.better(driven), key=lambda one: -one.gain)
     gain = np.array([one.gain for one in driven[:FINALISTS]])
-    last = np.full(len(gain), np.inf)
+    last = HOPE * gain
     for _ in range(ROUNDS):
         chosen = np.flatnonzero((gain + last >= gain.max()) & (last > SETTLED))
         for i, one in zip(chosen, search.better([driven[i] for i in chosen]), strict=True):
