@@ -103,6 +103,8 @@ def _raced(search: Search, driven: Sequence[Driven]) -> list[Driven]:
     last = HOPE * gain
     for _ in range(ROUNDS):
         chosen = np.flatnonzero((gain + last >= gain.max()) & (last > SETTLED))
+        if set(chosen) <= {gain.argmax()}:
+            break
         for i, one in zip(chosen, search.better([driven[i] for i in chosen]), strict=True):
             driven[i], gain[i], last[i] = one, one.gain, one.gain - gain[i]
     return driven
