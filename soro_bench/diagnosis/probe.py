@@ -101,9 +101,9 @@ def _raced(search: Search, driven: Sequence[Driven]) -> list[Driven]:
     driven = sorted(search.better(driven), key=lambda one: -one.gain)
     gain = np.array([one.gain for one in driven[:FINALISTS]])
     last = HOPE * gain
-    for _ in range(ROUNDS):
+    for count in range(ROUNDS):
         chosen = np.flatnonzero((gain + last >= gain.max()) & (last > SETTLED))
-        if set(chosen) <= {gain.argmax()}:
+        if count > 0 and set(chosen) <= {gain.argmax()}:
             break
         for i, one in zip(chosen, search.better([driven[i] for i in chosen]), strict=True):
             driven[i], gain[i], last[i] = one, one.gain, one.gain - gain[i]
