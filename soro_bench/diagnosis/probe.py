@@ -33,7 +33,7 @@ from soro_bench.effects.effect import Port
 WINDOW = 0.15  # s, times the number of directions
 FIRST, OF_A_KIND = 6, 2  # places that are looked at, and of every kind at least
 FINALISTS, ROUNDS = 8, 8  # of the first round of the search for forces, and how many more rounds they get, at most
-HOPE = 0.25  # of what the first round gained, what the next one may gain
+HOPE = 0.25  # of what a round gained, what the next ones may gain
 _SCALES = np.geomspace(0.03, 30.0, 13)  # of a force in a window, standard deviations of the prior in those units
 
 
@@ -96,13 +96,12 @@ def _leads(robot: Robot, everything: Sequence[Source], gains: Sequence[float]) -
 
 
 def _raced(search: Search, driven: Sequence[Driven]) -> list[Driven]:
-    """The same after as many rounds as those need that would lead if they gained once more what they gained last;
-    the most probable first but for these rounds."""
+    """The same after as many rounds as those need that may still lead; the most probable first but for these rounds."""
     driven = sorted(search.better(driven), key=lambda one: -one.gain)
     gain = np.array([one.gain for one in driven[:FINALISTS]])
-    last = HOPE * gain
+    last = gain.copy()
     for count in range(ROUNDS):
-        chosen = np.flatnonzero((gain + last >= gain.max()) & (last > SETTLED))
+        chosen = np.flatnonzero((gain + HOPE * last >= gain.max()) & (last > SETTLED))
         if count > 0 and set(chosen) <= {gain.argmax()}:
             break
         for i, one in zip(chosen, search.better([driven[i] for i in chosen]), strict=True):
