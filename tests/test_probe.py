@@ -25,7 +25,7 @@ def test_a_force_without_a_name_is_found_at_its_place(robot, actions, where):
     def pull(step):
         force = 1.0 + np.sin(step / 5)
         if where.kind == "body":
-            batch.xfrc_applied[0, i, 0] = 0.05 * force
+            batch.xfrc_applied[0, i, 0] = 0.1 * force
         else:
             entries = model.ten_J_rowadr[i] + np.arange(model.ten_J_rownnz[i])
             batch.qfrc_applied[0, model.ten_J_colind[entries]] = -force * batch.ten_J[0, entries]
@@ -37,7 +37,7 @@ def test_a_force_without_a_name_is_found_at_its_place(robot, actions, where):
     assert best.where == where
     component = best.force.components.index("x" if where.kind == "body" else "pull")
     steps = best.force.start / 0.05
-    truth = (0.05 if where.kind == "body" else 1.0) * (1.0 + np.sin(steps / 5))
+    truth = (0.1 if where.kind == "body" else 1.0) * (1.0 + np.sin(steps / 5))
     truth, force = truth[:-2], best.force.values[:-2, component]  # little is seen of what acts at the very end
     assert force.mean() == pytest.approx(truth.mean(), rel=0.2)
     assert np.corrcoef(force, truth)[0, 1] > 0.5

@@ -33,7 +33,7 @@ from soro_bench.effects.effect import Port
 WINDOW = 0.15  # s, times the number of directions
 FIRST, OF_A_KIND = 6, 2  # places that are looked at, and of every kind at least
 FINALISTS, ROUNDS = 8, 8  # of the first round of the search for forces, and how many more rounds they get, at most
-HOPE = 0.25  # of what a round gained, what the next ones may gain
+HOPE = 0.5  # of what a round gained, what the next ones may gain
 _SCALES = np.geomspace(0.03, 30.0, 13)  # of a force in a window, standard deviations of the prior in those units
 
 
