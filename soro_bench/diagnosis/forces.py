@@ -246,9 +246,9 @@ class Search:
 
     def _parameters(self, one: Driven, residual: np.ndarray) -> np.ndarray:
         """(d,) the most probable ones, of the residual (M,) that is left in the middle of their priors."""
-        floor = LowRank(np.concatenate([self.problem.floor.basis, one.error]))
         if one.source.measured:
             return one.x
+        floor = LowRank(np.concatenate([self.problem.floor.basis, one.error]))
         information = floor.product(one.slope, one.slope) + np.eye(self.d)
         return -np.linalg.solve(information, floor.product(one.slope, residual[None])[:, 0])
 

@@ -16,8 +16,6 @@ from soro_bench.effects.effect import Effect
 
 FAR = 3.0  # standard deviations of its prior: one parameter in 400 is that far from its nominal value
 
-LEAST_SHARE = 0.1  # of a force, that a verdict names
-
 
 def verdict(diagnosis: Diagnosis) -> str:
     """What was found, in sentences."""
@@ -85,8 +83,8 @@ def _force(diagnosis: Diagnosis, unit: str) -> str:
     sizes = (f"{size:.2g} {u} ({name})" for size, u, name in
              zip(np.sqrt((force.values**2).mean(axis=0)), force.units, force.components, strict=True))  # fmt: skip
     before = problem.left(diagnosis.explanation.nominal.residual)
-    form = ", ".join(f"{name} {share:.2f}" for name, share in list(force.shares.items())[:3] if share >= LEAST_SHARE)
-    form = f"linear in what the robot is told and in its shape (mostly in: {form})" if form else "free in time"
+    form = ", ".join(f"{name} {share:.2f}" for name, share in list(force.shares.items())[:3])
+    form = f"linear in what the robot is told and in its shape (mostly in: {form})" if force.shares else "free in time"
     return (f"Without a law: what acts there is {', '.join(sizes)} rms; with it, {form}, "
             f"{length(force.left, unit)} of {length(before, unit)} would be left.")  # fmt: skip
 
