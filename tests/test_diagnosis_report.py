@@ -188,6 +188,13 @@ def test_what_has_no_name_gets_a_place_and_a_force_over_time(robot, payload, tmp
     assert "What has no name" in (tmp_path / "report.html").read_text()
 
 
+def test_what_acts_at_no_single_place_is_still_called_unknown(payload):
+    found, _ = payload
+    text = verdict(replace(found, comparison=replace(found.comparison, unknown=0.9), places=()))
+    assert "Something acts at no single place that has no name in the catalogue" in text
+    assert "Without a law" not in text
+
+
 def test_what_to_record_next_is_in_every_report_and_in_a_file_for_the_controller(robot, payload, tmp_path):
     motion = motions((2,), robot.channels, robot.control_timestep)[1]
     proposal = Proposal(motion, ("payload", "backlash"), (("payload", "backlash"),), 500.0)

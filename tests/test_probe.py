@@ -60,6 +60,13 @@ def test_a_setpoint_that_wanders_is_found_at_its_actuator(robot, actions):
     assert best.force.components == ("offset",)
 
 
+def test_where_nothing_acts_there_is_no_place(robot, actions):
+    """Any force explains a little noise."""
+    given = problem(robot, actions)
+    (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1, 0.05), seed=0)
+    assert places(given, robot, base) == []
+
+
 def test_what_pushes_a_body_and_a_law_that_does_so_too_add_up(robot, actions):
     """Drag that is known, or in a hypothesis, takes nothing from the pushes of the probes."""
     given = problem(robot, actions)

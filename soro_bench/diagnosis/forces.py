@@ -93,9 +93,7 @@ class Search:
         self.problem, self.robot, self.base, self.refined = problem, robot, base, refined
         self.d = problem.parameters
         nothing = [np.zeros((len(each.values), 0)) for each in problem.recordings]
-        model = robot.elements.model
-        names = [model.actuator(i).name for i in range(model.nu)]
-        self.linear = Linear(problem, setpoints(problem, robot, base), names)
+        self.linear = Linear(problem, setpoints(problem, robot, base), robot.actuator_names)
         (self._free,) = replayed(problem, robot, base, [(base.x, Source(()), nothing)])
         self._x, self._slope = base.x[: self.d], base.slope[: self.d]
         covariance = Covariance(np.concatenate([problem.floor.basis, self._slope]))

@@ -45,7 +45,7 @@ class Outliers:
 class Diagnosis:
     """What was found; times are in seconds, everything else in the units of the robot and its signal.
 
-    places: of what has no name, the best first; none where a name explains it.
+    places: of what has no name, the best first; none where a name explains it, or no force at one place anything.
     proposal: what to record next; None where nothing is left to be told apart.
     """
 
@@ -167,7 +167,7 @@ def _check_it_stays_finite(problem: Problem, x: np.ndarray, robot: Robot) -> Non
 def _proposal(found: Diagnosis, seed: int) -> Proposal | None:
     if not found.detected or not found.robot.channels:
         return None
-    unknown = found.places[0].where if found.verdict == "unknown_physics" else None
+    unknown = found.places[0].where if found.verdict == "unknown_physics" and found.places else None
     return proposed(found.explanation.problem, found.comparison, unknown, seed)
 
 

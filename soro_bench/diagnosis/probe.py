@@ -65,7 +65,8 @@ class Place:
 
 
 def places(problem: Problem, robot: Robot, base: Hypothesis, refined: Sequence[Robot] = ()) -> list[Place]:
-    """Where forces would explain most of what a hypothesis leaves, the best place first.
+    """Where forces would explain most of what a hypothesis leaves, the best place first; none if no force gains more
+    than the best of so many forms and places does by chance.
 
     Args:
         robot: that is pushed, with the time steps of its model.
@@ -73,13 +74,15 @@ def places(problem: Problem, robot: Robot, base: Hypothesis, refined: Sequence[R
     """
     search = Search(problem, robot, base, refined)
     everything, rows = search.sized(sources(problem, robot, base))
-    driven = []
-    for linear in (False, True):
+    driven, forms = [], (False, True)
+    for linear in forms:
         gains = [_gain(problem, base, row, search.linear.features if linear else None) for row in rows]
         driven += search.begin(_leads(robot, everything, gains), linear)
     best: dict[Port, Driven] = {}
+    chance = np.log(len(forms) * len(everything))
     for one in sorted(_raced(search, driven), key=lambda one: -one.gain):
-        best.setdefault(one.where, one)
+        if one.gain > chance:
+            best.setdefault(one.where, one)
     return [Place(one.where, one.gain, _force(problem, search, one)) for one in best.values()]
 
 

@@ -158,10 +158,14 @@ class Robot(ABC):
     @property
     def channels(self) -> list[str]:
         """What each number of an action moves, such as "cable L0"."""
-        model = self.elements.model
-        names = np.array([model.actuator(i).name or f"number {i}" for i in range(model.nu)])
-        kind = "cable" if self.pulls_cables else "actuator"
+        kind, names = "cable" if self.pulls_cables else "actuator", np.array(self.actuator_names)
         return [f"{kind} {' and '.join(names[row > 0])}" for row in self.moves]
+
+    @property
+    def actuator_names(self) -> list[str]:
+        """Of all actuators, or their numbers where they have none."""
+        model = self.elements.model
+        return [model.actuator(i).name or f"number {i}" for i in range(model.nu)]
 
     def channel(self, where: Port) -> int | None:
         """The number of an action that moves a cable or actuator; None for what no single one moves."""
