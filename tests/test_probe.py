@@ -1,11 +1,15 @@
 """Places of forces that have no name."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
+from soro_bench.diagnosis.forces import Driven
 from soro_bench.diagnosis.measured import Measured
-from soro_bench.diagnosis.probe import places
+from soro_bench.diagnosis.probe import _raced, _raced_further, places
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.pushes import Source, replayed, sources
 from soro_bench.diagnosis.suite_robot import SuiteRobot
@@ -58,6 +62,25 @@ def test_a_setpoint_that_wanders_is_found_at_its_actuator(robot, actions):
     best = places(given, robot, base)[0]
     assert best.where == Port("actuator", "L2")
     assert best.force.components == ("offset",)
+
+
+def test_places_beside_the_best_are_tried_as_long_as_one_of_them_is_better(robot, actions):
+    """The linear estimate chose vertebra5 and gravity; each further round of a place gains half as much."""
+    everything = sources(problem(robot, actions), robot, Hypothesis((), np.zeros(5), None, 0.0, None, None))
+    most = {"vertebra3": 28.0, "vertebra4": 30.0, "vertebra5": 20.0, "vertebra6": 5.0, "gravity": 10.0}
+
+    class Known(SimpleNamespace):
+        def begin(self, some, linear):
+            return [Driven(one, SimpleNamespace(linear=linear), *5 * [None]) for one in some]
+
+        def better(self, driven):
+            return [replace(one, gain=0.5 * (one.gain + most[one.where.name])) for one in driven]
+
+    search = Known(robot=robot)
+    chosen = [one for one in everything if one.where.name in ("vertebra5", "gravity") and one.pushes[0].kind == "world"]
+    found = _raced_further(search, _raced(search, search.begin(chosen, False)), everything)
+    assert sorted(one.where.name for one in found) == ["gravity", "vertebra3", "vertebra4", "vertebra5", "vertebra6"]
+    assert max(found, key=lambda one: one.gain).where.name == "vertebra4"
 
 
 def test_where_nothing_acts_there_is_no_place(robot, actions):

@@ -33,7 +33,6 @@ from soro_bench.effects.effect import Port
 WINDOW = 0.15  # s, times the number of directions
 FIRST, OF_A_KIND = 6, 2  # places that are looked at, and of every kind at least
 FINALISTS, ROUNDS = 8, 8  # of the first round of the search for forces, and how many more rounds they get, at most
-HOPE = 0.5  # of what a round gained, what the next ones may gain
 _SCALES = np.geomspace(0.03, 30.0, 13)  # of a force in a window, standard deviations of the prior in those units
 
 
@@ -78,9 +77,10 @@ def places(problem: Problem, robot: Robot, base: Hypothesis, refined: Sequence[R
     for linear in forms:
         gains = [_gain(problem, base, row, search.linear.features if linear else None) for row in rows]
         driven += search.begin(_leads(robot, everything, gains), linear)
+    driven = _raced_further(search, _raced(search, driven), everything)
     best: dict[Port, Driven] = {}
     chance = np.log(len(forms) * len(everything))
-    for one in sorted(_raced(search, driven), key=lambda one: -one.gain):
+    for one in sorted(driven, key=lambda one: -one.gain):
         if one.gain > chance:
             best.setdefault(one.where, one)
     return [Place(one.where, one.gain, _force(problem, search, one)) for one in best.values()]
@@ -98,18 +98,39 @@ def _leads(robot: Robot, everything: Sequence[Source], gains: Sequence[float]) -
     return [one for one in everything if one in chosen or robot.channel(one.where) in cables]
 
 
-def _raced(search: Search, driven: Sequence[Driven]) -> list[Driven]:
-    """The same after as many rounds as those need that may still lead; the most probable first but for these rounds."""
+def _raced(search: Search, driven: Sequence[Driven], ahead: float = -np.inf) -> list[Driven]:
+    """The same after as many rounds as those need that would lead if they gained once more what they gained last (of an
+    obstacle that is hit a round gains two thirds of that), the most probable first but for these rounds.
+
+    Args:
+        ahead: the gain of another one, which has had its rounds.
+    """
     driven = sorted(search.better(driven), key=lambda one: -one.gain)
     gain = np.array([one.gain for one in driven[:FINALISTS]])
     last = gain.copy()
     for count in range(ROUNDS):
-        chosen = np.flatnonzero((gain + HOPE * last >= gain.max()) & (last > SETTLED))
-        if count > 0 and set(chosen) <= {gain.argmax()}:
+        lead = max(ahead, gain.max())
+        chosen = np.flatnonzero((gain + last >= lead) & (last > SETTLED))
+        settled = count > 0 and gain.max() == lead and set(chosen) <= {gain.argmax()}
+        if settled or not len(chosen):
             break
         for i, one in zip(chosen, search.better([driven[i] for i in chosen]), strict=True):
             driven[i], gain[i], last[i] = one, one.gain, one.gain - gain[i]
     return driven
+
+
+def _raced_further(search: Search, driven: list[Driven], everything: Sequence[Source]) -> list[Driven]:
+    """The same and those beside the best, as long as one of them is better: the linear estimate, which chose where to
+    look, is far from where large forces lead."""
+    while True:
+        best = max(driven, key=lambda one: one.gain)
+        beside = [one for one in everything if one.where in search.robot.beside(best.where)]
+        tried = {(one.where, one.source.pushes[0].kind) for one in driven if one.form.linear == best.form.linear}
+        untried = [one for one in beside if (one.where, one.pushes[0].kind) not in tried]
+        new = [one for one in untried if one.pushes[0].kind == best.source.pushes[0].kind]
+        if not new:
+            return driven
+        driven = driven + _raced(search, search.begin(new, best.form.linear), best.gain)
 
 
 def _force(problem, search, one: Driven) -> Force:
