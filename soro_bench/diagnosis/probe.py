@@ -32,7 +32,7 @@ from soro_bench.effects.effect import Port
 
 WINDOW = 0.15  # s, times the number of directions
 FIRST, OF_A_KIND = 6, 2  # places that are looked at, and of every kind at least
-FINALISTS, ROUNDS = 8, 8  # of the first round of the search for forces, and how many more rounds they get, at most
+FINALISTS, ROUNDS = 8, 8  # of the first round of the search for forces, and how many rounds follow, at most
 _SCALES = np.geomspace(0.03, 30.0, 13)  # of a force in a window, standard deviations of the prior in those units
 
 
@@ -77,10 +77,10 @@ def places(problem: Problem, robot: Robot, base: Hypothesis, refined: Sequence[R
     for linear in forms:
         gains = [_gain(problem, base, row, search.linear.features if linear else None) for row in rows]
         driven += search.begin(_leads(robot, everything, gains), linear)
-    driven = _raced_further(search, _raced(search, driven), everything)
+    race = _raced(search, driven, everything)
     best: dict[Port, Driven] = {}
     chance = np.log(len(forms) * len(everything))
-    for one in sorted(driven, key=lambda one: -one.gain):
+    for one in sorted(race.driven, key=lambda one: -one.gain):
         if one.gain > chance:
             best.setdefault(one.where, one)
     return [Place(one.where, one.gain, _force(problem, search, one)) for one in best.values()]
@@ -98,39 +98,56 @@ def _leads(robot: Robot, everything: Sequence[Source], gains: Sequence[float]) -
     return [one for one in everything if one in chosen or robot.channel(one.where) in cables]
 
 
-def _raced(search: Search, driven: Sequence[Driven], ahead: float = -np.inf) -> list[Driven]:
-    """The same after as many rounds as those need that would lead if they gained once more what they gained last (of an
-    obstacle that is hit a round gains two thirds of that), the most probable first but for these rounds.
+class _Race:
+    """Forces at places that are found in rounds, of which those go on that may still lead."""
 
-    Args:
-        ahead: the gain of another one, which has had its rounds.
-    """
-    driven = sorted(search.better(driven), key=lambda one: -one.gain)
-    gain = np.array([one.gain for one in driven[:FINALISTS]])
-    last = gain.copy()
-    for count in range(ROUNDS):
-        lead = max(ahead, gain.max())
-        chosen = np.flatnonzero((gain + last >= lead) & (last > SETTLED))
-        settled = count > 0 and gain.max() == lead and set(chosen) <= {gain.argmax()}
-        if settled or not len(chosen):
-            break
-        for i, one in zip(chosen, search.better([driven[i] for i in chosen]), strict=True):
-            driven[i], gain[i], last[i] = one, one.gain, one.gain - gain[i]
-    return driven
+    def __init__(self, search: Search):
+        self.driven: list[Driven] = []
+        self._search, self._last = search, []  # what each gained last
+
+    @property
+    def best(self) -> Driven:
+        """The most probable one."""
+        return max(self.driven, key=lambda one: one.gain)
+
+    def enter(self, driven: Sequence[Driven]) -> None:
+        """A round of some more, the best of which go on."""
+        new = sorted(self._search.better(driven), key=lambda one: -one.gain)
+        self.driven += new
+        self._last += [one.gain if i < FINALISTS else 0.0 for i, one in enumerate(new)]
+
+    def run(self) -> None:
+        """As many rounds as those need that would lead if they gained once more what they gained last: of an obstacle
+        that is hit, the next round gains two thirds of that."""
+        for _ in range(ROUNDS):
+            gain, last = np.array([one.gain for one in self.driven]), np.array(self._last)
+            best, chosen = gain.argmax(), np.flatnonzero((gain + last >= gain.max()) & (last > SETTLED))
+            alone = set(chosen) == {best} and last[best] < gain[best]  # and not in its first round
+            if alone or not len(chosen):
+                break
+            for i, one in zip(chosen, self._search.better([self.driven[i] for i in chosen]), strict=True):
+                self._last[i], self.driven[i] = one.gain - self.driven[i].gain, one
 
 
-def _raced_further(search: Search, driven: list[Driven], everything: Sequence[Source]) -> list[Driven]:
-    """The same and those beside the best, as long as one of them is better: the linear estimate, which chose where to
-    look, is far from where large forces lead."""
-    while True:
-        best = max(driven, key=lambda one: one.gain)
-        beside = [one for one in everything if one.where in search.robot.beside(best.where)]
-        tried = {(one.where, one.source.pushes[0].kind) for one in driven if one.form.linear == best.form.linear}
-        untried = [one for one in beside if (one.where, one.pushes[0].kind) not in tried]
-        new = [one for one in untried if one.pushes[0].kind == best.source.pushes[0].kind]
-        if not new:
-            return driven
-        driven = driven + _raced(search, search.begin(new, best.form.linear), best.gain)
+def _raced(search: Search, driven: Sequence[Driven], everything: Sequence[Source]) -> _Race:
+    """A race of some, and then of those beside the best too, as long as one of them is better."""
+    race = _Race(search)
+    race.enter(driven)
+    race.run()
+    while new := _beside(search.robot, race, everything):
+        race.enter(search.begin(new, race.best.form.linear))
+        race.run()
+    return race
+
+
+def _beside(robot: Robot, race: _Race, everything: Sequence[Source]) -> list[Source]:
+    """Those beside the best that have not entered: the linear estimate, which chose where to look, is far from where
+    large forces lead."""
+    best = race.best
+    entered = {(one.where, one.source.pushes[0].kind) for one in race.driven if one.form.linear == best.form.linear}
+    near = [one for one in everything if one.where in robot.beside(best.where)]
+    alike = [one for one in near if one.pushes[0].kind == best.source.pushes[0].kind]
+    return [one for one in alike if (one.where, one.pushes[0].kind) not in entered]
 
 
 def _force(problem, search, one: Driven) -> Force:
