@@ -144,10 +144,10 @@ def _beside(robot: Robot, race: _Race, everything: Sequence[Source]) -> list[Sou
     """Those beside the best that have not entered: the linear estimate, which chose where to look, is far from where
     large forces lead."""
     best = race.best
+    ports, kind = robot.beside(best.where), best.source.pushes[0].kind
     entered = {(one.where, one.source.pushes[0].kind) for one in race.driven if one.form.linear == best.form.linear}
-    near = [one for one in everything if one.where in robot.beside(best.where)]
-    alike = [one for one in near if one.pushes[0].kind == best.source.pushes[0].kind]
-    return [one for one in alike if (one.where, one.pushes[0].kind) not in entered]
+    near = [one for one in everything if one.where in ports and one.pushes[0].kind == kind]
+    return [one for one in near if (one.where, kind) not in entered]
 
 
 def _force(problem, search, one: Driven) -> Force:

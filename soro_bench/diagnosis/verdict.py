@@ -32,12 +32,11 @@ def verdict(diagnosis: Diagnosis) -> str:
             said.append(f"It could hardly have shown: {', '.join(blind)}.")
         return "\n".join(said)
     if diagnosis.verdict == "unknown_physics":
-        place = f"at {diagnosis.places[0].where}" if diagnosis.places else "at no single place"
+        place = f" at {diagnosis.places[0].where}" if diagnosis.places else ""
         nearest = " with ".join(best.names) or "nothing"
-        said.append(f"Something acts {place} that has no name in the catalogue "
+        said.append(f"Something acts{place} that has no name in the catalogue "
                     f"(probability {diagnosis.comparison.unknown:.2f}); nearest is {nearest}.")  # fmt: skip
-        if diagnosis.places:
-            said.append(_force(diagnosis, unit))
+        said.append(_force(diagnosis, unit) if diagnosis.places else "No force at a single place explains any of it.")
     else:
         found = [f for f in findings(diagnosis) if f.answer is best]
         said += [_sentence(diagnosis, f) + _twin(diagnosis.robot, f.effect) for f in found]
