@@ -6,6 +6,7 @@ import pytest
 from soro_bench.diagnosis.fit import Guess, Hypothesis, bounds, fitted, fitted_under_floor
 from soro_bench.diagnosis.floor import numerical_floor
 from soro_bench.diagnosis.localise import windows
+from soro_bench.diagnosis.problem import SimulationError
 from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
 from soro_bench.diagnosis.suspects import Suspect, suspect, suspects, typical
 from soro_bench.effects.effect import EVERY, Effect, Port
@@ -99,6 +100,31 @@ def test_the_numerical_floor_leaves_out_on_both_sides_what_a_finer_model_cannot_
     monkeypatch.setattr(finer, hook, other)
     stiffer = suspect(robot, "stiffening", Port("body", EVERY))
     assert np.array_equal(numerical_floor(given, [finer], [(np.append(np.zeros(5), 0.5), [stiffer])]), plain)
+
+
+@pytest.mark.parametrize("effects", [False, True])
+@pytest.mark.parametrize("lost", [1, 2])
+def test_a_refined_robot_that_diverges_without_any_effect_at_every_point_is_refused(
+    robot, actions, monkeypatch, effects, lost
+):
+    """One that does so at some, or with the effect of a hypothesis, only knows no numerical error there."""
+    given, finer = problem(robot, actions[:10]), robot.refined()[0]
+    simulated = finer.simulate_all
+
+    def diverging(*args):
+        (values,) = simulated(*args)
+        values[:lost, 3:] = np.nan
+        return [values]
+
+    monkeypatch.setattr(finer, "simulate_all", diverging)
+    gain = (suspect(robot, "actuator_gain", Port("actuator", "L0")),) if effects else ()
+    points = [(np.full(5 + effects, at), gain) for at in (0.0, 0.1)]
+    if lost == 2 and not effects:
+        with pytest.raises(SimulationError, match=r"by cable diverges 0.2 s into recording 1"):
+            numerical_floor(given, [finer], points)
+    else:
+        floor = numerical_floor(given, [finer], points)
+        assert [not row.reshape(10, -1)[3:].any() for row in floor] == [True, lost == 2]
 
 
 @pytest.mark.parametrize("refined", [0, 1])

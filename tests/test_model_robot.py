@@ -12,8 +12,9 @@ pytest.importorskip("pyarrow", reason="needs the train extra")
 from soro_bench.diagnosis.findings import unit_at
 from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.page import write_reports
-from soro_bench.diagnosis.pipeline import SimulationError, diagnose
+from soro_bench.diagnosis.pipeline import diagnose
 from soro_bench.diagnosis.priors import Earlier
+from soro_bench.diagnosis.problem import SimulationError
 from soro_bench.diagnosis.report import earlier
 from soro_bench.diagnosis.suspects import suspects
 from soro_bench.diagnosis.verdict import verdict

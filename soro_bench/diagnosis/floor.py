@@ -32,7 +32,11 @@ def floor_and_residuals(
     problem: Problem, refined: Sequence[Robot], points: Points, others: Points
 ) -> tuple[np.ndarray, np.ndarray]:
     """The numerical floor at points, and the residuals (N, M) at others, which are replayed meanwhile: there are too
-    few replays of each refined robot to keep all processors busy."""
+    few replays of each refined robot to keep all processors busy.
+
+    Raises:
+        SimulationError: a refined robot diverges at every point, and that without any effect.
+    """
     common = [[_common(problem, finer, *point) for point in points] for finer in refined]
     plain = [*itertools.chain(*common), *others]
     robots, asked = [*refined, problem.robot], [*common, plain]
@@ -40,6 +44,9 @@ def floor_and_residuals(
         return np.zeros((0, problem.weight.size)), np.zeros((0, problem.weight.size))
     *finer, found = side_by_side(problem.robot.simulation.batch.nthread, problem.simulated, robots, asked)
     count = len(plain) - len(others)
+    if not any(suspects for _, suspects in points):
+        for each, rows in zip(refined, finer, strict=True):
+            problem.check_finite(each, rows)
     error = np.concatenate(finer) - found[:count] if finer else found[:0]
     return np.nan_to_num(error), problem.residuals_of(found[count:])
 

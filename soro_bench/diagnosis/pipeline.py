@@ -4,7 +4,6 @@ import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -21,15 +20,11 @@ from soro_bench.diagnosis.robot import FITTED, Robot
 from soro_bench.diagnosis.suspects import suspects
 from soro_bench.inference.clouds import LowRank
 from soro_bench.models.simulation import quiet
-from soro_bench.parallel import one_blas_thread, side_by_side
+from soro_bench.parallel import one_blas_thread
 from soro_bench.recording.recording import Recording, RecordingError
 
 MOST_NUMBERS = 300_000  # of all samples: four minutes of a trunk, of which every suspect is one more
 UNSURE = 0.1  # probability of physics without a name, above which its place is looked for
-
-
-class SimulationError(ValueError):
-    """The nominal robot cannot be simulated."""
 
 
 @dataclass(frozen=True)
@@ -107,8 +102,8 @@ def diagnose(
     # of one sensor: motion only adds to it
     sigma = max(min(a.sigma for a in audits), max(a.least for a in audits))
     problem, nominal = nominal_fit(unexplained(fitted, measured, sigma), refined, seed, progress)
-    check = partial(_check_it_stays_finite, problem, nominal.x)
-    side_by_side(robot.simulation.batch.nthread, check, (robot, fitted, *refined))
+    for each in (robot, fitted):
+        problem.check_finite(each, problem.simulated(each, [(nominal.x, ())]))
     problem, nominal, found_outliers = _without_outliers(problem, nominal)
     if not problem.rough:
         problem, nominal = _with_noise(problem, nominal, max(a.least for a in audits))
@@ -152,16 +147,6 @@ def _same(robot: Robot, one: Recording, other: Recording) -> bool:
     """Whether two recordings have the same samples of the robot's signal."""
     signals = [each.signals.get(robot.signal) for each in (one, other)]
     return None not in signals and np.array_equal(*(each.values for each in signals), equal_nan=True)
-
-
-def _check_it_stays_finite(problem: Problem, x: np.ndarray, robot: Robot) -> None:
-    """Raise SimulationError if a robot with the fitted parameters diverges: that would be taken for physics."""
-    (simulated,), first = problem.simulated(robot, [(x, ())]), 0
-    for number, each in enumerate(problem.recordings, 1):
-        part, first = simulated[first : first + each.values.size].reshape(len(each.time), -1), first + each.values.size
-        if not (finite := np.isfinite(part).all(axis=1)).all():
-            raise SimulationError(f"the simulation by {robot.model_name} diverges {each.time[finite.argmin()]:.3g} s "
-                                  f"into recording {number}; a shorter time step may help")  # fmt: skip
 
 
 def _proposal(found: Diagnosis, seed: int) -> Proposal | None:

@@ -15,6 +15,10 @@ NEGLIGIBLE = 0.1  # of what is taken for noise then, numerical error that explai
 DIVERGED = 1e3  # standard deviations of the noise, a residual where the simulation diverged
 
 
+class SimulationError(ValueError):
+    """The nominal robot cannot be simulated."""
+
+
 @dataclass(frozen=True)
 class Problem:
     """Recordings to be explained together, M samples in all.
@@ -58,6 +62,19 @@ class Problem:
         effects = [effects_at(x[d:], suspects) for x, suspects in points]
         parts = robot.simulate_all([each.drive for each in self.recordings], parameters, effects)
         return np.concatenate([part.reshape(len(points), -1) for part in parts], axis=1)
+
+    def check_finite(self, robot: Robot, simulated: np.ndarray) -> None:
+        """Raise SimulationError if every one of the replays (N, M) by a robot diverges: that would be taken for
+        physics."""
+        finite = np.isfinite(simulated)
+        if finite.all(axis=1).any():
+            return
+        first, finite = 0, finite[finite.sum(axis=1).argmax()]
+        for number, each in enumerate(self.recordings, 1):
+            part, first = finite[first : first + each.values.size].reshape(len(each.time), -1), first + each.values.size
+            if not (good := part.all(axis=1)).all():
+                raise SimulationError(f"the simulation by {robot.model_name} diverges {each.time[good.argmin()]:.3g} s "
+                                      f"into recording {number}; a shorter time step may help")  # fmt: skip
 
     def residuals(self, points: Sequence[tuple[np.ndarray, Sequence[Suspect]]]) -> np.ndarray:
         """(N, M) measured less simulated, in units of sigma, of N points."""
