@@ -3,6 +3,7 @@
 import itertools
 import math
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
@@ -277,14 +278,16 @@ class Robot(ABC):
         physics = [tuple(e for e in each if e.where.kind != "sensor") for each in effects]
         keys = [(row.tobytes(), repr(each)) for row, each in zip(parameters, physics, strict=True)]
         first = range(len(keys)) if before_step else [keys.index(key) for key in keys]
+        unique = sorted(set(first))
         # what needs nothing between time steps need not wait for what does
-        work = [0 if before_step else between_steps(each) for each in physics]
+        work = [0 if before_step else between_steps(physics[i]) for i in unique]
+        work = dict(zip(unique, _joined(work, self.simulation.batch.nthread), strict=True))
 
         def alike(job):
             return len(drives[job[0]].actions), work[job[1]]
 
         values = {}
-        jobs = sorted(((k, i) for k in range(len(drives)) for i in sorted(set(first))), key=alike)
+        jobs = sorted(((k, i) for k in range(len(drives)) for i in unique), key=alike)
         for _, group in itertools.groupby(jobs, alike):
             group = list(group)
             for begin in range(0, len(group), self._count):
@@ -330,6 +333,13 @@ class Robot(ABC):
             value[lost] = np.nan
             values.append(value)
         return [value[: 1 + length] for value, length in zip(np.stack(values, axis=1), lengths, strict=True)]
+
+
+def _joined(work: Sequence[int], threads: int) -> list[int]:
+    """Kinds of work of replays, where those of which there are too few to keep all threads busy go with others."""
+    counts = Counter(work)
+    rest = min((kind for kind, count in counts.items() if count >= threads), default=0)
+    return [kind if counts[kind] >= threads else rest for kind in work]
 
 
 def _check_clocks(name, times, commands) -> None:
