@@ -154,11 +154,10 @@ class LoadFriction(_Friction):
         longest = max(1, *map(len, paths))
         # the bodies on both sides of every bend, and there the direction of the tendon, which is the same at rest; what
         # is too short goes on with no direction
-        self.near, self.far = np.zeros((2, len(paths), longest), int)
-        self.along, self.onward = np.zeros((2, len(paths), longest, 3))
+        self.bodies, self.ways = np.zeros((2, len(paths), longest), int), np.zeros((2, len(paths), longest, 3))
         for i, path in enumerate(paths):
             for k, (near, far, along, onward) in enumerate(path):
-                self.near[i, k], self.far[i, k], self.along[i, k], self.onward[i, k] = near, far, along, onward
+                self.bodies[:, i, k], self.ways[:, i, k] = (near, far), (along, onward)
 
     def level(self, which):
         return self.levels(which)[0]
@@ -174,9 +173,9 @@ class LoadFriction(_Friction):
 
     def _angle(self, which) -> np.ndarray:
         """(n,) sums of the angles [rad] by which tendons bend."""
-        turns = self.batch.xmat[self.rows[which][:, None], np.stack([self.near[which], self.far[which]])]
+        turns = self.batch.xmat[self.rows[which][:, None], self.bodies[:, which]]
         turns = turns.reshape(*turns.shape[:3], 3, 3)
-        along, onward = (turns @ np.stack([self.along[which], self.onward[which]])[..., None])[..., 0]
+        along, onward = (turns @ self.ways[:, which, :, :, None])[..., 0]
         sine = np.linalg.norm(np.cross(along, onward), axis=-1)
         return np.arctan2(sine, (along * onward).sum(axis=-1)).sum(axis=1)
 
