@@ -9,6 +9,7 @@ import pytest
 from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.forces import Driven
 from soro_bench.diagnosis.measured import Measured
+from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.probe import _raced, places
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.pushes import Source, replayed, sources
@@ -16,6 +17,7 @@ from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import suspect
 from soro_bench.effects.effect import EVERY, Effect, Port
 from soro_bench.inference.clouds import LowRank
+from tests.arm import ARM, MAP
 from tests.trunk import SIGMA, problem
 
 
@@ -127,3 +129,35 @@ def test_a_walkers_chamber_that_is_filled_too_much_is_found():
     )
     best = places(given, robot, base)[0]
     assert best.where == where
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_forces_are_found_on_a_robot_whose_actuators_have_no_state(tmp_path, named):
+    """Its setpoints are its controls; a joint that has no name is not pushed by itself."""
+    paths = tmp_path / "arm.xml", tmp_path / "arm.toml"
+    link = '<body name="link" pos="0.2 0 0"><joint {} axis="0 1 0" stiffness="0.5" damping="0.01"/><geom size="0.02"/>'
+    link = link.format('name="elbow"' if named else "")
+    paths[0].write_text(ARM.replace("</body></worldbody>", f"{link}</body></body></worldbody>"))
+    paths[1].write_text(MAP)
+    robot = ModelRobot(*paths, threads=1)
+    batch, i = robot.simulation.batch, robot.elements.id(Port("body", "link"))
+    batch.bind("xfrc_applied")
+
+    def push(step):
+        batch.xfrc_applied[0, i, 2] = 0.2 * (1.0 + np.sin(step / 7))
+
+    goals = np.repeat([0.3, -0.2, 0.4, 0.0], 40)[:, None]
+    start = np.zeros((1, 1))
+    (values,) = robot.simulate(goals, np.array([[1.0, 1.0, 0.0]]), [()], start, push)
+    batch.xfrc_applied[:] = 0.0
+    values = values + SIGMA * np.random.default_rng(0).standard_normal(values.shape)
+    time = 0.02 * np.arange(1, len(goals) + 1)
+    given = Problem(
+        robot, (Measured(goals, time, values, robot.signal, robot.unit, start),), SIGMA, np.ones(values.size),
+        LowRank(np.zeros((0, values.size))),
+    )  # fmt: skip
+    (base,) = fitted(given, [Guess(np.zeros(3))], (0.7, 0.3, 0.1), seed=0)
+    turned = {source.where.name for source in sources(given, robot, base) if source.pushes[0].kind == "joint"}
+    assert turned == ({"arm", "link"} if named else {"arm"})
+    found = {place.where: place for place in places(given, robot, base)}
+    assert found[Port("body", "link")].force.left < 0.2 * given.left(base.residual)

@@ -182,13 +182,13 @@ def _on_tendons(robot):
 
 
 def _on_bodies(robot):
-    """Forces on every body, and on its joints."""
+    """Forces on every body, and on those of its joints that have a name."""
     elements, size = robot.elements, _SHARE * _weight(robot)
     for port in robot.ports("body"):
         body = elements.id(port)
         yield Source(tuple(Push(port, "world", axis, "N", size, i) for i, axis in enumerate(AXES)))
-        joints = elements.joints_of(body, bending_only=True)
-        if len(joints):
+        joints = [j for j in elements.joints_of(body, bending_only=True) if elements.model.joint(j).name]
+        if joints:
             yield Source(tuple(_on_joint(elements, port, joint) for joint in joints))
 
 
@@ -273,11 +273,13 @@ def setpoints(problem: Problem, robot: Robot, base: Hypothesis) -> list[np.ndarr
     for name in ("act", "ctrl"):
         batch.bind(name)
     parameters, found = np.array([list(robot.parameters(base.x).values())]), []
+    own = np.flatnonzero(model.actuator_actnum)  # where the setpoint is the activation
     for each in problem.recordings:
         rows = []
 
         def note(step, rows=rows):
-            rows.append(np.where(model.actuator_actnum > 0, batch.act[0, model.actuator_actadr], batch.ctrl[0]))
+            rows.append(batch.ctrl[0].copy())
+            rows[-1][own] = batch.act[0, model.actuator_actadr[own]]
 
         robot.simulate_all([each.drive], parameters, [base.effects(problem.parameters)], note)
         rows = np.array(rows)
