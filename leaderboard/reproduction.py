@@ -13,6 +13,7 @@ import numpy as np
 
 from soro_bench.campaign.plan import paper
 from soro_bench.campaign.run import ENTRY
+from soro_bench.files import replacing
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.gather import OLD, Group, gather_control
 from soro_bench.leaderboard.table import markdown_table
@@ -120,7 +121,8 @@ def filled(page: str) -> str:
 def main() -> None:
     """Write the tables into the page."""
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
-    PAGE.write_text(filled(PAGE.read_text()))
+    with replacing(PAGE) as temporary:
+        temporary.write_text(filled(PAGE.read_text()))
 
 
 if __name__ == "__main__":

@@ -27,6 +27,8 @@ class Distribution(Protocol):
 
 
 def _bounds(names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    if not names:
+        raise ValueError(f"a distribution needs at least one parameter; there are {', '.join(ALL_PARAMETERS)}")
     unknown = [name for name in names if name not in ALL_PARAMETERS]
     if unknown:
         raise ValueError(f"unknown parameter {unknown[0]!r}; there are {', '.join(ALL_PARAMETERS)}")

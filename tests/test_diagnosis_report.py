@@ -136,6 +136,17 @@ def test_the_comparison_is_by_the_closer_model_and_both_its_robots_have_what_is_
     assert shown == 2 * [["actuator_delay"], ["actuator_delay", "payload"]] + [{"before": "cable", "after": "cable"}]
 
 
+def test_the_comparison_takes_samples_as_they_come_and_asks_for_no_goal(payload, tmp_path, monkeypatch):
+    found, (given,) = payload
+    places, shown = given.signals["keypoints"], []
+    flat = replace(places, values=places.values.reshape(len(places.time), -1))
+    metadata = {**given.metadata, "goal": "the one on the left"}
+    monkeypatch.setattr(page, "write_comparison", lambda *of: shown.append(of[0].signals["keypoints"].values))
+    for each in (given, replace(given, signals={"keypoints": flat}, metadata=metadata)):
+        page._write_comparison(found, each, tmp_path / "comparison.rrd")
+    assert np.array_equal(*shown)
+
+
 def test_what_is_left_has_gaps_where_nothing_was_measured(payload):
     problem, residual = payload[0].explanation.problem, payload[0].explanation.nominal.residual
     weight = problem.weight.reshape(STEPS, 21, 3).copy()

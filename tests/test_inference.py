@@ -343,8 +343,25 @@ def test_a_recording_without_what_is_needed_is_refused(reach):
     without = {name: signal for name, signal in recording.signals.items() if not name.startswith("state.")}
     with pytest.raises(RecordingError, match="--full-state"):
         Replay(replace(recording, signals=without), restart=True)
+    with pytest.raises(RecordingError, match="keypoints has no sample at the end of any control step"):
+        Replay(replace(recording, signals={"keypoints": replace(given, values=np.full_like(given.values, np.nan))}))
     with pytest.raises(ValueError, match=r"unknown method .magic.*rf-dropo"):
         infer("magic", Replay(recording))
+
+
+def test_a_recorded_state_that_cannot_be_gone_on_from_is_refused(reach):
+    recording, _ = reach
+    given = recording.signals["state.qvel"]
+    gap = given.values.copy()
+    gap[3] = np.nan
+    without = {name: signal for name, signal in recording.signals.items() if name != "state.qvel"}
+    for signals, said in (
+        (without, "no state.qvel"),
+        ({**without, "state.qvel": replace(given, values=given.values[:, :-1])}, "was it another model"),
+        ({**without, "state.qvel": replace(given, values=gap)}, "no value before some of the actions"),
+    ):
+        with pytest.raises(RecordingError, match=said):
+            Replay(replace(recording, signals=signals), restart=True, threads=1)
 
 
 def test_a_posterior_holds_what_was_known(reach, tmp_path):

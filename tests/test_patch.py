@@ -26,7 +26,7 @@ from soro_bench.effects.effect import EVERY, Effect, Port, load_effects
 from soro_bench.effects.elements import AUXILIARY, FOUND, instrument, without_unused_springs
 from soro_bench.envs.trunk import NUM_KEYPOINTS
 from soro_bench.models.trunk_geometry import CABLE_RATE
-from tests.arm import ARM
+from tests.arm import ARM, MAP
 
 X = np.array([0.3, -0.4, 0.2, 0.3, 0.1])  # fitted parameters, in standard deviations of their priors
 PAYLOAD = Effect("payload", Port("body", "vertebra7"), {"mass": 0.04})
@@ -184,6 +184,15 @@ def test_what_is_found_at_a_place_again_gets_another_name(robot):
     names = [tendon.name for tendon in without_unused_springs(spec).tendons]
     assert {name for name in names if name.startswith(FOUND)} == once | {f"{name}_2" for name in once}
     assert spec.compile().ntendon == len(names)
+
+
+def test_inertia_that_no_body_can_have_is_in_no_patched_model(tmp_path):
+    paths = tmp_path / "arm.xml", tmp_path / "arm.toml"
+    paths[0].write_text(ARM)
+    paths[1].write_text(MAP.replace('"body_inertia:arm"', '"body_inertia[0]:arm"').replace("= 0.2", "= 2.0"))
+    robot = ModelRobot(*paths, threads=1)
+    with pytest.raises(PatchError, match=r"MJCF cannot hold the fitted model: .*inertia"):
+        patched_spec(robot, robot.parameters(np.array([2.0, 0.0, 0.0])), [])
 
 
 def test_a_flex_has_no_patched_model_and_the_reason_is_given(tmp_path):

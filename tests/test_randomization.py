@@ -149,6 +149,12 @@ def test_gaussian_with_a_fixed_parameter():
     assert mass.std() > 0.005
 
 
+def test_a_distribution_of_nothing_is_refused():
+    for nothing in ({"type": "uniform", "parameters": {}}, {"type": "gaussian", "names": [], "mean": [], "cov": []}):
+        with pytest.raises(ValueError, match="at least one parameter"):
+            from_dict(nothing)
+
+
 def test_random_boxes():
     """Random boxes are ordered, lie in the search box and take a third of each side on average."""
     rng = np.random.default_rng(0)

@@ -22,7 +22,7 @@ from soro_bench.files import read_json, write_json
 from soro_bench.randomization import Uniform
 from soro_bench.training import ppo
 from soro_bench.training.policy import Policy
-from soro_bench.training.ppo import PPOConfig, train
+from soro_bench.training.ppo import TRAINER, PPOConfig, train
 
 CONFIG = PPOConfig(
     "TrunkReach-v0", total_steps=600, num_envs=2, rollout_steps=100, rollouts_per_segment=1, batch_size=100, epochs=2,
@@ -141,6 +141,29 @@ def test_a_run_of_an_older_trainer_begins_anew(trained, tmp_path):
     (tmp_path / "checkpoint.pt").write_bytes(b"of the older trainer")
     train(CONFIG, tmp_path)
     assert _bytes(tmp_path) == _bytes(trained)
+
+
+def test_a_run_of_a_newer_trainer_or_of_another_robot_is_kept(trained, tmp_path):
+    shutil.copytree(trained, tmp_path, dirs_exist_ok=True)
+    config = read_json(tmp_path / "config.json")
+    for changes, said in (
+        ({"trainer": TRAINER + 1}, "a newer trainer"),
+        ({"trainer": 1, "effects": []}, "another effects"),
+    ):
+        write_json(tmp_path / "config.json", {**config, **changes})
+        before = _bytes(tmp_path)
+        with pytest.raises(ValueError, match=said):
+            train(CONFIG, tmp_path)
+        assert _bytes(tmp_path) == before
+
+
+def test_what_cannot_be_trained_deletes_no_older_run(trained, tmp_path):
+    shutil.copytree(trained, tmp_path, dirs_exist_ok=True)
+    write_json(tmp_path / "config.json", {**read_json(tmp_path / "config.json"), "trainer": 1, "rollout_steps": 1})
+    before = _bytes(tmp_path)
+    with pytest.raises(ValueError, match=r"no episode of .* ends in a segment"):
+        train(replace(CONFIG, rollout_steps=1, rollouts_per_segment=1), tmp_path)
+    assert _bytes(tmp_path) == before
 
 
 def test_exported_policy_acts_as_the_trained_network(trained):

@@ -57,6 +57,10 @@ def _write_comparison(diagnosis, recording, path) -> None:
         _write_curves(diagnosis, path)
         return
     effects, robot = patch(diagnosis), diagnosis.robot
+    signal = recording.signals[robot.signal]  # the samples of which may be flat
+    places = replace(signal, values=signal.values.reshape(-1, *robot.shape))
+    aimless = {name: text for name, text in recording.metadata.items() if name != "goal"}  # nothing is said of goals
+    recording = replace(recording, signals={**recording.signals, robot.signal: places}, metadata=aimless)
     models = dict.fromkeys(each.model_name for each in (robot, *robot.refined()) if each.accepts(effects))
     runs = min(
         (_runs(diagnosis, recording, model, effects) for model in models), key=lambda r: _away(recording, robot, r)

@@ -110,10 +110,11 @@ def patched_spec(robot: Robot, parameters: Mapping[str, float], effects: Sequenc
     spec.compile()
     try:
         spec.copy_back(model)
+        again = spec.compile()  # refuses, say, inertia that no body can have
     except ValueError as error:
         raise PatchError(f"MJCF cannot hold the fitted model: {error}") from error
     # copy_back passes over fields that it does not know
-    if lost := _differing(model, spec.compile(), _ROUNDING):
+    if lost := _differing(model, again, _ROUNDING):
         raise PatchError(f"MJCF cannot hold the fitted {', '.join(lost)}")
     return without_unused_springs(spec)
 

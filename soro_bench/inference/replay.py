@@ -70,7 +70,7 @@ class Replay:
             if name not in kind.signal_units:
                 raise ValueError(f"cannot infer from {name!r}; {env_id} has {', '.join(kind.signal_units)}")
         self.names, self.signal_names = tuple(names), tuple(dict.fromkeys((*self._task.inferred_from, *also)))
-        self._states = _states(recording, len(self.actions), self._task.control_timestep) if restart else None
+        self._states = _states(recording, len(self.actions), self._task) if restart else None
         self._read(recording, noise)
 
     def _read(self, recording, noise) -> None:
@@ -86,6 +86,10 @@ class Replay:
             signal = resampled(given, times)
             rows = signal.values.reshape(len(times), -1)
             rows = np.where(sampled(given.time, times)[:, None], rows, np.nan)
+            if not np.isfinite(rows).any():
+                raise RecordingError(
+                    f"{name} has no sample at the end of any control step, from {times[0]:g} to {times[-1]:g} s"
+                )
             measured.append(rows)
             # orientations come from the same markers: their noise grows with that of positions
             noisy = 0.0 if signal.unit == "N" else RESOLUTION[signal.unit] * noise / RESOLUTION["m"]
@@ -201,10 +205,21 @@ def _simulations(env_id, model, action, threads):
     return make_task(env_id, SIMULATIONS, threads or processors(), model, action=action)
 
 
-def _states(recording, steps, timestep) -> dict[str, np.ndarray]:
+def _states(recording, steps, task) -> dict[str, np.ndarray]:
     """The recorded state before every action, by the name of its part."""
-    prefix, times = "state.", recording.control_steps([COMMAND], timestep)[0] + timestep * np.arange(steps)
-    parts = {name.removeprefix(prefix): recording.signals[name] for name in recording.names if name.startswith(prefix)}
-    if not parts:
-        raise RecordingError("restarting needs the full state; make the recording with soro-bench record --full-state")
-    return {name: resampled(signal, times).values for name, signal in parts.items()}
+    timestep, found = task.control_timestep, {}
+    times = recording.control_steps([COMMAND], timestep)[0] + timestep * np.arange(steps)
+    for part, (own,) in task.state(np.arange(1)).items():
+        name = f"state.{part}"
+        if name not in recording.signals:
+            raise RecordingError(f"restarting needs the full state, and the recording has no {name}; make it with "
+                                 "soro-bench record --full-state")  # fmt: skip
+        signal = recording.signals[name]
+        if signal.values.shape[1:] != own.shape:
+            raise RecordingError(
+                f"{name} has samples of shape {signal.values.shape[1:]}, {own.shape} here; was it another model?"
+            )
+        found[part] = resampled(signal, times).values
+        if not np.isfinite(found[part]).all():
+            raise RecordingError(f"{name} has no value before some of the actions; restarting needs all of them")
+    return found

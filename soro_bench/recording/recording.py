@@ -140,7 +140,8 @@ def resampled(signal: Signal, times: np.ndarray, max_gap: float | None = None) -
 
     A value is NaN where there is nothing to interpolate: before the first sample and after the last, where one of the
     two samples is missing, and where they lie more than ``max_gap`` apart. A time at which there is a sample gets that
-    sample as it is. Discrete actions and quaternions are not for interpolation.
+    sample as it is. Discrete actions are not for interpolation. Quaternions are if their sign does not jump; between
+    samples that are turned by an angle a [rad] they come out shorter than 1 by up to a² / 32.
 
     Args:
         times: (n,) s, strictly increasing.

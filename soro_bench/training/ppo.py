@@ -139,13 +139,15 @@ def train(
             row of the curve.
     """
     folder = Path(folder)
-    described = _claim(folder, config, distribution)
+    described, old = _claim(folder, config, distribution)
     torch.set_num_threads(1)  # sums would depend on the number; networks this small gain nothing from more
     env = _make_env(config, distribution)
     if (steps := env.unwrapped.envs.spec.max_episode_steps) > config.rollout_steps * config.rollouts_per_segment:
         raise ValueError(f"no episode of {steps} steps ends in a segment; raise rollout_steps or rollouts_per_segment")
     agent = _make_agent(config, env)
-    write_json(folder / "config.json", described)  # only now: what cannot be trained claims no folder
+    for path in old:  # only now: what cannot be trained claims no folder
+        path.unlink(missing_ok=True)
+    write_json(folder / "config.json", described)
     curve = _Curve()
     first = _load_checkpoint(folder, agent, env, curve) if (folder / "checkpoint.pt").exists() else 0
     for segment in range(first, config.num_segments):
@@ -157,21 +159,24 @@ def train(
     return policy
 
 
-def _claim(folder: Path, config: PPOConfig, distribution) -> dict:
-    """What is trained into a folder; ValueError if that is not what has been."""
+def _claim(folder: Path, config: PPOConfig, distribution) -> tuple[dict, list[Path]]:
+    """What is trained into a folder, and files of an older trainer, whose run is trained anew; ValueError if the folder
+    has another run."""
     described = config.settings() | {"distribution": distribution.to_dict() if distribution else None}
     if config.effects:
         described["effects"] = [effect.to_json() for effect in effects_of(config.effects)]
     described["trainer"] = TRAINER
     path = folder / "config.json"
-    if path.exists() and (found := read_json(path)) != described:
-        older = found.get("trainer") != TRAINER  # which may not have had some of the settings
-        keys = found.keys() & described.keys() - {"trainer"} if older else found | described
-        if different := sorted(key for key in keys if found.get(key) != described.get(key)):
-            raise ValueError(f"{folder} holds a run with another {', '.join(different)}; choose another folder")
-        for old in ("checkpoint.pt", "curve.csv", "policy.json", "policy.safetensors"):  # it is trained anew
-            (folder / old).unlink(missing_ok=True)
-    return described
+    if not path.exists() or (found := read_json(path)) == described:
+        return described, []
+    if (trainer := found.get("trainer", 0)) > TRAINER:
+        raise ValueError(f"{folder} holds a run of a newer trainer ({trainer}; this one is {TRAINER})")
+    # an older one may not have had some of the settings, but what the robot is like it said
+    keys = found.keys() & described.keys() - {"trainer"} | {"effects", "distribution"}
+    if different := sorted(k for k in (keys if trainer < TRAINER else found | described)
+                           if found.get(k) != described.get(k)):  # fmt: skip
+        raise ValueError(f"{folder} holds a run with another {', '.join(different)}; choose another folder")
+    return described, [folder / name for name in ("checkpoint.pt", "curve.csv", "policy.json", "policy.safetensors")]
 
 
 def _make_env(config: PPOConfig, distribution) -> VecNormalize:
