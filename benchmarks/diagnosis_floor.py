@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 
 from soro_bench.diagnosis.fit import Guess, fitted
-from soro_bench.diagnosis.floor import numerical_floor
+from soro_bench.diagnosis.floor import floor_and_residuals
 from soro_bench.diagnosis.measured import Measured
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import FITTED, Robot
@@ -54,6 +54,11 @@ def time_steps() -> None:
         print(f"| {10 / shorter:g} | {left(exact):.2f} | {after:.2f} | {found.x[1] - TRUTH[1]:+.2f} |", flush=True)
 
 
+def floor_at(given, refined, points):
+    """(F, M) the numerical floor at points."""
+    return floor_and_residuals(given, refined, points, ())[0]
+
+
 def main() -> None:
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     time_steps()
@@ -65,7 +70,7 @@ def main() -> None:
     print(f"| none | | {left(given):.2f} |")
     for name, count, centre, spread in (("the prior", 5, np.zeros(5), FAR), ("around the truth", 3, TRUTH, NEAR)):
         points = [(centre + spread * rng.standard_normal(5), ()) for _ in range(count)]
-        floor = numerical_floor(given, [finer, accurate], points)
+        floor = floor_at(given, [finer, accurate], points)
         print(f"| draws from {name} | {count} | {left(given.with_floor(floor)):.2f} |", flush=True)
 
     print("\n| hidden | without | with it |\n|---|---|---|")
@@ -74,8 +79,8 @@ def main() -> None:
         x = np.append(TRUTH, 0.15)
         given = problem(robot, accurate, (one.effect(x[5:]),), NOISE)
         near = [(TRUTH + NEAR * rng.standard_normal(5), ()) for _ in range(3)]
-        plain = given.with_floor(numerical_floor(given, [finer, accurate], near))
-        both = plain.with_floor(numerical_floor(given, [finer, accurate], [(x, (one,))]))
+        plain = given.with_floor(floor_at(given, [finer, accurate], near))
+        both = plain.with_floor(floor_at(given, [finer, accurate], [(x, (one,))]))
         residual = given.residuals([(x, (one,))])[0]
         print(f"| {name} | {plain.excess(residual):.0f} | {both.excess(residual):.0f} |", flush=True)
 

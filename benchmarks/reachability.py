@@ -3,7 +3,7 @@
     python benchmarks/reachability.py --model cable --minutes 25
     python benchmarks/reachability.py --model flex --minutes 25      # starts from the plans for cable
 
-Searches open-loop plans (soro_bench/planning.py) for all goals at once, saves one JSON file per goal after every
+Searches open-loop plans (reach_planner.py) for all goals at once, saves one JSON file per goal after every
 improvement and goes on from these files. Prints a table and writes docs/results/reachability_<model>.json and, of every
 model searched so far, docs/images/reachability.png.
 """
@@ -16,11 +16,11 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
+from reach_planner import ReachPlan, ReachPlanner
 
 from soro_bench.envs.trunk_reach import EVALUATION_GOALS, TrunkReachTask
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.models.trunk import VARIANTS
-from soro_bench.planning import ReachPlan, ReachPlanner
 from soro_bench.report import pyplot
 from soro_bench.sources import SIMULATION, claim, version_of
 

@@ -20,19 +20,14 @@ from soro_bench.parallel import side_by_side
 Points = Sequence[tuple[np.ndarray, Sequence[Suspect]]]  # unknowns, and the suspects that they belong to
 
 
-def numerical_floor(problem: Problem, refined: Sequence[Robot], points: Points) -> np.ndarray:
-    """(F, M) differences [signal's unit] of refined replays from plain ones, at points.
-
-    The accurate model has other parts: an effect that has no place in it is left out on both sides.
-    """
-    return floor_and_residuals(problem, refined, points, ())[0]
-
-
 def floor_and_residuals(
     problem: Problem, refined: Sequence[Robot], points: Points, others: Points
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The numerical floor at points, and the residuals (N, M) at others, which are replayed meanwhile: there are too
-    few replays of each refined robot to keep all processors busy.
+    """The numerical floor at points: (F, M) differences [signal's unit] of refined replays from plain ones; and the
+    residuals (N, M) at others, which are replayed meanwhile: there are too few replays of each refined robot to keep
+    all processors busy.
+
+    The accurate model has other parts: an effect that has no place in it is left out on both sides.
 
     Raises:
         SimulationError: a refined robot diverges at every point, and that without any effect.

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from sbi.diagnostics import check_sbc, check_tarp, run_sbc, run_tarp
 from sbi.inference import NPE
 from sbi.neural_nets import posterior_nn
 from sbi.utils import BoxUniform
@@ -21,7 +20,6 @@ from torch import nn
 FEATURES = ("mdn", "mdrff")
 COMPONENTS, HIDDEN = 5, 24  # published
 BATCHES = 1000  # of samples, in which as many as one batch have to lie in the search box
-CHECK_SAMPLES = 500  # of the posterior, for each simulation that it is checked on
 RANDOM_FEATURES, KERNEL_WIDTH, MATERN = 1000, 3.0, 3  # published: Matern 3/2, so Student's t with 3 degrees of freedom
 
 
@@ -109,27 +107,6 @@ class RandomFourierFeatures(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return (2 / RANDOM_FEATURES) ** 0.5 * torch.cos(x @ self.weight.T + self.phase)
-
-
-def calibration(estimator: Estimator, points: np.ndarray, summaries: np.ndarray, seed: int = 0) -> dict:
-    """Simulation-based checks of the posterior on other simulations, by sbi.
-
-    Args:
-        points: (n, d) of the unit cube, drawn uniformly.
-        summaries: (n, m) of what was simulated there.
-
-    Returns:
-        p-values: "sbc", one per parameter, of the ranks of the true values among the posterior's samples being uniform
-        (Talts et al., 2018), and "tarp", one, of the expected coverage being nominal (Lemos et al., ICML 2023).
-    """
-    torch.manual_seed(seed)
-    theta = torch.as_tensor(points, dtype=torch.float32)
-    x = torch.as_tensor((summaries - estimator.center) / estimator.scale, dtype=torch.float32)
-    quiet = {"show_progress_bar": False}
-    ranks, averaged = run_sbc(theta, x, estimator.posterior, CHECK_SAMPLES, **quiet)
-    sbc = check_sbc(ranks, theta, averaged, CHECK_SAMPLES)["ks_pvals"]
-    coverage, nominal = run_tarp(theta, x, estimator.posterior, num_posterior_samples=CHECK_SAMPLES, **quiet)
-    return {"sbc": [float(p) for p in sbc], "tarp": [float(check_tarp(coverage, nominal)[1])]}
 
 
 @contextlib.contextmanager
