@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from soro_bench.diagnosis.priors import Earlier
 from soro_bench.diagnosis.problem import SimulationError
 from soro_bench.diagnosis.report import earlier
 from soro_bench.diagnosis.suspects import suspects
-from soro_bench.diagnosis.verdict import verdict
+from soro_bench.diagnosis.verdict import _far, verdict
 from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Effect, Port
 from soro_bench.recording.parquet import save
@@ -325,6 +326,20 @@ def test_a_delayed_servo_stays_where_its_first_command_holds_it(paths):
 )
 def test_units_are_those_of_what_turns(paths, name, kind, place, unit):
     assert unit_at(ModelRobot(*paths, threads=1), QUANTITIES[name][0].unit, Port(kind, place)) == unit
+
+
+@pytest.mark.parametrize("since", [False, True])
+def test_parameters_that_went_far_are_told_with_their_values(paths, since):
+    """From where the model had them, or where the earlier diagnosis had found them."""
+    known = Earlier({"inertia": 1.0, "damping": 1.0, "zero": 0.0}, SURE, ()) if since else None
+    robot = ModelRobot(*paths, threads=1, earlier=known)
+    nominal = SimpleNamespace(x=np.array([0.5, 3.5, -1.0]))
+    found = SimpleNamespace(robot=robot, verdict="none_detected", explanation=SimpleNamespace(nominal=nominal))
+    found.best = SimpleNamespace(heldout=None)
+    begin, value = ("what the earlier diagnosis found", 1.11) if since else ("their nominal values", 2.86)
+    assert _far(found).startswith(
+        f"Far from {begin}, in standard deviations of their priors: damping from 1 to {value} (+3.5);"
+    )
 
 
 @pytest.mark.parametrize("stiffness", [20000, 500])

@@ -38,6 +38,7 @@ class Robot(ABC):
         priors: of its parameters.
         pneumatic: whether its actuators fill chambers.
         known: effects that it is known to have, whatever else is missing.
+        since: whether an earlier diagnosis says where its parameters were.
         settling: control steps under its first action before a recording begins.
     """
 
@@ -52,6 +53,7 @@ class Robot(ABC):
     priors: tuple[Prior, ...]
     pneumatic: bool = False
     known: tuple[Effect, ...] = ()
+    since: bool = False
     settling: int = 0
 
     def _remember(self, earlier: Earlier | None) -> None:
@@ -60,7 +62,7 @@ class Robot(ABC):
             names = [prior.name for prior in self.priors]
             if sorted(names) != sorted(earlier.parameters):
                 raise ValueError(f"the earlier diagnosis has {sorted(earlier.parameters)}; this robot has {names}")
-            self.known = earlier.effects
+            self.known, self.since = earlier.effects, True
             self.priors = tuple(p.about(earlier.parameters[p.name], earlier.spread[p.name]) for p in self.priors)
             if not self.accepts([]):
                 raise CannotHave("the earlier diagnosis has effects that this robot cannot have")

@@ -7,6 +7,7 @@ import numpy as np
 from soro_bench.diagnosis.findings import Finding, before_after, described, findings, length, percent, spaced
 from soro_bench.diagnosis.patch import kept, patch, rejected
 from soro_bench.diagnosis.pipeline import Diagnosis
+from soro_bench.diagnosis.priors import Prior
 from soro_bench.diagnosis.propose import DURATION, Proposal
 from soro_bench.diagnosis.report import NEXT_ACTIONS, detectable, invisible
 from soro_bench.diagnosis.robot import Robot
@@ -91,12 +92,22 @@ def _force(diagnosis: Diagnosis, unit: str) -> str:
 
 def _far(diagnosis: Diagnosis) -> str:
     """Which parameters have gone where hardly anybody expected them, as a sentence; nothing if none has."""
-    x = kept(diagnosis).x
-    far = [f"{prior.name} ({x[i]:+.1f})" for i, prior in enumerate(diagnosis.robot.priors) if abs(x[i]) > FAR]
+    x, robot = kept(diagnosis).x, diagnosis.robot
+    far = [_moved(prior, x[i]) for i, prior in enumerate(robot.priors) if abs(x[i]) > FAR]
     if not far:
         return ""
-    return (f"Far from their nominal values, in standard deviations of their priors: {', '.join(far)}; either those "
-            f"are wrong, or what is missing looks like these parameters.")  # fmt: skip
+    begin, why = (
+        ("Far from what the earlier diagnosis found", "these have changed")
+        if robot.since
+        else ("Far from their nominal values", "those are wrong")
+    )
+    return (f"{begin}, in standard deviations of their priors: {', '.join(far)}; either {why}, or what is missing "
+            f"looks like these parameters.")  # fmt: skip
+
+
+def _moved(prior: Prior, x: float) -> str:
+    """How far a parameter has gone, in words."""
+    return f"{prior.name} from {prior.nominal:.3g} to {prior.value(x):.3g}{spaced(prior.unit)} ({x:+.1f})"
 
 
 def _what_next(proposal: Proposal, unknown: bool) -> str:
