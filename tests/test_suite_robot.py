@@ -59,3 +59,18 @@ def test_an_effect_of_the_material_at_every_body_leaves_out_a_free_object():
 def test_what_has_no_robot_is_refused():
     with pytest.raises(ValueError, match="'Ant-v5' cannot be diagnosed; allowed are TrunkReach-v0"):
         SuiteRobot("Ant-v5")
+
+
+def test_laws_that_work_between_time_steps_are_replayed_beside_others_with_the_same_bytes():
+    """On two threads, each kind by simulations of its own."""
+    actions = np.random.default_rng(0).uniform(-1, 1, (8, 8)).astype(np.float32)
+    payload = Effect("payload", Port("body", "vertebra7"), {"mass": 0.04})
+    friction = Effect("coulomb_friction", Port("tendon", "L1"), {"friction": 1.0})
+    effects = [(), (payload,), (friction,), (payload, friction)]
+    found = []
+    for threads in (1, 2):
+        robot = SuiteRobot("TrunkReach-v0", threads=threads).shortened(2)
+        parameters = np.repeat([[prior.nominal for prior in robot.priors]], len(effects), axis=0)
+        found.append(robot.simulate(actions, parameters, effects))
+        assert ("_second" in vars(robot)) == (threads == 2)
+    assert found[0].tobytes() == found[1].tobytes()

@@ -56,6 +56,7 @@ class ModelRobot(Robot):
         self, model: str | Path, mapping: str | Path, threads: int = 0, shorter: int = 1, earlier: Earlier | None = None
     ):
         self._paths, self.threads, self._earlier = (Path(model), Path(mapping)), threads, earlier
+        self.shorter = shorter
         table = read_mapping(mapping)
         self.name = self.model_name = Path(model).stem
         compiled = _compiled(model)

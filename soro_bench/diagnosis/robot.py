@@ -3,9 +3,9 @@
 import itertools
 import math
 from abc import ABC, abstractmethod
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import mujoco
 import numpy as np
@@ -17,6 +17,7 @@ from soro_bench.effects.effect import EVERY, Effect, Port
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.measurement import distorted
 from soro_bench.models.simulation import Simulation
+from soro_bench.parallel import side_by_side
 from soro_bench.recording.recording import Recording, RecordingError, resampled, sampled
 
 SIMULATIONS = 128  # side by side, at least
@@ -39,6 +40,7 @@ class Robot(ABC):
         pneumatic: whether its actuators fill chambers.
         known: effects that it is known to have, whatever else is missing.
         since: whether an earlier diagnosis says where its parameters were.
+        shorter: how many times shorter its time steps are than those of its model.
         settling: control steps under its first action before a recording begins.
     """
 
@@ -54,6 +56,7 @@ class Robot(ABC):
     pneumatic: bool = False
     known: tuple[Effect, ...] = ()
     since: bool = False
+    shorter: int = 1
     settling: int = 0
 
     def _remember(self, earlier: Earlier | None) -> None:
@@ -85,6 +88,11 @@ class Robot(ABC):
     def accurate(self) -> "Robot | None":
         """The same robot by a more accurate model, if there is one; CannotHave if that lacks a place for what is
         known."""
+
+    @cached_property
+    def _second(self) -> "Robot":
+        """The same with simulations of its own, to run beside it."""
+        return self.shortened(self.shorter)
 
     def refined(self) -> "list[Robot]":
         """The same robot simulated more accurately."""
@@ -280,23 +288,29 @@ class Robot(ABC):
         physics = [tuple(e for e in each if e.where.kind != "sensor") for each in effects]
         keys = [(row.tobytes(), repr(each)) for row, each in zip(parameters, physics, strict=True)]
         first = range(len(keys)) if before_step else [keys.index(key) for key in keys]
-        unique = sorted(set(first))
-        # what needs nothing between time steps need not wait for what does
-        work = [0 if before_step else between_steps(physics[i]) for i in unique]
-        work = dict(zip(unique, _joined(work, self.simulation.batch.nthread), strict=True))
+        work = {i: 0 if before_step else between_steps(physics[i]) for i in sorted(set(first))}
 
         def alike(job):
-            return len(drives[job[0]].actions), work[job[1]]
+            return work[job[1]], len(drives[job[0]].actions)
 
-        values = {}
-        jobs = sorted(((k, i) for k in range(len(drives)) for i in unique), key=alike)
-        for _, group in itertools.groupby(jobs, alike):
-            group = list(group)
-            for begin in range(0, len(group), self._count):
-                some = group[begin : begin + self._count]
-                driven, rows = [drives[k] for k, _ in some], [i for _, i in some]
-                found = self._roll_out(driven, parameters[rows], [physics[i] for i in rows], before_step)
-                values |= dict(zip(some, found, strict=True))
+        def rolled_out(robot, parts):
+            found = {}
+            for jobs in parts:
+                driven, rows = [drives[k] for k, _ in jobs], [i for _, i in jobs]
+                values = robot._roll_out(driven, parameters[rows], [physics[i] for i in rows], before_step)
+                found |= dict(zip(jobs, values, strict=True))
+            return found
+
+        jobs = sorted(itertools.product(range(len(drives)), work), key=alike)
+        groups = (list(group) for _, group in itertools.groupby(jobs, alike))
+        parts = [group[i : i + self._count] for group in groups for i in range(0, len(group), self._count)]
+        # what needs nothing between time steps need not wait for what does, which leaves processors idle meanwhile
+        native, stepped = ([part for part in parts if (work[part[0][1]] > 0) == slow] for slow in (False, True))
+        if native and stepped and self.simulation.batch.nthread > 1:
+            found = side_by_side(2, rolled_out, (self, self._second), (native, stepped))
+        else:
+            found = [rolled_out(self, parts)]
+        values = {job: each for some in found for job, each in some.items()}
         times = [self.control_timestep * np.arange(len(drive.actions) + 1) for drive in drives]
         return [
             np.stack([
@@ -335,13 +349,6 @@ class Robot(ABC):
             value[lost] = np.nan
             values.append(value)
         return [value[: 1 + length] for value, length in zip(np.stack(values, axis=1), lengths, strict=True)]
-
-
-def _joined(work: Sequence[int], threads: int) -> list[int]:
-    """Kinds of work of replays, where those of which there are too few to keep all threads busy go with others."""
-    counts = Counter(work)
-    rest = min((kind for kind, count in counts.items() if count >= threads), default=0)
-    return [kind if counts[kind] >= threads else rest for kind in work]
 
 
 def _check_clocks(name, times, commands) -> None:

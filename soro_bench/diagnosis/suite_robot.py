@@ -46,6 +46,7 @@ class SuiteRobot(Robot):
         kind = task_type(env_id)
         self.name = self.env_id = env_id
         self.threads, self.model_name, self._earlier = threads, model or kind.cheap, earlier
+        self.shorter = shorter
         self._task = make_task(env_id, SIMULATIONS, threads, self.model_name, action="continuous", effects=())
         self._task.refine(shorter)
         self._task.sim.batch.expand("opt.tolerance")[...] = _TOLERANCE
