@@ -168,7 +168,8 @@ def test_parameters_far_from_their_nominal_values_are_pointed_out(payload):
         best, hypothesis=replace(best.hypothesis, x=np.where(np.arange(len(best.hypothesis.x)) == 1, -4.0, 0.1))
     )
     text = verdict(replace(found, comparison=replace(found.comparison, answers=(far,))))
-    assert f"of their priors: {found.robot.priors[1].name} (-4.0);" in text
+    prior = found.robot.priors[1]
+    assert f"of their priors: {prior.name} from {prior.nominal:.3g} to {prior.value(-4.0):.3g} (-4.0);" in text
 
 
 @pytest.mark.parametrize("name, where, said", [
