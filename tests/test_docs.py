@@ -18,3 +18,11 @@ def test_the_tables_of_the_reproduction_are_what_the_entries_say():
     """If not: python leaderboard/reproduction.py."""
     page = (DOCS / "reproduction.md").read_text()
     assert runpy.run_path(str(DOCS.parent / "leaderboard" / "reproduction.py"))["filled"](page) == page
+
+
+def test_the_page_of_the_diagnosis_compares_the_final_sets_as_they_were_scored():
+    """If not: put what python benchmarks/final_sets.py prints there."""
+    script = runpy.run_path(str(DOCS.parent / "benchmarks" / "final_sets.py"))
+    page = (DOCS / "diagnosis.md").read_text()
+    for table in script["tables"](script["scored_folders"]()):
+        assert table in page
