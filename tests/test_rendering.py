@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from unittest.mock import MagicMock
 
 import gymnasium
 import pytest
@@ -86,3 +87,19 @@ except RuntimeError as error:
     run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=120)
     assert run.returncode == 0, run.stderr
     assert "rgb_array" in run.stdout
+
+
+def test_the_viewer_shows_pictures_in_real_time(monkeypatch):
+    """Though simulation is a hundred times faster: it waits for the rest of every control step."""
+    viewer = MagicMock()
+    monkeypatch.setattr("glfw.init", lambda: True)
+    monkeypatch.setattr("mujoco.viewer.launch_passive", lambda *_: viewer)
+    clock, waits = [100.0], []
+    monkeypatch.setattr("soro_bench.envs.rendering.time.monotonic", lambda: clock[0])
+    monkeypatch.setattr("soro_bench.envs.rendering.time.sleep", waits.append)
+    env = gymnasium.make("TrunkReach-v0", model="cable", render_mode="human", disable_env_checker=True)
+    env.reset(seed=0)
+    clock[0] += 0.01  # what the step takes
+    env.step(0)
+    assert waits == pytest.approx([0.0, 0.04])
+    assert viewer.sync.call_count == 2

@@ -83,8 +83,8 @@ def effect_from(data, laws: Mapping) -> Effect:
     if not isinstance(name, str) or name not in laws:
         raise EffectError(f"unknown effect {brief(name)}; there are {', '.join(sorted(laws))}")
     valid = isinstance(where, dict) and where.keys() - {"index"} == {"kind", "name"} and where["kind"] in KINDS
-    valid = valid and isinstance(where["name"], str) and type(where.get("index", 0)) is int
-    valid = valid and where.get("index", 0) >= 0
+    valid = valid and isinstance(where["name"], str)
+    valid = valid and ((index := where.get("index")) is None or (type(index) is int and index >= 0))
     if not valid:
         raise EffectError(f"where of {name} is {brief(where)}; it has a kind ({', '.join(KINDS)}), a name, an index")
     if where["kind"] not in laws[name].kinds:

@@ -1,5 +1,7 @@
 """Pictures of a task's first simulation."""
 
+import time
+
 import mujoco
 
 from soro_bench.models.simulation import Simulation
@@ -8,9 +10,9 @@ _HEIGHT, _WIDTH = 480, 640
 _HINT = "rendering needs OpenGL; on a machine without a display set MUJOCO_GL=egl (or osmesa) before Python starts"
 
 
-def make_renderer(sim: Simulation, render_mode: str):
-    """The renderer of ``render_mode``, "human" or "rgb_array"."""
-    return _Viewer(sim) if render_mode == "human" else _Camera(sim)
+def make_renderer(sim: Simulation, render_mode: str, fps: float):
+    """The renderer of ``render_mode``, "human" (``fps`` pictures a second at most) or "rgb_array"."""
+    return _Viewer(sim, fps) if render_mode == "human" else _Camera(sim)
 
 
 class _Snapshot:
@@ -46,7 +48,7 @@ class _Camera:
 
 
 class _Viewer:
-    def __init__(self, sim):
+    def __init__(self, sim, fps):
         import glfw
         import mujoco.viewer
 
@@ -54,9 +56,12 @@ class _Viewer:
             raise RuntimeError("render_mode='human' needs a display; use 'rgb_array' on a machine without one")
         self._snapshot = _Snapshot(sim)
         self._viewer = mujoco.viewer.launch_passive(self._snapshot.model, self._snapshot.data)
+        self._interval, self._due = 1 / fps, 0.0
 
     def render(self):
         if self._viewer.is_running():
+            time.sleep(max(0.0, self._due - time.monotonic()))  # in real time: the robot is faster than that
+            self._due = time.monotonic() + self._interval
             with self._viewer.lock():
                 self._snapshot.update()
             self._viewer.sync()

@@ -44,7 +44,10 @@ class SoftRobotEnv(gymnasium.Env):
     def step(self, action):
         if not self._begun:
             raise gymnasium.error.ResetNeeded("no episode has begun; reset the environment first")
-        checked = self.task.check_actions(np.asarray(action)[None], 1)
+        action = np.asarray(action)
+        if action.shape != self.action_space.shape:
+            raise ValueError(f"the action has the shape {action.shape}; expected {self.action_space.shape}")
+        checked = self.task.check_actions(action[None], 1)
         step = self.task.step(_ONLY, checked)
         if self.render_mode == "human":
             self.render()
@@ -64,7 +67,7 @@ class SoftRobotEnv(gymnasium.Env):
         if self._renderer is None:
             from soro_bench.envs.rendering import make_renderer
 
-            self._renderer = make_renderer(self.task.sim, self.render_mode)
+            self._renderer = make_renderer(self.task.sim, self.render_mode, self.metadata["render_fps"])
         return self._renderer.render()
 
     def close(self):

@@ -15,7 +15,7 @@ import numpy as np
 from gymnasium import logger, spaces
 
 from soro_bench.effects.catalogue import ALL
-from soro_bench.effects.effect import Effect, load_effects
+from soro_bench.effects.effect import Effect, effect_from, load_effects
 from soro_bench.models.simulation import ParameterMap, Simulation
 from soro_bench.parameters import Parameter, ParameterSet
 from soro_bench.randomization import Distribution
@@ -24,9 +24,11 @@ ACTION_MODES = ("discrete", "continuous")
 STATE = ("qpos", "qvel", "act", "qacc_warmstart")  # what a simulation goes on from; MuJoCo's names
 
 
-def effects_of(effects: Sequence[Effect] | str | Path | None) -> tuple[Effect, ...] | None:
-    """Effects as they are, or those of an effects file; with a warning, those that a diagnosis has found in the
-    measurement are left out, as nothing is measured here."""
+def effects_of(effects: Sequence[Effect | dict] | str | Path | None) -> tuple[Effect, ...] | None:
+    """Effects, perhaps given in their JSON form, or those of an effects file.
+
+    With a warning, those of a file that are faults of a measurement are left out: nothing is measured here.
+    """
     if effects is None:
         return None
     if not isinstance(effects, str | Path):
@@ -39,9 +41,9 @@ def effects_of(effects: Sequence[Effect] | str | Path | None) -> tuple[Effect, .
 
 
 def _checked_effects(effects) -> tuple[Effect, ...]:
-    if not isinstance(effects, Sequence) or not all(isinstance(effect, Effect) for effect in effects):
+    if not isinstance(effects, Sequence) or not all(isinstance(effect, Effect | dict) for effect in effects):
         raise ValueError(f"effects {effects!r}: a list of Effect, or an effects file, is needed")
-    return tuple(effects)
+    return tuple(effect if isinstance(effect, Effect) else effect_from(effect, ALL) for effect in effects)
 
 
 def checked_options(options: Mapping[str, Any] | None) -> Mapping[str, Any]:

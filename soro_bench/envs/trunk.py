@@ -139,7 +139,7 @@ class TrunkTask(Task):
         except (TypeError, ValueError, OverflowError):
             goal = np.full(3, np.nan)
         if goal.shape != (3,) or not (np.abs(goal) <= REACH_LIMIT).all():
-            raise ValueError(f"goal {options['goal']} has to be 3 coordinates within {REACH_LIMIT} m of the clamp")
+            raise ValueError(f"goal {options['goal']} has to be 3 coordinates from -{REACH_LIMIT} to {REACH_LIMIT} m")
         return goal
 
     def _sample_goal(self, rng: np.random.Generator) -> np.ndarray:
