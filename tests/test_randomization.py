@@ -6,7 +6,9 @@ import math
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.envs.registration import EnvSpec
 
+from soro_bench.effects.effect import Effect, Port
 from soro_bench.envs.wrappers import DomainRandomization, VectorDomainRandomization
 from soro_bench.parameters import ALL_PARAMETERS, FRICTION, POISSON_RATIO, TRUNK_MASS, YOUNG_MODULUS
 from soro_bench.randomization import Gaussian, TruncatedNormal, Uniform, from_dict, load, random_box, search_box
@@ -202,6 +204,35 @@ def test_only_episodes_that_begin_through_the_wrapper_are_randomised():
     second = vector.step(actions)[4]["params"]["trunk_mass"]
     assert (first != second).all() and (second != 0.42).all()
     np.testing.assert_array_equal(inside.reset(seed=0)[1]["params"]["trunk_mass"], 0.42)
+
+
+def test_episodes_that_begin_by_themselves_are_randomised():
+    """Also those of Gymnasium's wrapper for a single environment."""
+    inside = gymnasium.make("TrunkReach-v0", model="cable", max_episode_steps=1)
+    env = DomainRandomization(gymnasium.wrappers.Autoreset(inside), SEARCH)
+    env.reset(seed=0)
+    masses = [env.step(0)[4]["params"]["trunk_mass"] for _ in range(4)]
+    assert len(set(masses)) == 3  # the first step is of the episode that reset began
+    assert 0.42 not in masses
+
+
+def test_an_environment_is_randomised_by_one_distribution():
+    """The inner one would win, and the outer one do nothing."""
+    env = DomainRandomization(gymnasium.make("TrunkReach-v0", model="cable"), SEARCH)
+    with pytest.raises(ValueError, match="randomised already"):
+        DomainRandomization(gymnasium.wrappers.FlattenObservation(env), SEARCH)
+
+
+def test_a_randomised_environment_is_made_again_from_the_json_of_its_spec():
+    """With the same draws, and an equal spec."""
+    effect = Effect("actuator_gain", Port("actuator", "L2"), {"gain": 0.7})
+    env = DomainRandomization(gymnasium.make("TrunkReach-v0", model="cable", effects=[effect]), SEARCH)
+    spec = EnvSpec.from_json(env.spec.to_json())
+    again = gymnasium.make(spec)
+    assert again.spec == spec
+    np.testing.assert_array_equal(again.reset(seed=3)[0], env.reset(seed=3)[0])
+    assert again.reset()[1]["params"] == env.reset()[1]["params"]
+    np.testing.assert_array_equal(again.step(2)[0], env.step(2)[0])
 
 
 def test_options_override_the_draw():

@@ -1,12 +1,13 @@
 """Domain randomisation as Gymnasium wrappers."""
 
+from collections.abc import Mapping
 from contextlib import contextmanager
 
 import gymnasium
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv, VectorWrapper
 
-from soro_bench.randomization import Distribution
+from soro_bench.randomization import Distribution, from_dict
 
 
 class DomainRandomization(gymnasium.Wrapper, RecordConstructorArgs):
@@ -15,28 +16,32 @@ class DomainRandomization(gymnasium.Wrapper, RecordConstructorArgs):
     ``reset(options={"params": {...}})`` still fixes the parameters it names. The draws come from the environment's own
     generator, after the goal's, so a seeded reset gives the same goal with and without randomisation. Only episodes
     that begin through the wrapper are randomised.
+
+    Args:
+        env: an environment of the suite, perhaps wrapped.
+        distribution: or its ``to_dict()``, as which it stands in ``env.spec``.
     """
 
-    def __init__(self, env: gymnasium.Env, distribution: Distribution):
-        RecordConstructorArgs.__init__(self, distribution=distribution)
+    def __init__(self, env: gymnasium.Env, distribution: Distribution | Mapping):
+        self._distribution = _fitting(env, distribution)
+        RecordConstructorArgs.__init__(self, distribution=self._distribution.to_dict())
         super().__init__(env)
-        self._distribution = distribution
-        with _randomized(env, distribution):
-            pass  # a distribution that does not fit is refused here
 
     def reset(self, *, seed=None, options=None):
         with _randomized(self.env, self._distribution):
             return super().reset(seed=seed, options=options)
 
+    def step(self, action):
+        with _randomized(self.env, self._distribution):  # gymnasium.wrappers.Autoreset begins episodes here
+            return super().step(action)
+
 
 class VectorDomainRandomization(VectorWrapper):
     """:class:`DomainRandomization` for vector environments: every simulation draws its own parameters."""
 
-    def __init__(self, env: VectorEnv, distribution: Distribution):
+    def __init__(self, env: VectorEnv, distribution: Distribution | Mapping):
+        self._distribution = _fitting(env, distribution)
         super().__init__(env)
-        self._distribution = distribution
-        with _randomized(env, distribution):
-            pass
 
     def reset(self, *, seed=None, options=None):
         with _randomized(self.env, self._distribution):
@@ -45,6 +50,19 @@ class VectorDomainRandomization(VectorWrapper):
     def step(self, actions):
         with _randomized(self.env, self._distribution):  # episodes begin here too
             return super().step(actions)
+
+
+def _fitting(env, distribution: Distribution | Mapping) -> Distribution:
+    """The distribution; ValueError if the environment has not its parameters, or another distribution already."""
+    if isinstance(distribution, Mapping):
+        distribution = from_dict(distribution)
+    with _randomized(env, distribution):
+        pass
+    while isinstance(env, gymnasium.Wrapper | VectorWrapper):
+        if isinstance(env, DomainRandomization | VectorDomainRandomization):
+            raise ValueError("the environment is randomised already; give one distribution over all parameters")
+        env = env.env
+    return distribution
 
 
 @contextmanager
