@@ -1,5 +1,7 @@
 """The vector environment: the same bytes as single environments, Gymnasium's autoreset modes, the SB3 adapter."""
 
+import functools
+
 import gymnasium
 import numpy as np
 import pytest
@@ -258,6 +260,32 @@ def test_make_vec_conventions(env_id, action):
     assert again.closed
 
 
+@pytest.mark.parametrize("late", [False, True])
+def test_infos_of_simulations_that_end_and_begin_in_one_step_are_those_of_gymnasium(late):
+    """What was of the old episode is in final_info and nowhere else, whether both end at once or one is late."""
+    kwargs = {"model": "cable", "max_episode_steps": 3}
+    make = functools.partial(gymnasium.make, "TrunkReach-v0", **kwargs)
+    theirs = SyncVectorEnv([make, make], autoreset_mode=AutoresetMode.SAME_STEP)
+    ours = gymnasium.make_vec("TrunkReach-v0", num_envs=2, autoreset_mode="SameStep", **kwargs)
+    for envs in (ours, theirs):
+        envs.reset(seed=0)
+    for t, action in enumerate(random_actions(ours.action_space, 8)):
+        found, expected = (envs.step(action)[4] for envs in (ours, theirs))
+        _assert_same_info(found, expected)
+        if late and t == 0:
+            for envs in (ours, theirs):
+                envs.reset(seed=[1, None], options={"reset_mask": np.array([True, False])})
+
+
+def _assert_same_info(found, expected):
+    assert found.keys() == expected.keys()
+    for key, value in expected.items():
+        if isinstance(value, dict):
+            _assert_same_info(found[key], value)
+        elif key != "final_obs":  # observations and None
+            np.testing.assert_array_equal(found[key], value, err_msg=key)
+
+
 def test_sb3_adapter():
     """The SB3 adapter gives a SameStep vector env's results, with terminal observations and episode statistics."""
     pytest.importorskip("stable_baselines3", reason="needs the train extra")
@@ -281,6 +309,7 @@ def test_sb3_adapter():
             np.testing.assert_array_equal(infos[i]["terminal_observation"], info["final_obs"][i])
             assert not np.array_equal(infos[i]["terminal_observation"], ours[i])
             assert infos[i]["TimeLimit.truncated"]
+            assert infos[i]["is_success"] is bool(info["final_info"]["is_success"][i])
             assert infos[i]["metric"] == info["final_info"]["distance"][i]
             assert infos[i]["episode"]["r"] == pytest.approx(returns[i])
             assert infos[i]["episode"]["l"] == 5
@@ -301,7 +330,7 @@ def test_sb3_adapter_refuses_what_it_would_lose():
         SB3VecEnv(gymnasium.make("TrunkReach-v0", model="cable").unwrapped)
     envs = SB3VecEnv(gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable", autoreset_mode="SameStep"))
     envs.set_options({"goal": [0.0, 0.0, 0.18]})
-    with pytest.raises(ValueError, match="reset options go to the environments"):
+    with pytest.raises(ValueError, match="reset options are not passed on"):
         envs.reset()
 
 

@@ -10,8 +10,8 @@ from soro_bench.envs.vector import SoftRobotVectorEnv
 class SB3VecEnv(VecEnv):
     """Adapts a :class:`SoftRobotVectorEnv` in "SameStep" mode to Stable-Baselines3's ``VecEnv``.
 
-    Infos hold what Stable-Baselines3 reads (terminal_observation, TimeLimit.truncated, episode) and ``metric``, the
-    task's at the end.
+    Infos hold what Stable-Baselines3 reads (terminal_observation, TimeLimit.truncated, episode, is_success) and
+    ``metric``, the task's at the end.
 
     Args:
         envs: the environments.
@@ -42,7 +42,7 @@ class SB3VecEnv(VecEnv):
 
     def reset(self):
         if any(self._options):
-            raise ValueError("reset options go to the environments themselves; Stable-Baselines3's are for one each")
+            raise ValueError("reset options are not passed on; wrap the vector environment in one whose reset has them")
         observation, _ = self.envs.reset(seed=self._seed)
         self._seed = None
         self._returns[:] = 0
@@ -63,6 +63,7 @@ class SB3VecEnv(VecEnv):
                 "terminal_observation": info["final_obs"][i],
                 "TimeLimit.truncated": not self._finite_horizon,
                 "episode": {"r": self._returns[i], "l": self._lengths[i]},
+                "is_success": bool(info["final_info"]["is_success"][i]),
                 "metric": info["final_info"][self.envs.unwrapped.task.metric][i],
             }
         self._returns[done] = 0

@@ -21,7 +21,8 @@ class SoftRobotVectorEnv(VectorEnv):
 
     Args:
         num_envs: number of simulations.
-        max_episode_steps: steps after which an episode is truncated; None or -1: never.
+        max_episode_steps: steps after which an episode is truncated; -1: never. ``gymnasium.make_vec`` gives the
+            registered number unless it is told another.
         num_threads: threads, 0 for all processors; results do not depend on it.
         render_mode: None; single environments render.
         autoreset_mode: Gymnasium's "NextStep" (default), "SameStep" or "Disabled".
@@ -33,7 +34,7 @@ class SoftRobotVectorEnv(VectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        max_episode_steps: int | None = None,
+        max_episode_steps: int = -1,
         num_threads: int = 0,
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
@@ -113,7 +114,10 @@ class SoftRobotVectorEnv(VectorEnv):
         self._done = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
             done = np.flatnonzero(self._done)
-            _scatter(info, {"final_info": _moved_out(info, done)}, done, self.num_envs)
+            final = _moved_out(info, done)
+            if self._done.all():  # then no row is left, and Gymnasium's environments have no such keys
+                info.clear()
+            _scatter(info, {"final_info": final}, done, self.num_envs)
             # one observation each and None, as Gymnasium has them
             info["final_obs"], info["_final_obs"] = np.full(self.num_envs, None), self._done.copy()
             for i in done:
@@ -142,12 +146,13 @@ def _mode(autoreset_mode) -> AutoresetMode:
         raise ValueError(f"autoreset_mode {autoreset_mode!r}: allowed are {allowed}") from None
 
 
-def _limit(max_episode_steps: int | None) -> float:
+def _limit(max_episode_steps: int) -> float:
     """Steps after which an episode is truncated, as Gymnasium understands them."""
-    if max_episode_steps in (None, -1):
+    if max_episode_steps == -1:
         return np.inf
     if not isinstance(max_episode_steps, int | np.integer) or max_episode_steps < 1:
-        raise ValueError(f"max_episode_steps {max_episode_steps!r}: an integer of 1 or more, or -1 for none, is needed")
+        raise ValueError(f"max_episode_steps {max_episode_steps!r}: an integer of 1 or more, or -1 for none, is needed "
+                         "(the registered number holds without the argument)")  # fmt: skip
     return int(max_episode_steps)
 
 
@@ -178,11 +183,13 @@ def _scatter(info: dict, rows: Mapping[str, Any], ids: np.ndarray, num_envs: int
 
 
 def _moved_out(info: Mapping[str, Any], ids: np.ndarray) -> dict[str, Any]:
-    """Rows ``ids`` of every array of ``info``, whose masks then no longer count them."""
+    """Rows ``ids`` of every array of ``info``, which then has zeros there, and masks that no longer count them."""
     taken = {}
     for key, value in info.items():
-        if key.startswith("_"):
-            value[ids] = False
-        else:
-            taken[key] = _moved_out(value, ids) if isinstance(value, Mapping) else value[ids]
+        if isinstance(value, Mapping):
+            taken[key] = _moved_out(value, ids)
+            continue
+        if not key.startswith("_"):
+            taken[key] = value[ids]
+        value[ids] = 0
     return taken
