@@ -23,6 +23,8 @@ except ImportError as error:
 from soro_bench.files import shown
 from soro_bench.registration import ENV_IDS, task_type
 
+_LINE = 1000  # letters of an error: what it quotes may be a stranger's, and long
+
 
 @dataclass
 class List:
@@ -72,7 +74,7 @@ def plain_errors(program: str) -> Iterator[None]:
     except (ValueError, OSError, ImportError) as error:
         if sys.flags.dev_mode:  # PYTHONDEVMODE=1: the traceback, to find out where it comes from
             raise
-        sys.exit("\n".join(map(shown, f"{program}: {error}".split("\n"))))
+        sys.exit("\n".join(shown(line[:_LINE]) for line in f"{program}: {error}".split("\n")))
     except KeyboardInterrupt:
         sys.exit(f"{program}: interrupted; train, run, infer, study and prove go on where they were, given again")
 

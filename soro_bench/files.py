@@ -1,9 +1,12 @@
 """Writing files so that nobody ever sees half of one, and reading them whatever they hold."""
 
 import json
+import math
 import os
+import reprlib
+import secrets
 import stat
-import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,12 +17,10 @@ def replacing(path: str | Path) -> Iterator[Path]:
     """A temporary path beside ``path`` that becomes ``path`` when the block ends, and vanishes if it fails."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    os.close(handle)
-    temporary = Path(name)
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    temporary.touch(exist_ok=False)  # with the permissions that the user's umask gives, unlike those of tempfile
     try:
         yield temporary
-        temporary.chmod(0o644)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -83,6 +84,31 @@ def read_json(path: str | Path, max_bytes: int = 10_000_000):
     """Read a JSON file of at most ``max_bytes``; ValueError says what is wrong with it."""
     data = read_bytes(path, max_bytes)
     try:
-        return json.loads(data)
+        return parsed_json(data)
     except (ValueError, RecursionError) as error:  # text of another encoding, no JSON, a number of too many digits
         raise ValueError(f"{path} is no JSON file: {error}") from error
+
+
+def parsed_json(data: bytes | str, max_digits: int = 300):
+    """What JSON says; ValueError for NaN, infinity, longer integers and a name that comes twice in an object."""
+
+    def integer(text: str) -> int:
+        if len(text) > max_digits:
+            raise ValueError(f"the integer {text[:18]}... is too large; at most {max_digits} digits are read")
+        return int(text)
+
+    return json.loads(data, object_pairs_hook=_object, parse_constant=_finite, parse_float=_finite, parse_int=integer)
+
+
+def _object(pairs) -> dict:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        name, _ = Counter(name for name, _ in pairs).most_common(1)[0]
+        raise ValueError(f"the name {reprlib.repr(name)} comes twice")
+    return found
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(number := float(text)):
+        raise ValueError(f"{text[:80]} is no finite number")
+    return number

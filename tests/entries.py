@@ -10,6 +10,7 @@ import numpy as np
 from soro_bench.files import write_json
 from soro_bench.leaderboard.boards import BOARDS, Condition
 from soro_bench.leaderboard.entry import evaluated, write_entry
+from soro_bench.proof.score import GATES
 from soro_bench.training.policy import Policy, PolicyCard
 
 BOARD = "TrunkReach-v0"
@@ -54,3 +55,11 @@ def put_policy(path: Path, name: str, data: bytes) -> None:
     """Another policy file for an entry, with its hash."""
     (path.parent / name).write_bytes(data)
     edit(path, lambda entry: entry.update(policy={"file": name, "sha256": hashlib.sha256(data).hexdigest()}))
+
+
+def gates(false_alarms: float) -> list[dict]:
+    """Those of a diagnosis of which only the first has cases."""
+    empty = {"cases": 0, "value": None, "interval": None, "met": None}
+    found = [{"gate": name, "bar": bar, "below": below, **empty} for name, _, _, bar, below in GATES]
+    found[0] |= {"cases": 20, "value": false_alarms, "interval": [0.0, 0.1], "met": false_alarms <= found[0]["bar"]}
+    return found

@@ -38,3 +38,19 @@ def test_what_is_huge_or_no_file_is_refused_at_once(tmp_path, read):
     for name in ("device", "pipe", "folder"):
         with pytest.raises(ValueError, match="no regular file"):
             read(tmp_path / name)
+
+
+@pytest.mark.parametrize("text", ['{"a": 1, "a": 2}', '{"a": NaN}', "[1e999]", "1" * 301])
+def test_json_that_says_two_things_or_no_number_is_refused(tmp_path, text):
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(ValueError, match=r"a\.json is no JSON file: .*(twice|no finite number|too large)"):
+        read_json(tmp_path / "a.json")
+
+
+def test_files_have_the_permissions_that_the_user_wants(tmp_path):
+    before = os.umask(0o077)
+    try:
+        write_json(tmp_path / "a.json", 1)
+    finally:
+        os.umask(before)
+    assert (tmp_path / "a.json").stat().st_mode & 0o777 == 0o600

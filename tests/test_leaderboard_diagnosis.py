@@ -35,7 +35,7 @@ def test_a_diagnosis_is_scored_again_and_what_was_edited_is_found(tmp_path, monk
         "seed": 7, "count": 3, "nulls": 1, "commitment": ""
     }  # fmt: skip
     assert set(verify_diagnosis(path, cases, tmp_path / "reports").values()) == {"same"}
-    edit(path, lambda entry: entry["gates"][2].update(value=1.0))
+    edit(path, lambda entry: entry["gates"][2].update(value=1.0, met=True))
     found = verify_diagnosis(path, cases, tmp_path / "reports")
     assert found["gates"].startswith("differs") and found["confusion"] == "same"
     (tmp_path / "reports" / "case_001.json").write_text('{"effects": []}')
@@ -49,10 +49,27 @@ def test_a_diagnosis_is_scored_again_and_what_was_edited_is_found(tmp_path, monk
         verify_diagnosis(path, cases, tmp_path / "reports")
 
 
-@pytest.mark.parametrize("labels", [{"seed": 1}, {"cases": [{}]}, {"cases": [1]}, {"cases": [label(0)]}])
+@pytest.mark.parametrize("labels", [
+    {"seed": 1}, {"cases": [{}]}, {"cases": [1]}, {"cases": [label(0)]}, {"seed": 1, "cases": 2 * [label(0)]},
+    *({"seed": 1, "cases": [label(0) | {"id": name}]} for name in ("../outside", "/etc/os-release", "case_000/..", 1)),
+])  # fmt: skip
 def test_labels_that_say_too_little_are_named(tmp_path, labels):
     path = tmp_path / "cases" / "sealed" / "labels.json"
     write_json(path, labels)
     (tmp_path / "cases" / "commitment.txt").write_text(hashlib.sha256(path.read_bytes()).hexdigest() + "\n")
     with pytest.raises(ValueError, match=says("labels.json", "cannot be scored")):
+        diagnosis_entry.opened(tmp_path / "cases")
+
+
+def test_labels_are_read_from_a_file_of_bounded_size_and_a_commitment_is_a_hash(tmp_path):
+    _set_of_cases(tmp_path, [label(0)])
+    commitment = tmp_path / "cases" / "commitment.txt"
+    commitment.write_text("what somebody keeps to himself")
+    with pytest.raises(ValueError, match="holds no SHA-256") as raised:
+        diagnosis_entry.opened(tmp_path / "cases")
+    assert "somebody" not in str(raised.value)
+    path = tmp_path / "cases" / "sealed" / "labels.json"
+    path.unlink()
+    path.symlink_to("/dev/zero")
+    with pytest.raises(ValueError, match=r"labels\.json is a link"):
         diagnosis_entry.opened(tmp_path / "cases")

@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 import subprocess
+from functools import partial
 from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,19 +21,17 @@ from soro_bench.leaderboard.gather import gather_control
 from soro_bench.leaderboard.page import build
 from soro_bench.leaderboard.plots import plot_curves
 from soro_bench.leaderboard.verify import verify_control
-from tests.entries import BOARD, edit, policy, put_policy, scores, shrink_board, true_entry
+from tests.entries import BOARD, edit, gates, policy, put_policy, scores, shrink_board, true_entry
 from tests.test_bad_input import says
 
 SCRIPT = "<script>document.title = 'taken'</script><img src=x onerror=alert(1)>"
 CHROMIUM = shutil.which("chromium")
 FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking",
          "--disable-component-update", "--disable-sync")  # fmt: skip
-GATE = {"gate": "false alarms", "cases": 20, "value": 0.05, "interval": [0.0, 0.1], "bar": 0.03, "below": True,
-        "met": False}  # fmt: skip
 DIAGNOSIS = {
     "format": "soro_bench/diagnosis/1", "entry": SCRIPT, "method": "guessing",
     "set": {"seed": 1, "count": 30, "nulls": 10, "commitment": 64 * "a"},
-    "gates": [GATE, {**GATE, "gate": "detected", "met": None, "value": None, "interval": None}],
+    "gates": gates(0.05),
     "confusion": [{"truth": "friction", "said": "delay", "cases": 1}, {"truth": "payload", "said": "tilt", "cases": 3}],
     "calibration": [{"cases": 5, "stated": 0.9, "right": 0.8}],
     "ablations": [{"variant": "raw BIC", "cases": 9, "false alarms": None}], "versions": {},
@@ -103,13 +102,12 @@ def test_the_reference_is_the_oracle_and_without_one_what_was_trained_without_ra
 def test_the_page_shows_the_gates_and_the_worst_confusions_first(results, tmp_path):
     rows = Table(build(results, tmp_path / "site").read_text()).rows
     assert ["false alarms", "20", "0.05 [0, 0.1]", "≤ 0.03", "missed"] in rows
-    assert ["detected", "20", "", "≤ 0.03", "no cases"] in rows
+    assert ["detected", "0", "", "≥ 0.95", "no cases"] in rows
     assert rows.index(["payload", "tilt", "3"]) < rows.index(["friction", "delay", "1"])
 
 
 def test_diagnoses_are_compared_those_that_meet_most_gates_first(results, tmp_path):
-    better = {**GATE, "value": 0.01, "met": True}
-    write_json(results / "diagnosis" / "theirs.json", {**DIAGNOSIS, "entry": "theirs", "gates": [better]})
+    write_json(results / "diagnosis" / "theirs.json", {**DIAGNOSIS, "entry": "theirs", "gates": gates(0.01)})
     rows = Table(build(results, tmp_path / "site").read_text()).rows
     first = next(i for i, row in enumerate(rows) if row[:3] == ["entry", "gates met", "false alarms"])
     assert [row[:4] for row in rows[first + 1 : first + 3]] == [
@@ -183,8 +181,12 @@ def _spoil_policy(results):
     (results / BOARD / "ours" / "udr" / "seed1.safetensors").write_bytes(b"spoilt")
 
 
-def _spoil_diagnosis(results):
-    edit(results / "diagnosis" / "ours.json", lambda entry: entry["gates"][0].update(cases="many"))
+def _spoil_diagnosis(results, **fields):
+    edit(results / "diagnosis" / "ours.json", lambda entry: entry["gates"][0].update(fields))
+
+
+def _invent_gates(results):
+    edit(results / "diagnosis" / "ours.json", lambda entry: entry["gates"].extend(entry["gates"]))
 
 
 @pytest.mark.parametrize(
@@ -195,7 +197,10 @@ def _spoil_diagnosis(results):
         (_mix, ("udr/seed1.json", "trained_on is 'flex'", "'cable'", "seed0.json")),
         (_shorten, ("udr/seed1.json", "steps is 5", "seed0.json")),
         (_spoil_policy, ("udr/seed1.safetensors", "SHA-256")),
-        (_spoil_diagnosis, ("diagnosis/ours.json", "gates.0.cases is 'many'")),
+        (partial(_spoil_diagnosis, cases="many"), ("diagnosis/ours.json", "gates.0.cases is 'many'")),
+        (partial(_spoil_diagnosis, bar=0.5, met=True), ("diagnosis/ours.json", "not those of soro-bench prove", "0.5")),
+        (partial(_spoil_diagnosis, met=True), ("diagnosis/ours.json", "false alarms is 0.05", "cannot be True")),
+        (_invent_gates, ("diagnosis/ours.json", "not those of soro-bench prove", "twice")),
         (lambda results: write_json(results / "note.json", {}), ("note.json", "required property")),
     ],
 )

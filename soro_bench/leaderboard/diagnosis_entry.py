@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from soro_bench.files import write_json
+from soro_bench.files import brief, write_json
 from soro_bench.leaderboard.strict import REPORT_BYTES, check, read_strict
-from soro_bench.proof.score import case_row, opened_labels, scored
+from soro_bench.proof.score import GATES, LABEL_BYTES, case_row, commitment, is_met, opened_labels, scored
 from soro_bench.results import versions
 
 FORMAT, SCHEMA = "soro_bench/diagnosis/1", "diagnosis_entry.schema.json"
@@ -20,7 +20,20 @@ def read_entry(path: str | Path) -> dict:
     """A valid entry of the diagnosis track; ValueError names the file, what is wrong and what is allowed."""
     entry = read_strict(path)
     check(entry, SCHEMA, path)
+    _check_gates(entry["gates"], path)
     return entry
+
+
+def _check_gates(gates, path) -> None:
+    """ValueError unless the gates are those of the proof, with its bars, and what a value says of one is so."""
+    given, known = ([(gate["gate"], gate["bar"], gate["below"]) for gate in gates],
+                    [(name, bar, below) for name, _, _, bar, below in GATES])  # fmt: skip
+    if given != known:
+        odd = next((one for one in given if one not in known), None) or "too few, twice, or in another order"
+        raise ValueError(f"{path}: gates, bars and whether to be below are not those of soro-bench prove: {brief(odd)}")
+    for gate in gates:
+        if gate["met"] is not is_met(gate["value"], gate["bar"], gate["below"]):
+            raise ValueError(f"{path}: {gate['gate']} is {gate['value']}, for which met cannot be {gate['met']}")
 
 
 def write_entry(path: str | Path, entry: str, method: str, cases: str | Path, card: dict) -> None:
@@ -43,10 +56,10 @@ def opened(cases: Path) -> dict:
     with _called(path := cases / "sealed" / "labels.json"):
         labels = opened_labels(cases)
         return {
-            "seed": read_strict(path, 100_000_000)["seed"],
+            "seed": read_strict(path, LABEL_BYTES)["seed"],
             "count": len(labels),
             "nulls": sum(label["group"] == "none" for label in labels),
-            "commitment": (cases / "commitment.txt").read_text().strip(),
+            "commitment": commitment(cases),
         }
 
 

@@ -1,13 +1,11 @@
 """JSON from strangers, which says one thing only; ValueError names what is wrong."""
 
 import json
-import math
 import reprlib
-from collections import Counter
 from functools import cache
 from pathlib import Path
 
-from soro_bench.files import read_bytes
+from soro_bench.files import parsed_json, read_bytes
 
 ENTRY_BYTES = 1_000_000
 REPORT_BYTES = 10_000_000
@@ -18,9 +16,7 @@ def read_strict(path: str | Path, max_bytes: int = ENTRY_BYTES) -> dict:
     """A JSON object without NaN, infinity, a name that comes twice or characters that cannot be shown."""
     data = read_bytes(path, max_bytes, links=False)
     try:
-        found = json.loads(
-            data.decode(), object_pairs_hook=_object, parse_constant=_finite, parse_float=_finite, parse_int=_integer
-        )
+        found = parsed_json(data.decode(), max_digits=18)
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path} is no valid JSON: {str(error)[:200]}") from error
     try:
@@ -47,14 +43,6 @@ def _said(error) -> str:
     return f"{field} is {reprlib.repr(error.instance)}; allowed: {error.validator} {error.validator_value}"
 
 
-def _object(pairs) -> dict:
-    found = dict(pairs)
-    if len(found) < len(pairs):
-        name, _ = Counter(name for name, _ in pairs).most_common(1)[0]
-        raise ValueError(f"the name {reprlib.repr(name)} comes twice")
-    return found
-
-
 def _check_parts(found) -> None:
     """ValueError for a text, anywhere, that cannot be shown, and for parts in parts in parts."""
     level, depth = [found], 0
@@ -70,18 +58,6 @@ def _check_parts(found) -> None:
 
 def _parts(value) -> list:
     return [*value, *value.values()] if isinstance(value, dict) else value if isinstance(value, list) else []
-
-
-def _finite(text: str) -> float:
-    if not math.isfinite(number := float(text)):
-        raise ValueError(f"{text} is no finite number")
-    return number
-
-
-def _integer(text: str) -> int:
-    if len(text) > 18:
-        raise ValueError(f"the integer {text[:18]}... is too large; at most 18 digits are read")
-    return int(text)
 
 
 @cache

@@ -1,6 +1,7 @@
 """Scores of diagnoses against the sealed labels: gates with intervals, confusions, calibration."""
 
 import hashlib
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,11 +10,13 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import binomtest
 
-from soro_bench.files import read_json
+from soro_bench.files import brief, parsed_json, read_bytes
 from soro_bench.proof.magnitude import magnitude_errors
 
 BOOTSTRAP, LEVEL = 2000, 95  # resamples, and per cent of the interval
 BINS = 10  # of stated probabilities
+LABEL_BYTES = 100_000_000
+_ID, _HASH = re.compile(r"case_[0-9]{3,}"), re.compile(r"[0-9a-f]{64}")
 _DRAWS = 200  # of outcomes, of a method whose probabilities are right
 _SAME_PLACE = {"tendon", "actuator"}  # a cable and the actuator that pulls it
 _SEGMENTS = 1  # a body or keypoint may be off by so many
@@ -23,10 +26,26 @@ _FAINT = 0.3  # mm, a change of keypoints that is too small to be explained, aga
 def opened_labels(folder: Path) -> list[dict]:
     """The labels of a set of cases; ValueError if they are not those that were committed to."""
     path = folder / "sealed" / "labels.json"
-    found = hashlib.sha256(path.read_bytes()).hexdigest()
-    if (committed := (folder / "commitment.txt").read_text().strip()) != found:
+    content = read_bytes(path, LABEL_BYTES, links=False)
+    found = hashlib.sha256(content).hexdigest()
+    if (committed := commitment(folder)) != found:
         raise ValueError(f"{path} has the hash {found}, the commitment is {committed}")
-    return read_json(path, 100_000_000)["cases"]
+    labels = parsed_json(content)["cases"]
+    for label in labels:
+        if not _ID.fullmatch(label["id"]):  # it becomes the name of a file
+            raise ValueError(f"{path} has the case {brief(label['id'])}; expected case_000 or the like")
+    if len({label["id"] for label in labels}) < len(labels):
+        raise ValueError(f"{path} has two cases of one name")
+    return labels
+
+
+def commitment(folder: Path) -> str:
+    """The hash of sealed labels, in hexadecimal digits."""
+    path = folder / "commitment.txt"
+    text = read_bytes(path, 1000, links=False).decode(errors="replace").strip()
+    if not _HASH.fullmatch(text):
+        raise ValueError(f"{path} holds no SHA-256, which has 64 hexadecimal digits")
+    return text
 
 
 def scored(labels: Sequence[dict], reports: dict[str, dict], seed: int = 0) -> dict:
@@ -262,8 +281,14 @@ def _gate(rows, name, chosen, statistic, bar, below, rng) -> dict:
     if not members:
         return gate
     value, interval = statistic(members), _interval(statistic, members, rng)
-    met = None if bar is None else value <= bar if below else value >= bar
-    return gate | {"value": value, "interval": interval, "met": met}
+    return gate | {"value": value, "interval": interval, "met": is_met(value, bar, below)}
+
+
+def is_met(value: float | None, bar: float | None, below: bool) -> bool | None:
+    """Whether a gate is met; None if there is no such case, or no bar."""
+    if value is None or bar is None:
+        return None
+    return value <= bar if below else value >= bar
 
 
 def _interval(statistic, members, rng) -> list[float]:
