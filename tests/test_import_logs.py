@@ -60,6 +60,7 @@ TOPIC = '[signals.f]\ntopic = "/a"\nfields = ["pose.x", "v[1]"]\nunit = "N"\n'
         ([{}], TOPIC.replace('["pose.x", "v[1]"]', '"x"'), ("fields is 'x'",)),
         ([{}], TOPIC.replace("pose.x", "pose[x"), ("'pose[x'", "no path")),
         ([{"pose": {"x": 1}, "v": [1, 2]}], TOPIC + 'time = "v"\n', ("time [1, 2] is no number",)),
+        ([{"pose": {"x": 1}, "v": [1, 2], "t": {"sec": 0.25}}], TOPIC + 'time = "t"\n', ("0.25", "whole numbers")),
     ],
 )
 def test_bad_messages(tmp_path, messages, mapping, parts):

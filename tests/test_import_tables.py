@@ -279,6 +279,7 @@ ARRAYS = '[time]\ninterval = 0.1\n[signals.f]\narrays = ["f"]\nunit = "N"\n'
         ({"f": 1.0}, ARRAYS, ("f has type float64 and shape ()",)),
         ({"f": [1.0], "g": [1.0, 2.0]}, ARRAYS.replace('["f"]', '["f", "g"]'), ("arrays have [1, 2] rows",)),
         ({"f": [1.0]}, ARRAYS.replace('["f"]', '"f"'), ("arrays is 'f'", "list of texts")),
+        ({"f": [1.0]}, ARRAYS.replace('["f"]', '["f", "f"]'), ("['f', 'f']", "each once")),
         ({"f": [1.0, 2.0]}, ARRAYS + 'time = "f"\nshape = [2]\n', ("shape [2] does not fit",)),
         ({"f": [1.0, 2.0], "t": [1.0]}, ARRAYS + 'time = "t"\n', ("times 't' have shape (1,)", "(2,)")),
         ({"f": [1.0, np.inf]}, ARRAYS, ("infinite",)),
@@ -330,3 +331,13 @@ def test_the_mapping_of_the_documentation_imports_its_table(tmp_path):
     assert recording.commands["action"].values.tolist() == [[0.5, -0.5, *[0.0] * 6]]
     assert recording.signals["markers"].values[0, 0] == pytest.approx([0.0016, 0.002, 0.1001])
     assert recording.signals["force"].values == pytest.approx([0.251, 0.253])
+
+
+def test_a_mapping_that_asks_for_one_array_again_and_again_is_refused(tmp_path):
+    """A file of a few bytes would take gigabytes of memory."""
+    np.savez_compressed(tmp_path / "a.npz", f=np.zeros(200_000))
+    signal = '[signals.f{}]\narrays = ["f"]\nunit = "N"\n'
+    for count, parts in ((10, "more numbers than"), (1001, "1001 commands and signals")):
+        (tmp_path / "a.toml").write_text("[time]\ninterval = 0.1\n" + "".join(map(signal.format, range(count))))
+        with pytest.raises(RecordingError, match=parts):
+            import_recording(tmp_path / "a.npz", tmp_path / "a.toml", max_bytes=1_000_000)

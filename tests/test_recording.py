@@ -277,6 +277,14 @@ def test_what_could_not_be_read_again_is_not_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def test_signals_with_too_many_times_of_their_own_are_not_written(tmp_path):
+    """In the file every signal has a place at the times of all others."""
+    signals = {f"f{i}": Signal(np.arange(200_000) + i / 50, np.zeros(200_000), "N") for i in range(20)}
+    with pytest.raises(RecordingError, match="give signals common times"):
+        save(Recording(signals=signals), tmp_path / "a.parquet")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_a_killed_writer_leaves_no_half_file(tmp_path, how):
     """The old file stays; interrupted, the writer cleans up as well."""

@@ -7,6 +7,7 @@ schema are JSON in the table's, under "soro_bench". docs/recordings.md describes
 """
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +21,9 @@ except ImportError as error:
 
 from soro_bench.files import replacing
 from soro_bench.recording.bounded_parquet import MAX_FOOTER, BoundedParquet
+from soro_bench.recording.parquet_pages import BYTES_PER_VALUE
 from soro_bench.recording.recording import SCHEMA, Recording, RecordingError, Signal, check_shape
-from soro_bench.recording.untrusted import MAX_BYTES, MAX_ROWS, named_errors, read_bytes
+from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, MAX_ROWS, named_errors, read_bytes
 
 _KEY = b"soro_bench"
 _TIME = "timestamp"
@@ -36,6 +38,11 @@ def save(recording: Recording, path: str | Path) -> None:
     times = np.unique(np.concatenate([signal.time for _, signal in columns]))
     if len(times) > MAX_ROWS:
         raise RecordingError(f"{len(times)} time stamps; a recording has at most {MAX_ROWS}")
+    places = len(times) * sum(math.prod(signal.values.shape[1:]) for _, signal in columns)
+    numbers = sum(signal.values.size for _, signal in columns)
+    if BYTES_PER_VALUE * places + 8 * numbers > EXPANSION * MAX_BYTES:  # it could not be read again
+        raise RecordingError(f"{numbers} numbers take {places} places, as every signal has one at each of {len(times)} "
+                             "times; that is too much: give signals common times, or cut the recording")  # fmt: skip
     fields, arrays = [pa.field(_TIME, pa.float64(), metadata={"unit": "s"})], [pa.array(times)]
     for name, signal in columns:
         arrays.append(_array(signal, times))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from soro_bench.recording.recording import RecordingError
 
-_BYTES_PER_VALUE = 12  # a number of 8 bytes and two levels
+BYTES_PER_VALUE = 12  # a number of 8 bytes and two levels
 _BYTES_PER_PAGE = 1000  # for what an empty one costs too
 _MAX_HEADER = 100_000  # bytes of a page's; grows some seventyfold in memory
 _MAX_DEPTH = 10
@@ -70,7 +70,7 @@ def decoded_bytes(data: bytes, column: Column) -> int:
         values += count
         if _PAGE_DICTIONARY in page:
             count += _size(page[_PAGE_DICTIONARY], 1)
-        total += _size(page, _PAGE_UNCOMPRESSED) + _BYTES_PER_VALUE * count + _BYTES_PER_PAGE
+        total += _size(page, _PAGE_UNCOMPRESSED) + BYTES_PER_VALUE * count + _BYTES_PER_PAGE
         position = header.position + _size(page, _PAGE_COMPRESSED)
     if position != column.end or values != column.num_values:
         raise RecordingError("the pages of a column are not as the footer says")

@@ -11,7 +11,7 @@ import numpy as np
 
 from soro_bench.recording.importers.mapping import Source, load_mapping, texts, typed
 from soro_bench.recording.recording import Recording, RecordingError
-from soro_bench.recording.untrusted import MAX_BYTES, MAX_COLUMNS, MAX_ROWS, named_errors, read_bytes
+from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, MAX_COLUMNS, MAX_ROWS, named_errors, read_bytes
 
 _PLACE = ("columns", "first", "last", "time")
 _FORMAT = ("delimiter", "decimal", "skip_rows", "header", "missing", "label", "only")
@@ -38,7 +38,7 @@ def import_csv(path: str | Path, mapping: str | Path | None, max_bytes: int = MA
             return _samples(cells, lines, to_seconds if column else 1.0)
 
         table.read(_columns(table, spec, time_column))
-        return spec.recording(read, Path(path).name)
+        return spec.recording(read, Path(path).name, EXPANSION * max_bytes)
 
 
 def _columns(table, spec, time_column) -> list[str]:

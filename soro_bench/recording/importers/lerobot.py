@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 from soro_bench.recording.bounded_parquet import BoundedParquet
 from soro_bench.recording.importers.mapping import FileMapping, Source, load_mapping
 from soro_bench.recording.recording import Recording, RecordingError
-from soro_bench.recording.untrusted import MAX_BYTES, named_errors, read_bytes
+from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, named_errors, read_bytes
 
 _PLACE = ("column", "indices")
 _VERSION = re.compile(r"v3\.\d{1,3}")
@@ -48,7 +48,7 @@ def import_lerobot(
                 read = partial(_samples, table)
                 robot = {"robot": str(info["robot_type"])[:100]} if info.get("robot_type") else {}
                 spec = replace(spec, metadata={"episode": str(episode), **robot, **spec.metadata})
-                return spec.recording(read, folder.resolve().name)
+                return spec.recording(read, folder.resolve().name, EXPANSION * max_bytes)
     raise RecordingError(f"{folder}: there is no episode {episode}")
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from soro_bench.recording.importers.units import si
-from soro_bench.recording.recording import Recording, RecordingError, Signal, check_name, check_shape
+from soro_bench.recording.recording import MAX_SIGNALS, Recording, RecordingError, Signal, check_name, check_shape
 from soro_bench.recording.untrusted import named_errors, read_bytes
 
 MAX_BYTES = 1_000_000
@@ -73,17 +73,20 @@ class FileMapping:
             raise RecordingError(f"[time] unit = {self.time['unit']!r} is no unit of time")
         return factor
 
-    def recording(self, read, file_name: str) -> Recording:
+    def recording(self, read, file_name: str, most: int) -> Recording:
         """The recording whose signals ``read(source)`` gives as (T,) times [s] and (T, ...) numbers.
 
         Time is counted from the first sample of all, or from [time] begin after it; the metadata keep where that was,
-        as "start_time" [s].
+        as "start_time" [s]. Signals of more than ``most`` bytes altogether are refused.
         """
         begin = _positive("[time] begin", self.time["begin"]) if "begin" in self.time else 0.0
         until, found = _positive("[time] until", self.time.get("until", math.inf)), {}
         for group, sources in (("commands", self.commands), ("signals", self.signals)):
             for name, source in sources.items():
                 time, numbers = _named(f"{group}.{name}", read, source)
+                most -= numbers.nbytes
+                if most < 0:  # a small file may be asked for the same numbers again and again
+                    raise RecordingError("the mapping asks for more numbers than the largest size of the file allows")
                 _named(f"{group}.{name}", _check_order, time)
                 if not source.leaves:  # which shifts by itself
                     time = _shifted(time, source.shift)
@@ -158,6 +161,8 @@ def load_mapping(
                 raise RecordingError(f"{section} has to be a section, [{section}]")
         check_keys("[time]", table.get("time", {}), (*time_keys, "begin", "until"))
         check_keys("[format]", table.get("format", {}), format_keys)
+        if (count := sum(len(table.get(group, {})) for group in ("commands", "signals"))) > MAX_SIGNALS:
+            raise RecordingError(f"it has {count} commands and signals; expected at most {MAX_SIGNALS}")
         for group in ("commands", "signals"):
             table[group] = {
                 check_name(name): _named(f"{group}.{name}", _source, entry, place_keys)
@@ -176,9 +181,11 @@ def check_keys(label: str, table: Mapping, allowed: tuple[str, ...]) -> None:
 
 
 def texts(label: str, values) -> list[str]:
-    """Return a non-empty list of texts; raise RecordingError for anything else."""
+    """Return a non-empty list of texts, each once; raise RecordingError for anything else."""
     if not isinstance(values, list) or not values or not all(isinstance(value, str) for value in values):
         raise RecordingError(f"{label} is {ascii(values)[:80]}; expected a list of texts")
+    if len(set(values)) < len(values):
+        raise RecordingError(f"{label} is {ascii(values)[:80]}; expected each once")
     return values
 
 

@@ -36,7 +36,7 @@ def import_mcap(path: str | Path, mapping: str | Path | None, max_bytes: int = M
                     collector.add(channel, message)
             if sum(collector.count for collector in collectors.values()) > _MAX_NUMBERS:
                 raise RecordingError(f"more than {_MAX_NUMBERS} numbers")
-        return spec.recording(lambda source: collectors[id(source)].arrays(), Path(path).name)
+        return spec.recording(lambda source: collectors[id(source)].arrays(), Path(path).name, EXPANSION * max_bytes)
 
 
 class _Collector:
@@ -86,7 +86,10 @@ class _Collector:
             return getattr(message, self._clock)
         stamp = _follow(content, self._clock)
         if isinstance(stamp, dict) and "sec" in stamp:  # as in ROS
-            return 1_000_000_000 * int(stamp["sec"]) + int(stamp.get("nanosec", stamp.get("nsec", 0)))
+            parts = stamp["sec"], stamp.get("nanosec", stamp.get("nsec", 0))
+            if any(type(part) is not int for part in parts):
+                raise RecordingError(f"topic {self.topic}: time {ascii(stamp)[:80]} is not in whole numbers")
+            return 1_000_000_000 * parts[0] + parts[1]
         if isinstance(stamp, bool) or not isinstance(stamp, (int, float)):
             raise RecordingError(f"topic {self.topic}: time {ascii(stamp)[:80]} is no number")
         return round(1e9 * self._to_seconds * stamp)

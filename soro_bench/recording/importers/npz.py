@@ -4,6 +4,7 @@ import io
 import math
 import zipfile
 import zlib
+from functools import partial
 from pathlib import Path
 from tokenize import TokenError
 
@@ -30,14 +31,15 @@ def import_npz(path: str | Path, mapping: str | Path | None, max_bytes: int = MA
         to_seconds = spec.to_seconds()
         try:
             archive = _Archive(data, EXPANSION * max_bytes)
-            return spec.recording(lambda source: _samples(archive, spec, source, to_seconds), Path(path).name)
+            read = partial(_samples, archive, spec, to_seconds)
+            return spec.recording(read, Path(path).name, EXPANSION * max_bytes)
         except _DAMAGED as error:
             raise RecordingError(f"is no NPZ file: {str(error)[:200]}") from error
 
 
-def _samples(archive: "_Archive", spec: FileMapping, source: Source, to_seconds: float):
+def _samples(archive: "_Archive", spec: FileMapping, to_seconds: float, source: Source):
     """(T,) times [s] and (T, k) numbers: rows of the arrays, one after the other."""
-    arrays = [archive.array(name) for name in texts("arrays", source.place.get("arrays"))]
+    arrays = archive.arrays(texts("arrays", source.place.get("arrays")))
     if len(rows := {len(array) for array in arrays}) > 1:
         raise RecordingError(f"its arrays have {sorted(rows)} rows; all need as many")
     numbers = np.concatenate([array.reshape(len(array), -1) for array in arrays], axis=1)
@@ -54,12 +56,22 @@ class _Archive:
     """Arrays of real numbers in an archive, read when asked for; pickled objects are refused.
 
     Args:
-        most: bytes of one array.
+        most: bytes of arrays that are read together.
     """
 
     def __init__(self, data: bytes, most: int):
         self._zip, self._most = zipfile.ZipFile(io.BytesIO(data)), most
         self._names = [name.removesuffix(_SUFFIX) for name in self._zip.namelist() if name.endswith(_SUFFIX)]
+
+    def arrays(self, names: list[str]) -> list[np.ndarray]:
+        """Several of them."""
+        found, size = [], 0
+        for name in names:
+            found.append(self.array(name))
+            size += found[-1].nbytes
+            if size > self._most:
+                raise RecordingError(f"arrays {ascii(names)[1:80]} have more than {self._most} bytes")
+        return found
 
     def array(self, name) -> np.ndarray:
         """An array of at least one dimension, as floating-point numbers."""
