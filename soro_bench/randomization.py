@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from soro_bench.files import read_json
+from soro_bench.files import brief, read_json
 from soro_bench.parameters import ALL_PARAMETERS, Parameter
 
 
@@ -31,9 +31,10 @@ def _bounds(names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError(f"a distribution needs at least one parameter; there are {', '.join(ALL_PARAMETERS)}")
     unknown = [name for name in names if name not in ALL_PARAMETERS]
     if unknown:
-        raise ValueError(f"unknown parameter {unknown[0]!r}; there are {', '.join(ALL_PARAMETERS)}")
-    if twice := [name for i, name in enumerate(names) if name in names[:i]]:
-        raise ValueError(f"the parameter {twice[0]!r} comes twice")
+        raise ValueError(f"unknown parameter {brief(unknown[0])}; there are {', '.join(ALL_PARAMETERS)}")
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"the parameter {twice!r} comes twice")
     return tuple(np.array([ALL_PARAMETERS[name].bounds for name in names]).reshape(-1, 2).T)
 
 
@@ -126,7 +127,11 @@ class Gaussian:
             raise ValueError(f"the covariance has to be a symmetric {len(self.names)} x {len(self.names)} matrix")
         # scaled by the variances, as the parameters' units differ by many orders of magnitude
         scale = np.sqrt(np.maximum(np.diag(cov), np.finfo(float).tiny))
-        if (lowest := np.linalg.eigvalsh(cov / np.outer(scale, scale)).min()) < -1e-9:
+        with np.errstate(over="ignore"):
+            correlation = cov / np.outer(scale, scale)
+        if not (np.abs(correlation) <= 1 + 1e-9).all():  # also of a parameter without a variance
+            raise ValueError("the covariance is not positive semi-definite: there are correlations beyond 1")
+        if (lowest := np.linalg.eigvalsh(correlation).min()) < -1e-9:
             raise ValueError(f"the covariance is not positive semi-definite: its correlation has eigenvalue {lowest}")
 
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
@@ -186,16 +191,24 @@ def from_dict(data: Mapping) -> Distribution:
     kind = data.get("type")
     try:
         if kind == "gaussian":
-            return Gaussian(tuple(data["names"]), np.array(data["mean"], float), np.array(data["cov"], float))
+            return Gaussian(tuple(data["names"]), _numbers(data["mean"]), _numbers(data["cov"]))
         families = {"uniform": (Uniform, ("low", "high")), "truncated_normal": (TruncatedNormal, ("mean", "std"))}
         if kind not in families:
-            raise ValueError(f"unknown distribution type {kind!r}; there are {', '.join([*families, 'gaussian'])}")
+            raise ValueError(f"unknown distribution type {brief(kind)}; there are {', '.join([*families, 'gaussian'])}")
         family, columns = families[kind]
         rows = data["parameters"]
-        values = np.array([[rows[name][c] for c in columns] for name in rows], float).reshape(-1, 2)
+        values = _numbers([[rows[name][c] for c in columns] for name in rows]).reshape(-1, 2)
         return family(tuple(rows), *values.T)
     except (KeyError, TypeError, OverflowError) as error:
         raise ValueError(f"incomplete {kind} distribution: {error!r} is missing or malformed") from error
+
+
+def _numbers(values) -> np.ndarray:
+    """Of a JSON file; TypeError for texts, and for true and false, which NumPy takes for numbers."""
+    array = np.asarray(values)
+    if array.size and array.dtype.kind not in "if":
+        raise TypeError(f"{brief(values)}, which is not all numbers,")
+    return array.astype(float)
 
 
 def load(path: str | Path) -> Distribution:

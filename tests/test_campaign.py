@@ -140,9 +140,21 @@ def test_what_is_no_training_of_ours_is_refused_before_it_is_evaluated(small_boa
     (tmp_path / "a" / "curve.csv").write_text("steps\n")
     with pytest.raises(ValueError, match=r"curve.csv has no rows"):
         enter(tmp_path / "a", "TrunkReach-v0", "me", tmp_path)
+    (tmp_path / "a" / "curve.csv").write_text("steps\n3\n")
+    with pytest.raises(ValueError, match=r"curve.csv is no table of steps, episodes"):
+        enter(tmp_path / "a", "TrunkReach-v0", "me", tmp_path)
     config = read_json(tmp_path / "a" / "config.json")
     (tmp_path / "a" / "config.json").write_text(json.dumps({"distribution": config["distribution"]}))
     with pytest.raises(ValueError, match=r"config.json lacks trainer"):
+        enter(tmp_path / "a", "TrunkReach-v0", "me", tmp_path)
+    (tmp_path / "a" / "config.json").write_text("[1]")
+    with pytest.raises(ValueError, match=r"config.json lacks distribution, trainer"):
+        enter(tmp_path / "a", "TrunkReach-v0", "me", tmp_path)
+    with pytest.raises(ValueError, match=r"config.json describes no training: it is \[1\]"):
+        train(TINY, tmp_path / "a")
+    card = read_json(tmp_path / "a" / "policy.json")
+    (tmp_path / "a" / "policy.json").write_text(json.dumps(card | {"method": 5}))
+    with pytest.raises(ValueError, match="method is 5; expected str"):
         enter(tmp_path / "a", "TrunkReach-v0", "me", tmp_path)
 
 

@@ -95,3 +95,25 @@ def test_a_file_that_is_no_model_is_refused(paths):
         ModelRobot(model, mapping)
     with pytest.raises(ModelError, match="no model"):
         ModelRobot(model.with_name("other.xml"), mapping)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("<worldbody>", '<option timestep="1e-300"/><worldbody>', "timestep is 1e-300 s; allowed is 1e-06 to 1 s"),
+        ("<worldbody>", '<option timestep="0"/><worldbody>', r"timestep is 0\.0 s"),
+        ("<worldbody>", '<option gravity="nan 0 0"/><worldbody>', "opt.gravity is not a number"),
+    ],
+)
+def test_a_model_that_cannot_be_simulated_is_refused(paths, old, new, message):
+    model, mapping = paths
+    model.write_text(model.read_text().replace(old, new, 1))
+    with pytest.raises(ModelError, match=message):
+        ModelRobot(model, mapping)
+
+
+def test_a_mapping_of_lists_in_lists_is_refused(paths):
+    model, mapping = paths
+    mapping.write_text("robot = " + "[" * 100_000)
+    with pytest.raises(ModelError, match="no TOML file"):
+        ModelRobot(model, mapping)

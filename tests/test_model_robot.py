@@ -115,8 +115,12 @@ def test_what_was_found_of_another_robot_is_refused(paths, known, message):
         ModelRobot(*paths, threads=1, earlier=known)
 
 
+REPORT = '{"schema": "soro-bench/diagnosis/1", "parameters": {"a": {"value": %s, "ci90": [0, 1]}}}'
+
+
 @pytest.mark.parametrize("text", ["[]", "{}", '{"schema": "soro-bench/diagnosis/1"}', "{",
-                                  '{"schema": "soro-bench/diagnosis/1", "parameters": {"a": 1}}'])  # fmt: skip
+                                  '{"schema": "soro-bench/diagnosis/1", "parameters": {"a": 1}}',
+                                  REPORT % "true", REPORT % '"1"', REPORT % ("9" * 400)])  # fmt: skip
 def test_a_file_that_is_no_report_is_refused(tmp_path, text):
     (tmp_path / "report.json").write_text(text)
     with pytest.raises(ValueError, match=r"report\.json"):

@@ -157,6 +157,22 @@ def test_a_distribution_of_nothing_is_refused():
             from_dict(nothing)
 
 
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        ({"type": "uniform", "parameters": {"friction": {"low": False, "high": True}}}, "not all numbers"),
+        ({"type": "uniform", "parameters": {"friction": {"low": "0.1", "high": 0.2}}}, "not all numbers"),
+        ({"type": "gaussian", "names": ["friction", "damping"], "mean": [0.3, 0.1], "cov": [[0, 10], [10, 0]]},
+         "correlations beyond 1"),
+        ({"type": "gaussian", "names": ["friction", "damping"], "mean": [0.3, 0.1], "cov": [[0, 1e-3], [1e-3, 1]]},
+         "correlations beyond 1"),
+    ],
+)  # fmt: skip
+def test_what_is_no_number_or_no_covariance_is_refused(data, said):
+    with pytest.raises(ValueError, match=said):
+        from_dict(data)
+
+
 def test_random_boxes():
     """Random boxes are ordered, lie in the search box and take a third of each side on average."""
     rng = np.random.default_rng(0)

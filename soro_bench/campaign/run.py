@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from soro_bench.envs.task import effects_of
 from soro_bench.files import read_json
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.entry import check_free, thinned_curve, write_entry
@@ -99,13 +100,14 @@ def enter(folder: Path, board: str, entry: str, results: Path, threads: int = 0,
         ValueError: says what is wrong in the folder, or that the place is taken; nothing has been evaluated.
     """
     policy, config = Policy.load(folder), read_json(folder / "config.json")
-    if missing := sorted({"distribution", "trainer"} - set(config)):
+    if missing := sorted({"distribution", "trainer"} - set(config if isinstance(config, dict) else {})):
         raise ValueError(f"{folder / 'config.json'} lacks {', '.join(missing)}; soro-bench train writes both")
+    effects = effects_of(config.get("effects", []))
     _check_fixed(board, config["distribution"], folder)
     training = _training(folder, policy.card.env_id) | {
         "trainer": config["trainer"],
         "settings": {name: config[name] for name in PPOConfig(policy.card.env_id).settings() if name in config},
-        "effects": [effect["name"] for effect in config.get("effects", [])],
+        "effects": [effect.name for effect in effects],
     }
     if not replace_other:
         check_free(results, board, entry, policy)

@@ -135,7 +135,7 @@ def read_mapping(path) -> dict:
     """The mapping, checked for its sections and entries; those left out are empty."""
     try:
         table = tomllib.loads(read_bytes(path, _MAX_BYTES).decode())
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ModelError(f"{path} is no TOML file: {error}") from error
     _check_keys(str(path), table, tuple(_SECTIONS))
     for section, allowed in _SECTIONS.items():

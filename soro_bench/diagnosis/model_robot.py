@@ -1,9 +1,11 @@
 """Any robot: a MuJoCo model, and a mapping (mapping.py) of what is recorded of it."""
 
+from operator import attrgetter
 from pathlib import Path
 
 import mujoco
 import numpy as np
+from mujoco.batch import MODEL_FIELDS
 
 from soro_bench.diagnosis.mapping import (
     ModelError,
@@ -28,6 +30,7 @@ from soro_bench.parameters import Parameter, ParameterSet
 from soro_bench.recording.recording import Recording, RecordingError
 
 _MOST_STEPS = 100_000
+_TIMESTEPS = 1e-6, 1.0  # s
 _LARGE = 1e6  # of a signal, in its unit: the simulation has diverged
 # degrees of freedom of all simulations side by side, where these are more than SIMULATIONS then, and these at most: a
 # time step of a small model costs less than what calls it
@@ -243,6 +246,13 @@ def _compiled(path) -> mujoco.MjModel:
     if not Path(path).is_file():
         raise ModelError(f"there is no model {path}")
     try:
-        return _spec(path).compile()
+        model = _spec(path).compile()
     except ValueError as error:
         raise ModelError(f"{path} is no MuJoCo model: {error}") from error
+    for field in MODEL_FIELDS:
+        if np.isnan(attrgetter(field)(model)).any():  # MuJoCo only warns
+            raise ModelError(f"{path}: {field} is not a number somewhere")
+    low, high = _TIMESTEPS
+    if not low <= model.opt.timestep <= high:
+        raise ModelError(f"{path}: timestep is {model.opt.timestep} s; allowed is {low:g} to {high:g} s")
+    return model

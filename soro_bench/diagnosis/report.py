@@ -1,6 +1,7 @@
 """report.json and the other files of a diagnosis for programs."""
 
 import math
+import sys
 from pathlib import Path
 
 from soro_bench.diagnosis.compare import ALPHA, Answer, Comparison, Fit
@@ -24,7 +25,7 @@ from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import Suspect
 from soro_bench.effects.catalogue import ALL, CATEGORIES
 from soro_bench.effects.effect import load_effects, save_effects
-from soro_bench.files import read_json, write_json
+from soro_bench.files import brief, read_json, write_json
 from soro_bench.randomization import TruncatedNormal
 from soro_bench.recording.excitation import write_actions
 
@@ -38,7 +39,7 @@ def write_json_report(diagnosis: Diagnosis, folder: str | Path) -> dict:
     report."""
     folder, model = Path(folder), model_patch(diagnosis)
     report = {**report_of(diagnosis), **_model_patch(model)}
-    write_json(folder / "report.json", report)
+    (folder / "report.json").unlink(missing_ok=True)  # of an earlier diagnosis
     save_effects([*diagnosis.robot.known, *patch(diagnosis)], folder / "effects.json")
     if isinstance(diagnosis.robot, SuiteRobot):  # the others are not trained on
         write_json(folder / "posterior.json", posterior(diagnosis).to_dict())
@@ -49,6 +50,7 @@ def write_json_report(diagnosis: Diagnosis, folder: str | Path) -> dict:
     else:
         (folder / NEXT_ACTIONS).unlink(missing_ok=True)  # of an earlier diagnosis
     write_model_patch(model, folder)
+    write_json(folder / "report.json", report)  # the last, so that all others are of the same diagnosis
     return report
 
 
@@ -69,11 +71,17 @@ def earlier(folder: str | Path) -> Earlier:
         raise ValueError(f"{path} is no report of a diagnosis: its schema has to be {SCHEMA}")
     try:
         found = report["parameters"].items()
-        values = {name: float(each["value"]) for name, each in found}
-        spread = {name: abs(float(each["ci90"][1]) - float(each["ci90"][0])) / (2 * NINETY) for name, each in found}
+        values = {name: _finite(each["value"]) for name, each in found}
+        spread = {name: abs(_finite(each["ci90"][1]) - _finite(each["ci90"][0])) / (2 * NINETY) for name, each in found}
     except (AttributeError, LookupError, TypeError, ValueError) as error:
         raise ValueError(f"{path} has no parameters with values and intervals ({error!r})") from error
     return Earlier(values, spread, load_effects(Path(folder) / "effects.json", ALL))
+
+
+def _finite(value) -> float:
+    if type(value) not in (int, float) or not abs(value) <= sys.float_info.max:
+        raise ValueError(f"{brief(value)} is no number")
+    return float(value)
 
 
 def posterior(diagnosis: Diagnosis) -> TruncatedNormal:

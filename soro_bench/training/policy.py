@@ -1,13 +1,13 @@
 """A trained policy as data: safetensors for the numbers, JSON for their meaning. Nothing is ever unpickled."""
 
 import reprlib
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 
-from soro_bench.files import read_bytes, read_json, replacing, write_json
+from soro_bench.files import brief, read_bytes, read_json, replacing, write_json
 
 _WEIGHTS, _CARD = "policy.safetensors", "policy.json"
 MAX_BYTES = 20_000_000  # of a policy file
@@ -23,6 +23,11 @@ class PolicyCard:
     method: str  # oracle, udr, ...
     seed: int
     steps: int  # environment steps of training
+
+    def __post_init__(self):
+        for field in fields(self):
+            if type(value := getattr(self, field.name)) is not field.type:
+                raise TypeError(f"{field.name} is {brief(value)}; expected {field.type.__name__}")
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from soro_bench.envs.sb3 import SB3VecEnv
 from soro_bench.envs.task import effects_of
-from soro_bench.files import read_json, replacing, write_json
+from soro_bench.files import brief, read_json, replacing, write_json
 from soro_bench.randomization import Distribution
 from soro_bench.registration import task_type
 from soro_bench.results import metric_key
@@ -169,7 +169,9 @@ def _claim(folder: Path, config: PPOConfig, distribution) -> tuple[dict, list[Pa
     path = folder / "config.json"
     if not path.exists() or (found := read_json(path)) == described:
         return described, []
-    if (trainer := found.get("trainer", 0)) > TRAINER:
+    if not isinstance(found, dict) or type(trainer := found.get("trainer", 0)) is not int:
+        raise ValueError(f"{path} describes no training: it is {brief(found)}")
+    if trainer > TRAINER:
         raise ValueError(f"{folder} holds a run of a newer trainer ({trainer}; this one is {TRAINER})")
     # an older one may not have had some of the settings, but what the robot is like it said
     keys = found.keys() & described.keys() - {"trainer"} | {"effects", "distribution"}
