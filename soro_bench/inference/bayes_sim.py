@@ -18,7 +18,7 @@ from sbi.utils import BoxUniform
 from torch import nn
 
 FEATURES = ("mdn", "mdrff")
-COMPONENTS, HIDDEN = 5, 24  # published
+COMPONENTS, HIDDEN = 5, 24  # published, for one layer; sbi's network has two
 BATCHES = 1000  # of samples, in which as many as one batch have to lie in the search box
 RANDOM_FEATURES, KERNEL_WIDTH, MATERN = 1000, 3.0, 3  # published: Matern 3/2, so Student's t with 3 degrees of freedom
 
