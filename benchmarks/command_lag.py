@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+from soro_bench.diagnosis.study import load_study
 from soro_bench.recording.recording import Recording
-from soro_bench.study import load_study
 
 LAGS = np.arange(0.0, 0.5, 0.01)  # s
 

@@ -21,7 +21,7 @@ from reach_planner import ReachPlan, ReachPlanner
 from soro_bench.envs.trunk_reach import EVALUATION_GOALS, TrunkReachTask
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.models.trunk import VARIANTS
-from soro_bench.report import pyplot
+from soro_bench.plotting import pyplot
 from soro_bench.sources import SIMULATION, claim, version_of
 
 ROOT = Path(__file__).parents[1]

@@ -12,8 +12,8 @@ import sys
 import traceback
 from pathlib import Path
 
+from soro_bench.diagnosis.study import HEAD, STUDIES, check_summaries, load_study, named, row, run_study
 from soro_bench.files import read_json, write_json
-from soro_bench.study import HEAD, STUDIES, check_summaries, load_study, named, row, run_study
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results" / "real_robots.json"

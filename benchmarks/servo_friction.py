@@ -18,9 +18,9 @@ from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.refit import persevered
 from soro_bench.diagnosis.robot import FITTED
+from soro_bench.diagnosis.study import errors_of, load_study
 from soro_bench.diagnosis.suspects import suspect
 from soro_bench.effects.effect import Port
-from soro_bench.study import errors_of, load_study
 
 RADII = (0.7, 0.3)
 

@@ -19,7 +19,7 @@ from soro_bench.models import walker
 from soro_bench.models.simulation import Simulation
 from soro_bench.models.walker_mesh import CHAMBERS, RESOLUTIONS, TIP_INNER, TIP_OUTER, build_mesh
 from soro_bench.parameters import ParameterSet
-from soro_bench.report import pyplot
+from soro_bench.plotting import pyplot
 
 DOCS = Path(__file__).parents[1] / "docs"
 RAMP, SETTLE = 2.0, 1.0  # s

@@ -13,10 +13,10 @@ try:
     from soro_bench.campaign.commands import RunPreset
     from soro_bench.diagnosis.commands import Diagnose, Excite, Prove, Study
     from soro_bench.inference.commands import Infer
-    from soro_bench.leaderboard.commands import Leaderboard
+    from soro_bench.leaderboard.commands import Evaluate, Leaderboard
     from soro_bench.progress import console
     from soro_bench.recording.commands import Data, Import, Record, View
-    from soro_bench.training.commands import Evaluate, Train
+    from soro_bench.training.commands import Train
 except ImportError as error:
     sys.exit(f"soro-bench needs more than the core install: pip install soro_bench[all] ({error})")
 

@@ -12,9 +12,10 @@ pytest.importorskip("rerun", reason="needs the view extra")
 from soro_bench.campaign.campaign import carry_out_all, state
 from soro_bench.campaign.commands import campaign
 from soro_bench.campaign.plan import BOXES, SEEDS, UNMODELLED, chosen, paper, runs_of, variance_for_deviation
-from soro_bench.campaign.run import Run, _check_fixed, enter
+from soro_bench.campaign.run import Run
 from soro_bench.files import read_json
 from soro_bench.leaderboard.boards import BOARDS, board_of
+from soro_bench.leaderboard.enter import _check_fixed, enter
 from soro_bench.leaderboard.entry import policy_of, read_entry
 from soro_bench.parallel import HERE
 from soro_bench.randomization import TruncatedNormal, from_dict

@@ -86,7 +86,7 @@ def test_names_that_no_entry_could_have_are_refused_before_the_work(call, tmp_pa
         raise AssertionError("it began to work")
 
     monkeypatch.setattr("soro_bench.training.ppo.train", work)
-    monkeypatch.setattr("soro_bench.campaign.run.enter", work)
+    monkeypatch.setattr("soro_bench.leaderboard.enter.enter", work)
     policy().save(tmp_path)
     arguments = [tmp_path if each == "POLICY" else each for each in arguments]
     with pytest.raises(SystemExit, match=r"'../mine': up to 60 letters, digits"):

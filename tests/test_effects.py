@@ -228,7 +228,7 @@ GOOD = {"name": "backlash", "where": {"kind": "actuator", "name": "L0"}, "parame
         ({"schema": "soro-bench/effects/1", "effects": [GOOD] * 101}, "at most 100"),
         (
             {"schema": "soro-bench/effects/1", "effects": [{**GOOD, "parameters": {"width": 10**400}}]},
-            "allowed is",
+            "at most 300 digits",
         ),
         (
             {"schema": "soro-bench/effects/1", "effects": [{**GOOD, "where": {"kind": "sensor", "name": "tip"}}]},

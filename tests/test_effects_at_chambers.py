@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from soro_bench.effects.catalogue import PHYSICS, QUANTITIES
-from soro_bench.effects.commands import SetpointLaw
 from soro_bench.effects.effect import Effect, Port
 from soro_bench.effects.elements import instrument
+from soro_bench.effects.setpoints import SetpointLaw
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import ParameterSet
 from soro_bench.registration import make_task

@@ -10,10 +10,10 @@ import pytest
 
 pytest.importorskip("pyarrow")
 
-from soro_bench import study as module
+from soro_bench.diagnosis import study as module
 from soro_bench.diagnosis.compare import Answer, Comparison
 from soro_bench.diagnosis.fit import Hypothesis
-from soro_bench.study import STUDIES, Part, Study, errors, load_study, row, run_study
+from soro_bench.diagnosis.study import STUDIES, Part, Study, errors, load_study, row, run_study
 from tests.arm import ARM, MAP, recording
 
 
@@ -39,7 +39,7 @@ def study(tmp_path):
         Part("first", "some motion", (given,), (other,), None, (third,)),
         Part("again", "once more", (given,), (), "first"),
     )
-    return Study("arm", "an arm", tmp_path / "arm.xml", tmp_path / "map.toml", parts)
+    return Study("arm", tmp_path / "arm.xml", tmp_path / "map.toml", parts)
 
 
 def test_a_study_writes_reports_summaries_and_a_row_and_goes_on_where_it_was(study, tmp_path, monkeypatch, call):

@@ -10,7 +10,7 @@ import numpy as np
 from soro_bench.campaign.run import ENTRY
 from soro_bench.leaderboard.gather import gather_control
 from soro_bench.leaderboard.plots import curves_of
-from soro_bench.report import pyplot
+from soro_bench.plotting import pyplot
 
 RESULTS = Path(__file__).parents[2] / "leaderboard" / "results"
 ON_REACH = ("oracle", "rf_dropo", "bayes_sim", "udr", "dr_box", "rf_dropo_cable", "oracle_flex")

@@ -8,8 +8,8 @@ import numpy as np
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.suspects import Suspect
 from soro_bench.effects.catalogue import PHYSICS
-from soro_bench.effects.commands import SetpointLaw
 from soro_bench.effects.effect import Port
+from soro_bench.effects.setpoints import SetpointLaw
 
 
 def place_of(robot: Robot, suspect: Suspect) -> "Springs | Servos | None":

@@ -98,8 +98,8 @@ class Study:
     seed: int = 0
 
     def run(self) -> None:
+        from soro_bench.diagnosis.study import load_study, row, run_study
         from soro_bench.files import replacing
-        from soro_bench.study import load_study, row, run_study
 
         study = load_study(self.name, self.data)
         with console.status("") as status:

@@ -1,4 +1,4 @@
-"""Any robot: a MuJoCo model, and a mapping (mapping.py) of what is recorded of it."""
+"""Any robot: a MuJoCo model, and a mapping (robot_map.py) of what is recorded of it."""
 
 from operator import attrgetter
 from pathlib import Path
@@ -7,7 +7,10 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS
 
-from soro_bench.diagnosis.mapping import (
+from soro_bench.diagnosis.measured import Measured
+from soro_bench.diagnosis.priors import Earlier, Prior
+from soro_bench.diagnosis.robot import SIMULATIONS, Robot
+from soro_bench.diagnosis.robot_map import (
     ModelError,
     accurate_of,
     check_unit,
@@ -21,9 +24,6 @@ from soro_bench.diagnosis.mapping import (
     read_mapping,
     settings_of,
 )
-from soro_bench.diagnosis.measured import Measured
-from soro_bench.diagnosis.priors import Earlier, Prior
-from soro_bench.diagnosis.robot import SIMULATIONS, Robot
 from soro_bench.effects.elements import instrument
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import Parameter, ParameterSet
@@ -44,7 +44,7 @@ class ModelRobot(Robot):
 
     Args:
         model: MJCF file.
-        mapping: TOML file, as ``mapping.py`` describes it.
+        mapping: TOML file, as ``robot_map.py`` describes it.
         threads: 0 for all processors; results do not depend on it.
         shorter: how many times shorter the model's time step is made.
         earlier: what is known of the robot from an earlier diagnosis.

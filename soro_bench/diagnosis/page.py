@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.diagnosis.findings import NINETY, findings, spaced
-from soro_bench.diagnosis.force import Curve, force_against_state
+from soro_bench.diagnosis.force_against_state import Curve, force_against_state
 from soro_bench.diagnosis.localise import explained_over_time, left_over, map_window, residual_map
 from soro_bench.diagnosis.patch import REMAINING, kept, patch
 from soro_bench.diagnosis.pipeline import Diagnosis
@@ -18,11 +18,11 @@ from soro_bench.diagnosis.report import only_outliers, write_json_report
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.verdict import verdict
 from soro_bench.files import replacing
+from soro_bench.plotting import pyplot
 from soro_bench.recording.comparison import distances, measured_points, write_comparison
 from soro_bench.recording.recording import Recording
 from soro_bench.recording.rerun_signals import write_signals
 from soro_bench.recording.simulated import replay, replay_begins
-from soro_bench.report import pyplot
 
 _STYLE = """body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto; padding: 0 1rem }
 img { width: 100% } table { border-collapse: collapse; font-size: 90% } td, th { padding: .2rem .8rem .2rem 0;

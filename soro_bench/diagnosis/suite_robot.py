@@ -18,7 +18,7 @@ _KINDS = {
     "TrunkLift-v0": (*_TRUNK, "geom"),
     "MultiGait-v0": ("actuator", "flex", "geom", "model"),
 }
-# how far a calibrated robot may be from its nominal parameters: a third for what scales, 0.03 for Poisson's ratio, and
+# how far a calibrated robot may be from its nominal parameters: a quarter for what scales, 0.03 for Poisson's ratio,
 # 1 cm for a wall
 _SCALE_DEVIATION = 0.25
 _DEVIATIONS = {"poisson_ratio": 0.03, "pdms_poisson_ratio": 0.03, "ecoflex_poisson_ratio": 0.03, "wall_offset": 0.01}

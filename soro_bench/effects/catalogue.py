@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from soro_bench.effects import bodies, commands, contacts, measurement, springs, stiffness
+from soro_bench.effects import bodies, contacts, measurement, setpoints, springs, stiffness
 from soro_bench.effects.effect import Effect, Quantity
 
 # in this order laws that change the same thing are applied
@@ -22,17 +22,17 @@ PHYSICS = {
         springs.StribeckFriction,
         springs.LoadFriction,
         springs.GearFriction,
-        commands.ActuatorDelay,
-        commands.ActuatorLag,
-        commands.Backlash,
-        commands.ActuatorDeadband,
-        commands.ActuatorGain,
-        commands.Pretension,
-        commands.PressureLeak,
-        commands.PressureAsymmetry,
-        commands.SupplyCoupling,
-        commands.Compliance,
-        commands.ActuatorSaturation,
+        setpoints.ActuatorDelay,
+        setpoints.ActuatorLag,
+        setpoints.Backlash,
+        setpoints.ActuatorDeadband,
+        setpoints.ActuatorGain,
+        setpoints.Pretension,
+        setpoints.PressureLeak,
+        setpoints.PressureAsymmetry,
+        setpoints.SupplyCoupling,
+        setpoints.Compliance,
+        setpoints.ActuatorSaturation,
         bodies.Payload,
         bodies.BaseTilt,
         bodies.FluidDrag,
@@ -60,4 +60,4 @@ CATEGORIES: dict[str, str] = {name: law.category for name, law in ALL.items()}
 def between_steps(effects: Sequence[Effect]) -> int:
     """What there is to be done between two time steps: 0 nothing, 1 setpoints, 2 what laws do that read the state."""
     laws = [PHYSICS[effect.name] for effect in effects]
-    return max((2 if law.stepped else int(issubclass(law, commands.SetpointLaw)) for law in laws), default=0)
+    return max((2 if law.stepped else int(issubclass(law, setpoints.SetpointLaw)) for law in laws), default=0)

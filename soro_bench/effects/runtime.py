@@ -7,10 +7,10 @@ import numpy as np
 from mujoco.batch import DATA_FIELDS, Batch
 
 from soro_bench.effects.catalogue import PHYSICS
-from soro_bench.effects.commands import SetpointLaw
 from soro_bench.effects.effect import Effect, EffectError, Port, checked
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.necks import NECKS
+from soro_bench.effects.setpoints import SetpointLaw
 
 _RANGES = ("actuator_ctrlrange", "actuator_actrange")
 

@@ -11,7 +11,7 @@ from soro_bench.models import trunk
 from soro_bench.models.scene import WallOffset
 from soro_bench.parameters import CUBE_MASS, FRICTION, WALL_OFFSET, ParameterSet
 
-GOAL = np.array([-0.100, -0.025, 0.120])  # m; only y matters
+GOAL = np.array([-0.100, -0.025, 0.120])  # m, published; only y matters
 LIFT_WEIGHT, APPROACH_WEIGHT = 0.75, 0.25  # published
 REST_HEIGHT = -0.107978 + 0.0105 + 0.005  # m: floor, half the object's height, the 5 mm that surfaces keep apart
 

@@ -8,7 +8,7 @@ from soro_bench.envs.vector import SoftRobotVectorEnv
 from soro_bench.models import trunk
 from soro_bench.parameters import CUBE_MASS, FRICTION, POISSON_RATIO, TRUNK_MASS, YOUNG_MODULUS, ParameterSet
 
-GOAL = np.array([0.100, -0.100, 0.050])  # m; only x and z matter
+GOAL = np.array([0.100, -0.100, 0.050])  # m, published; only x and z matter
 
 
 class TrunkPushTask(ObjectTask):

@@ -10,7 +10,7 @@ from soro_bench.envs.vector import SoftRobotVectorEnv
 from soro_bench.models import trunk
 from soro_bench.parameters import POISSON_RATIO, TRUNK_MASS, YOUNG_MODULUS, ParameterSet
 
-GOAL_LOW = np.array([-0.030, -0.050, 0.115])  # m, training goals are uniform in this box
+GOAL_LOW = np.array([-0.030, -0.050, 0.115])  # m, training goals are uniform in this box (published)
 GOAL_HIGH = np.array([0.030, 0.020, 0.150])
 # (27, 3) m, in the published order: x outermost, z innermost
 EVALUATION_GOALS = np.array(

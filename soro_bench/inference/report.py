@@ -8,7 +8,7 @@ from soro_bench.files import replacing
 from soro_bench.inference.identifiability import scales
 from soro_bench.inference.posterior import Posterior
 from soro_bench.inference.replay import Replay
-from soro_bench.report import pyplot
+from soro_bench.plotting import pyplot
 
 DRAWN = 2000  # samples of the distribution
 

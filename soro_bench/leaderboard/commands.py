@@ -1,4 +1,4 @@
-"""``soro-bench leaderboard``: enter a policy, verify entries, build the page."""
+"""``soro-bench evaluate`` and ``leaderboard``: enter a policy, verify entries, build the page."""
 
 import sys
 from dataclasses import dataclass
@@ -10,6 +10,43 @@ import tyro
 from soro_bench.files import shown
 from soro_bench.options import check_name
 from soro_bench.progress import console
+from soro_bench.registration import task_type
+
+
+@dataclass
+class Evaluate:
+    """Run a policy on the fixed evaluation episodes and record them."""
+
+    policy: Annotated[Path, tyro.conf.Positional]
+    """Folder with policy.json and policy.safetensors, or an entry of the leaderboard, .json."""
+    board: str | None = None
+    """Which evaluation, such as TrunkLift-v0-50g; by default the first of the policy's environment."""
+    on: str | None = None
+    """Which of its conditions, such as cable or flex; the accurate model by default."""
+    out: Path | None = None
+    """Folder for the results; the policy's own by default, which an entry needs to be told."""
+
+    def run(self) -> None:
+        from soro_bench.files import read_json, write_json
+        from soro_bench.leaderboard.boards import board_of
+        from soro_bench.leaderboard.enter import record_evaluations
+        from soro_bench.training.policy import Policy
+
+        policy, out = Policy.load(self.policy), self.out or self.policy
+        if out.suffix == ".json":
+            raise ValueError(f"{out} is an entry: say with --out where its results go")
+        name, board = board_of(policy.card.env_id, self.board)
+        label = self.on or task_type(board.env_id).accurate
+        path = out / f"evaluation_{label}.json"
+        before = read_json(path) if path.exists() else {"board": name}
+        if not isinstance(before, dict) or before.get("board") != name:
+            raise ValueError(f"{path} holds other results: say with --out where those on {name} go")
+        scores = record_evaluations(policy, name, (board.labelled(label),), out)
+        write_json(path, {"board": name, **scores})
+        final = scores[label]["final_mm"]
+        mean, solved = sum(final) / len(final), sum(scores[label]["success"])
+        said = f"{name} on {label}: final {board.metric} {mean:.2f} mm, mean of {len(final)} episodes; {solved} solved"
+        console.print(said, soft_wrap=True)
 
 
 @dataclass
@@ -49,8 +86,8 @@ class Enter:
     """Take the place of another policy's entry of the same names and seed."""
 
     def run(self) -> None:
-        from soro_bench.campaign.run import enter
         from soro_bench.leaderboard.boards import board_of
+        from soro_bench.leaderboard.enter import enter
         from soro_bench.training.policy import Policy
 
         card = Policy.load(self.policy).card

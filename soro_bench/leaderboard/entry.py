@@ -19,8 +19,8 @@ from soro_bench.leaderboard.boards import BOARDS, Board
 from soro_bench.leaderboard.onnx_policy import OnnxPolicy
 from soro_bench.leaderboard.strict import check, read_strict
 from soro_bench.registration import make_task, task_type
-from soro_bench.report import read_curve
 from soro_bench.results import versions
+from soro_bench.training.curve import read_curve
 from soro_bench.training.policy import MAX_BYTES, Policy, PolicyCard
 
 FORMAT, SCHEMA = "soro_bench/control/1", "control_entry.schema.json"

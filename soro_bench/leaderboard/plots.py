@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from soro_bench.leaderboard.gather import Group
-from soro_bench.report import pyplot
+from soro_bench.plotting import pyplot
 
 _INK = "#010203"  # stands for the page's own colour
 _WIDTH = 5.2  # inches: the text stays readable where a phone shrinks the plot

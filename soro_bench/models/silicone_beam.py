@@ -33,7 +33,7 @@ _RELAXATION = 0.002  # s, damping over stiffness: the oscillation loses a quarte
 # A string holds the load: it first falls slower than the beam, then tears at it, and swings to and fro in 0.9 s
 # [recordings].
 _STRING = 0.2  # m
-_STRING_STIFFNESS, _STRING_DAMPING = 1000.0, 0.2  # N/m, N s/m
+_STRING_STIFFNESS, _STRING_DAMPING = 1000.0, 0.2  # N/m, N s/m; assumed: it stretches by 5 mm under the load
 _LOAD_DAMPING = 0.005  # N s/m, next to nothing
 _HAND_STIFFNESS, _HAND_DAMPING = 1e4, 20.0  # N/m, N s/m: so stiff that the first marker is where it was recorded
 

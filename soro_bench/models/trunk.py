@@ -36,6 +36,9 @@ PARAMETERS = (
 MAX_TENSION = 30.0
 # s, damping of a cable per stiffness; one 10 ms command interval gives the reference's first-action tips best
 CABLE_DAMPING_TIME = 0.01
+# Joint limits of `cable` stand for rims that touch, which nothing else keeps apart; chosen: 4 mm, and the bend at which
+# rims 5.5 mm apart meet (m over m is rad), of the slender vertebrae at the tip no more than 0.9 rad
+_AXIAL_LIMIT, _RIM_GAP, _BEND_LIMITS = 0.004, 0.0055, (0.4, 0.9)
 NODE_OFFSET = 0.003  # m, half edge of a neck's cell; its stiffness is prescribed, so the size does not matter
 
 
@@ -102,12 +105,11 @@ def _add_vertebra(spec, parent, k, model):
     if model == "flex":
         body.add_freejoint(name=f"vertebra{k}")
     else:
-        # Stiffness and damping are parameters; limits keep a violent pull from folding the chain: 4 mm, and the bend
-        # at which the rims of two vertebrae of 5.5 mm gap would meet, as the reference's vertebrae do.
-        limit = float(np.clip(0.0055 / geo.outer_radius(z), 0.4, 0.9))  # rad
+        # Stiffness and damping are parameters; limits keep a violent pull from folding the chain
+        limit = float(np.clip(_RIM_GAP / geo.outer_radius(z), *_BEND_LIMITS))
         hinge, slide = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
         for name, kind, axis, reach in (
-            ("axial", slide, (0, 0, 1), 0.004),
+            ("axial", slide, (0, 0, 1), _AXIAL_LIMIT),
             ("bend_x", hinge, (1, 0, 0), limit),
             ("bend_y", hinge, (0, 1, 0), limit),
         ):

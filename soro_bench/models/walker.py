@@ -25,7 +25,7 @@ PARAMETERS = (
     prm.ECOFLEX_POISSON_RATIO,
     prm.ECOFLEX_YOUNG_MODULUS,
 )
-TIMESTEP = 0.02  # s
+TIMESTEP = 0.02  # s; what it costs in accuracy is in docs/multigait.md
 # Newton needs 1 to 5. The cap also ends MuJoCo's own first solve without contacts, which would take 200 iterations and
 # half of the time and is only a second candidate to start Newton from; the warning that it was ended is not shown.
 ITERATIONS = 10
@@ -33,7 +33,8 @@ TOLERANCE = 1e-5
 # Feet carry the body's internal stress: with MuJoCo's default of 1 they creep, a fifth of the displacement of a gait
 FRICTION_IMPEDANCE_RATIO = 100
 UPWARD_GROWTH = 0.5  # of the growth along the chamber: assumed, the calibration of GROWTH goes with it
-# Growth of each mesh's chambers at full inflation: (centre, leg), calibrated by benchmarks/walker_calibration.py
+# Growth of each mesh's chambers at full inflation, (centre, leg): of the coarse mesh chosen (docs/multigait.md), of the
+# others calibrated to bend as it does by benchmarks/walker_calibration.py
 GROWTH = {"coarse": (0.55, 0.55), "fine": (0.8526, 0.7271), "finest": (0.6235, 0.4456)}
 # m. The reference gives none; its membrane elements have the thickness 1 in a scene in millimetres.
 MEMBRANE_THICKNESS = 0.001
@@ -103,7 +104,7 @@ def _add_flex(spec, name, mesh: Mesh, elements, bodies, poisson):
         vertbody=[bodies[i] for i in used],
         vert=np.zeros(3 * len(used)),
         elem=local[elements].ravel().tolist(),
-        radius=1e-4,
+        radius=1e-4,  # m; of the nodes in contacts, which have margins of their own
         damping=DAMPING,
         selfcollide=mujoco.mjtFlexSelf.mjFLEXSELF_NONE,
         young=1.0,  # replaced at run time, as is Poisson's ratio

@@ -1,4 +1,4 @@
-"""What plots and pages share."""
+"""The table of a training: curve.csv."""
 
 import csv
 from pathlib import Path
@@ -29,16 +29,3 @@ def read_curve(path: str | Path, metric: str, parts: int = 20) -> tuple[np.ndarr
     present = np.unique(part)
     means = [np.average(value[part == k], weights=episodes[part == k]) for k in present]
     return (present + 0.5) / parts * steps[-1], np.array(means)
-
-
-def pyplot():
-    """Matplotlib without a display, or ImportError with what to install."""
-    try:
-        import matplotlib
-    except ImportError as error:
-        raise ImportError("plots need matplotlib: pip install soro_bench[report]") from error
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    plt.rcParams["text.parse_math"] = False  # names of a stranger's model are no formulas
-    return plt

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from soro_bench.diagnosis.fit import Hypothesis
-from soro_bench.diagnosis.force import force_against_state
+from soro_bench.diagnosis.force_against_state import force_against_state
 from soro_bench.diagnosis.measured import Measured
 from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.problem import Problem

@@ -49,7 +49,6 @@ class Study:
     """A robot and its recordings."""
 
     name: str
-    title: str
     model: Path
     map: Path
     parts: tuple[Part, ...]
@@ -77,7 +76,7 @@ def load_study(name: str, data: str | Path) -> Study:
         )
         for key, part in table["parts"].items()
     )
-    return Study(name, table["title"], *(asset_path(f"mjcf/{table[key]}") for key in ("model", "map")), parts)
+    return Study(name, *(asset_path(f"mjcf/{table[key]}") for key in ("model", "map")), parts)
 
 
 def _recordings(folder: Path, usual: str, entries: Sequence[dict]) -> tuple[Recording, ...]:

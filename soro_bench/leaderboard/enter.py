@@ -1,0 +1,84 @@
+"""From the folder of a training to an entry: the policy is evaluated on the fixed starts of its board."""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+from soro_bench.envs.task import effects_of
+from soro_bench.files import read_json
+from soro_bench.leaderboard.boards import BOARDS
+from soro_bench.leaderboard.entry import check_free, thinned_curve, write_entry
+from soro_bench.parameters import ALL_PARAMETERS
+from soro_bench.randomization import Distribution, Gaussian, from_dict, holding
+from soro_bench.recording.rerun_log import write_recording
+from soro_bench.registration import task_type
+from soro_bench.training.policy import Policy
+from soro_bench.training.ppo import PPOConfig
+
+
+def enter(folder: Path, board: str, entry: str, results: Path, threads: int = 0, replace_other: bool = False) -> Path:
+    """Evaluate the policy that was trained into ``folder`` on all conditions of a board; returns its entry's file.
+
+    Args:
+        folder: as :func:`soro_bench.training.ppo.train` leaves it; gets a rerun recording of every evaluation.
+        entry: who, or which code base, trained it.
+        results: folder of all entries.
+        replace_other: whether the entry may take the place of one with another policy.
+
+    Raises:
+        ValueError: says what is wrong in the folder, or that the place is taken; nothing has been evaluated.
+    """
+    policy, config = Policy.load(folder), read_json(folder / "config.json")
+    if missing := sorted({"distribution", "trainer"} - set(config if isinstance(config, dict) else {})):
+        raise ValueError(f"{folder / 'config.json'} lacks {', '.join(missing)}; soro-bench train writes both")
+    effects = effects_of(config.get("effects", []))
+    _check_fixed(board, config["distribution"], folder)
+    training = _training(folder, policy.card.env_id) | {
+        "trainer": config["trainer"],
+        "settings": {name: config[name] for name in PPOConfig(policy.card.env_id).settings() if name in config},
+        "effects": [effect.name for effect in effects],
+    }
+    if not replace_other:
+        check_free(results, board, entry, policy)
+    evaluations = record_evaluations(policy, board, tuple(BOARDS[board].conditions), folder, threads)
+    return write_entry(results, board, entry, policy, evaluations, config["distribution"], training)
+
+
+def _check_fixed(board: str, distribution: dict | None, folder: Path) -> None:
+    """Refuse a policy that was not trained with what the task of its board gives."""
+    fixed = BOARDS[board].fixed
+    given = from_dict(distribution) if distribution else None
+    if not all(_holds(given, name, value) for name, value in fixed.items()):
+        wanted = ", ".join(f"{name} = {value:g}" for name, value in fixed.items())
+        raise ValueError(f"{folder} was not trained with what {board} gives: {wanted} in every episode")
+
+
+def _holds(given: Distribution | None, name: str, value: float) -> bool:
+    """Whether a parameter always had a value in training."""
+    if given is None or name not in given.names:
+        return ALL_PARAMETERS[name].nominal == value
+    return not isinstance(given, Gaussian) and holding(given, {name: value}).to_dict() == given.to_dict()
+
+
+def _training(folder: Path, env_id: str) -> dict:
+    path = folder / "curve.csv"
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    if not rows:
+        raise ValueError(f"{path} has no rows; a training of soro-bench train has one for every update")
+    last = rows[-1]
+    curve = thinned_curve(path, task_type(env_id).metric)
+    return {"algorithm": "PPO", "seconds": float(last["seconds"]), "curve": curve}
+
+
+def record_evaluations(
+    policy: Policy, board: str, labels: Sequence[str], folder: Path, threads: int = 0
+) -> dict[str, dict]:
+    """The score of a policy under the conditions with these labels; ``folder`` gets a rerun recording of each."""
+    scores = {}
+    for label in labels:
+        episodes = BOARDS[board].play(policy, label, threads)
+        title = f"{board} {policy.card.method} on {label}"
+        write_recording(folder / f"evaluation_{label}.rrd", episodes, title)
+        scores[label] = BOARDS[board].score(episodes)
+    return scores
