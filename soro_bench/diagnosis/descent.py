@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from soro_bench.diagnosis.fit import Hypothesis, bounds, replayed
+from soro_bench.diagnosis.fit import Hypothesis, bounds, normal_equations, replayed
 from soro_bench.diagnosis.problem import Problem
 
 _DIFFERENCE = 0.01  # of an unknown, for its slope, in standard deviations of its prior
@@ -57,7 +57,6 @@ def _with_slopes(problem, hypotheses):
 def _steps(problem, h, dampings):
     """Points where the linearised cost, with some dampings of the diagonal, is least."""
     low, high = bounds(problem, h.suspects)
-    hessian = problem.floor.product(h.slope, h.slope) + np.eye(len(h.x))
-    gradient = problem.floor.product(h.slope, h.residual[None])[:, 0] + h.x
+    hessian, gradient = normal_equations(problem.floor, h.slope, h.residual, h.x)
     steps = [np.linalg.solve(hessian + d * np.diag(np.diag(hessian)), gradient) for d in dampings]
     return [np.clip(h.x - step, low, high) for step in steps]

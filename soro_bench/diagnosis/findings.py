@@ -54,7 +54,7 @@ def described(diagnosis: Diagnosis, finding: Finding) -> dict:
         "name": finding.effect.name,
         "class": CATEGORIES[finding.effect.name],
         "probability": finding.probability,
-        "where": where_of(finding.effect.where),
+        "where": finding.effect.where.to_json(),
         "when": [{"start_s": a, "end_s": b} for a, b in intervals(measured.time, gain)],
         "condition": _condition(finding.effect, shares, channel is not None),
         "parameters": _quantities(diagnosis, finding),
@@ -151,7 +151,3 @@ def length(value: float, unit: str) -> str:
 def spaced(unit: str) -> str:
     """A unit behind a number; nothing where there is none."""
     return "" if unit == "1" else f" {unit}"
-
-
-def where_of(port: Port) -> dict:
-    return {"kind": port.kind, "name": port.name, **({} if port.index is None else {"index": port.index})}

@@ -163,8 +163,8 @@ def _trials(problem, guess, line):
     x, suspects = guess.x, guess.suspects
     floor = LowRank(np.concatenate([problem.floor.basis, line.error]))
     lower, upper = bounds(problem, suspects)
-    hessian, free = _hessian(floor, line.slope), np.ones(len(x), bool)
-    gradient = floor.product(line.slope, line.residual[None])[:, 0] + x
+    hessian, gradient = normal_equations(floor, line.slope, line.residual, x)
+    free = np.ones(len(x), bool)
     for _ in range(len(x)):
         step = np.zeros(len(x))
         step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], gradient[free])
@@ -173,6 +173,12 @@ def _trials(problem, guess, line):
             break
         free &= ~crossing
     return [np.clip(x + np.clip(length * step, -3, 3), lower, upper) for length in LENGTHS]
+
+
+def normal_equations(floor: LowRank, slope: np.ndarray, residual: np.ndarray, x: np.ndarray):
+    """Hessian (n, n) and gradient (n,), at x (n,), of the cost of a residual (M,) with slopes (n, M) and of standard
+    normal priors of x."""
+    return _hessian(floor, slope), floor.product(slope, residual[None])[:, 0] + x
 
 
 def _hessian(floor, slope):

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import solve_triangular
 
-from soro_bench.diagnosis.fit import Hypothesis
+from soro_bench.diagnosis.fit import Hypothesis, normal_equations
 from soro_bench.diagnosis.forms import Free, Linear
 from soro_bench.diagnosis.problem import DIVERGED, Problem
 from soro_bench.diagnosis.pushes import Acting, Source, replayed, setpoints
@@ -247,8 +247,7 @@ class Search:
         if one.source.measured:
             return one.x
         floor = LowRank(np.concatenate([self.problem.floor.basis, one.error]))
-        information = floor.product(one.slope, one.slope) + np.eye(self.d)
-        return -np.linalg.solve(information, floor.product(one.slope, residual[None])[:, 0])
+        return -np.linalg.solve(*normal_equations(floor, one.slope, residual, np.zeros(self.d)))
 
     def _weighed(self, one: Driven) -> Driven:
         """With the evidence of its replay."""

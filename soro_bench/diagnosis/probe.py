@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from soro_bench.diagnosis.fit import Hypothesis
+from soro_bench.diagnosis.fit import Hypothesis, normal_equations
 from soro_bench.diagnosis.forces import SETTLED, Driven, Search
 from soro_bench.diagnosis.forms import UNKNOWNS, Nodes
 from soro_bench.diagnosis.localise import windows
@@ -170,7 +170,7 @@ def _gain(problem, base, rows, features=None) -> float:
     window = windows(problem, max(WINDOW * len(rows), duration * len(rows) / UNKNOWNS))
     free = _Windowed(rows, window)
     floor = base.floor(problem)
-    hessian = floor.product(base.slope, base.slope) + np.eye(len(base.x))
+    hessian, gradient = normal_equations(floor, base.slope, base.residual, base.x)
     explained, inner = free.times(floor.basis), np.eye(len(floor.basis)) + floor.basis @ floor.basis.T
 
     def product(other):
@@ -180,7 +180,6 @@ def _gain(problem, base, rows, features=None) -> float:
     cross = product(base.slope)
     reduced = np.linalg.solve(hessian, cross.T)
     information = free.squares() - explained @ np.linalg.solve(inner, explained.T) - cross @ reduced
-    gradient = floor.product(base.slope, base.residual[None])[:, 0] + base.x
     pull = product(base.residual[None])[:, 0] - reduced.T @ gradient
     if features is not None:
         one = window[:: len(window) // len(features)]  # of every control step

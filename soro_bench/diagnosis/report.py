@@ -14,7 +14,6 @@ from soro_bench.diagnosis.findings import (
     length,
     prior_values,
     unit_at,
-    where_of,
 )
 from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.patch import MODEL, ModelPatch, kept, model_patch, patch, rejected, write_model_patch
@@ -123,7 +122,7 @@ def report_of(diagnosis: Diagnosis) -> dict:
             "patch": "rejected" if rejected(diagnosis) else "accepted" if patch(diagnosis) else "none",
         },
         "parameters": _parameters(diagnosis, kept(diagnosis)),
-        "places": [{"where": where_of(p.where), "gain": p.gain} for p in diagnosis.places[:10]],
+        "places": [{"where": p.where.to_json(), "gain": p.gain} for p in diagnosis.places[:10]],
         "residual_force": _residual_force(diagnosis),
         "detectable": detectable(diagnosis),
         "invisible": invisible(diagnosis),
@@ -144,7 +143,7 @@ def _residual_force(diagnosis: Diagnosis) -> dict | None:
         return None
     best = diagnosis.places[0]
     return {
-        "where": where_of(best.where),
+        "where": best.where.to_json(),
         "components": list(best.force.components),
         "units": list(best.force.units),
         "recording": best.force.recording.tolist(),
@@ -160,7 +159,7 @@ def _hypothesis(diagnosis: Diagnosis, answer: Answer) -> dict:
     problem, hypothesis = diagnosis.explanation.problem, answer.hypothesis
     return {
         "names": list(answer.names),
-        "where": [where_of(s.where) for s in hypothesis.suspects],
+        "where": [s.where.to_json() for s in hypothesis.suspects],
         "probability": answer.probability,
         "unknowns": len(hypothesis.x),
         "excess": problem.excess(hypothesis.residual),
@@ -181,11 +180,11 @@ def _round(found: Round) -> dict:
 
 
 def _named(suspect: Suspect) -> dict:
-    return {"name": suspect.name, "where": where_of(suspect.where)}
+    return {"name": suspect.name, "where": suspect.where.to_json()}
 
 
 def _nameless(name: str, probability: float, diagnosis: Diagnosis | None = None) -> dict:
-    where = where_of(diagnosis.places[0].where) if diagnosis and diagnosis.places else None
+    where = diagnosis.places[0].where.to_json() if diagnosis and diagnosis.places else None
     return {"name": name, "class": name, "probability": probability, "where": where, "when": [], "condition": "",
             "parameters": {}, "evidence": [], "against": [], "together_with": []}  # fmt: skip
 
@@ -266,7 +265,7 @@ def detectable(diagnosis: Diagnosis) -> dict:
         if suspect.name not in found or value < found[suspect.name]["minimum"]:
             unit = unit_at(diagnosis.robot, q.unit, suspect.where)
             found[suspect.name] = {"quantity": q.name, "minimum": value, "unit": unit, "null": q.null,
-                                   "where": where_of(suspect.where)}  # fmt: skip
+                                   "where": suspect.where.to_json()}  # fmt: skip
     return found
 
 

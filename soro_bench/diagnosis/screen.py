@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soro_bench.diagnosis.fit import Guess, Hypothesis
+from soro_bench.diagnosis.fit import Guess, Hypothesis, normal_equations
 from soro_bench.diagnosis.problem import DIVERGED, Problem
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.suspects import Suspect, effects_at
@@ -114,8 +114,7 @@ def responses(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect],
 def evidence(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect], found) -> Evidence:
     """What the responses ``found`` of the candidates say about the residual of a hypothesis."""
     floor, rows = base.floor(problem), np.concatenate(found)
-    hessian = floor.product(base.slope, base.slope) + np.eye(len(base.x))
-    gradient = floor.product(base.slope, base.residual[None])[:, 0] + base.x
+    hessian, gradient = normal_equations(floor, base.slope, base.residual, base.x)
     cross = floor.product(rows, base.slope)
     shift, step = np.linalg.solve(hessian, cross.T), -np.linalg.solve(hessian, gradient)
     return Evidence(

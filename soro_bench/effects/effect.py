@@ -30,6 +30,10 @@ class Port:
         place = "" if self.index is None else f"[{self.index}]"
         return f"every {self.kind}" if self.name == EVERY else f"{self.kind} {self.name}{place}"
 
+    def to_json(self) -> dict:
+        place = {} if self.index is None else {"index": self.index}
+        return {"kind": self.kind, "name": self.name, **place}
+
 
 @dataclass(frozen=True)
 class Quantity:
@@ -58,9 +62,7 @@ class Effect:
     parameters: Mapping[str, float]
 
     def to_json(self) -> dict:
-        place = {} if self.where.index is None else {"index": self.where.index}
-        where = {"kind": self.where.kind, "name": self.where.name, **place}
-        return {"name": self.name, "where": where, "parameters": dict(self.parameters)}
+        return {"name": self.name, "where": self.where.to_json(), "parameters": dict(self.parameters)}
 
 
 class EffectError(ValueError):
