@@ -10,7 +10,7 @@ from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.localise import Regime, explained_over_time, intervals, regimes
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.robot import Robot
-from soro_bench.diagnosis.suspects import Suspect
+from soro_bench.diagnosis.suspects import Suspect, slices
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import Effect, Port
 
@@ -79,13 +79,10 @@ def _condition(effect: Effect, shares: list[Regime], one: bool) -> str:
 
 
 def _quantities(diagnosis: Diagnosis, finding: Finding) -> dict:
-    hypothesis, at = finding.answer.hypothesis, diagnosis.explanation.problem.parameters
-    for suspect in hypothesis.suspects:
-        if suspect is finding.suspect:
-            break
-        at += suspect.size
+    hypothesis, first = finding.answer.hypothesis, diagnosis.explanation.problem.parameters
     x, spread = hypothesis.x, deviations(diagnosis, hypothesis)
-    part = slice(at, at + finding.suspect.size)
+    which = next(i for i, suspect in enumerate(hypothesis.suspects) if suspect is finding.suspect)
+    part = slices(hypothesis.suspects, first)[which]
     low, high = (finding.suspect.effect(x[part] + k * NINETY * spread[part]).parameters for k in (-1.0, 1.0))
     return {
         q.name: {

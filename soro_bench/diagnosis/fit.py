@@ -48,6 +48,11 @@ class Hypothesis:
         """(n, n) of x."""
         return np.linalg.inv(_hessian(self.floor(problem), self.slope))
 
+    def scaled(self, problem: Problem, factor: float | np.ndarray) -> "Hypothesis":
+        """The same about a problem whose residuals are a factor times those of this one, or a factor (M,) each."""
+        parts = {name: getattr(self, name) * factor for name in ("residual", "slope", "error")}
+        return replace(self, **parts, cost=problem.cost(parts["residual"], self.x))
+
     def effects(self, parameters: int) -> list[Effect]:
         """The suspects as fitted."""
         return effects_at(self.x[parameters:], self.suspects)
@@ -56,11 +61,7 @@ class Hypothesis:
 def allowing(problem: Problem, best: Hypothesis, others: Sequence[Hypothesis]) -> tuple[Problem, list[Hypothesis]]:
     """The problem where the best hypothesis leaves much (``Problem.allowing``), and other hypotheses about it."""
     same = problem.allowing(problem.left(best.residual))
-    factor, found = problem.sigma / same.sigma, []
-    for each in others:
-        scaled = {name: getattr(each, name) * factor for name in ("residual", "slope", "error")}
-        found.append(replace(each, **scaled, cost=same.cost(scaled["residual"], each.x)))
-    return same, found
+    return same, [each.scaled(same, problem.sigma / same.sigma) for each in others]
 
 
 @dataclass(frozen=True)

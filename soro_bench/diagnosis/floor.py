@@ -13,7 +13,7 @@ import numpy as np
 
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Robot
-from soro_bench.diagnosis.suspects import Suspect
+from soro_bench.diagnosis.suspects import Suspect, slices
 from soro_bench.effects.effect import EVERY
 from soro_bench.parallel import side_by_side
 
@@ -48,9 +48,9 @@ def floor_and_residuals(
 
 def _common(problem, finer, x, suspects):
     """A point without the suspects that the finer robot cannot have."""
-    kept, parts, first = [], [x[: problem.parameters]], problem.parameters
-    for suspect in suspects:
-        part, first = x[first : first + suspect.size], first + suspect.size
+    kept, parts = [], [x[: problem.parameters]]
+    for suspect, where in zip(suspects, slices(suspects, problem.parameters), strict=True):
+        part = x[where]
         kind, everywhere = suspect.where.kind, suspect.where.name == EVERY
         # a law at all joints is another law where there are more of them
         other = everywhere and len(finer.ports(kind)) != len(problem.robot.ports(kind))

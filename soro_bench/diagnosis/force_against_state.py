@@ -22,6 +22,7 @@ from soro_bench.diagnosis.fit import Hypothesis
 from soro_bench.diagnosis.localise import WINDOW, windows
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.problem import Problem
+from soro_bench.diagnosis.suspects import slices
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import Effect
 
@@ -118,8 +119,7 @@ def _corrections(problem, hypothesis, i, responses) -> tuple[np.ndarray, np.ndar
     What a function of the state cannot give is no white noise, so the deviations are what one second more or less
     changes (the jackknife: Tukey, 1958).
     """
-    first = problem.parameters + sum(s.size for s in hypothesis.suspects[:i])
-    others = np.delete(np.arange(len(hypothesis.x)), np.arange(hypothesis.suspects[i].size) + first)
+    others = np.delete(np.arange(len(hypothesis.x)), slices(hypothesis.suspects, problem.parameters)[i])
     floor = hypothesis.floor(problem).basis
     design = np.concatenate([-responses, hypothesis.slope[others], floor])
     x = np.concatenate([np.zeros(len(responses)), hypothesis.x[others], np.zeros(len(floor))])

@@ -49,16 +49,13 @@ def _spacing(problem) -> float:
 def left_over(problem: Problem, residual: np.ndarray) -> np.ndarray:
     """(T, P, D) [signal's unit] what the numerical floor does not explain, of the first recording; NaN where nothing
     was measured."""
-    first = problem.recordings[0]
-    left = np.where(problem.weight > 0, problem.sigma * problem.floor.without(residual), np.nan)
-    return left[: first.values.size].reshape(first.values.shape)
+    return problem.split(np.where(problem.weight > 0, problem.sigma * problem.floor.without(residual), np.nan))[0]
 
 
 def explained_over_time(problem: Problem, before: Hypothesis, after: Hypothesis) -> np.ndarray:
     """(T,) evidence gained in each sample of the first recording."""
-    first = problem.recordings[0]
-    squares = [problem.floor.without(h.residual)[: first.values.size] ** 2 for h in (before, after)]
-    return 0.5 * (squares[0] - squares[1]).reshape(len(first.time), -1).sum(axis=1)
+    squares = [problem.split(problem.floor.without(h.residual))[0] ** 2 for h in (before, after)]
+    return 0.5 * (squares[0] - squares[1]).reshape(len(squares[0]), -1).sum(axis=1)
 
 
 def intervals(time: np.ndarray, gain: np.ndarray) -> list[tuple[float, float]]:

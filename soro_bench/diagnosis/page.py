@@ -87,8 +87,7 @@ def _write_curves(diagnosis, path) -> None:
     problem, measured = diagnosis.explanation.problem, diagnosis.explanation.problem.recordings[0]
     runs = {"measured": measured.values}
     for name, hypothesis in (("before", diagnosis.explanation.nominal), ("after", kept(diagnosis))):
-        left = problem.sigma * hypothesis.residual[: measured.values.size].reshape(measured.values.shape)
-        runs[name] = measured.values - left
+        runs[name] = measured.values - problem.sigma * problem.split(hypothesis.residual)[0]
     write_signals(path, f"diagnosis of {diagnosis.robot.name}", measured.time, runs)
 
 

@@ -179,11 +179,8 @@ def tried_on(
 
 def _outliers(problem: Problem, residual: np.ndarray) -> np.ndarray:
     """(M,) whether a sample belongs to a point that is alone and far off."""
-    left, found, first = np.where(problem.weight > 0, problem.floor.without(residual), np.nan), [], 0
-    for each in problem.recordings:
-        part, first = left[first : first + each.values.size].reshape(each.values.shape), first + each.values.size
-        found.append(np.repeat(outliers(part).ravel(), part.shape[2]))
-    return np.concatenate(found)
+    left = np.where(problem.weight > 0, problem.floor.without(residual), np.nan)
+    return np.concatenate([np.repeat(outliers(part).ravel(), part.shape[2]) for part in problem.split(left)])
 
 
 def _without_outliers(problem, nominal):
@@ -195,9 +192,7 @@ def _without_outliers(problem, nominal):
     size = problem.sigma * float(np.sqrt((problem.floor.without(nominal.residual)[far] ** 2).mean()))
     share = float(far.sum() / problem.weight.sum())
     problem = _masked(problem, far)
-    nominal = replace(nominal, **{n: getattr(nominal, n) * ~far for n in ("residual", "slope", "error")})
-    nominal = replace(nominal, cost=problem.cost(nominal.residual, nominal.x))
-    return problem, nominal, Outliers(share, size)
+    return problem, nominal.scaled(problem, ~far), Outliers(share, size)
 
 
 def _masked(problem: Problem, far: np.ndarray) -> Problem:
@@ -206,10 +201,8 @@ def _masked(problem: Problem, far: np.ndarray) -> Problem:
 
 def _with_noise(problem, nominal, least):
     """The same with the noise of what the nominal fit leaves: little of the motion is in it, so it shows better."""
-    ends = np.cumsum([each.values.size for each in problem.recordings])[:-1]
-    left = np.split(np.where(problem.weight > 0, problem.floor.without(nominal.residual), np.nan), ends)
-    rows = [part.reshape(len(each.values), -1) for part, each in zip(left, problem.recordings, strict=True)]
-    factor = 1.0 / min(1.0, max(least / problem.sigma, *(noise(each) for each in rows)))
+    left = problem.split(np.where(problem.weight > 0, problem.floor.without(nominal.residual), np.nan))
+    found = max(noise(part.reshape(len(part), -1)) for part in left)
+    factor = 1.0 / min(1.0, max(least / problem.sigma, found))
     problem = replace(problem, sigma=problem.sigma / factor, floor=LowRank(problem.floor.basis * factor))
-    nominal = replace(nominal, **{n: getattr(nominal, n) * factor for n in ("residual", "slope", "error")})
-    return problem, replace(nominal, cost=problem.cost(nominal.residual, nominal.x))
+    return problem, nominal.scaled(problem, factor)

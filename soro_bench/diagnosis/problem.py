@@ -69,12 +69,17 @@ class Problem:
         finite = np.isfinite(simulated)
         if finite.all(axis=1).any():
             return
-        first, finite = 0, finite[finite.sum(axis=1).argmax()]
-        for number, each in enumerate(self.recordings, 1):
-            part, first = finite[first : first + each.values.size].reshape(len(each.time), -1), first + each.values.size
-            if not (good := part.all(axis=1)).all():
+        parts = self.split(finite[finite.sum(axis=1).argmax()])
+        for number, (each, part) in enumerate(zip(self.recordings, parts, strict=True), 1):
+            if not (good := part.all(axis=(1, 2))).all():
                 raise SimulationError(f"the simulation by {robot.model_name} diverges {each.time[good.argmin()]:.3g} s "
                                       f"into recording {number}; a shorter time step may help")  # fmt: skip
+
+    def split(self, samples: np.ndarray) -> list[np.ndarray]:
+        """(M,) samples as those of every recording, (T, P, D)."""
+        ends = np.cumsum([each.values.size for each in self.recordings])[:-1]
+        parts = zip(np.split(samples, ends), self.recordings, strict=True)
+        return [part.reshape(each.values.shape) for part, each in parts]
 
     def residuals(self, points: Sequence[tuple[np.ndarray, Sequence[Suspect]]]) -> np.ndarray:
         """(N, M) measured less simulated, in units of sigma, of N points."""

@@ -11,7 +11,7 @@ from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.screen import Evidence, Lead
-from soro_bench.diagnosis.suspects import Suspect, effects_at, late
+from soro_bench.diagnosis.suspects import Suspect, effects_at, late, slices
 from soro_bench.effects.catalogue import CATEGORIES
 
 SCALE, KEPT = 0.15, 3  # of the cloud, and how many hypotheses remain
@@ -87,11 +87,10 @@ def persevered(problem: Problem, hypotheses: Sequence[Hypothesis], seed: int) ->
 
 def without_one(problem: Problem, hypothesis: Hypothesis, nominal: Hypothesis, seed: int) -> list[Hypothesis]:
     """The hypotheses that have one effect less, fitted from where this one is."""
-    guesses, first = [], problem.parameters
-    for i, suspect in enumerate(hypothesis.suspects):
+    guesses = []
+    for i, part in enumerate(slices(hypothesis.suspects, problem.parameters)):
         kept = np.ones(len(hypothesis.x), bool)
-        kept[first : first + suspect.size] = False
-        first += suspect.size
+        kept[part] = False
         rest = hypothesis.suspects[:i] + hypothesis.suspects[i + 1 :]
         guesses.append(Guess(hypothesis.x[kept], rest, hypothesis.slope[kept]))
     if not problem.rough:
@@ -108,11 +107,10 @@ def exchanged(
     robot, guesses = problem.robot, {}
     late_ones = [s for s in candidates if late(robot, s.name, s.where)]
     for h in hypotheses:
-        ends = problem.parameters + np.cumsum([s.size for s in h.suspects], dtype=int)
-        for i, (one, end) in enumerate(zip(h.suspects, ends, strict=True)):
+        for i, (one, part) in enumerate(zip(h.suspects, slices(h.suspects, problem.parameters), strict=True)):
             for other in [each for each in late_ones if each != one] if one in late_ones else ():
                 x, slope, factor = h.x.copy(), h.slope.copy(), float(one.deviations[0] / other.deviations[0])
-                x[end - 1], slope[end - 1] = x[end - 1] * factor, slope[end - 1] / factor
+                x[part], slope[part] = x[part] * factor, slope[part] / factor  # of their only number
                 guess = Guess(x, (*h.suspects[:i], other, *h.suspects[i + 1 :]), slope)
                 if laws(guess) not in known and robot.accepts(effects_at(x[problem.parameters :], guess.suspects)):
                     guesses.setdefault(laws(guess), guess)

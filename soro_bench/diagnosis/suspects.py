@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -81,11 +82,13 @@ class Suspect:
 
 def effects_at(x: np.ndarray, suspects: Sequence[Suspect]) -> list[Effect]:
     """The suspects with the parameters that the coordinates x stand for."""
-    found, first = [], 0
-    for suspect in suspects:
-        found.append(suspect.effect(x[first : first + suspect.size]))
-        first += suspect.size
-    return found
+    return [suspect.effect(x[part]) for suspect, part in zip(suspects, slices(suspects), strict=True)]
+
+
+def slices(suspects: Sequence[Suspect], first: int = 0) -> list[slice]:
+    """Where each has its coordinates among those of all, which begin at the first one."""
+    ends = np.cumsum([first, *(suspect.size for suspect in suspects)]).tolist()
+    return [slice(*pair) for pair in pairwise(ends)]
 
 
 def suspects(robot: Robot) -> list[Suspect]:
