@@ -9,7 +9,7 @@ import time
 import numpy as np
 
 from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.diagnosis.suspects import suspects
+from soro_bench.diagnosis.suspects import suspects, typical
 from soro_bench.registration import make_task
 
 SIMULATIONS, STEPS = 32, 60
@@ -37,9 +37,7 @@ def main() -> None:
     first = {one.name: one for one in reversed(suspects(robot)) if one.where.kind != "sensor"}
     print("| effect | place | cost / without |\n|---|---|---|")
     for name in sorted(first):
-        x = np.zeros(first[name].size)
-        x[0] = 0.2  # the typical magnitude
-        effect = first[name].effect(x)
+        effect = typical(first[name])
         ratios = [seconds(task, (effect,), actions) / seconds(task, (), actions) for _ in range(options.repeats)]
         print(f"| {name} | {effect.where} | {np.median(ratios):.2f} |", flush=True)
 
