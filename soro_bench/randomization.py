@@ -129,8 +129,8 @@ class Gaussian:
         scale = np.sqrt(np.maximum(np.diag(cov), np.finfo(float).tiny))
         with np.errstate(over="ignore"):
             correlation = cov / np.outer(scale, scale)
-        if not (np.abs(correlation) <= 1 + 1e-9).all():  # also of a parameter without a variance
-            raise ValueError("the covariance is not positive semi-definite: there are correlations beyond 1")
+        if not (largest := np.abs(correlation).max()) <= 1 + 1e-9:  # also of a parameter without a variance
+            raise ValueError(f"the covariance is not positive semi-definite: there are correlations of {largest:.3g}")
         if (lowest := np.linalg.eigvalsh(correlation).min()) < -1e-9:
             raise ValueError(f"the covariance is not positive semi-definite: its correlation has eigenvalue {lowest}")
 

@@ -222,7 +222,10 @@ def test_number_of_seeds(seed):
         (lambda: Gaussian(("trunk_mass",), [0.4], [[1, 0], [0, 1]]), ("covariance of trunk_mass", "(1, 1) is needed")),
         (lambda: Gaussian(("trunk_mass",), [0.4, 0.3], [[1]]), ("mean of trunk_mass", "(1,) is needed")),
         (lambda: Gaussian(("trunk_mass", "friction"), [0.4, 0.3], [[1, 2], [0, 1]]), ("symmetric 2 x 2",)),
-        (lambda: Gaussian(("trunk_mass", "friction"), [0.4, 0.3], [[1, 2], [2, 1]]), ("positive semi-definite", "-1")),
+        (
+            lambda: Gaussian(("trunk_mass", "friction"), [0.4, 0.3], [[1, 2], [2, 1]]),
+            ("positive semi-definite", "correlations of 2"),
+        ),
         (lambda: Gaussian(("trunk_mass",), [0.4], [[np.nan]]), ("covariance of trunk_mass", "finite")),
     ],
 )
