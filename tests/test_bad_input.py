@@ -226,6 +226,12 @@ def test_number_of_seeds(seed):
             lambda: Gaussian(("trunk_mass", "friction"), [0.4, 0.3], [[1, 2], [2, 1]]),
             ("positive semi-definite", "correlations of 2"),
         ),
+        (
+            lambda: Gaussian(
+                ("trunk_mass", "friction", "damping"), [0.4, 0.3, 0.1], [[1, 0.9, 0.9], [0.9, 1, -0.9], [0.9, -0.9, 1]]
+            ),
+            ("positive semi-definite", "eigenvalue -0.8"),
+        ),
         (lambda: Gaussian(("trunk_mass",), [0.4], [[np.nan]]), ("covariance of trunk_mass", "finite")),
     ],
 )
