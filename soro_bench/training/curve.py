@@ -8,7 +8,7 @@ import numpy as np
 from soro_bench.results import metric_key
 
 
-def read_curve(path: str | Path, metric: str, parts: int = 20) -> tuple[np.ndarray, np.ndarray]:
+def read_curve(path: str | Path, metric: str, parts: int) -> tuple[np.ndarray, np.ndarray]:
     """Steps and mean final metric [mm] of the episodes in each of so many equal parts of a training.
 
     A part mixes whole updates: the episodes that end early in an update are the successful ones.
