@@ -77,6 +77,20 @@ def test_what_is_far_beyond_the_sensors_noise_and_not_explained_is_unknown_and_n
     assert found.unknown > 0.9
 
 
+@pytest.mark.parametrize("per_sample, outlier, unknown", [(0.05, 0.0, False), (0.05, 40.0, False), (0.27, 0.0, True)])
+def test_more_than_nulls_leave_is_unknown_even_if_no_law_promises_to_explain_it(
+    robot, actions, per_sample, outlier, unknown
+):
+    given = problem(robot, actions)
+    noise = np.random.default_rng(0).standard_normal(given.weight.size)
+    residual = noise * np.sqrt((1.0 + 2.0 * per_sample) * noise.size / (noise @ noise))
+    residual[:3] += outlier
+    nominal = Hypothesis((), np.zeros(5), residual, 0.0, np.zeros((5, noise.size)), np.zeros((0, noise.size)))
+    found = compare.compared(Explanation(given, nominal, (), 0.0, 228.0, 228.0, ()), None)
+    assert found.detected == unknown
+    assert (found.unknown > 0.9) == unknown
+
+
 @pytest.mark.parametrize("share, first", [(0.009, "coulomb_friction"), (0.04, "stribeck_friction")])
 def test_a_law_with_more_unknowns_has_to_explain_more_than_what_no_law_has_quite_right(robot, actions, share, first):
     """Stribeck friction contains Coulomb friction, so it never explains less."""

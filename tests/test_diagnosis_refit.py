@@ -9,7 +9,7 @@ from soro_bench.diagnosis import explain, refit
 from soro_bench.diagnosis.descent import descended
 from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.screen import Lead, evidence, responses
-from soro_bench.diagnosis.suspects import suspect
+from soro_bench.diagnosis.suspects import effects_at, suspect, suspects
 from soro_bench.effects.effect import Effect, Port
 from soro_bench.inference.clouds import LowRank
 from tests.trunk import TRUTH, problem
@@ -103,6 +103,36 @@ def test_laws_of_the_class_and_place_of_the_best_lead_are_tried_whatever_they_pr
     screened = SimpleNamespace(guess=lambda lead: lead)
     tried = explain._leads(SimpleNamespace(robot=robot), screened, offered)
     assert [lead.chosen for lead in tried] == [(0,), (1,), (3,)]
+
+
+def test_coordinates_of_a_suspect_lead_to_its_effect_and_back(robot):
+    for one in suspects(robot):
+        x = 0.3 * one.simulated + 0.1
+        assert one.coordinates(one.effect(x).parameters) == pytest.approx(x), one.name
+
+
+@pytest.mark.parametrize(("better", "worse"), [("coulomb", "stribeck"), ("stribeck", "coulomb")])
+def test_the_worse_of_two_laws_of_which_one_contains_the_other_is_begun_where_the_better_ended(
+    robot, better, worse, monkeypatch
+):
+    """But not at another place."""
+
+    def ended(name, cable, cost):
+        one = suspect(robot, f"{name}_friction", Port("tendon", cable))
+        x = np.full(2 + one.size, 0.2)
+        return SimpleNamespace(suspects=(one,), x=x, cost=cost, effects=lambda d: effects_at(x[d:], (one,)))
+
+    begun = []
+    monkeypatch.setattr(refit, "fitted", lambda problem, guesses, *_: begun.extend(guesses) or guesses)
+    monkeypatch.setattr(Guess, "cost", 2.0, raising=False)
+    given = SimpleNamespace(parameters=2, residuals=lambda points: [x for x, _ in points], cost=lambda row, x: x @ x)
+    best, lagging, elsewhere = (ended(*each) for each in ((better, "L0", 1.0), (worse, "L0", 3.0), (worse, "L1", 4.0)))
+    assert refit._shared(given, [best, lagging, elsewhere], 0) == [best, *begun, elsewhere]
+    (guess,) = begun
+    (law,), (known,) = (effects_at(each.x[2:], each.suspects) for each in (guess, best))
+    assert law.name == f"{worse}_friction"
+    shared = law.parameters.keys() & known.parameters
+    assert {name: law.parameters[name] for name in shared} == pytest.approx({n: known.parameters[n] for n in shared})
 
 
 @pytest.mark.parametrize("began", ["vertebra4", "vertebra8"])

@@ -25,13 +25,18 @@ EFFECT, UNKNOWNS = 100.0, 50.0  # nats that a rugged fit gains by chance from on
 # docs/diagnosis_measured.md)
 SPARE = 0.006
 TEMPER = (100.0, 0.1)  # nats, and share of the excess
-# share of the excess left where the physics is as likely unknown as not, width, and what nulls leave (600 to 2,500)
-UNKNOWN = (0.25, 0.06, 2500.0)
+# share of the excess left where the physics is as likely unknown as not, width, and what nulls leave of what was fitted
+# (nats per sample, 0.02 to 0.066)
+UNKNOWN = (0.25, 0.06, 0.066)
 # evidence that one more effect still promises where the physics is as likely unknown as not: nats, and share of what is
 # explained, as no law is right to the last per mille; and the width in its logarithm. Right laws leave a promise of a
 # third of that and two thirds at most (55 cases), nameless physics beyond the limit above 0.7 to 8 times as much.
 STILL = (500.0, 0.006, 0.2)
 BLUNDER = 0.03  # of answers that seem certain, how many are wrong all the same (5 of 111)
+# what is left over white noise without any effect where something is missing as likely as nothing, whatever promises to
+# explain it: nats per sample, and the power with which more gets rarer. Of 160 nulls none left more than 0.05 (0.1 of
+# what was fitted); a coupled bend of 0.7 mm, which no law explains, left 0.27
+UNEXPLAINED = (0.13, 5.0)
 COMPARED = 6  # hypotheses that are simulated on held-out recordings
 
 
@@ -129,6 +134,12 @@ def p_value(gain: float) -> float:
 ALPHA = p_value(WORTH)  # of the least that is worth a fit: with it, nothing missing is as likely as something
 
 
+def p_left(excess: float, samples: float) -> float:
+    """Probability that so much is left over white noise [nats] of samples where nothing is missing."""
+    limit, power = UNEXPLAINED
+    return min(1.0, ALPHA * (limit * samples / excess) ** power) if excess > 0 else 1.0
+
+
 def temperature(excess: float) -> float:
     """By which evidence is divided where the best hypothesis leaves that excess."""
     return TEMPER[0] + TEMPER[1] * max(excess, 0.0)
@@ -150,10 +161,9 @@ def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> 
     """
     problem, hypotheses = found.problem, shortlist(found)
     scores = _evidence(problem, hypotheses)
-    # what was promised, and where the simulation was too far off for a promise, what has been gained; where much more
-    # is left than the sensor's noise something is missing, whether or not a law explains it
-    chance = 0.0 if problem.rough else p_value(max(found.promised, *(scores - scores[0])))
-    nothing = chance / (chance + ALPHA)
+    # what was promised, and where the simulation was too far off for a promise, what has been gained
+    chance = p_value(max(found.promised, *(scores - scores[0])))
+    most, samples = problem.excess_of_most(hypotheses[0].residual), problem.weight.sum()
     train = [problem.left(h.residual) for h in hypotheses]
     tested, left = [None] * len(hypotheses), [problem.excess(h.residual) for h in hypotheses]
     if heldout is not None:
@@ -161,6 +171,10 @@ def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> 
         excess = [unfitted.excess(row) for row in residuals]
         scores, left = scores - excess, [a + b for a, b in zip(left, excess, strict=True)]
         tested = [unfitted.left(row) for row in residuals]
+        most, samples = most + unfitted.excess_of_most(residuals[0]), samples + unfitted.weight.sum()
+    # where much more is left than the sensor's noise something is missing, whether or not a law explains it
+    chance = 0.0 if problem.rough else min(chance, p_left(most, samples))
+    nothing = chance / (chance + ALPHA)
     scores = scores - _spare(hypotheses, left)
     chances = _chances(scores, nothing, min(left))
     answers = [
@@ -205,7 +219,7 @@ def _unknown(problem, hypotheses, promised) -> float:
         return 1.0  # many times the sensor's noise is left, and nothing promised to explain any of it
     samples, more = float(problem.weight.sum()), (problem.sigma / problem.sensor) ** 2
     left = [0.5 * ((2.0 * problem.excess(h.residual) + samples) * more - samples) for h in hypotheses]
-    share, width, least = UNKNOWN
+    share, width, least = UNKNOWN[0], UNKNOWN[1], UNKNOWN[2] * samples
     named = expit((share - (min(left) - least) / max(left[0] - least, 1.0)) / width)
     # where all that is left is taken for noise, promises are small; where nothing was tried, the p-value judges them
     if len(hypotheses) > 1 and not problem.rough:

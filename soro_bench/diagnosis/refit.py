@@ -42,8 +42,8 @@ def refitted(problem: Problem, guesses: Sequence[Guess], screened: Evidence, see
     Args:
         screened: what the responses of all suspects say, for those that a hypothesis may change its place with.
     """
-    found = fitted(problem, _tried(problem, guesses), (SCALE,), seed)
-    found = _moved(problem, unique(sorted(found, key=lambda h: h.cost)), screened, seed + 1)
+    found = unique(sorted(fitted(problem, _tried(problem, guesses), (SCALE,), seed), key=lambda h: h.cost))
+    found = _moved(problem, _shared(problem, found, seed), screened, seed + 1)
     ranked = unique(sorted(found, key=lambda h: -h.log_evidence(problem)))
     return _varied(problem.robot, ranked, range(len(ranked)), KEPT)
 
@@ -125,10 +125,51 @@ def _nearer(problem, guess, nominal):
     did most, parameters that went with it may be worse than those of no effect at all."""
     others = [_scaled(np.concatenate([nominal.x, guess.x[problem.parameters :]]), problem.parameters, length)
               for length in (_LITTLE, *_LENGTHS)]  # fmt: skip
-    points = [guess.x, *others]
-    residuals = problem.residuals([(x, guess.suspects) for x in points])
-    best = int(np.argmin([problem.cost(row, x) for row, x in zip(residuals, points, strict=True)]))
-    return guess if best == 0 else Guess(points[best], guess.suspects)
+    best = _cheapest(problem, [guess.x, *others], guess.suspects)
+    return guess if best is guess.x else Guess(best, guess.suspects)
+
+
+def _cheapest(problem, points, suspects):
+    """The one of points (n,) that costs least."""
+    residuals = problem.residuals([(x, suspects) for x in points])
+    return min(zip(points, residuals, strict=True), key=lambda pair: problem.cost(pair[1], pair[0]))[0]
+
+
+def _shared(problem, hypotheses, seed):
+    """The hypotheses; where the law of one contains that of another, the one that leaves more is fitted anew from where
+    the other ended.
+
+    A law with more unknowns begins farther off, and can explain all that the contained one does; whether the contained
+    one explains as little as it seems is to be seen near the other.
+    """
+    found = list(hypotheses)
+    pairs = [(i, better) for i, h in enumerate(found) if (better := _best_akin(h, found))]
+    if pairs:
+        guesses = [_begun(problem, found[i].suspects, better) for i, better in pairs]
+        for (i, _), h in zip(pairs, fitted(problem, guesses, _POLISH, seed), strict=True):
+            found[i] = min(found[i], h, key=lambda h: h.cost)
+    return found
+
+
+def _best_akin(hypothesis, others) -> Hypothesis | None:
+    """Of the hypotheses that leave less and contain this one, or are contained in it, the best."""
+    akin = [o for o in others if o.cost < hypothesis.cost and _akin(hypothesis.suspects, o.suspects)]
+    return min(akin, key=lambda h: h.cost, default=None)
+
+
+def _akin(one, other):
+    """Whether suspects differ in the law of the last only, and one of these has all quantities of the other."""
+    first, second = ({q.name for q in suspects[-1].quantities} for suspects in (one, other))
+    return one[:-1] == other[:-1] and one[-1].where == other[-1].where and (first < second or first > second)
+
+
+def _begun(problem, suspects, akin) -> Guess:
+    """Suspects with the values of a hypothesis that is akin; what that lacks is typical, or least."""
+    last, known = suspects[-1], akin.effects(problem.parameters)[-1].parameters
+    lacks = [q.name not in known for q in last.quantities]
+    rest, at = akin.x[: -akin.suspects[-1].size], last.coordinates(known)
+    points = [np.concatenate([rest, each]) for each in (at, np.where(lacks, last.bounds[0], at))]
+    return Guess(_cheapest(problem, points, suspects), suspects)
 
 
 def _moved(problem, hypotheses, screened, seed):

@@ -1,6 +1,6 @@
 """Suspects: every effect at every place where it may act, with coordinates in which fits look for its parameters."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -78,6 +78,14 @@ class Suspect:
         for q, typical, magnitude, by in zip(self.quantities, self.typical, self.magnitudes, moved, strict=True):
             values[q.name] = float(np.clip(q.null + by if magnitude else typical * np.exp(by), *q.bounds))
         return Effect(self.name, self.where, values)
+
+    def coordinates(self, values: Mapping[str, float]) -> np.ndarray:
+        """(size,) where ``effect`` has these values; zero for quantities without one."""
+        found, columns = [], zip(self.quantities, self.typical, self.magnitudes, self.deviations, strict=True)
+        for q, typical, magnitude, deviation in columns:
+            value = values.get(q.name, q.null if magnitude else typical)
+            found.append(((value - q.null) if magnitude else np.log(value / typical)) / deviation)
+        return np.array(found)
 
 
 def effects_at(x: np.ndarray, suspects: Sequence[Suspect]) -> list[Effect]:
