@@ -188,7 +188,7 @@ def test_an_effect_that_only_leads_to_better_parameters_is_dropped(robot, action
     stuck = Hypothesis((), x, residual, given.cost(residual, x), none, none[:0])
     candidates = [suspect(robot, "payload", Port("body", f"vertebra{k}")) for k in (6, 8)]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(explain, "LACKING", 0.0)
+        patch.setattr(explain, "LACKING", (0.0, 0.0))
         found = explain.explained(given, stuck, robot, [], candidates, 0)
     assert found.found == ()
     assert given.excess(found.nominal.residual) < explain.CLEAN < given.excess(residual)

@@ -7,6 +7,7 @@ wrong the models are at any rate. The constants are from development sets and fr
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,17 +27,18 @@ EFFECT, UNKNOWNS = 100.0, 50.0  # nats that a rugged fit gains by chance from on
 SPARE = 0.006
 TEMPER = (100.0, 0.1)  # nats, and share of the excess
 # share of the excess left where the physics is as likely unknown as not, width, and what nulls leave of what was fitted
-# (nats per sample, 0.02 to 0.066)
+# (nats per sample, 0.02 to 0.06 but for two of 160)
 UNKNOWN = (0.25, 0.06, 0.066)
 # evidence that one more effect still promises where the physics is as likely unknown as not: nats, and share of what is
 # explained, as no law is right to the last per mille; and the width in its logarithm. Right laws leave a promise of a
 # third of that and two thirds at most (55 cases), nameless physics beyond the limit above 0.7 to 8 times as much.
 STILL = (500.0, 0.006, 0.2)
 BLUNDER = 0.03  # of answers that seem certain, how many are wrong all the same (5 of 111)
-# what is left over white noise without any effect where something is missing as likely as nothing, whatever promises to
-# explain it: nats per sample, and the power with which more gets rarer. Of 160 nulls none left more than 0.05 (0.1 of
-# what was fitted); a coupled bend of 0.7 mm, which no law explains, left 0.27
-UNEXPLAINED = (0.13, 5.0)
+# what is left without any effect and still there LAG later [s], as noise is not: its variance, in units of that of the
+# rest, at which something is missing as likely as nothing, whatever promises to explain it; the same of few samples,
+# in standard deviations; and the power with which more gets rarer (docs/diagnosis_measured.md). No sample counts more
+# than FAR standard deviations of the noise, as it may be an outlier that has not been recognised
+SLOW, FEW, POWER, LAG, FAR = 0.12, 5.0, 5.0, 0.15, 4.0
 COMPARED = 6  # hypotheses that are simulated on held-out recordings
 
 
@@ -81,7 +83,8 @@ class Answer:
 class Comparison:
     """Answers, the most probable first, the nominal robot among them; and the probability that it is none of them.
 
-    p_value: None where more is taken for noise than the sensor's, as nobody has counted false alarms there.
+    p_value: of the least probable of what is promised and what is left where nothing is missing; None where more is
+        taken for noise than the sensor's, as nobody has counted false alarms there.
     """
 
     answers: tuple[Answer, ...]
@@ -134,10 +137,33 @@ def p_value(gain: float) -> float:
 ALPHA = p_value(WORTH)  # of the least that is worth a fit: with it, nothing missing is as likely as something
 
 
-def p_left(excess: float, samples: float) -> float:
-    """Probability that so much is left over white noise [nats] of samples where nothing is missing."""
-    limit, power = UNEXPLAINED
-    return min(1.0, ALPHA * (limit * samples / excess) ** power) if excess > 0 else 1.0
+def p_left(slow: float, pairs: float) -> float:
+    """Probability that nothing is missing and the variance of what is left and slow is as large, of pairs of samples;
+    in units of that of the rest."""
+    limit = max(SLOW, FEW / math.sqrt(max(pairs, 1.0)))
+    return min(1.0, ALPHA * (limit / slow) ** POWER) if slow > 0 else 1.0
+
+
+def slowness(left: Sequence[tuple[Problem, np.ndarray]]) -> tuple[float, float]:
+    """Of residuals (M,) of problems: the variance of what is still there ``LAG`` later, in units of that of the rest;
+    and the number of pairs of samples that say so."""
+    squares, count, products, pairs = np.sum([_products(*each) for each in left], axis=0)
+    slow = products / max(pairs, 1.0)
+    return slow / max(squares / max(count, 1.0) - slow, 1e-9), pairs
+
+
+def _products(problem, residual):
+    """Sums of squares and of products with what is ``LAG`` later, of what the numerical floor does not explain; each
+    with its number."""
+    near, found = np.clip(problem.floor.without(residual), -FAR, FAR), np.zeros(4)
+    parts = zip(problem.split(near), problem.split(problem.weight), problem.recordings, strict=True)
+    for part, weight, each in parts:
+        sampled = weight.any(axis=(1, 2))
+        part, weight, time = part[sampled], weight[sampled], each.time[sampled]
+        lag = math.ceil(LAG / float(np.median(np.diff(time))) - 1e-6)
+        later = (part[lag:] * part[:-lag]).sum(), (weight[lag:] * weight[:-lag]).sum()
+        found += [(part**2).sum(), weight.sum(), *later]
+    return found
 
 
 def temperature(excess: float) -> float:
@@ -163,17 +189,16 @@ def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> 
     scores = _evidence(problem, hypotheses)
     # what was promised, and where the simulation was too far off for a promise, what has been gained
     chance = p_value(max(found.promised, *(scores - scores[0])))
-    most, samples = problem.excess_of_most(hypotheses[0].residual), problem.weight.sum()
-    train = [problem.left(h.residual) for h in hypotheses]
+    train, unexplained = [problem.left(h.residual) for h in hypotheses], [(problem, hypotheses[0].residual)]
     tested, left = [None] * len(hypotheses), [problem.excess(h.residual) for h in hypotheses]
     if heldout is not None:
         unfitted, residuals = heldout
         excess = [unfitted.excess(row) for row in residuals]
         scores, left = scores - excess, [a + b for a, b in zip(left, excess, strict=True)]
         tested = [unfitted.left(row) for row in residuals]
-        most, samples = most + unfitted.excess_of_most(residuals[0]), samples + unfitted.weight.sum()
+        unexplained.append((unfitted, residuals[0]))
     # where much more is left than the sensor's noise something is missing, whether or not a law explains it
-    chance = 0.0 if problem.rough else min(chance, p_left(most, samples))
+    chance = 0.0 if problem.rough else min(chance, p_left(*slowness(unexplained)))
     nothing = chance / (chance + ALPHA)
     scores = scores - _spare(hypotheses, left)
     chances = _chances(scores, nothing, min(left))
@@ -215,14 +240,13 @@ def _chances(scores, nothing, excess):
 def _unknown(problem, hypotheses, promised) -> float:
     """Probability that the physics has no name: of what the nominal robot leaves, the first, all leave much; or one
     more effect, on top of the best of all, still promises more than where the laws are right."""
-    if problem.rough and len(hypotheses) == 1:
-        return 1.0  # many times the sensor's noise is left, and nothing promised to explain any of it
+    if len(hypotheses) == 1:
+        return 1.0  # if anything is missing: nothing promised to explain enough of it to be tried
     samples, more = float(problem.weight.sum()), (problem.sigma / problem.sensor) ** 2
     left = [0.5 * ((2.0 * problem.excess(h.residual) + samples) * more - samples) for h in hypotheses]
     share, width, least = UNKNOWN[0], UNKNOWN[1], UNKNOWN[2] * samples
     named = expit((share - (min(left) - least) / max(left[0] - least, 1.0)) / width)
-    # where all that is left is taken for noise, promises are small; where nothing was tried, the p-value judges them
-    if len(hypotheses) > 1 and not problem.rough:
+    if not problem.rough:  # where all that is left is taken for noise, promises are small
         explained = problem.excess(hypotheses[0].residual) - min(problem.excess(h.residual) for h in hypotheses)
         named *= expit(math.log((STILL[0] + STILL[1] * explained) / max(promised, 1.0)) / STILL[2])
     return 1.0 - float(named)

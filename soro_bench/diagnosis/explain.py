@@ -39,7 +39,9 @@ NEAR = (0.15, 0.05)  # of the one near each fit but the last
 # polishes at most, and the share that one more has to take off; and their radii: a cloud as wide as the nominal fit's
 # at first, as parameters that have absorbed an effect may be far from where they belong
 POLISHES, ENOUGH = 4, 0.1
-LACKING = 10_000.0  # nats, an excess of the nominal robot far beyond that of nulls: polishing supplies no physics
+# nats, and per sample of long recordings: an excess of the nominal robot far beyond that of nulls, so that polishing
+# supplies no physics
+LACKING = (10_000.0, 0.26)
 WIDE, NARROW = (0.7, 0.15), (0.3, 0.1)
 MOST = 3  # effects
 # leads that are tried, the share of the best one's promise that they have to make, and hypotheses of a round with
@@ -157,13 +159,20 @@ class _Search:
 
     def begin(self) -> None:
         """The nominal robot, fitted and screened."""
-        if not self.problem.rough and self.problem.excess(self.nominal.residual) < LACKING:
+        lacking = max(LACKING[0], LACKING[1] * self.problem.weight.sum())
+        far = self.problem.excess(self.nominal.residual) >= lacking
+        self._start(polished=not self.problem.rough and not far)
+        if not self.problem.rough and far and self.left < self.worth:  # no physics promises what seems to be lacking
+            self._start(polished=True)
+        self.first, self.promised = self.screened, self.left
+
+    def _start(self, polished: bool) -> None:
+        if polished:
             self.progress("joint fit of the parameters")
             self.problem, (self.nominal,) = _polished(self.problem, self.refined, [self.nominal], self.seeds)
         self.unpatched = self.problem.left(self.nominal.residual)
         self.best, self.possible = self.nominal, self.candidates
         self._screen()
-        self.first, self.promised = self.screened, self.left
 
     def is_worth_a_round(self) -> bool:
         if self.rounds and not self.problem.rough and self.left >= self.worth:

@@ -111,7 +111,7 @@ def diagnose(
     progress("comparison")
     comparison = compared(explanation, tried_on(explanation, tested, refined, shortlist(explanation)))
     found = Diagnosis(robot, audits, found_outliers, explanation, comparison, (), None, 0.0)
-    if comparison.unknown > UNSURE:
+    if comparison.detected and comparison.unknown > UNSURE:
         progress("place of what has no name")
         found = replace(found, places=tuple(places(explanation.problem, robot, explanation.nominal, refined)))
     progress("next recording")

@@ -12,7 +12,6 @@ from soro_bench.inference.clouds import LowRank
 
 ROUGH = 10.0  # standard deviations of the sensor's noise, rms, beyond which what a fit leaves is no noise of a sensor
 NEGLIGIBLE = 0.1  # of what is taken for noise then, numerical error that explains nothing of it
-FAR = 4.0  # standard deviations of the noise, beyond which a sample may be an outlier that has not been recognised
 DIVERGED = 1e3  # standard deviations of the noise, a residual where the simulation diverged
 
 
@@ -105,12 +104,6 @@ class Problem:
         """How much less probable than white noise the residual (M,) is, as a logarithm; floor marginalised."""
         squares = float(self.floor.product(residual[None], residual[None])[0, 0])
         return 0.5 * (squares - float(self.weight.sum()))
-
-    def excess_of_most(self, residual: np.ndarray) -> float:
-        """The same where what floor does not explain counts as ``FAR`` standard deviations at most, as a few outliers
-        that have not been recognised would outweigh everything else."""
-        near = np.clip(self.floor.without(residual), -FAR, FAR)
-        return 0.5 * float(near @ near - self.weight.sum())
 
     def left(self, residual: np.ndarray) -> float:
         """Standard deviation [signal's unit] of what numerical error does not explain of a residual (M,)."""

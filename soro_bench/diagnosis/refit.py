@@ -136,8 +136,8 @@ def _cheapest(problem, points, suspects):
 
 
 def _shared(problem, hypotheses, seed):
-    """The hypotheses; where the law of one contains that of another, the one that leaves more is fitted anew from where
-    the other ended.
+    """The hypotheses; where the last law of one contains that of another, the one that leaves more is fitted anew from
+    where the other ended.
 
     A law with more unknowns begins farther off, and can explain all that the contained one does; whether the contained
     one explains as little as it seems is to be seen near the other.
@@ -166,9 +166,10 @@ def _akin(one, other):
 def _begun(problem, suspects, akin) -> Guess:
     """Suspects with the values of a hypothesis that is akin; what that lacks is typical, or least."""
     last, known = suspects[-1], akin.effects(problem.parameters)[-1].parameters
-    lacks = [q.name not in known for q in last.quantities]
     rest, at = akin.x[: -akin.suspects[-1].size], last.coordinates(known)
-    points = [np.concatenate([rest, each]) for each in (at, np.where(lacks, last.bounds[0], at))]
+    points = [np.concatenate([rest, at])]
+    if any(lacks := [q.name not in known for q in last.quantities]):
+        points.append(np.concatenate([rest, np.where(lacks, last.bounds[0], at)]))
     return Guess(_cheapest(problem, points, suspects), suspects)
 
 
