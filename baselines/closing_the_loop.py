@@ -25,6 +25,7 @@ from soro_bench.effects.effect import EVERY, Effect, Port, save_effects
 from soro_bench.envs.task import effects_of
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.leaderboard.statistics import interval
+from soro_bench.markdown import table
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.proof import body_laws, command_laws
@@ -135,10 +136,10 @@ def result(name: str, method: str, seed: int, folder: Path, steps: int, progress
     return read_json(path)
 
 
-def table(results: list[dict]) -> str:
+def gaps(results: list[dict]) -> str:
     """Markdown: mean final distance [mm], its 95 % interval over seeds, the share of the gap that is closed, and the
     effects that the patched robot has."""
-    lines = ["| concealed | nominal | UDR | patched | oracle | gap closed | patched with |", "|---" * 7 + "|"]
+    rows = []
     for name in dict.fromkeys(r["robot"] for r in results):
         cells, means = [], {}
         for method in METHOD_NAMES:
@@ -149,8 +150,8 @@ def table(results: list[dict]) -> str:
         gap = means["nominal"] - means["oracle"]
         closed = f"{(means['nominal'] - means['patched']) / gap:.0%}" if gap > 0 else "no gap"
         patch = next(r["effects"] for r in results if (r["robot"], r["method"]) == (name, "patched"))
-        lines.append(f"| {name} | {' | '.join(cells)} | {closed} | {', '.join(patch) or 'nothing'} |")
-    return "\n".join(lines)
+        rows.append((name, *cells, closed, ", ".join(patch) or "nothing"))
+    return table(("concealed", "nominal", "UDR", "patched", "oracle", "gap closed", "patched with"), rows)
 
 
 def main() -> None:
@@ -175,8 +176,8 @@ def main() -> None:
                     results.append(result(name, method, seed, options.out, options.steps, show))
     write_json(options.out / "results.json", results)
     with replacing(options.out / "results.md") as temporary:
-        temporary.write_text(table(results) + "\n")
-    print(table(results))
+        temporary.write_text(gaps(results) + "\n")
+    print(gaps(results))
 
 
 if __name__ == "__main__":

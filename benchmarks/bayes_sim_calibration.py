@@ -18,6 +18,7 @@ from soro_bench.assets import asset_path
 from soro_bench.files import write_json
 from soro_bench.inference import bayes_sim
 from soro_bench.inference.replay import Replay
+from soro_bench.markdown import header, row
 from soro_bench.recording.parquet import load
 
 ROOT = Path(__file__).parents[1]
@@ -53,7 +54,7 @@ def main() -> None:
     parser.add_argument("--checks", type=int, default=100)
     options = parser.parse_args()
     rows = []
-    print("| environment | features | SBC, p per parameter | TARP, p |\n|---|---|---|---|")
+    print(header(("environment", "features", "SBC, p per parameter", "TARP, p")))
     for env_id in options.envs:
         replay = Replay(load(asset_path(f"recordings/{env_id}.parquet")), model=options.model)
         low, high = np.array([p.search for p in replay.parameters]).T
@@ -68,7 +69,7 @@ def main() -> None:
             rows.append({"env_id": env_id, "model": options.model, "features": features,
                          "parameters": list(replay.names), **found})  # fmt: skip
             cells = ", ".join(f"{name} {p:.2g}" for name, p in zip(replay.names, found["sbc"], strict=True))
-            print(f"| {env_id} | {features} | {cells} | {found['tarp'][0]:.2g} |", flush=True)
+            print(row((env_id, features, cells, f"{found['tarp'][0]:.2g}")), flush=True)
     write_json(ROOT / "docs" / "results" / f"bayes_sim_calibration_{options.model}.json", rows)
 
 

@@ -22,6 +22,7 @@ from rich.progress import track
 
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.files import read_json, write_json
+from soro_bench.markdown import table
 from soro_bench.parallel import processors
 from soro_bench.proof.ablations import ENV_ID
 
@@ -74,11 +75,11 @@ def main() -> None:
         if not path.exists():
             write_json(path, diagnosed(case))
     rows = [read_json(path) for path in found]
-    print("| case | seconds, whole command | of it the diagnosis | MB | answers |")
-    print("|---" * 5 + "|")
-    for case, row in zip(cases, rows, strict=True):
-        cells = case.name, row["seconds"], row["diagnosis"], row["megabytes"], ", ".join(row["effects"])
-        print(f"| {' | '.join(map(str, cells))} |")
+    cells = [
+        (case.name, row["seconds"], row["diagnosis"], row["megabytes"], ", ".join(row["effects"]))
+        for case, row in zip(cases, rows, strict=True)
+    ]
+    print(table(("case", "seconds, whole command", "of it the diagnosis", "MB", "answers"), cells))
     seconds = [row["diagnosis"] for row in rows]
     print(f"\nMedian {np.median(seconds):.0f} s on {rows[0]['threads']} threads ({min(seconds):.0f} to "
           f"{max(seconds):.0f}), at most {max(row['megabytes'] for row in rows)} MB.")  # fmt: skip

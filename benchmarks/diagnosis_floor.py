@@ -21,6 +21,7 @@ from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import suspect
 from soro_bench.effects.effect import EVERY, Port
 from soro_bench.inference.clouds import LowRank
+from soro_bench.markdown import header, row
 from soro_bench.recording.excitation import excitation
 
 NOISE, TRUTH = 5e-4, np.array([0.5, -0.4, -0.6, 0.3, 0.2])  # m; standard deviations of the priors
@@ -46,12 +47,13 @@ def left(given: Problem) -> float:
 def time_steps() -> None:
     """What longer time steps leave of a trunk with an eighth of the model's, before and after the parameters fit."""
     given, recorded = SuiteRobot("TrunkReach-v0"), SuiteRobot("TrunkReach-v0", shorter=8)
-    print("| time step [ms] | left at the truth [mm] | after fitting | nu off by [sd] |\n|---|---|---|---|")
+    print(header(("time step [ms]", "left at the truth [mm]", "after fitting", "nu off by [sd]")))
     for shorter in (1, 2, 4):
         exact = problem(given.shortened(shorter), recorded)
         (found,) = fitted(exact, [Guess(TRUTH)], (0.3, 0.15, 0.08), seed=0)
         after = 1e3 * NOISE * float(np.sqrt((found.residual**2).mean()))
-        print(f"| {10 / shorter:g} | {left(exact):.2f} | {after:.2f} | {found.x[1] - TRUTH[1]:+.2f} |", flush=True)
+        off = f"{found.x[1] - TRUTH[1]:+.2f}"
+        print(row((f"{10 / shorter:g}", f"{left(exact):.2f}", f"{after:.2f}", off)), flush=True)
 
 
 def floor_at(given, refined, points):
@@ -66,14 +68,14 @@ def main() -> None:
     robot, (finer, accurate) = given.shortened(FITTED), given.refined()
     rng = np.random.default_rng(0)
     given = problem(robot, accurate)
-    print("\n| differences at | number | left [mm] |\n|---|---|---|")
-    print(f"| none | | {left(given):.2f} |")
+    print("\n" + header(("differences at", "number", "left [mm]")))
+    print(row(("none", "", f"{left(given):.2f}")))
     for name, count, centre, spread in (("the prior", 5, np.zeros(5), FAR), ("around the truth", 3, TRUTH, NEAR)):
         points = [(centre + spread * rng.standard_normal(5), ()) for _ in range(count)]
         floor = floor_at(given, [finer, accurate], points)
-        print(f"| draws from {name} | {count} | {left(given.with_floor(floor)):.2f} |", flush=True)
+        print(row((f"draws from {name}", count, f"{left(given.with_floor(floor)):.2f}")), flush=True)
 
-    print("\n| hidden | without | with it |\n|---|---|---|")
+    print("\n" + header(("hidden", "without", "with it")))
     for name, port in (("actuator_delay", Port("actuator", EVERY)), ("stiffening", Port("body", EVERY))):
         one = suspect(robot, name, port)
         x = np.append(TRUTH, 0.15)
@@ -82,14 +84,14 @@ def main() -> None:
         plain = given.with_floor(floor_at(given, [finer, accurate], near))
         both = plain.with_floor(floor_at(given, [finer, accurate], [(x, (one,))]))
         residual = given.residuals([(x, (one,))])[0]
-        print(f"| {name} | {plain.excess(residual):.0f} | {both.excess(residual):.0f} |", flush=True)
+        print(row((name, f"{plain.excess(residual):.0f}", f"{both.excess(residual):.0f}")), flush=True)
 
     given = problem(robot, robot, noise=NOISE)
-    print("\n| radii of the clouds | chi2 per sample |\n|---|---|")
+    print("\n" + header(("radii of the clouds", "chi2 per sample")))
     for count in range(1, 5):
         scales = (0.7, 0.4, 0.2, 0.1)[:count]
         (found,) = fitted(given, [Guess(np.zeros(5))], scales, seed=0)
-        print(f"| {', '.join(map(str, scales))} | {2 * found.cost / found.residual.size:.3f} |", flush=True)
+        print(row((", ".join(map(str, scales)), f"{2 * found.cost / found.residual.size:.3f}")), flush=True)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from scipy.stats import gumbel_r
 
 from soro_bench.diagnosis.compare import STILL, UNKNOWN
 from soro_bench.files import read_json
+from soro_bench.markdown import table
 from soro_bench.proof.score import opened_labels
 
 
@@ -47,11 +48,9 @@ def promises(cases) -> str:
     return "\n".join(lines)
 
 
-def table(cases) -> str:
+def cases_table(cases) -> str:
     """Markdown: what each case leaves."""
-    lines = ["| case | group | hidden | first answer | evidence over the next | excess, nominal | best | share | "
-             "still promised / limit |"]  # fmt: skip
-    lines.append("|---" * 9 + "|")
+    rows = []
     for label, report in cases:
         found = sorted((h for h in report["hypotheses"] if h["names"]), key=lambda h: -h["evidence"])
         said = [" + ".join(h["names"]) for h in found]
@@ -60,8 +59,9 @@ def table(cases) -> str:
         nominal, best, share = shares(report)
         cells = [label["id"], label["group"], hidden, said[0] if said else "none", ahead, f"{nominal:.0f}"]
         still = report["still_promised"] / (STILL[0] + STILL[1] * (nominal - best))
-        lines.append(f"| {' | '.join([*cells, f'{best:.0f}', f'{share:.2f}', f'{still:.2f}'])} |")
-    return "\n".join(lines)
+        rows.append((*cells, f"{best:.0f}", f"{share:.2f}", f"{still:.2f}"))
+    heads = ("case", "group", "hidden", "first answer", "evidence over the next", "excess, nominal", "best", "share")
+    return table((*heads, "still promised / limit"), rows)
 
 
 def log_loss(cases, nats: float, share: float) -> float:
@@ -84,10 +84,8 @@ def log_loss(cases, nats: float, share: float) -> float:
 def temper(cases) -> str:
     """Markdown: surprise for choices of ``TEMPER``."""
     shares_tried = (0.0, 0.03, 0.1, 0.3)
-    lines = ["| nats | " + " | ".join(f"share {s:g}" for s in shares_tried) + " |", "|---" * 5 + "|"]
-    for nats in (1, 3, 10, 30, 100, 300):
-        lines.append(f"| {nats} | " + " | ".join(f"{log_loss(cases, nats, s):.3f}" for s in shares_tried) + " |")
-    return "\n".join(lines)
+    rows = [(nats, *(f"{log_loss(cases, nats, s):.3f}" for s in shares_tried)) for nats in (1, 3, 10, 30, 100, 300)]
+    return table(("nats", *(f"share {s:g}" for s in shares_tried)), rows)
 
 
 def main() -> None:
@@ -96,7 +94,7 @@ def main() -> None:
     folder = parser.parse_args().folder
     labels = {label["id"]: label for label in opened_labels(folder / "cases")}
     cases = [(labels[path.stem], read_json(path)) for path in sorted((folder / "reports").glob("case_*.json"))]
-    print("\n\n".join((promises(cases), table(cases), temper(cases))))
+    print("\n\n".join((promises(cases), cases_table(cases), temper(cases))))
 
 
 if __name__ == "__main__":

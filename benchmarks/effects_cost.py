@@ -10,6 +10,7 @@ import numpy as np
 
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import suspects, typical
+from soro_bench.markdown import header, row
 from soro_bench.registration import make_task
 
 SIMULATIONS, STEPS = 32, 60
@@ -35,11 +36,11 @@ def main() -> None:
     task = make_task("TrunkReach-v0", SIMULATIONS, 1, options.model, action="continuous", effects=())
     actions = np.repeat(np.random.default_rng(0).uniform(-1, 1, (STEPS // 5, 8)), 5, axis=0).astype(np.float32)
     first = {one.name: one for one in reversed(suspects(robot)) if one.where.kind != "sensor"}
-    print("| effect | place | cost / without |\n|---|---|---|")
+    print(header(("effect", "place", "cost / without")))
     for name in sorted(first):
         effect = typical(first[name])
         ratios = [seconds(task, (effect,), actions) / seconds(task, (), actions) for _ in range(options.repeats)]
-        print(f"| {name} | {effect.where} | {np.median(ratios):.2f} |", flush=True)
+        print(row((name, effect.where, f"{np.median(ratios):.2f}")), flush=True)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.files import read_json
+from soro_bench.markdown import table
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 ROBOTS = {"fine": "another time step", "flex": "another model"}
@@ -55,11 +56,6 @@ def _unseen(folder: Path, robot: str) -> str:
     errors = [read_json(folder / "reports" / f"{name}.json")["unseen"] for name in wanted]
     before, after = np.median([(each["rmse_before"], each["rmse_after"]) for each in errors if each], axis=0)
     return f"{1e3 * before:.1f}, {1e3 * after:.1f}"
-
-
-def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """In Markdown."""
-    return "\n".join("| " + " | ".join(row) + " |" for row in [heads, ["---"] * len(heads), *rows])
 
 
 def tables(folders: Sequence[Path]) -> list[str]:

@@ -21,6 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from mcap.writer import CompressionType, Writer
 
+from soro_bench.markdown import header, row
 from soro_bench.recording.importers import import_recording
 from soro_bench.recording.parquet import load, save
 from soro_bench.recording.recording import Recording, RecordingError, Signal
@@ -214,8 +215,8 @@ def main() -> None:
     arguments = parser.parse_args()
     rng = np.random.default_rng(arguments.seed)
     folder = Path(tempfile.mkdtemp())
-    print("| file | examples | refused | read | other errors | seconds | largest memory so far [MB] |")
-    print("|---|---|---|---|---|---|---|")
+    heads = "file", "examples", "refused", "read", "other errors", "seconds", "largest memory so far [MB]"
+    print(header(heads))
     for name, (path, read) in readers(folder).items():
         valid, counts, start = path.read_bytes(), {"read": 0, "refused": 0, "other": 0}, time.monotonic()
         for _ in range(arguments.examples):
@@ -227,8 +228,8 @@ def main() -> None:
                 print(f"{name}: {type(error).__name__}: {error}")
         path.write_bytes(valid)
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        numbers = f"{counts['refused']} | {counts['read']} | {counts['other']}"
-        print(f"| {name} | {arguments.examples} | {numbers} | {time.monotonic() - start:.0f} | {memory:.0f} |")
+        numbers = (counts[kind] for kind in ("refused", "read", "other"))
+        print(row((name, arguments.examples, *numbers, f"{time.monotonic() - start:.0f}", f"{memory:.0f}")))
     shutil.rmtree(folder)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from soro_bench.files import read_json, write_json
 from soro_bench.inference.methods import infer
 from soro_bench.inference.replay import Replay
+from soro_bench.markdown import table
 from soro_bench.parameters import ALL_PARAMETERS
 from soro_bench.recording.simulated import record
 from soro_bench.registration import task_type
@@ -106,18 +107,16 @@ def row(case: str, results: list[dict]) -> dict:
     }
 
 
-def table(rows: list[dict]) -> str:
+def worst(results: list[dict]) -> str:
     """Markdown: the worst run of each case."""
     names = ("mass_over_E", "poisson_ratio", "friction", "cube_over_trunk", "trunk_mass")
-    lines = [
-        "| case | runs | mass/E | nu | friction | cube/trunk mass | trunk mass | left [mm] | CPU-s |",
-        "|---" * 9 + "|",
-    ]
-    for r in rows:
+    heads = ("case", "runs", "mass/E", "nu", "friction", "cube/trunk mass", "trunk mass", "left [mm]", "CPU-s")
+    rows = []
+    for r in results:
         cells = [f"{r['worst'][n]:+.3g}" if n in r["worst"] else "" for n in names]
         left = f"{max(r['keypoints_rms_mm']):.3g}"
-        lines.append(f"| {r['case']} | {r['runs']} | {' | '.join(cells)} | {left} | {np.median(r['cpu_s']):.0f} |")
-    return "\n".join(lines)
+        rows.append((r["case"], r["runs"], *cells, left, f"{np.median(r['cpu_s']):.0f}"))
+    return table(heads, rows)
 
 
 def main() -> None:
@@ -138,8 +137,8 @@ def main() -> None:
         path = ROOT / "docs" / "results" / f"inference_{options.model}.json"
         others = [r for r in read_json(path) if r["case"] != case] if path.exists() else []
         write_json(path, sorted([*others, rows[-1]], key=lambda r: list(CASES).index(r["case"])))
-        print(table(rows[-1:]), flush=True)
-    print(table(rows))
+        print(worst(rows[-1:]), flush=True)
+    print(worst(rows))
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import numpy as np
 from rich.progress import track
 
 from soro_bench.files import read_json
+from soro_bench.markdown import table
 
 SEQUENCES = sorted((Path(__file__).parents[1] / "baselines" / "lift_sequences").glob("*.json"))
 RECORDED = "elevation_held_mm", "elevation_end_mm", "lowest_corner_held_mm"  # in the files
@@ -45,8 +46,9 @@ def main():
         sequence = read_json(path)
         recorded, held = sequence[RECORDED[0]], copies(sequence, count)[:, 0]
         share = np.mean(np.abs(held - recorded) < TOLERANCE)
-        rows.append(f"| {path.stem} | {recorded:.1f} | {np.median(held):.1f} | {held.min():.1f} | {share:.0%} |")
-    print("| sequence | recorded [mm] | median | least | within 3 mm |\n|---|---|---|---|---|", *rows, sep="\n")
+        figures = (f"{value:.1f}" for value in (recorded, np.median(held), held.min()))
+        rows.append((path.stem, *figures, f"{share:.0%}"))
+    print(table(("sequence", "recorded [mm]", "median", "least", "within 3 mm"), rows))
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import numpy as np
 
 from soro_bench.evaluation import evaluate
 from soro_bench.leaderboard.boards import BOARDS
+from soro_bench.markdown import header, row
 from soro_bench.registration import task_type
 from soro_bench.training.policy import Policy
 
@@ -33,14 +34,12 @@ def main() -> None:
     parser.add_argument("--model", default=task_type("TrunkLift-v0").cheap)
     options = parser.parse_args()
     places = [f"{1e3 * offset:+.0f}" for offset in OFFSETS[:-1]] + ["out of reach"]
-    print(f"| board | trained | {' | '.join(places)} |")
-    print("|---" * (2 + len(places)) + "|")
+    print(header(("board", "trained", *places)))
     for board in BOTH:
         for folder in sorted((RESULTS / board / "ppo").iterdir()):
             policies = [Policy.load(path) for path in sorted(folder.glob("seed*.json"))]
             rows = np.array([elevations(policy, board, options.model) for policy in policies])
-            cells = " | ".join(f"{mean:.1f}" for mean in rows.mean(axis=0))
-            print(f"| {board} | {folder.name} | {cells} |")
+            print(row((board, folder.name, *(f"{mean:.1f}" for mean in rows.mean(axis=0)))))
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import time
 import numpy as np
 
 from soro_bench.envs.multigait import MultiGaitTask
+from soro_bench.markdown import table
 from soro_bench.models.walker_mesh import RESOLUTIONS
 
 PUBLISHED_RATE = 0.83  # environment steps per second: 500,000 steps in 7 days on 24 threads (Tiboni et al., 2023)
@@ -41,13 +42,14 @@ def main() -> None:
         for mesh, task in one.items():
             cpu[mesh].append(episode(task, np.random.default_rng(repeat), time.process_time))
         wall.append(episode(everything, np.random.default_rng(repeat), time.perf_counter))
-    print("| mesh | degrees of freedom | CPU-s per simulated s | env steps per CPU-s | cost / coarse |")
-    print("|---|---|---|---|---|")
+    rows = []
     for mesh, task in one.items():
         seconds = np.median(cpu[mesh])
         ratio = np.median(np.array(cpu[mesh]) / np.array(cpu["coarse"]))
         cost = seconds / task.control_timestep
-        print(f"| {mesh} | {task.model.nv} | {cost:.3f} | {1 / seconds:.1f} | {ratio:.1f} |")
+        rows.append((mesh, task.model.nv, f"{cost:.3f}", f"{1 / seconds:.1f}", f"{ratio:.1f}"))
+    heads = "mesh", "degrees of freedom", "CPU-s per simulated s", "env steps per CPU-s", "cost / coarse"
+    print(table(heads, rows))
     rate = 1 / np.median(wall)
     print(f"\nwhole machine, coarse: {rate:.1f} env steps/s, {rate / PUBLISHED_RATE:.0f} times the published rate")
 

@@ -16,6 +16,7 @@ from rich.progress import track
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.effects.effect import Effect, Port
 from soro_bench.files import read_json
+from soro_bench.markdown import table
 from soro_bench.proof.ablations import ENV_ID
 from soro_bench.proof.score import opened_labels
 from soro_bench.recording.parquet import load
@@ -45,20 +46,21 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args().folder
     robots = {model: SuiteRobot(ENV_ID, model) for model in MODELS}
-    rows = {model: [] for model in MODELS}
+    found = {model: [] for model in MODELS}
     labels = {label["id"]: label for label in opened_labels(folder / "cases")}
     for path in track(sorted((folder / "reports").glob("case_*.json")), "cases"):
         report, label = read_json(path), labels[path.stem]
         if label["robot"] != "flex" or not label["effects"] or report["verdict"] != "missing_physics":
             continue
         for model, robot in robots.items():
-            rows[model].append(errors(robot, report, load(folder / "cases" / path.stem / "task.parquet")))
-    print("| model | cases | fitted parameters only [mm] | with the effects [mm] | after over before |")
-    print("|---" * 5 + "|")
-    for model, pairs in rows.items():
+            found[model].append(errors(robot, report, load(folder / "cases" / path.stem / "task.parquet")))
+    rows = []
+    for model, pairs in found.items():
         before, after = 1e3 * np.array(pairs).T
-        ratio = np.median(after / before)
-        print(f"| `{model}` | {len(pairs)} | {np.median(before):.2f} | {np.median(after):.2f} | {ratio:.2f} |")
+        medians = (f"{np.median(values):.2f}" for values in (before, after, after / before))
+        rows.append((f"`{model}`", len(pairs), *medians))
+    heads = ("model", "cases", "fitted parameters only [mm]", "with the effects [mm]", "after over before")
+    print(table(heads, rows))
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from reach_planner import ReachPlan, ReachPlanner
 
 from soro_bench.envs.trunk_reach import EVALUATION_GOALS, TrunkReachTask
 from soro_bench.files import read_json, replacing, write_json
+from soro_bench.markdown import table
 from soro_bench.models.trunk import VARIANTS
 from soro_bench.plotting import pyplot
 from soro_bench.sources import SIMULATION, claim, version_of
@@ -112,12 +113,12 @@ def collect(options) -> dict:
 
 
 def print_table(result: dict) -> None:
-    print("| goal x, y, z [mm] | best final distance [mm] | plan | rollouts |")
-    print("|---|---|---|---|")
+    rows = []
     for plan in result["plans"]:
         goal = ", ".join(f"{1e3 * x:g}" for x in plan["goal_m"])
         kind = "move and hold" if len(plan["due_steps"]) == 2 else "swing"
-        print(f"| {goal} | {plan['final_mm']:.2f} | {kind} | {plan['rollouts']} |")
+        rows.append((goal, f"{plan['final_mm']:.2f}", kind, plan["rollouts"]))
+    print(table(("goal x, y, z [mm]", "best final distance [mm]", "plan", "rollouts"), rows))
     print(f"mean {result['mean_final_mm']:.2f}, min {result['min_final_mm']:.2f}, max {result['max_final_mm']:.2f} mm; "
           f"{result['solved']} of {len(result['plans'])} within 1 mm")  # fmt: skip
 

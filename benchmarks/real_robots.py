@@ -14,6 +14,7 @@ from pathlib import Path
 
 from soro_bench.diagnosis.study import HEAD, STUDIES, check_summaries, load_study, named, row, run_study
 from soro_bench.files import read_json, write_json
+from soro_bench.markdown import table
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results" / "real_robots.json"
@@ -30,12 +31,17 @@ def effects(summary: dict) -> list[str]:
 
 def seeds_table(found: list[dict]) -> str:
     """Markdown: the answer of every seed."""
-    lines = ["| robot, part | seed | most probable answer | probability | unknown |", "|---" * 5 + "|"]
+    rows = []
     for s in found:
-        best = s["answers"][0]
-        cells = [f"{s['study']}, {s['part']}", str(s["seed"]), "; ".join(effects(s))]
-        lines.append(f"| {' | '.join(cells)} | {best['probability']:.2f} | {s['unknown']:.2f} |")
-    return "\n".join(lines)
+        probability = f"{s['answers'][0]['probability']:.2f}"
+        rows.append((
+            f"{s['study']}, {s['part']}",
+            s["seed"],
+            "; ".join(effects(s)),
+            probability,
+            f"{s['unknown']:.2f}",
+        ))
+    return table(("robot, part", "seed", "most probable answer", "probability", "unknown"), rows)
 
 
 def main() -> None:

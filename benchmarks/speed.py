@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 
 import soro_bench
+from soro_bench.markdown import header, row
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.registration import task_type
 
@@ -77,8 +78,8 @@ def main():
     parser.add_argument("--repeats", type=int, default=15)
     parser.add_argument("--steps", type=int, default=20, help="environment steps per measurement")
     options = parser.parse_args()
-    print("| environment | model | env steps per CPU-s | of a bare mj_step loop | two threads | parameter reset |")
-    print("|---|---|---|---|---|---|")
+    heads = "environment", "model", "env steps per CPU-s", "of a bare mj_step loop", "two threads", "parameter reset"
+    print(header(heads))
     for env_id in TRUNK_IDS:
         for model in ("cable", "flex"):
             rng = np.random.default_rng(0)
@@ -98,7 +99,8 @@ def main():
             share = np.median(seconds[:, 0] / seconds[:, 1])
             gain = np.median(seconds[:, 2] / seconds[:, 3])
             rate, reset_ms = 1 / np.median(seconds[:, 1]), 1e3 * np.median(seconds[:, 4])
-            print(f"| {env_id} | {model} | {rate:.0f} | {share:.2f} | {gain:.2f}x | {reset_ms:.2f} ms |", flush=True)
+            figures = f"{rate:.0f}", f"{share:.2f}", f"{gain:.2f}x", f"{reset_ms:.2f} ms"
+            print(row((env_id, model, *figures)), flush=True)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ import numpy as np
 from stable_baselines3 import PPO
 
 from soro_bench.envs.sb3 import SB3VecEnv
+from soro_bench.markdown import table
 from soro_bench.registration import make_task, task_type
 from soro_bench.training.ppo import default_config, train
 
@@ -81,18 +82,20 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     options = parser.parse_args()
     options.model = options.model or task_type(options.env).cheap
-    rows = {threads: [] for threads in (1, 2)}
+    measured = {threads: [] for threads in (1, 2)}
     bare = []
     for _ in range(options.repeats):
         bare.append(bare_rate(options.env, options.model))
-        for threads, found in rows.items():
+        for threads, found in measured.items():
             found.append(trained(options.env, options.model, options.steps, threads))
-    print("| threads | env steps/s | per CPU-s | simulation | actions, bookkeeping | update | 2M steps [min] |")
-    print("|---|---|---|---|---|---|---|")
-    for threads, found in rows.items():
+    rows = []
+    for threads, found in measured.items():
         m = {name: float(np.median([row[name] for row in found])) for name in found[0]}
-        print(f"| {threads} | {m['rate']:.0f} | {m['cpu_rate']:.0f} | {m['simulation']:.0%} | {m['rest']:.0%} | "
-              f"{m['update']:.0%} | {PUBLISHED_STEPS / m['rate'] / 60:.1f} |")  # fmt: skip
+        shares = (f"{m[name]:.0%}" for name in ("simulation", "rest", "update"))
+        minutes = PUBLISHED_STEPS / m["rate"] / 60
+        rows.append((threads, f"{m['rate']:.0f}", f"{m['cpu_rate']:.0f}", *shares, f"{minutes:.1f}"))
+    heads = "threads", "env steps/s", "per CPU-s", "simulation", "actions, bookkeeping", "update", "2M steps [min]"
+    print(table(heads, rows))
     print(f"bare loop of mj_step on one thread: {np.median(bare):.0f} env steps/s")
 
 

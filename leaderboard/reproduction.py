@@ -17,6 +17,7 @@ from soro_bench.files import replacing
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.gather import OLD, Group, gather_control
 from soro_bench.leaderboard.table import markdown_table
+from soro_bench.markdown import table
 from soro_bench.parameters import ALL_PARAMETERS
 
 RESULTS = Path(__file__).parent / "results"
@@ -59,18 +60,18 @@ LIFT = {
 
 def parameters_table(groups: dict[tuple[str, str], Group]) -> str:
     """Markdown: what was inferred, mean and standard deviation, a row for each of our seeds."""
-    lines = ["| board | method | | cube mass [kg] | friction | trunk mass [kg] | nu | E [kPa] |", "|---" * 8 + "|"]
-    nominal = " | ".join(f"{ALL_PARAMETERS[name].nominal / UNITS.get(name, 1.0):g}" for name in COLUMNS)
-    lines.append(f"| | truth | | {nominal} |")
+    nominal = [f"{ALL_PARAMETERS[name].nominal / UNITS.get(name, 1.0):g}" for name in COLUMNS]
+    lines = [("", "truth", "", *nominal)]
     for (board, method), published in PUBLISHED.items():
         cells = [_value(*published[name]) if name in published else "" for name in COLUMNS]
-        lines.append(f"| {board} | {method} | paper | {' | '.join(cells)} |")
+        lines.append((board, method, "paper", *cells))
         for _, entry in groups[board, method].entries if (board, method) in groups else ():
             rows = entry["distribution"]["parameters"]
             cells = [_value(*(rows[name][k] / UNITS.get(name, 1.0) for k in ("mean", "std"))) if name in rows else ""
                      for name in COLUMNS]  # fmt: skip
-            lines.append(f"| {board} | {method} | seed {entry['seed']} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+            lines.append((board, method, f"seed {entry['seed']}", *cells))
+    heads = ("board", "method", "", "cube mass [kg]", "friction", "trunk mass [kg]", "nu", "E [kPa]")
+    return table(heads, lines)
 
 
 def _value(mean: float, std: float | None = None) -> str:
@@ -81,7 +82,7 @@ def lift_table(groups: dict[tuple[str, str], Group]) -> str:
     """Markdown: elevation, the published one beside ours, and how high our objects' lowest corners are."""
     head = ["object", "wall in training", "paper [mm]"]
     head += [f"{what} on `{model}` [mm]" for model in ("cable", "flex") for what in ("ours", "lowest corner")]
-    lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+    rows = []
     for (board, method), (mean, deviation) in LIFT.items():
         cells = [f"{1e3 * BOARDS[board].fixed['cube_mass']:.0f} g", {"dr": "random", "no_dr": "fixed"}[method]]
         cells.append(f"{mean:.2f} ± {deviation:.2f}")
@@ -91,8 +92,8 @@ def lift_table(groups: dict[tuple[str, str], Group]) -> str:
             for name in ("final_mm", "clearance_mm"):
                 scores = group.scores(label, name).mean(axis=1) if group and group.has(label, name) else np.zeros(0)
                 cells.append(f"{scores.mean():.2f} ± {scores.std(ddof=1):.2f}{OLD * old}" if len(scores) > 1 else "")
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+        rows.append(cells)
+    return table(head, rows)
 
 
 def tables() -> dict[str, str]:

@@ -8,6 +8,7 @@ from soro_bench.files import replacing
 from soro_bench.inference.identifiability import scales
 from soro_bench.inference.posterior import Posterior
 from soro_bench.inference.replay import Replay
+from soro_bench.markdown import table
 from soro_bench.plotting import pyplot
 
 DRAWN = 2000  # samples of the distribution
@@ -21,9 +22,11 @@ def write_report(posterior: Posterior, replay: Replay, path: str | Path) -> str:
     draws = np.array([[d[name] for name in replay.names] for d in drawn])
     picture = path.with_suffix(".png")
     corner_plot(posterior, replay, draws, picture)
-    lines = ["| parameter | estimate | standard deviation | unit |", "|---|---|---|---|"]
-    for p, values in zip(replay.parameters, draws.T, strict=True):
-        lines.append(f"| {p.name} | {posterior.estimate[p.name]:.6g} | {values.std():.2g} | {p.unit} |")
+    rows = [
+        (p.name, f"{posterior.estimate[p.name]:.6g}", f"{values.std():.2g}", p.unit)
+        for p, values in zip(replay.parameters, draws.T, strict=True)
+    ]
+    lines = [table(("parameter", "estimate", "standard deviation", "unit"), rows)]
     fit = ", ".join(f"{name} {value:.3g}" for name, value in posterior.fit.items())
     lines += ["", f"left unexplained (root mean square, SI): {fit}", f"{posterior.replays:.0f} replays"]
     lines += [f"- {combination.words}" for combination in posterior.combinations]

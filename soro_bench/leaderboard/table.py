@@ -6,6 +6,7 @@ import numpy as np
 
 from soro_bench.leaderboard.gather import Group
 from soro_bench.leaderboard.statistics import interval
+from soro_bench.markdown import table
 
 _HEAD = (
     "board",
@@ -21,7 +22,7 @@ _HEAD = (
 
 def markdown_table(groups: Iterable[Group]) -> str:
     """A row per method and condition: mean over seeds and starts, its bootstrap interval over seeds, every seed's."""
-    lines = [f"| {' | '.join(_HEAD)} |", "|---" * len(_HEAD) + "|"]
+    rows = []
     for group in groups:
         for label in group.labels:
             values = group.scores(label)
@@ -29,6 +30,5 @@ def markdown_table(groups: Iterable[Group]) -> str:
             mean = f"{values.mean():.2f}" + (" [{:.2f}, {:.2f}]".format(*ends) if ends else "")
             seeds = ", ".join(f"{value:.2f}" for value in values.mean(axis=1))
             solved = f"{group.scores(label, 'success').mean():.0%}"
-            cells = [group.board, group.name, group.trained_on, label, str(len(values)), mean, solved, seeds]
-            lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+            rows.append((group.board, group.name, group.trained_on, label, len(values), mean, solved, seeds))
+    return table(_HEAD, rows)

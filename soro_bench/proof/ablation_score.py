@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from soro_bench.markdown import table
 from soro_bench.proof.score import absorbed, case_row, shows
 
 _COLUMNS = ("false alarms", "first answer right", "class right", "right where parameters hide 90 %",
@@ -99,8 +100,6 @@ def _median(values) -> float | None:
 
 def markdown(rows: Sequence[dict]) -> str:
     """The rows as a table."""
-    lines = [f"| variant | cases | {' | '.join(_COLUMNS)} |", "|---" * (2 + len(_COLUMNS)) + "|"]
-    for row in rows:
-        cells = ["" if row[name] is None else f"{row[name]:.2f}" for name in _COLUMNS]
-        lines.append(f"| {row['variant']} | {row['cases']} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+    cells = [["" if row[name] is None else f"{row[name]:.2f}" for name in _COLUMNS] for row in rows]
+    found = [[row["variant"], row["cases"], *figures] for row, figures in zip(rows, cells, strict=True)]
+    return table(["variant", "cases", *_COLUMNS], found)

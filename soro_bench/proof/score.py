@@ -11,6 +11,7 @@ import numpy as np
 from scipy.stats import binomtest
 
 from soro_bench.files import brief, parsed_json, read_bytes
+from soro_bench.markdown import table
 from soro_bench.proof.magnitude import magnitude_errors
 
 BOOTSTRAP, LEVEL = 2000, 95  # resamples, and per cent of the interval
@@ -313,25 +314,24 @@ def _confusion(rows) -> list[dict]:
 
 def markdown(card: dict) -> str:
     """The scorecard as tables."""
-    gates = _rows("gate", "cases", "value", "95 % interval", "bar", "")
+    gates = []
     for gate in card["gates"]:
         bar = "" if gate["bar"] is None else f"{'<=' if gate['below'] else '>='} {gate['bar']:g}"
         value, interval, met = "", "", ""
         if gate["value"] is not None:
             value, interval = f"{gate['value']:.3g}", "{:.3g} .. {:.3g}".format(*gate["interval"])
             met = {True: "met", False: "MISSED", None: ""}[gate["met"]]
-        gates.append(f"| {gate['gate']} | {gate['cases']} | {value} | {interval} | {bar} | {met} |")
-    confusion = _rows("hidden", "first answer", "cases")
-    confusion += [f"| {c['truth']} | {c['said']} | {c['cases']} |" for c in card["confusion"]]
-    calibration = _rows("stated probability", "right", "cases")
-    calibration += [f"| {b['stated']:.2f} | {b['right']:.2f} | {b['cases']} |" for b in card["calibration"]]
-    cases = _rows("case", "robot", "hidden", "verdict", "first three answers", "p", "unseen explained")
+        gates.append((gate["gate"], gate["cases"], value, interval, bar, met))
+    confusion = [(c["truth"], c["said"], c["cases"]) for c in card["confusion"]]
+    calibration = [(f"{b['stated']:.2f}", f"{b['right']:.2f}", b["cases"]) for b in card["calibration"]]
+    cases = []
     for row in card["cases"]:
         truth, said, explained = " + ".join(row["truth"]) or "none", ", ".join(row["said"]), f"{row['fve_unseen']:.2f}"
-        cells = [row["id"], row["robot"], truth, row["verdict"], said, f"{row['probability']:.2f}", explained]
-        cases.append(f"| {' | '.join(cells)} |")
-    return "\n".join([*gates, "", *confusion, "", *calibration, "", *cases])
-
-
-def _rows(*head: str) -> list[str]:
-    return [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
+        cases.append((row["id"], row["robot"], truth, row["verdict"], said, f"{row['probability']:.2f}", explained))
+    tables = (
+        table(("gate", "cases", "value", "95 % interval", "bar", ""), gates),
+        table(("hidden", "first answer", "cases"), confusion),
+        table(("stated probability", "right", "cases"), calibration),
+        table(("case", "robot", "hidden", "verdict", "first three answers", "p", "unseen explained"), cases),
+    )
+    return "\n\n".join(tables)

@@ -3,6 +3,7 @@
 import numpy as np
 import rerun as rr
 
+from soro_bench.markdown import table
 from soro_bench.parameters import ALL_PARAMETERS
 from soro_bench.recording.drawing import Drawing, Mesh, Pose
 from soro_bench.recording.episode import Episode
@@ -37,15 +38,14 @@ def log_episodes(recording, episodes, drawings, title: str) -> None:
 
 def _overview(episodes, title) -> str:
     rows = [
-        f"| {i + 1} | {_millimetres(e.goal)} | {result(e)} | {1e3 * e.final_metric:.2f} | {e.total_reward:.2f} |"
+        (i + 1, _millimetres(e.goal), result(e), f"{1e3 * e.final_metric:.2f}", f"{e.total_reward:.2f}")
         for i, e in enumerate(episodes)
     ]
     solved = sum(e.is_success for e in episodes)
     legend = "Lines: green solved, grey not solved, red diverged. Every episode has a tab above."
     head = [f"# {title}", "", f"{solved} of {len(episodes)} solved", "", legend, ""]
-    name = episodes[0].metric_name
-    table = [f"| episode | goal [mm] | result | final {name} [mm] | total reward |", "|---|---|---|---|---|"]
-    return "\n".join([*head, *table, *rows])
+    names = ("episode", "goal [mm]", "result", f"final {episodes[0].metric_name} [mm]", "total reward")
+    return "\n".join([*head, table(names, rows)])
 
 
 def _summary(episode, note) -> str:
@@ -58,8 +58,7 @@ def _summary(episode, note) -> str:
         "goal [mm]": _millimetres(episode.goal),
     }
     params = {f"{name} [{ALL_PARAMETERS[name].unit}]": f"{value:.4g}" for name, value in episode.params.items()}
-    table = [f"| {name} | {value} |" for name, value in {**rows, **params}.items()]
-    return "\n".join([f"# {episode.env_id}", "", "| | |", "|---|---|", *table, "", note])
+    return "\n".join([f"# {episode.env_id}", "", table(("", ""), {**rows, **params}.items()), "", note])
 
 
 def _millimetres(position) -> str:

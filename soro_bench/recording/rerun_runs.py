@@ -12,6 +12,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from soro_bench.markdown import table
 from soro_bench.parameters import ALL_PARAMETERS
 from soro_bench.recording.drawing import Points
 from soro_bench.recording.episode import Episode
@@ -73,12 +74,11 @@ def _colors(runs):
 
 def _summary(title, runs) -> str:
     lines = ", ".join(f"{name} {color}" for name, color in zip(runs, ("red", "blue")[-len(runs) :], strict=True))
-    rows = [["", *runs], ["---"] * (len(runs) + 1), ["model", *(run.model for run in runs.values())]]
+    rows = [["model", *(run.model for run in runs.values())]]
     for name in next(iter(runs.values())).params:
         values = (f"{run.params[name]:.4g}" for run in runs.values())
         rows.append([f"{name} [{ALL_PARAMETERS[name].unit}]", *values])
-    table = [f"| {' | '.join(row)} |" for row in rows]
-    return "\n".join([f"# {title}", "", f"Dots: measured. Lines: {lines}.", "", *table])
+    return "\n".join([f"# {title}", "", f"Dots: measured. Lines: {lines}.", "", table(["", *runs], rows)])
 
 
 def _layout(drawings, away) -> rrb.Blueprint:
