@@ -19,7 +19,7 @@ from soro_bench.proof.robot import CONTROL_TIMESTEP, Diverged, Robot, simulate
 from soro_bench.proof.sensor_laws import SensorLaw
 
 pytest.importorskip("pyarrow")
-from soro_bench.proof import cases
+from soro_bench.proof import bench, cases, draw
 from soro_bench.recording.parquet import load
 
 NOMINAL = {p.name: p.nominal for p in trunk.PARAMETERS}
@@ -162,16 +162,16 @@ def test_manoeuvre_keeps_the_limits():
 
 
 def test_mix():
-    drawn = cases.draw_cases(120, seed=3, nulls=40)
+    drawn = draw.draw_cases(120, seed=3, nulls=40)
     assert Counter(case.group for case in drawn) == {
         "none": 40, "one": 45, "two": 15, "measurement": 10, "unknown": 10
     }  # fmt: skip
-    assert Counter(case.group for case in cases.draw_cases(100, 0))["none"] == 20
+    assert Counter(case.group for case in draw.draw_cases(100, 0))["none"] == 20
     assert [case.id for case in drawn] == [f"case_{i:03d}" for i in range(120)]
     for group, names in (("one", PHYSICS), ("measurement", MEASUREMENT), ("unknown", UNKNOWN)):
         counts = Counter(case.effects for case in drawn if case.group == group)
         assert {name for (name,) in counts} == set(names) and max(counts.values()) - min(counts.values()) <= 1
-    for group in cases.GROUPS:
+    for group in draw.GROUPS:
         robots = Counter(case.robot for case in drawn if case.group == group)
         assert abs(robots["flex"] - robots["fine"]) <= 1
     for case in drawn:
@@ -184,7 +184,7 @@ def test_mix():
             else:
                 assert 1 / 1.3 <= value / p.nominal <= 1.3
     with pytest.raises(ValueError, match="nulls 5"):
-        cases.draw_cases(4, 0, nulls=5)
+        draw.draw_cases(4, 0, nulls=5)
 
 
 def files(folder):
@@ -233,7 +233,7 @@ def test_written_cases(tmp_path, short):
 
 def test_effects_are_scaled(short):
     """Each effect changes what is measured by its target, also a second one, and the noise is as stated."""
-    case = cases.Case(
+    case = draw.Case(
         "case_000", "two", "fine", NOMINAL, ("payload", "actuator_delay"), (1.0, 2.0), (0, 0)
     )  # fmt: skip
     recordings, label = cases.build(case, {"train": 3.0, "heldout": 1.0, "task": 1.0})
@@ -248,7 +248,7 @@ def test_effects_are_scaled(short):
 def test_labels_name_what_is_outside_the_catalogue_unknown(base):
     for name in UNKNOWN:
         hidden = UNKNOWN[name][1](np.random.default_rng(0), base)
-        label = cases.Scaled(name, hidden, 1.0, 2.0, 2.0).label()
+        label = bench.Scaled(name, hidden, 1.0, 2.0, 2.0).label()
         assert (label["name"], label["class"], label["law"]) == ("unknown", "unknown", name)
         assert label["description"] and label["where"]["name"]
         assert json.dumps(label)

@@ -6,10 +6,8 @@ drifted, slipped or yielded in one is as new in the other. Only gusts and outlie
 """
 
 import hashlib
-import math
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,104 +17,20 @@ from soro_bench.files import read_json, replacing, write_json
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.parallel import HERE, Workers, each
-from soro_bench.proof.hidden import ALL, MEASUREMENT, PHYSICS, UNKNOWN
+from soro_bench.proof.bench import Bench, change
+from soro_bench.proof.draw import Case, draw_cases
 from soro_bench.proof.manoeuvre import manoeuvre
-from soro_bench.proof.places import Hidden
-from soro_bench.proof.robot import CONTROL_TIMESTEP, KINDS, Diverged, Law, Trace, simulate
+from soro_bench.proof.robot import CONTROL_TIMESTEP
 from soro_bench.proof.score import opened_labels
-from soro_bench.proof.sensor_laws import SensorLaw
 from soro_bench.recording.excitation import excitation
 from soro_bench.recording.parquet import save
 from soro_bench.recording.recording import Recording, Signal
 from soro_bench.recording.simulated import COMMAND
 
 NOISE = 0.0005  # m, standard deviation of each coordinate
-TARGETS = (0.7, 4.0)  # mm, rms change of the keypoints by one effect
-GROUPS = ("none", "one", "two", "measurement", "unknown")
 DURATIONS = {"train": 30.0, "heldout": 12.0, "task": 30.0}  # s; "task" is to train on where excitation is to be judged
-_NULL_SHARE = 0.2
-_SHARES = np.array([45, 15, 10, 10]) / 80  # of the rest, in the order of the other groups
-_SPREAD = math.log(1.3)  # of every parameter but Poisson's ratio, about its nominal value
-_POISSON_SPREAD = 0.03
-_TRIALS = 6  # simulations to find a magnitude
-_CLOSE = 0.08  # largest log ratio of change and target that ends the search
-_ACCEPTED = (0.85 * TARGETS[0], 1.15 * TARGETS[1])  # mm; else place and shape are drawn again
-_DRAWS = 5
-_TAIL = 0.6  # s after a recording, which a slow clock sees
 _DATE = 946684800  # s, the 1st of January 2000: when a file was made would tell how long its case took
 _ROLES = ("train", "heldout", "task")
-
-
-@dataclass(frozen=True)
-class Case:
-    """What is drawn of a case before anything is simulated.
-
-    Args:
-        group: of GROUPS.
-        robot: "flex" or "fine".
-        effects: names in ``hidden.ALL``.
-        targets: mm, rms change of the keypoints by each effect.
-        seed: of everything that is drawn later.
-    """
-
-    id: str
-    group: str
-    robot: str
-    parameters: dict[str, float]
-    effects: tuple[str, ...]
-    targets: tuple[float, ...]
-    seed: tuple[int, int]
-
-
-@dataclass(frozen=True)
-class Scaled:
-    """An effect of a case with its magnitude."""
-
-    name: str
-    hidden: Hidden
-    magnitude: float
-    target: float  # mm
-    change: float  # mm
-
-    @property
-    def law(self) -> Law | SensorLaw:
-        return self.hidden.law(self.magnitude)
-
-    def label(self) -> dict:
-        """For the labels; an effect outside the catalogue is unknown there, and described."""
-        parameters = self.hidden.parameters(self.magnitude)
-        label = {
-            "name": "unknown" if self.name in UNKNOWN else self.name,
-            "class": ALL[self.name][0],
-            "where": self.hidden.where,
-            "parameters": {name: {"value": float(value), "unit": unit} for name, (value, unit) in parameters.items()},
-            "target_mm": self.target,
-            "change_mm": self.change,
-        }
-        return label | ({"law": self.name, "description": self.hidden.description} if self.name in UNKNOWN else {})
-
-
-def draw_cases(count: int, seed: int, nulls: int | None = None) -> list[Case]:
-    """``count`` cases in random order.
-
-    Args:
-        nulls: how many have no effect, a fifth by default; the rest is shared as in the design.
-    """
-    nulls = round(_NULL_SHARE * count) if nulls is None else nulls
-    if count < 1 or seed < 0 or not 0 <= nulls <= count:
-        raise ValueError(f"count {count}, seed {seed}, nulls {nulls}: 1, 0 and 0 to count are needed")
-    rng = np.random.default_rng(seed)
-    drawn = []
-    for group, size in zip(GROUPS, [nulls, *_apportioned(count - nulls)], strict=True):
-        # half of each group on either robot, the odd one on a random one
-        kinds = np.resize(rng.permutation(list(KINDS)), size)
-        drawn += zip([group] * size, _effects(group, size, rng), map(str, kinds), strict=True)
-    cases = []
-    for i, k in enumerate(rng.permutation(count)):
-        group, effects, robot = drawn[k]
-        targets = tuple(float(t) for t in np.exp(rng.uniform(*np.log(TARGETS), len(effects))))
-        cases.append(Case(f"case_{i:03d}", group, robot, _parameters(rng), effects, targets, (seed, i)))
-    return cases
 
 
 def build(case: Case, durations: dict[str, float] = DURATIONS) -> tuple[dict[str, Recording], dict]:
@@ -127,7 +41,7 @@ def build(case: Case, durations: dict[str, float] = DURATIONS) -> tuple[dict[str
         "heldout": manoeuvre(durations["heldout"], streams["heldout"]),
         "task": manoeuvre(durations["task"], streams["task"]),
     }
-    bench = _Bench(case, actions, streams)
+    bench = Bench(case, actions, streams)
     effects, points = bench.realised(np.random.default_rng(streams["drawing"]))
     changes = {role: change(points[role], bench.points(role, [])) for role in _ROLES}
     recordings = {
@@ -144,11 +58,6 @@ def build(case: Case, durations: dict[str, float] = DURATIONS) -> tuple[dict[str
         "seeds": {name: list(stream) for name, stream in streams.items()},
     }
     return recordings, label
-
-
-def change(points: np.ndarray, others: np.ndarray) -> float:
-    """Root mean square over times and keypoints of the distances [mm] between two runs."""
-    return 1e3 * float(np.sqrt(np.square(points - others).sum(axis=-1).mean()))
 
 
 def write_cases(
@@ -190,141 +99,6 @@ def write_cases(
     write_json(path, labels)
     with replacing(folder / "commitment.txt") as temporary:
         temporary.write_text(hashlib.sha256(path.read_bytes()).hexdigest() + "\n")
-
-
-class _Bench:
-    """Runs of one case's robot, of which those with the same laws are made once."""
-
-    def __init__(self, case: Case, actions: dict[str, np.ndarray], streams: dict[str, tuple[int, ...]]):
-        self._case, self._streams = case, streams
-        tail = np.zeros((round(_TAIL / CONTROL_TIMESTEP) if "clock_skew" in case.effects else 0, len(geo.CABLE_NAMES)))
-        self._stamps = {role: CONTROL_TIMESTEP * np.arange(len(rows) + 1) for role, rows in actions.items()}
-        self._actions = {role: np.concatenate([rows, tail]) for role, rows in actions.items()}
-        self._traces: dict[tuple, Trace] = {}
-
-    def trace(self, role: str, laws: Sequence[Law]) -> Trace:
-        """A run with ``laws``; Diverged if it is not sound."""
-        key = (role, *map(repr, laws))
-        if key not in self._traces:
-            case = self._case
-            self._traces[key] = simulate(case.robot, case.parameters, laws, self._actions[role], self._streams[role])
-        return self._traces[key]
-
-    def points(self, role: str, laws: Sequence[Law | SensorLaw]) -> np.ndarray:
-        """(T + 1, 21, 3) m, keypoints as they are measured, but without noise."""
-        faults = [law for law in laws if isinstance(law, SensorLaw)]
-        stamps = self._stamps[role]
-        times = stamps
-        for fault in faults:
-            times = fault.when(times)
-        points = self.trace(role, [law for law in laws if not isinstance(law, SensorLaw)]).at(times)
-        for fault in faults:
-            points = fault.distort(stamps, points, np.random.default_rng([*self._streams[role], 2]))
-        return points
-
-    def realised(self, rng: np.random.Generator) -> tuple[list[Scaled], dict[str, np.ndarray]]:
-        """The case's effects, and the keypoints [m] with them by role; drawn again if a run is not sound."""
-        for _ in range(_DRAWS):
-            try:
-                effects = self._scaled_effects(rng)
-                return effects, {role: self.points(role, [effect.law for effect in effects]) for role in _ROLES}
-            except Diverged:
-                continue
-        raise Diverged(f"{self._case.effects} cannot be simulated on robot {self._case.robot}")
-
-    def _scaled_effects(self, rng) -> list[Scaled]:
-        """Each is scaled by what it changes on top of those before it."""
-        effects: list[Scaled] = []
-        for name, target in zip(self._case.effects, self._case.targets, strict=True):
-            effects.append(self._scaled(name, target, [effect.law for effect in effects], rng))
-        return effects
-
-    def _scaled(self, name, target, laws, rng) -> Scaled:
-        """The first of a few draws of place and shape that comes into the range of targets, or else the one that comes
-        closest to its own."""
-        best = None
-        for _ in range(_DRAWS):
-            hidden = ALL[name][1](rng, self.trace("train", []))
-            magnitude, reached = self._search(hidden, target, laws)
-            found = Scaled(name, hidden, magnitude, target, reached)
-            if _ACCEPTED[0] <= reached <= _ACCEPTED[1]:
-                return found
-            if best is None or _miss(reached, target) < _miss(best.change, target):
-                best = found
-        if best.change == 0:
-            raise Diverged(f"{name}: no magnitude that can be simulated")
-        return best
-
-    def _search(self, hidden, target, laws) -> tuple[float, float]:
-        """A magnitude and the change [mm] that it makes, by the secant method in logarithms."""
-        without, tried, magnitude = self.points("train", laws), [], hidden.guess * target / 2.0
-        ceiling = hidden.highest
-        for _ in range(_TRIALS):
-            magnitude = min(magnitude, ceiling)
-            try:
-                reached = change(self.points("train", [*laws, hidden.law(magnitude)]), without)
-            except Diverged:
-                ceiling = 0.7 * magnitude
-                magnitude *= 0.5
-                continue
-            tried.append((magnitude, reached))
-            if _miss(reached, target) < _CLOSE or (magnitude >= ceiling and reached < target):
-                break
-            magnitude = _next(tried, target)
-        return min(tried, key=lambda pair: _miss(pair[1], target), default=(0.0, 0.0))
-
-
-def _miss(reached: float, target: float) -> float:
-    return abs(math.log(max(reached, 1e-6) / target))
-
-
-def _next(tried, target) -> float:
-    """The magnitude to try next: between those around the target if there are any, or beyond."""
-    pairs = sorted((math.log(m), math.log(max(r, 1e-6) / target)) for m, r in tried)
-    below, above = [p for p in pairs if p[1] < 0], [p for p in pairs if p[1] >= 0]
-    if below and above:
-        (a, low), (b, high) = below[-1], above[0]
-        part = min(max(low / (low - high), 0.1), 0.9)
-        return math.exp(a + part * (b - a))
-    place, miss = below[-1] if below else above[0]
-    slope = 1.0
-    if len(pairs) > 1:
-        (a, low), (b, high) = pairs[:2] if above else pairs[-2:]
-        slope = (high - low) / (b - a) if b > a else 1.0
-    return math.exp(place - min(max(miss / min(max(slope, 0.3), 3.0), -1.5), 1.5))
-
-
-def _apportioned(count) -> list[int]:
-    """How many of ``count`` cases each group with an effect has: the largest remainders are rounded up."""
-    exact = count * _SHARES
-    sizes = np.floor(exact).astype(int)
-    sizes[np.argsort(sizes - exact, kind="stable")[: count - sizes.sum()]] += 1
-    return sizes.tolist()
-
-
-def _effects(group, size, rng) -> list[tuple[str, ...]]:
-    """The effects of each of ``size`` cases; within a group, every effect comes equally often."""
-    if group == "none":
-        return [()] * size
-    if group == "two":
-        return [_pair(rng) for _ in range(size)]
-    names = list({"one": PHYSICS, "measurement": MEASUREMENT, "unknown": UNKNOWN}[group])
-    rounds = [rng.permutation(names) for _ in range(-(-size // len(names)))]
-    return [(str(name),) for name in np.concatenate([*rounds, []])[:size]]
-
-
-def _pair(rng) -> tuple[str, ...]:
-    """Two effects of different classes."""
-    while True:
-        a, b = map(str, rng.choice(list(PHYSICS), 2, replace=False))
-        if PHYSICS[a][0] != PHYSICS[b][0]:
-            return a, b
-
-
-def _parameters(rng) -> dict[str, float]:
-    parameters = {p.name: p.nominal * math.exp(rng.uniform(-_SPREAD, _SPREAD)) for p in trunk.PARAMETERS}
-    nominal = next(p.nominal for p in trunk.PARAMETERS if p.name == "poisson_ratio")
-    return parameters | {"poisson_ratio": nominal + rng.uniform(-_POISSON_SPREAD, _POISSON_SPREAD)}
 
 
 def _action_space() -> spaces.Box:
