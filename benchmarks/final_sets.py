@@ -1,6 +1,6 @@
 """The final sets of all releases of the diagnosis, side by side: gates, and errors on motion that had no say.
 
-python benchmarks/final_sets.py                # docs/results/proof_*, the tables of docs/diagnosis.md
+python benchmarks/final_sets.py                # docs/results/proof_*, the tables of docs/diagnosis.md and docs/proof.md
 python benchmarks/final_sets.py FOLDER...      # with labels.json, scorecard.json and reports/
 """
 
@@ -58,19 +58,25 @@ def _unseen(folder: Path, robot: str) -> str:
     return f"{1e3 * before:.1f}, {1e3 * after:.1f}"
 
 
-def tables(folders: Sequence[Path]) -> list[str]:
-    """Gates, and errors on unseen motion."""
-    releases = [folder.name.replace("proof_", "release ") for folder in folders]
-    return [
-        table(["gate", "bar", *releases], gate_rows(folders)),
-        table(["the recorded robot has", *(f"{each} [mm]" for each in releases)], unseen_rows(folders)),
-    ]
+def gates(folders: Sequence[Path]) -> str:
+    """The gates, Markdown."""
+    return table(["gate", "bar", *map(_release, folders)], gate_rows(folders))
+
+
+def unseen(folders: Sequence[Path]) -> str:
+    """The errors on motion that had no say, Markdown."""
+    return table(["the recorded robot has", *(f"{_release(each)} [mm]" for each in folders)], unseen_rows(folders))
+
+
+def _release(folder: Path) -> str:
+    return folder.name.replace("proof_", "release ")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", type=Path, nargs="*")
-    print("\n\n".join(tables(parser.parse_args().folders or scored_folders())))
+    folders = parser.parse_args().folders or scored_folders()
+    print(gates(folders[-1:]), gates(folders), unseen(folders), sep="\n\n")
 
 
 if __name__ == "__main__":
