@@ -12,7 +12,7 @@ pytest.importorskip("rerun")
 pytest.importorskip("matplotlib")
 
 from soro_bench.diagnosis import page, pipeline
-from soro_bench.diagnosis.findings import _condition
+from soro_bench.diagnosis.findings import Finding, _condition, _lacking, findings
 from soro_bench.diagnosis.localise import Regime, left_over, residual_map
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.probe import places
@@ -237,6 +237,7 @@ def test_where_nothing_is_missing_it_says_so_and_what_would_have_shown(robot, mo
     assert 0 < report["detectable"]["payload"]["minimum"] < 0.1
     assert report["invisible"] == []
     assert report["fit"]["patch"] == "none"
+    assert "pressure_leak" in report["not_looked_for"] and "payload" not in report["not_looked_for"]
     minimum = tuple((one, 50.0 if one.name == "backlash" else x) for one, x in found.explanation.minimum)
     blind = replace(found, explanation=replace(found.explanation, minimum=minimum))
     assert report_of(blind)["invisible"] == ["backlash"]
@@ -281,10 +282,12 @@ def test_outliers_alone_are_a_fault_of_the_measurement(robot, monkeypatch):
         return given
 
     monkeypatch.setattr(f"{__name__}.recording", with_outliers)
-    report = report_of(diagnosed(robot, monkeypatch, []))
+    found = diagnosed(robot, monkeypatch, [])
+    report = report_of(found)
     assert report["verdict"] == "measurement_fault"
     assert report["effects"][0]["name"] == "outliers"
     assert report["effects"][0]["parameters"]["share"]["value"] == pytest.approx(3 / (60 * 21))
+    assert "a fault of the measurement, not of the robot" in verdict(found)
 
 
 def test_the_same_seed_gives_the_same_report_with_one_thread_or_two(robot, monkeypatch):
@@ -296,12 +299,33 @@ def test_the_same_seed_gives_the_same_report_with_one_thread_or_two(robot, monke
 
 def test_a_condition_that_fills_nearly_all_the_time_is_not_given_as_when_an_effect_acts():
     effect = Effect("coulomb_friction", Port("tendon", "L0"), {"force": 1.0})
-    told = [Regime("just after reversals", 0.2, 0.9), Regime("while it moves on", 0.8, 0.1)]
+    told = [Regime("just after reversals", 0.2, 0.9), Regime("while it moves on, fast", 0.8, 0.1)]
     assert (
         _condition(effect, told, True)
         == "90 % of what it explains is just after reversals of tendon L0, 20 % of the time"
     )
     silent = [Regime("just after reversals", 0.99, 1.0), Regime("while it rests", 0.01, 0.0)]
-    assert _condition(effect, silent, True).endswith(
-        "do not tell: 99 % of the time is just after reversals of tendon L0"
-    )
+    assert _condition(effect, silent, True) == "neither commands nor the clock tell when it acts"
+    late = [*silent, Regime("early", 0.5, 0.1), Regime("late", 0.5, 0.9)]
+    assert _condition(effect, late, True).startswith("90 % of what it explains is in the second half")
+
+
+def test_when_an_effect_of_several_acts_is_what_its_answer_loses_without_it(robot, payload):
+    found, _ = payload
+    problem, best = found.explanation.problem, found.best.hypothesis
+    other = suspect(robot, "backlash", Port("actuator", "L2"))
+    x, both = np.append(best.x, other.simulated), (*best.suspects, other)
+    whole = replace(best, x=x, suspects=both, residual=problem.residuals([(x, both)])[0])
+    answer = replace(found.best, hypothesis=whole)
+    lacking = _lacking(found, Finding(other, other.effect(other.simulated), answer, 1.0))
+    np.testing.assert_array_equal(lacking.residual, best.residual)
+    assert _lacking(found, findings(found)[0]) is found.explanation.nominal
+
+
+def test_a_patch_that_no_recording_was_held_out_for_is_untested(payload):
+    found, _ = payload
+    answers = tuple(replace(answer, heldout=None) for answer in found.comparison.answers)
+    alone = replace(found, comparison=replace(found.comparison, answers=answers))
+    assert report_of(found)["fit"]["patch"] == "accepted"
+    assert report_of(alone)["fit"]["patch"] == "untested"
+    assert "No recording was held out" in verdict(alone)

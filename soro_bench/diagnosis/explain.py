@@ -81,6 +81,7 @@ class Explanation:
     minimum: of each suspect, the coordinate of its first magnitude that would just have been worth a look beside the
         best hypothesis.
     rounds: how it came about.
+    looked_for: names of the effects that were tried anywhere.
     """
 
     problem: Problem
@@ -91,6 +92,7 @@ class Explanation:
     left: float
     minimum: tuple[tuple[Suspect, float], ...]
     rounds: tuple[Round, ...] = ()
+    looked_for: frozenset[str] = frozenset()
 
 
 def nominal_fit(problem: Problem, refined: Sequence[Robot], seed: int, progress=lambda *_: None):
@@ -206,7 +208,7 @@ class _Search:
     def explanation(self) -> Explanation:
         minimum, found = self.screened.detectable(self.worth), tuple(_cheapest(self.tried))
         return Explanation(self.problem, self.nominal, found, self.unpatched, self.promised, self.left, minimum,
-                           tuple(self.rounds))  # fmt: skip
+                           tuple(self.rounds), frozenset(one.name for one in self.candidates))  # fmt: skip
 
     def _screen(self):
         self.progress("screening")

@@ -15,7 +15,7 @@ from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import Effect, Port
 
 NINETY = 1.645  # standard deviations on either side of the middle 90 %
-_ALWAYS = 0.9  # share of the time that a condition fills if it says nothing of when an effect acts
+_TELLS = 1.2  # times more than its share of the time has to be explained for a condition to say when an effect acts
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,8 @@ def findings(diagnosis: Diagnosis) -> list[Finding]:
 
 
 def described(diagnosis: Diagnosis, finding: Finding) -> dict:
-    problem, nominal = diagnosis.explanation.problem, diagnosis.explanation.nominal
-    hypothesis = finding.answer.hypothesis
-    gain = explained_over_time(problem, nominal, hypothesis)
+    problem, hypothesis = diagnosis.explanation.problem, finding.answer.hypothesis
+    gain = explained_over_time(problem, _lacking(diagnosis, finding), hypothesis)
     measured = problem.recordings[0]
     channel = diagnosis.robot.channel(finding.effect.where)
     rates = diagnosis.robot.rates(measured.actions)
@@ -64,17 +63,32 @@ def described(diagnosis: Diagnosis, finding: Finding) -> dict:
     }
 
 
+def _lacking(diagnosis: Diagnosis, finding: Finding) -> Hypothesis:
+    """The answer without the effect: with parameters fitted anew where it is alone, and all else as it is where there
+    are others."""
+    problem, whole = diagnosis.explanation.problem, finding.answer.hypothesis
+    if len(whole.suspects) < 2:
+        return diagnosis.explanation.nominal
+    which = next(i for i, suspect in enumerate(whole.suspects) if suspect is finding.suspect)
+    x = np.delete(whole.x, np.r_[slices(whole.suspects, problem.parameters)[which]])
+    others = whole.suspects[:which] + whole.suspects[which + 1 :]
+    return replace(whole, x=x, suspects=others, residual=problem.residuals([(x, others)])[0])
+
+
 def _condition(effect: Effect, shares: list[Regime], one: bool) -> str:
     """When most is explained; ``one``: whether a single channel moves where the effect acts."""
     most = max(shares, key=lambda r: r.explained / max(r.time, 0.02))
     what, ending = (str(effect.where), "s") if one else ("the commands", "")
     when = {
         "just after reversals": f"just after reversals of {what}",
-        "while it moves on": f"while {what} move{ending} on",
+        "while it moves on, fast": f"while {what} move{ending} on, fast",
+        "while it moves on, slowly": f"while {what} move{ending} on, slowly",
         "while it rests": f"while {what} rest{ending}",
+        "early": "in the first half",
+        "late": "in the second half",
     }[most.condition]
-    if most.time > _ALWAYS:
-        return f"when it acts, commands do not tell: {100 * most.time:.0f} % of the time is {when}"
+    if most.explained < _TELLS * most.time:
+        return "neither commands nor the clock tell when it acts"
     return f"{100 * most.explained:.0f} % of what it explains is {when}, {100 * most.time:.0f} % of the time"
 
 
@@ -128,9 +142,18 @@ def _against(diagnosis: Diagnosis, answer: Answer) -> list[str]:
     if answer.heldout is not None and answer.heldout.after > answer.heldout.before:
         said.append("makes held-out recordings worse")
     if answer is not best:
-        best_left, left = (length(a.train.after, diagnosis.robot.unit) for a in (best, answer))
-        said.append(f"{' with '.join(best.names) or 'nothing missing'} leaves {best_left}, this {left}")
+        said.append(f"{' with '.join(best.names) or 'nothing missing'} {_ahead(best, answer, diagnosis.robot.unit)}")
     return said
+
+
+def _ahead(best: Answer, answer: Answer, unit: str) -> str:
+    """In what the best answer is better than another one: what it leaves, or else its evidence."""
+    if best.train.after < answer.train.after:
+        return f"leaves {length(best.train.after, unit)}, this {length(answer.train.after, unit)}"
+    if best.heldout is not None and best.heldout.after < answer.heldout.after:
+        left, more = (length(each.heldout.after, unit) for each in (best, answer))
+        return f"leaves {left} of held-out recordings, this {more}"
+    return f"has {best.evidence - answer.evidence:.0f} nats more evidence, as it needs less to fit as well"
 
 
 def percent(fit: Fit) -> str:

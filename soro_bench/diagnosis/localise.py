@@ -74,7 +74,7 @@ def intervals(time: np.ndarray, gain: np.ndarray) -> list[tuple[float, float]]:
 
 
 def regimes(time: np.ndarray, rates: np.ndarray, gain: np.ndarray) -> list[Regime]:
-    """What is explained while commands move, have just reversed, or rest.
+    """What is explained while commands move fast or slowly, have just reversed, or rest; and early or late.
 
     Args:
         time: (T,) s.
@@ -82,7 +82,8 @@ def regimes(time: np.ndarray, rates: np.ndarray, gain: np.ndarray) -> list[Regim
         gain: (T,) what is explained in each sample.
     """
     steps = max(1, round(_AFTER_REVERSAL / float(np.median(np.diff(time)))))
-    moving = (np.abs(rates) > _STILL).any(axis=1)
+    speed = np.abs(rates).max(axis=1)
+    moving, fast = speed > _STILL, speed > 0.5 * speed.max()
     reversal = np.zeros(len(rates), bool)
     for column in np.sign(np.where(np.abs(rates) > _STILL, rates, 0.0)).T:
         last = 0.0
@@ -94,8 +95,11 @@ def regimes(time: np.ndarray, rates: np.ndarray, gain: np.ndarray) -> list[Regim
     total = max(float(gained.sum()), 1e-300)
     masks = {
         "just after reversals": reversal,
-        "while it moves on": moving & ~reversal,
+        "while it moves on, fast": fast & moving & ~reversal,
+        "while it moves on, slowly": ~fast & moving & ~reversal,
         "while it rests": ~moving & ~reversal,
+        "early": time <= 0.5 * time[-1],
+        "late": time > 0.5 * time[-1],
     }
     return [Regime(name, float(m.mean()), float(gained[m].sum()) / total) for name, m in masks.items()]
 

@@ -119,17 +119,27 @@ def report_of(diagnosis: Diagnosis) -> dict:
             "fve_heldout": None if best.heldout is None else _number(best.heldout.explained),
             "parameters_only": diagnosis.explanation.unpatched,
             "unit": diagnosis.explanation.problem.recordings[0].unit,
-            "patch": "rejected" if rejected(diagnosis) else "accepted" if patch(diagnosis) else "none",
+            "patch": _state_of_patch(diagnosis),
         },
         "parameters": _parameters(diagnosis, kept(diagnosis)),
         "places": [{"where": p.where.to_json(), "gain": p.gain} for p in diagnosis.places[:10]],
         "residual_force": _residual_force(diagnosis),
         "detectable": detectable(diagnosis),
         "invisible": invisible(diagnosis),
+        "not_looked_for": not_looked_for(diagnosis),
         "next_recording": _next_recording(diagnosis.proposal),
         "audit": [{"noise": a.sigma, "missing": a.missing} for a in diagnosis.audits],
         "seconds": round(diagnosis.seconds, 1),
     }
+
+
+def _state_of_patch(diagnosis: Diagnosis) -> str:
+    """Untested: no recording was held out that could have spoken against it."""
+    if rejected(diagnosis):
+        return "rejected"
+    if not patch(diagnosis):
+        return "none"
+    return "untested" if diagnosis.best.heldout is None else "accepted"
 
 
 def only_outliers(diagnosis: Diagnosis) -> bool:
@@ -272,6 +282,12 @@ def detectable(diagnosis: Diagnosis) -> dict:
 def invisible(diagnosis: Diagnosis) -> list[str]:
     """Sorted names of the effects that would not have shown in these recordings."""
     return sorted({suspect.name for suspect, _ in diagnosis.explanation.minimum} - set(detectable(diagnosis)))
+
+
+def not_looked_for(diagnosis: Diagnosis) -> list[str]:
+    """Sorted names of the effects that no place of this robot can have, or that it is known to have. Outliers are no
+    hypothesis: they are looked for before."""
+    return sorted(set(ALL) - diagnosis.explanation.looked_for - {"outliers"})
 
 
 def _next_recording(proposal: Proposal | None) -> dict | None:

@@ -9,7 +9,7 @@ from soro_bench.diagnosis.patch import kept, patch, rejected
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.priors import Prior
 from soro_bench.diagnosis.propose import DURATION, Proposal
-from soro_bench.diagnosis.report import NEXT_ACTIONS, detectable, invisible
+from soro_bench.diagnosis.report import NEXT_ACTIONS, detectable, invisible, not_looked_for
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.suspects import late
 from soro_bench.effects.catalogue import CATEGORIES
@@ -22,6 +22,8 @@ def verdict(diagnosis: Diagnosis) -> str:
     """What was found, in sentences."""
     best, unit = diagnosis.best, diagnosis.explanation.problem.recordings[0].unit
     said = []
+    if diagnosis.verdict == "measurement_fault":
+        said.append("This is a fault of the measurement, not of the robot.")
     if diagnosis.outliers.share:
         said.append(f"{100 * diagnosis.outliers.share:.2g} % of the points are outliers; they are left out.")
     if not best.names and diagnosis.verdict != "unknown_physics":
@@ -31,6 +33,8 @@ def verdict(diagnosis: Diagnosis) -> str:
         said.append(f"It would have shown: {seen}.")
         if blind := invisible(diagnosis):
             said.append(f"It could hardly have shown: {', '.join(blind)}.")
+        if lacking := not_looked_for(diagnosis):
+            said.append(f"Not looked for, as nothing of this robot can have it: {', '.join(lacking)}.")
         return "\n".join(said)
     if diagnosis.verdict == "unknown_physics":
         place = f" at {diagnosis.places[0].where}" if diagnosis.places else ""
@@ -50,6 +54,8 @@ def verdict(diagnosis: Diagnosis) -> str:
             said.append("The patch is rejected: it makes the held-out recordings worse.")
         elif diagnosis.verdict == "unknown_physics" and best.names:
             said.append(_of_the_nearest(bool(patch(diagnosis)), " with ".join(best.names)))
+    if best.names and best.heldout is None:
+        said.append("No recording was held out, so nothing says whether this holds for other motion.")
     others = [a for a in diagnosis.comparison.ranked[1:] if a.probability >= 0.05][:3]
     if others:
         names = ", or ".join(f"{' with '.join(a.names) or 'nothing'} ({a.probability:.2f})" for a in others)
