@@ -12,7 +12,8 @@ import sys
 import traceback
 from pathlib import Path
 
-from soro_bench.diagnosis.study import HEAD, STUDIES, check_summaries, load_study, named, row, run_study
+from soro_bench.diagnosis.study import STUDIES, check_summaries, load_study, run_study
+from soro_bench.diagnosis.study_table import named, results
 from soro_bench.files import read_json, write_json
 from soro_bench.markdown import table
 
@@ -65,10 +66,14 @@ def main() -> None:
             failed.append(folder.name)
             traceback.print_exc()
         write_results(found)
-    print(HEAD + "\n" + row([s for s in found if s["seed"] == 0]))
-    print(seeds_table(found))
+    print(first_seed(), seeds_table(found), sep="\n\n")
     if failed:
         sys.exit(f"failed: {', '.join(failed)}")
+
+
+def first_seed() -> str:
+    """Markdown: what all studies have found with seed 0, the table of docs/real_robots.md."""
+    return results([s for s in read_json(RESULTS) if s["seed"] == 0])
 
 
 def write_results(found: list[dict]) -> None:

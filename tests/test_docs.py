@@ -27,3 +27,9 @@ def test_the_pages_of_the_proof_have_the_final_sets_as_they_were_scored():
     assert script["gates"](folders[-1:]) in (DOCS / "diagnosis.md").read_text()
     for name in ("gates", "unseen"):
         assert script[name](folders) in (DOCS / "proof.md").read_text(), name
+
+
+def test_the_page_of_real_robots_has_what_their_studies_have_found():
+    """If not: put what python benchmarks/real_robots.py prints first there."""
+    script = runpy.run_path(str(DOCS.parent / "benchmarks" / "real_robots.py"))
+    assert script["first_seed"]() in (DOCS / "real_robots.md").read_text()

@@ -13,7 +13,8 @@ pytest.importorskip("pyarrow")
 from soro_bench.diagnosis import study as module
 from soro_bench.diagnosis.compare import Answer, Comparison
 from soro_bench.diagnosis.fit import Hypothesis
-from soro_bench.diagnosis.study import STUDIES, Part, Study, errors, load_study, row, run_study
+from soro_bench.diagnosis.study import STUDIES, Part, Study, errors, load_study, run_study
+from soro_bench.diagnosis.study_table import results
 from tests.arm import ARM, MAP, recording
 
 
@@ -42,13 +43,13 @@ def study(tmp_path):
     return Study("arm", tmp_path / "arm.xml", tmp_path / "map.toml", parts)
 
 
-def test_a_study_writes_reports_summaries_and_a_row_and_goes_on_where_it_was(study, tmp_path, monkeypatch, call):
+def test_a_study_writes_reports_summaries_and_a_table_and_goes_on_where_it_was(study, tmp_path, monkeypatch, call):
     first = run_study(study, tmp_path / "out", threads=1)
     assert [(s["part"], s["answers"][0]["effects"]) for s in first] == [("first", []), ("again", [])]
     assert first[0]["parameters"]["heldout"]["mean_absolute"] == pytest.approx(4e-4, rel=0.2)
     assert (tmp_path / "out" / "again" / "report.html").exists()
     assert first[0]["answers"][0]["unseen"]["mean_absolute"] == pytest.approx(4e-4, rel=0.2)
-    assert row(first).count("\n") == 4
+    assert results(first).count("\n") == 5
     # the second part begins where the first one ended
     assert first[1]["nominal"]["train"]["mean_absolute"] < 0.3 * first[0]["nominal"]["train"]["mean_absolute"]
     asked = []
@@ -68,7 +69,7 @@ def test_a_study_writes_reports_summaries_and_a_row_and_goes_on_where_it_was(stu
     study.map.write_text(MAP)
     monkeypatch.setattr(module, "load_study", lambda name, data: study)
     assert first[1]["verdict"] in call("study", "arm", "--out", tmp_path / "out")  # all is there
-    assert (tmp_path / "out" / "row.md").read_text() == row(again)
+    assert (tmp_path / "out" / "results.md").read_text() == results(again) + "\n"
     for summary in (*first, *again):
         summary.pop("seconds")
     assert json.dumps(again) == json.dumps(first)

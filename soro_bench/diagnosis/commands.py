@@ -92,20 +92,21 @@ class Study:
     name: Annotated[str, tyro.conf.Positional]
     """opencr_tdcr, asl_trunk, bam_servo or silicone_beam."""
     out: Path
-    """Folder for the reports, one folder for each part, and for the row of the table, row.md."""
+    """Folder for the reports, one folder for each part, and for a table of all of them, results.md."""
     data: Path = Path("data/real")
     """Folder with the recordings; `soro-bench data` says where they come from."""
     seed: int = 0
 
     def run(self) -> None:
-        from soro_bench.diagnosis.study import load_study, row, run_study
+        from soro_bench.diagnosis.study import load_study, run_study
+        from soro_bench.diagnosis.study_table import results
         from soro_bench.files import replacing
 
         study = load_study(self.name, self.data)
         with console.status("") as status:
             summaries = run_study(study, self.out, self.seed, progress=lambda stage: status.update(f"{stage} ..."))
-        with replacing(self.out / "row.md") as temporary:
-            temporary.write_text(row(summaries))
+        with replacing(self.out / "results.md") as temporary:
+            temporary.write_text(results(summaries) + "\n")
         for summary in summaries:
             text = f"{summary['part']} ({summary['question']})\n{summary['verdict']}\n"
             console.print(text, soft_wrap=True)

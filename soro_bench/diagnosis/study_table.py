@@ -1,0 +1,54 @@
+"""What studies have found, as a table."""
+
+from collections.abc import Sequence
+
+from soro_bench.markdown import table
+
+# of every error the mean absolute one, the last point's rms, and that without its mean
+_ERRORS = ("nominal", "parameters fitted", "patched")
+_NAMES = ("robot, part", "data", *_ERRORS, "what is missing", "considered too", "noise")
+_SHOWN = 0.01  # least probability of an answer
+
+
+def results(summaries: Sequence[dict]) -> str:
+    """Markdown: errors of training, held-out and unseen data, three kinds of each, of the nominal robot, with fitted
+    parameters and with the best answer that has a name; answers with their probabilities."""
+    rows = []
+    for summary in summaries:
+        best = summary["answers"][0]
+        first, *others = _answers(summary)
+        for key in summary["parameters"]:
+            errors = [_three(each[key]) for each in (summary["nominal"], summary["parameters"], best)]
+            words = ["", "", "", ""]
+            if key == "train":
+                noise = f"{summary['noise']:.2g} {summary['unit']}"
+                words = [f"{summary['study']}, {summary['part']}{_known(summary)}", first, "; ".join(others), noise]
+            rows.append([words[0], key, *errors, *words[1:]])
+    return table(_NAMES, rows)
+
+
+def _answers(summary: dict) -> list[str]:
+    """Answers in words, the verdict's first: that something acts which has no name is one of them."""
+    nameless = f"something without a name ({summary['unknown']:.2f})"
+    named = [_named(a) for i, a in enumerate(summary["answers"]) if i == 0 or a["probability"] >= _SHOWN]
+    return [nameless, *named] if summary["unknown"] > summary["answers"][0]["probability"] else [*named, nameless]
+
+
+def _three(found: dict) -> str:
+    return " / ".join(f"{found[key]:.3g}" for key in ("mean_absolute", "rms", "rms_without_mean"))
+
+
+def _named(answer: dict) -> str:
+    return f"{' + '.join(map(named, answer['effects'])) or 'nothing'} ({answer['probability']:.2f})"
+
+
+def _known(summary: dict) -> str:
+    known = " + ".join(map(named, summary["known"]))
+    return f", with {known} known before" if known else ""
+
+
+def named(effect: dict) -> str:
+    """An effect of a summary and its place, in words."""
+    where = effect["where"]
+    point = "" if where.get("index") is None else f"[{where['index']}]"
+    return f"{effect['name']} at {where['name']}{point}"
