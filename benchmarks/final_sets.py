@@ -15,7 +15,8 @@ from soro_bench.markdown import table
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results"
 ROBOTS = {"fine": "another time step", "flex": "another model"}
-ALSO = "the same, where they hide half"  # a row without a bar
+# rows without a bar
+ALSO = ("unseen motion: variance explained, median, all of the error", "the same, where they hide half")
 
 
 def scored_folders() -> list[Path]:
@@ -29,7 +30,7 @@ def gate_rows(folders: Sequence[Path]) -> list[list[str]]:
     return [
         [name, _bar(gate), *(_cell(release[name]) for release in gates)]
         for name, gate in gates[-1].items()
-        if gate["bar"] is not None or name == ALSO
+        if gate["bar"] is not None or name in ALSO
     ]
 
 

@@ -312,6 +312,22 @@ def _confusion(rows) -> list[dict]:
     return [{"truth": truth, "said": said, "cases": n} for (truth, said), n in pairs.most_common()]
 
 
+def _by_effect(rows) -> list[tuple]:
+    """Of every concealed effect, alone or with another one: in how many of its cases the first answer and its place are
+    right, and in how many the effect is among the first three; the worst first."""
+    found = []
+    for name in sorted({name for row in rows for name in row["truth"] or ["none"]}):
+        own = [row for row in rows if name in (row["truth"] or ["none"])]
+        right = [row for row in own if row["first"]]
+        three = sum(name in row["said"] for row in own)
+        places = "" if name == "none" else f"{sum(row['place'] for row in right)} of {len(right)}"
+        found.append((name, len(own), len(right), three, places))
+    return sorted(found, key=lambda each: (each[2] / each[1], each[3] / each[1]))
+
+
+_OF_A_CASE = ("case", "robot", "hidden", "verdict", "first three answers")
+
+
 def markdown(card: dict) -> str:
     """The scorecard as tables."""
     gates = []
@@ -326,12 +342,16 @@ def markdown(card: dict) -> str:
     calibration = [(f"{b['stated']:.2f}", f"{b['right']:.2f}", b["cases"]) for b in card["calibration"]]
     cases = []
     for row in card["cases"]:
-        truth, said, explained = " + ".join(row["truth"]) or "none", ", ".join(row["said"]), f"{row['fve_unseen']:.2f}"
-        cases.append((row["id"], row["robot"], truth, row["verdict"], said, f"{row['probability']:.2f}", explained))
+        truth, said, hides = " + ".join(row["truth"]) or "none", ", ".join(row["said"]), row["concealed"]
+        shares = ("" if share is None else f"{share:.2f}" for share in (row["probability"], row["fve_unseen"], hides))
+        cases.append((row["id"], row["robot"], truth, row["verdict"], said, *shares))
     tables = (
         table(("gate", "cases", "value", "95 % interval", "bar", ""), gates),
         table(("hidden", "first answer", "cases"), confusion),
+        table(
+            ("hidden", "cases", "first answer right", "among the first three", "place right"), _by_effect(card["cases"])
+        ),
         table(("stated probability", "right", "cases"), calibration),
-        table(("case", "robot", "hidden", "verdict", "first three answers", "p", "unseen explained"), cases),
+        table((*_OF_A_CASE, "p", "unseen explained", "hidden by parameters"), cases),
     )
     return "\n\n".join(tables)
