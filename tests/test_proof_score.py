@@ -8,7 +8,8 @@ from soro_bench.files import write_json
 from soro_bench.proof import prove
 from soro_bench.proof.ablation_score import ablation_rows, by_bic
 from soro_bench.proof.magnitude import magnitude_errors
-from soro_bench.proof.score import markdown, opened_labels, scored
+from soro_bench.proof.score import opened_labels, scored
+from soro_bench.proof.scorecard import markdown
 
 
 def label(number, group="one", name="payload", category="inertia", kind="body", place="vertebra4", index=None):

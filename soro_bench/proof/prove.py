@@ -17,7 +17,8 @@ from soro_bench.proof import ablation_score
 from soro_bench.proof.ablation_score import ablation_rows
 from soro_bench.proof.ablations import ABLATIONS, ENV_ID, ablated
 from soro_bench.proof.cases import write_cases
-from soro_bench.proof.score import markdown, opened_labels, scored
+from soro_bench.proof.score import opened_labels, scored
+from soro_bench.proof.scorecard import markdown
 from soro_bench.proof.unseen import unseen
 from soro_bench.recording.parquet import load
 from soro_bench.sources import claim
