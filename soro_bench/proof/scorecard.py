@@ -28,9 +28,7 @@ def markdown(card: dict) -> str:
     tables = (
         table(("gate", "cases", "value", "95 % interval", "bar", ""), gates),
         table(("hidden", "first answer", "cases"), confusion),
-        table(
-            ("hidden", "cases", "first answer right", "among the first three", "place right"), _by_effect(card["cases"])
-        ),
+        table(_OF_AN_EFFECT, _by_effect(card["cases"])),
         table(("stated probability", "right", "cases"), calibration),
         table(_OF_A_CASE, cases),
     )
