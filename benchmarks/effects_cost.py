@@ -36,11 +36,13 @@ def main() -> None:
     task = make_task("TrunkReach-v0", SIMULATIONS, 1, options.model, action="continuous", effects=())
     actions = np.repeat(np.random.default_rng(0).uniform(-1, 1, (STEPS // 5, 8)), 5, axis=0).astype(np.float32)
     first = {one.name: one for one in reversed(suspects(robot)) if one.where.kind != "sensor"}
-    print(header(("effect", "place", "cost / without")))
+    timestep = task.model.opt.timestep
+    print(header(("effect", "place", "cost / without", "more [us per time step]")))
     for name in sorted(first):
         effect = typical(first[name])
-        ratios = [seconds(task, (effect,), actions) / seconds(task, (), actions) for _ in range(options.repeats)]
-        print(row((name, effect.where, f"{np.median(ratios):.2f}")), flush=True)
+        pairs = [(seconds(task, (effect,), actions), seconds(task, (), actions)) for _ in range(options.repeats)]
+        ratio, more = np.median([(a / b, 1e6 * timestep * (a - b)) for a, b in pairs], axis=0)
+        print(row((name, effect.where, f"{ratio:.2f}", f"{more:.0f}")), flush=True)
 
 
 if __name__ == "__main__":
