@@ -4,6 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from soro_bench.diagnosis.suite_robot import SuiteRobot
+from soro_bench.diagnosis.suspects import suspects, typical
 from soro_bench.effects.catalogue import MEASUREMENT
 from soro_bench.effects.effect import Effect, EffectError, Port
 from soro_bench.effects.elements import Elements, instrument
@@ -321,3 +323,25 @@ def test_a_lossy_law_makes_every_swing_of_a_pendulum_smaller(name):
     assert swings[0] < 1.6  # twice the way to where torque and springs balance
     assert (np.diff(swings) <= 2e-4).all()
     assert swings[-1] < 0.9 * swings[0]
+
+
+LOSSY = ("coulomb_friction", "stribeck_friction", "load_friction", "viscous_friction", "fluid_drag", "hysteresis",
+         "viscoelastic_creep", "plastic_set", "mullins_softening")  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=["cable", "flex"])
+def robot(request):
+    return SuiteRobot("TrunkReach-v0", request.param, threads=1)
+
+
+@pytest.mark.parametrize("name", LOSSY)
+def test_a_trunk_with_a_lossy_law_only_calms_down_once_its_commands_rest(name, robot):
+    """The fastest that its keypoints are in each half of a second, after two cables were pulled and let go."""
+    actions = np.zeros((70, 8), np.float32)
+    actions[:10, :2], actions[10:20, :2] = 1.0, -1.0
+    law = next(one for one in suspects(robot) if one.name == name and one.where.kind != "sensor")
+    (points,) = robot.simulate(actions, np.array([[prior.nominal for prior in robot.priors]]), [[typical(law)]])
+    squares = (np.diff(points, axis=0) ** 2).sum(axis=(1, 2))
+    fastest = squares[19:69].reshape(5, 10).max(axis=1)
+    assert fastest[0] > 1e-5  # it swings
+    assert (np.diff(fastest) < 0).all()
