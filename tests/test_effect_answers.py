@@ -340,7 +340,9 @@ def test_a_trunk_with_a_lossy_law_only_calms_down_once_its_commands_rest(name, r
     actions = np.zeros((70, 8), np.float32)
     actions[:10, :2], actions[10:20, :2] = 1.0, -1.0
     law = next(one for one in suspects(robot) if one.name == name and one.where.kind != "sensor")
-    (points,) = robot.simulate(actions, np.array([[prior.nominal for prior in robot.priors]]), [[typical(law)]])
+    nominal = np.array([[prior.nominal for prior in robot.priors]] * 2)
+    points, without = robot.simulate(actions, nominal, [[typical(law)], []])
+    assert np.abs(points - without).max() > 1e-4
     squares = (np.diff(points, axis=0) ** 2).sum(axis=(1, 2))
     fastest = squares[19:69].reshape(5, 10).max(axis=1)
     assert fastest[0] > 1e-5  # it swings

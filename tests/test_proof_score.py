@@ -53,7 +53,9 @@ def test_what_is_right_is_counted_and_what_is_wrong_is_listed():
     assert {"truth": "payload", "said": "base_tilt", "cases": 1} in card["confusion"]
     met = {gate["gate"]: gate["met"] for gate in card["gates"]}
     assert (met["detected"], met["false alarms"], met["first answer right"]) == (True, False, False)
-    assert "MISSED" in markdown(card)
+    text = markdown(card)
+    assert "MISSED" in text
+    assert "| payload | 3 | 2 | 2 | 0 | 0 |" in text
 
 
 @pytest.mark.parametrize(

@@ -119,3 +119,17 @@ def test_files_of_a_study_are_there(name):
 
     table = tomllib.loads(asset_path(f"studies/{name}.toml").read_text())
     assert all(Path(asset_path(f"mjcf/{table[key]}")).is_file() for key in ("model", "map", "import"))
+
+
+def test_what_has_no_name_comes_first_in_the_table_only_where_no_effect_is_likelier():
+    """Whatever comes with it: two answers share an effect here."""
+    errors = {"train": {"mean_absolute": 1.0, "rms": 1.0, "rms_without_mean": 1.0}}
+    where = {"kind": "joint", "name": "hinge"}
+    common, other = ({"name": name, "where": where} for name in ("viscous_friction", "backlash"))
+    answers = [{"effects": [common], "probability": 0.3, **errors},
+               {"effects": [common, other], "probability": 0.25, **errors}]  # fmt: skip
+    summary = {"study": "arm", "part": "first", "answers": answers, "nominal": errors, "parameters": errors,
+               "known": [], "noise": 1e-3, "unit": "rad"}  # fmt: skip
+    shared, nameless = (results([summary | {"unknown": unknown}]).splitlines()[2] for unknown in (0.4, 0.6))
+    assert shared.split(" | ")[5] == "viscous_friction at hinge (0.30)"
+    assert nameless.split(" | ")[5] == "something without a name (0.60)"

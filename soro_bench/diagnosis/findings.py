@@ -87,7 +87,7 @@ def _condition(effect: Effect, shares: list[Regime], one: bool) -> str:
         "early": "in the first half",
         "late": "in the second half",
     }[most.condition]
-    if most.explained < _TELLS * most.time:
+    if most.explained <= _TELLS * most.time:
         return "neither commands nor the clock tell when it acts"
     return f"{100 * most.explained:.0f} % of what it explains is {when}, {100 * most.time:.0f} % of the time"
 
@@ -142,18 +142,21 @@ def _against(diagnosis: Diagnosis, answer: Answer) -> list[str]:
     if answer.heldout is not None and answer.heldout.after > answer.heldout.before:
         said.append("makes held-out recordings worse")
     if answer is not best:
-        said.append(f"{' with '.join(best.names) or 'nothing missing'} {_ahead(best, answer, diagnosis.robot.unit)}")
+        said += _ahead(best, answer, diagnosis.robot.unit)
     return said
 
 
-def _ahead(best: Answer, answer: Answer, unit: str) -> str:
-    """In what the best answer is better than another one: what it leaves, or else its evidence."""
+def _ahead(best: Answer, answer: Answer, unit: str) -> list[str]:
+    """In what the best answer is better than another one: what it leaves, or else its evidence. None if only one of its
+    effects is likelier, whatever comes with that."""
+    name = " with ".join(best.names) or "nothing missing"
     if best.train.after < answer.train.after:
-        return f"leaves {length(best.train.after, unit)}, this {length(answer.train.after, unit)}"
+        return [f"{name} leaves {length(best.train.after, unit)}, this {length(answer.train.after, unit)}"]
     if best.heldout is not None and best.heldout.after < answer.heldout.after:
         left, more = (length(each.heldout.after, unit) for each in (best, answer))
-        return f"leaves {left} of held-out recordings, this {more}"
-    return f"has {best.evidence - answer.evidence:.0f} nats more evidence, as it needs less to fit as well"
+        return [f"{name} leaves {left} of held-out recordings, this {more}"]
+    ahead = best.evidence - answer.evidence
+    return [f"{name} has {ahead:.0f} nats more evidence, as it needs less to fit as well"] if ahead > 0 else []
 
 
 def percent(fit: Fit) -> str:

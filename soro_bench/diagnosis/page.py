@@ -199,7 +199,7 @@ def _detectable_table(report) -> str:
         off = f" off {d['null']:g}" if d["null"] else ""
         rows.append([name, d["quantity"], f"{d['minimum']:.2g}{spaced(d['unit'])}{off}"])
     rows += [[name, "", "not with these recordings"] for name in report["invisible"]]
-    rows += [[name, "", "not looked for: nothing of this robot can have it"] for name in report["not_looked_for"]]
+    rows += [[name, "", "not looked for: no place here"] for name in report["not_looked_for"]]
     return _table("What would just have been seen", ["effect", "quantity", "smallest magnitude"], rows)
 
 

@@ -285,8 +285,8 @@ def invisible(diagnosis: Diagnosis) -> list[str]:
 
 
 def not_looked_for(diagnosis: Diagnosis) -> list[str]:
-    """Sorted names of the effects that no place of this robot can have, or that it is known to have. Outliers are no
-    hypothesis: they are looked for before."""
+    """Sorted names of the effects that no place of this robot can have, perhaps because of those that it is known to
+    have. Outliers are no hypothesis: they are looked for before."""
     return sorted(set(ALL) - diagnosis.explanation.looked_for - {"outliers"})
 
 

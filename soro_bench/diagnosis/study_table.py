@@ -1,5 +1,6 @@
 """What studies have found, as a table."""
 
+from collections import Counter
 from collections.abc import Sequence
 
 from soro_bench.markdown import table
@@ -31,7 +32,16 @@ def _answers(summary: dict) -> list[str]:
     """Answers in words, the verdict's first: that something acts which has no name is one of them."""
     nameless = f"something without a name ({summary['unknown']:.2f})"
     named = [_named(a) for i, a in enumerate(summary["answers"]) if i == 0 or a["probability"] >= _SHOWN]
-    return [nameless, *named] if summary["unknown"] > summary["answers"][0]["probability"] else [*named, nameless]
+    return [nameless, *named] if summary["unknown"] > _likeliest(summary["answers"]) else [*named, nameless]
+
+
+def _likeliest(answers: Sequence[dict]) -> float:
+    """The probability of the likeliest effect, whatever comes with it, by which a verdict goes; or of none at all."""
+    chances = Counter()
+    for answer in answers:
+        for name in map(named, answer["effects"]) if answer["effects"] else ["nothing"]:
+            chances[name] += answer["probability"]
+    return max(chances.values())
 
 
 def _three(found: dict) -> str:

@@ -22,7 +22,8 @@ def verdict(diagnosis: Diagnosis) -> str:
     """What was found, in sentences."""
     best, unit = diagnosis.best, diagnosis.explanation.problem.recordings[0].unit
     said = []
-    if diagnosis.verdict == "measurement_fault":
+    suspects = best.hypothesis.suspects
+    if diagnosis.verdict == "measurement_fault" and not any(late(diagnosis.robot, s.name, s.where) for s in suspects):
         said.append("This is a fault of the measurement, not of the robot.")
     if diagnosis.outliers.share:
         said.append(f"{100 * diagnosis.outliers.share:.2g} % of the points are outliers; they are left out.")
@@ -34,7 +35,7 @@ def verdict(diagnosis: Diagnosis) -> str:
         if blind := invisible(diagnosis):
             said.append(f"It could hardly have shown: {', '.join(blind)}.")
         if lacking := not_looked_for(diagnosis):
-            said.append(f"Not looked for, as nothing of this robot can have it: {', '.join(lacking)}.")
+            said.append(f"Not looked for (it has no place here, or none beside known effects): {', '.join(lacking)}.")
         return "\n".join(said)
     if diagnosis.verdict == "unknown_physics":
         place = f" at {diagnosis.places[0].where}" if diagnosis.places else ""

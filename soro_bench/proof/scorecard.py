@@ -2,9 +2,11 @@
 
 from soro_bench.markdown import table
 
-_OF_AN_EFFECT = ("hidden", "cases", "first answer right", "among the first three", "place right")
+_OF_AN_EFFECT = (
+    "concealed", "alone", "first answer right", "and its place", "with another effect", "among the first three",
+)  # fmt: skip
 _OF_A_CASE = (
-    "case", "robot", "hidden", "verdict", "first three answers", "p", "unseen explained", "hidden by parameters",
+    "case", "robot", "concealed", "verdict", "first three answers", "p", "unseen explained", "taken up by parameters",
 )  # fmt: skip
 
 
@@ -27,7 +29,7 @@ def markdown(card: dict) -> str:
         cases.append((row["id"], row["robot"], truth, row["verdict"], said, *shares))
     tables = (
         table(("gate", "cases", "value", "95 % interval", "bar", ""), gates),
-        table(("hidden", "first answer", "cases"), confusion),
+        table(("concealed", "first answer", "cases"), confusion),
         table(_OF_AN_EFFECT, _by_effect(card["cases"])),
         table(("stated probability", "right", "cases"), calibration),
         table(_OF_A_CASE, cases),
@@ -36,13 +38,15 @@ def markdown(card: dict) -> str:
 
 
 def _by_effect(rows) -> list[tuple]:
-    """Of every concealed effect, alone or with another one: in how many of its cases the first answer and its place are
-    right, and in how many the effect is among the first three; the worst first."""
+    """Of every concealed effect: in how many of the cases that have it alone the first answer and its place are right,
+    and in how many that have another one too it is among the first three answers; the worst first."""
     found = []
     for name in sorted({name for row in rows for name in row["truth"] or ["none"]}):
-        own = [row for row in rows if name in (row["truth"] or ["none"])]
-        right = [row for row in own if row["first"]]
-        three = sum(name in row["said"] for row in own)
-        places = "" if name == "none" else f"{sum(row['place'] for row in right)} of {len(right)}"
-        found.append((name, len(own), len(right), three, places))
-    return sorted(found, key=lambda each: (each[2] / each[1], each[3] / each[1]))
+        alone = [row for row in rows if (row["truth"] or ["none"]) == [name]]
+        pairs = [row for row in rows if name in row["truth"] and len(row["truth"]) > 1]
+        right = [row for row in alone if row["first"]]
+        places = "" if name == "none" else sum(row["place"] for row in right)
+        three = sum(name in row["said"] for row in pairs)
+        missed = len(alone) - len(right) + len(pairs) - three
+        found.append((-missed / (len(alone) + len(pairs)), name, len(alone), len(right), places, len(pairs), three))
+    return [each[1:] for each in sorted(found)]
