@@ -19,7 +19,7 @@ from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.verdict import verdict
 from soro_bench.files import replacing
 from soro_bench.plotting import pyplot
-from soro_bench.recording.comparison import distances, measured_points, write_comparison
+from soro_bench.recording.comparison import distances, measured_points, over_points, write_comparison
 from soro_bench.recording.recording import Recording
 from soro_bench.recording.rerun_signals import write_signals
 from soro_bench.recording.simulated import replay, replay_begins
@@ -80,7 +80,7 @@ def _runs(diagnosis, recording, model, effects):
 def _away(recording, robot, runs):
     """How far the patched robot is from what was measured, on average [m]."""
     measured = measured_points(recording, replay_begins(recording))
-    return float(np.nanmean(distances(runs, measured)[robot.signal][:, 1]))
+    return float(np.nanmean(over_points(distances(runs, measured)[robot.signal])[:, 1]))
 
 
 def _write_curves(diagnosis, path) -> None:

@@ -54,15 +54,14 @@ def distances(runs: Mapping[str, Episode], measured: Mapping[str, Points]) -> di
     """How far the runs are from what was measured, by signal, of those that runs have too.
 
     Returns:
-        (n, runs) m each: root mean square over the points that were seen at the n times, NaN where none was and where
-        there is no run.
+        (n, points, runs) m each, at the n times, NaN where a point was not seen and where there is no run.
     """
     found = {}
     for name, points in measured.items():
         count = points.positions.shape[1]
         own = [(run.time, run.signals[name].reshape(len(run.time), -1)) for run in runs.values() if name in run.signals]
         if len(own) == len(runs) and all(values.shape[1] == 3 * count for _, values in own):
-            found[name] = np.stack([_distance(points, *each) for each in own], axis=1)
+            found[name] = np.stack([_distance(points, *each) for each in own], axis=2)
     return found
 
 
@@ -70,9 +69,13 @@ def _distance(points, time, values):
     at = np.apply_along_axis(lambda column: np.interp(points.time, time, column), 0, values)
     # a log may have its first sample up to a control step before the first command
     at[(points.time < 2 * time[0] - time[1]) | (points.time > time[-1] + 1e-6)] = np.nan
-    squared = ((at.reshape(points.positions.shape) - points.positions) ** 2).sum(axis=-1)
-    seen = np.isfinite(squared)
-    return np.sqrt(np.where(seen, squared, 0).sum(axis=1) / np.where(seen.any(axis=1), seen.sum(axis=1), np.nan))
+    return np.linalg.norm(at.reshape(points.positions.shape) - points.positions, axis=-1)
+
+
+def over_points(away: np.ndarray) -> np.ndarray:
+    """(n, runs) root mean squares of distances (n, points, runs) over the points that were seen; NaN where none was."""
+    seen = np.isfinite(away)
+    return np.sqrt(np.where(seen, away**2, 0).sum(axis=1) / np.where(seen.any(axis=1), seen.sum(axis=1), np.nan))
 
 
 def _is_places(signal: Signal) -> bool:

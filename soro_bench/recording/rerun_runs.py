@@ -14,6 +14,7 @@ import rerun.blueprint as rrb
 
 from soro_bench.markdown import table
 from soro_bench.parameters import ALL_PARAMETERS
+from soro_bench.recording.comparison import over_points
 from soro_bench.recording.drawing import Points
 from soro_bench.recording.episode import Episode
 from soro_bench.recording.rerun_entities import (
@@ -42,7 +43,7 @@ def write_runs(
     """Write one or two runs and the measured points, both by name, into the file ``path``, complete or not at all.
 
     Args:
-        away: (n, runs) m, how far the runs are from measured points, by their name.
+        away: (n, points, runs) m, how far the runs are from measured points, by their name.
     """
     runs = {name: replace(run, goal=None) for name, run in runs.items()}  # nobody aimed at it
     drawings = {name: draw(run) for name, run in runs.items()}
@@ -58,7 +59,9 @@ def write_runs(
         for name, points in measured.items():
             _log_points(recording, f"{_MEASURED}/{name}", points)
         for name, values in away.items():
-            log_curves(recording, f"distance/{name}", measured[name].time, 1e3 * values, list(runs), _colors(runs))
+            curves = 1e3 * over_points(values)
+            log_curves(recording, f"distance/{name}", measured[name].time, curves, list(runs), _colors(runs))
+            _log_maps(recording, name, 1e3 * values, runs)
 
 
 def _log_points(recording, path, points):
@@ -66,6 +69,19 @@ def _log_points(recording, path, points):
     log_static(recording, path, rr.Points3D.from_fields(radii=points.radius, colors=points.color))
     columns = rr.Points3D.columns(positions=points.positions[present].astype(np.float32))
     log_columns(recording, path, points.time, columns.partition(present.sum(axis=1)))
+
+
+def _log_maps(recording, name, values, runs):
+    """A picture for each run, points by times, in the same colours; black where there is nothing."""
+    shown = np.nan_to_num(values).astype(np.float32)
+    for i, run in enumerate(runs):
+        tensor = rr.Tensor(shown[..., i].T, dim_names=("point", "sample"), value_range=(0.0, _brightest(values)))
+        log_static(recording, f"map/{name}/{run}", tensor)
+
+
+def _brightest(values) -> float:
+    """What is white in a map of distances."""
+    return max(float(np.nanmax(values, initial=0.0)), 1e-6)
 
 
 def _colors(runs):
@@ -94,7 +110,16 @@ def _layout(drawings, away) -> rrb.Blueprint:
     overview = rrb.Horizontal(
         view3d("/", contents, first, overrides), rrb.Vertical(*curves, text), column_shares=[3, 2], name="all"
     )
-    return blueprint([overview, *(_tab(name, drawing) for name, drawing in drawings.items())], active=0)
+    maps = rrb.Vertical(
+        *(_map(name, run, 1e3 * values) for name, values in away.items() for run in drawings), name="map"
+    )
+    return blueprint([overview, maps, *(_tab(name, drawing) for name, drawing in drawings.items())], active=0)
+
+
+def _map(name, run, values):
+    title = f"{run}: distance from measured {name}, points by samples, up to {_brightest(values):.3g} mm (white)"
+    colors = rrb.TensorScalarMapping(colormap="magma")
+    return rrb.TensorView(origin=f"/map/{name}/{run}", name=title, scalar_mapping=colors, view_fit="fill")
 
 
 def _tab(name, drawing):
