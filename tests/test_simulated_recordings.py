@@ -8,7 +8,7 @@ import pytest
 from gymnasium import spaces
 
 from soro_bench.effects.effect import Effect, Port
-from soro_bench.recording import comparison
+from soro_bench.recording import comparison, rerun_runs
 from soro_bench.recording.excitation import excitation, shortest, write_actions
 from soro_bench.recording.recording import Signal
 from soro_bench.recording.simulated import parse_params, record, recorded_actions, replay, replay_begins
@@ -239,6 +239,22 @@ def test_comparison_says_how_far_a_robot_is_from_what_was_measured():
     short = replace(run, time=run.time[:4], signals={"keypoints": run.signals["keypoints"][:4]})
     cut = comparison.over_points(comparison.distances({"short": short}, points)["keypoints"])[:, 0]
     assert np.isfinite(cut[:4]).all() and np.isnan(cut[4:]).all()
+
+
+def test_a_map_has_the_largest_distance_that_there_is_and_none_is_of_nothing():
+    assert rerun_runs._brightest(np.array([[[3.0], [np.inf], [np.nan]]])) == 3.0
+    assert rerun_runs._brightest(np.full((2, 2, 1), np.nan)) > 0
+
+
+def test_a_recording_without_places_is_written_without_a_map(tmp_path):
+    from rerun.chunk import RrdReader
+
+    recording = record("TrunkReach-v0", model="cable", steps=3)
+    turned = {"link_quaternion": recording.signals["link_quaternion"]}
+    comparison.write_comparison(replace(recording, signals=turned), tmp_path / "a.rrd", "a", {"run": replay(recording)})
+    paths = {chunk.entity_path for chunk in RrdReader(tmp_path / "a.rrd").stream().to_chunks()}
+    assert "/run/world/backbone" in paths
+    assert not any(path.startswith("/map") for path in paths)
 
 
 def test_actions_for_a_controller_are_a_table_in_si_units(tmp_path):

@@ -73,7 +73,7 @@ def _log_points(recording, path, points):
 
 def _log_maps(recording, name, values, runs):
     """A picture for each run, points by times, in the same colours; black where there is nothing."""
-    shown = np.nan_to_num(values).astype(np.float32)
+    shown = np.where(np.isfinite(values), values, 0.0).astype(np.float32)
     for i, run in enumerate(runs):
         tensor = rr.Tensor(shown[..., i].T, dim_names=("point", "sample"), value_range=(0.0, _brightest(values)))
         log_static(recording, f"map/{name}/{run}", tensor)
@@ -81,7 +81,7 @@ def _log_maps(recording, name, values, runs):
 
 def _brightest(values) -> float:
     """What is white in a map of distances."""
-    return max(float(np.nanmax(values, initial=0.0)), 1e-6)
+    return float(np.max(values, initial=1e-6, where=np.isfinite(values)))
 
 
 def _colors(runs):
@@ -110,10 +110,9 @@ def _layout(drawings, away) -> rrb.Blueprint:
     overview = rrb.Horizontal(
         view3d("/", contents, first, overrides), rrb.Vertical(*curves, text), column_shares=[3, 2], name="all"
     )
-    maps = rrb.Vertical(
-        *(_map(name, run, 1e3 * values) for name, values in away.items() for run in drawings), name="map"
-    )
-    return blueprint([overview, maps, *(_tab(name, drawing) for name, drawing in drawings.items())], active=0)
+    maps = [_map(name, run, 1e3 * values) for name, values in away.items() for run in drawings]
+    tabs = [rrb.Vertical(*maps, name="map")] if maps else []
+    return blueprint([overview, *tabs, *(_tab(name, drawing) for name, drawing in drawings.items())], active=0)
 
 
 def _map(name, run, values):
