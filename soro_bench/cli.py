@@ -11,10 +11,11 @@ try:
     from rich.text import Text
 
     from soro_bench.campaign.commands import RunPreset
-    from soro_bench.diagnosis.commands import Diagnose, Excite, Prove, Study
+    from soro_bench.diagnosis.commands import Diagnose, Excite, Study
     from soro_bench.inference.commands import Infer
     from soro_bench.leaderboard.commands import Evaluate, Leaderboard
     from soro_bench.progress import console
+    from soro_bench.proof.commands import Prove
     from soro_bench.recording.commands import Data, Import, Record, View
     from soro_bench.training.commands import Train
 except ImportError as error:

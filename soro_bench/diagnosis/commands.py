@@ -1,4 +1,4 @@
-"""``soro-bench excite``, ``diagnose``, ``study`` and ``prove``."""
+"""``soro-bench excite``, ``diagnose`` and ``study``."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,9 +7,8 @@ from typing import Annotated
 import tyro
 
 from soro_bench.files import check_output, results_folder
-from soro_bench.options import EnvId, Parallel
-from soro_bench.parallel import HERE
-from soro_bench.progress import StageBars, console
+from soro_bench.options import EnvId
+from soro_bench.progress import console
 
 
 @dataclass
@@ -111,26 +110,3 @@ class Study:
             text = f"{summary['part']} ({summary['question']})\n{summary['verdict']}\n"
             console.print(text, soft_wrap=True)
         console.print(f"{self.out}", soft_wrap=True)
-
-
-@dataclass
-class Prove:
-    """Test the diagnosis on robots with concealed physics; an interrupted proof goes on from its files."""
-
-    out: Path
-    """Folder for cases, reports and scorecard."""
-    count: int = 120
-    seed: int = 0
-    """Of the cases; one that has been used to develop the method proves nothing."""
-    nulls: int | None = None
-    """Cases without any effect; a fifth by default."""
-    ablations: int = 0
-    """Of so many cases, what each part of the method is worth: five more diagnoses each."""
-    workers: Parallel = HERE
-
-    def run(self) -> None:
-        from soro_bench.proof.prove import prove
-
-        with StageBars() as bar:
-            text = prove(self.out, self.count, self.seed, self.nulls, self.ablations, self.workers, bar)
-        console.print(text, soft_wrap=True)
