@@ -1,0 +1,85 @@
+"""What laws leave of a study's recordings, each fitted whether or not a diagnosis would try it.
+
+    python benchmarks/law_fits.py bam_servo gains --fit coulomb_friction:joint:hinge --data data/real --seeds 3
+    python benchmarks/law_fits.py asl_trunk random --fit "actuator_delay:actuator:*" local_stiffness:body:link3_3of3
+
+A --fit is laws that act together, each LAW:KIND:NAME of where it acts; the parameters of the robot are fitted with
+them, as hypotheses of a diagnosis are, and alone in the first row.
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.diagnosis.audit import audit
+from soro_bench.diagnosis.explain import nominal_fit
+from soro_bench.diagnosis.fit import Guess, fitted
+from soro_bench.diagnosis.model_robot import ModelRobot
+from soro_bench.diagnosis.pipeline import unexplained
+from soro_bench.diagnosis.refit import persevered
+from soro_bench.diagnosis.robot import FITTED
+from soro_bench.diagnosis.study import STUDIES, errors_of, load_study
+from soro_bench.diagnosis.suspects import suspects
+
+RADII = (0.7, 0.3)
+SETS = ("train", "heldout", "unseen")
+
+
+def main() -> None:
+    """Print a table of errors in the signal's unit, a row as soon as it is there."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("study", choices=STUDIES)
+    parser.add_argument("part")
+    parser.add_argument("--fit", nargs="+", action="append", default=[], metavar="LAW:KIND:NAME")
+    parser.add_argument("--data", type=Path, default=Path("data/real"))
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--threads", type=int, default=0)
+    options = parser.parse_args()
+    study = load_study(options.study, options.data)
+    if options.part not in (parts := {part.name: part for part in study.parts}):
+        parser.error(f"no part {options.part!r} in {study.name}; there are {', '.join(parts)}")
+    part = parts[options.part]
+    robot = ModelRobot(study.model, study.map, options.threads)
+    fits = [[_suspect(parser, robot, text) for text in texts] for texts in options.fit]
+    sets = {key: tuple(map(robot.measured, getattr(part, key))) for key in SETS if getattr(part, key)}
+    sigma = min(audit(each).sigma for each in sets["train"])
+    cells = [f"{key}: {error}" for key in sets for error in ("mean absolute", "rms")]
+    print("| laws | seed | " + " | ".join(cells) + " | excess [nats] | |\n|" + "---|" * (len(cells) + 4))
+    for seed in options.seeds:
+        problem, nominal = nominal_fit(
+            unexplained(robot.shortened(FITTED), sets["train"], sigma), robot.refined(), seed
+        )
+        _print_row(problem, sets, nominal, seed)
+        for some in fits:
+            guess = Guess(np.concatenate([nominal.x, *(one.simulated for one in some)]), tuple(some))
+            (found,) = persevered(problem, fitted(problem, [guess], RADII, seed), seed)
+            _print_row(problem, sets, found, seed)
+
+
+def _suspect(parser, robot, text):
+    known = {}
+    for one in suspects(robot):  # the first of the signatures that a law may have there
+        if one.where.index is None:
+            known.setdefault((one.name, one.where.kind, one.where.name), one)
+    if (key := tuple(text.split(":"))) in known:
+        return known[key]
+    if len(key) != 3:
+        parser.error(f"{text!r} is no LAW:KIND:NAME")
+    parser.error(
+        f"no {text}; of that law there are {', '.join(':'.join(k) for k in known if k[0] == key[0]) or 'none'}"
+    )
+
+
+def _print_row(problem, sets, hypothesis, seed):
+    errors = errors_of(problem.robot, sets, hypothesis)
+    cells = [f"{errors[key][error]:.4g}" for key in sets for error in ("mean_absolute", "rms")]
+    laws = " + ".join(f"{s.name} at {s.where.name}" for s in hypothesis.suspects) or "parameters alone"
+    values = "; ".join(str(dict(e.parameters)) for e in hypothesis.effects(problem.parameters))
+    print(
+        f"| {laws} | {seed} | {' | '.join(cells)} | {problem.excess(hypothesis.residual):.0f} | {values} |", flush=True
+    )
+
+
+if __name__ == "__main__":
+    main()
