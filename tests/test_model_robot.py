@@ -223,6 +223,19 @@ def test_only_effects_that_a_model_can_have_are_suspects(paths):
     assert {("coulomb_friction", "joint"), ("viscous_friction", "tendon")} <= names
 
 
+def test_what_touches_and_flexes_of_any_model_are_places(paths):
+    """But not a law of sliding at what never moves."""
+    model, mapping = paths
+    sheet = '<flexcomp name="sheet" type="grid" count="3 3 1" spacing="0.02 0.02 0.1" dim="2" mass="0.01" radius="1e-3"'
+    sheet += '><elasticity young="1e5" thickness="1e-3" elastic2d="both"/><pin id="0"/></flexcomp>'
+    touching = ARM.replace('contype="0" conaffinity="0"', 'name="skin"').replace("implicitfast", "Euler")
+    floor = f'<worldbody><geom name="floor" type="plane" size="1 1 1" pos="0 0 -0.1"/>{sheet}'
+    model.write_text(touching.replace("<worldbody>", floor))
+    found = {(one.name, one.where.kind, one.where.name) for one in suspects(ModelRobot(model, mapping, threads=1))}
+    assert {("stiction", "geom", "skin"), ("adhesion", "geom", "floor"), ("local_stiffness", "flex", "sheet")} <= found
+    assert ("stiction", "geom", "floor") not in found
+
+
 def test_a_robot_settles_under_its_first_command(paths):
     model, mapping = paths
     mapping.write_text(MAP.replace("control_timestep = 0.02", "control_timestep = 0.02\nsettle = 5.0"))

@@ -53,7 +53,7 @@ class ModelRobot(Robot):
         ModelError: says what is wrong with either file.
     """
 
-    kinds = ("tendon", "joint", "actuator", "body", "model")
+    kinds = ("tendon", "joint", "actuator", "body", "flex", "geom", "model")
 
     def __init__(
         self, model: str | Path, mapping: str | Path, threads: int = 0, shorter: int = 1, earlier: Earlier | None = None
