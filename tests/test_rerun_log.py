@@ -10,8 +10,9 @@ import pytest
 
 from soro_bench.evaluation import evaluate
 from soro_bench.models import trunk
+from soro_bench.models.rotation import rotate_by_quaternion
 from soro_bench.recording import rerun_log
-from soro_bench.recording.drawing import Drawing, Mesh, rotate
+from soro_bench.recording.drawing import Drawing, Mesh
 from soro_bench.recording.rerun_log import DRAWINGS, viewer_environment, write_recording
 from soro_bench.recording.trunk_drawing import draw_trunk, tension_colors
 from soro_bench.registration import task_type
@@ -229,7 +230,7 @@ def test_skin_pieces_stay_within_their_radius_of_the_backbone(reach):
     """A skin piece follows its link: its farthest vertex is 13 mm off the axis, at the clamp."""
     for mesh in draw_trunk(reach).meshes.values():
         quaternion = np.roll(mesh.pose.quaternion, 1, axis=-1)[:, None]
-        vertices = mesh.pose.position[:, None] + rotate(quaternion, mesh.vertices)
+        vertices = mesh.pose.position[:, None] + rotate_by_quaternion(mesh.vertices, quaternion)
         distance = np.linalg.norm(vertices[:, :, None] - reach.signals["keypoints"][:, None], axis=-1).min(axis=-1)
         assert distance.max() < 0.018  # a vertex is at most 12 mm from a keypoint along the axis
 
@@ -242,7 +243,8 @@ def test_objects_and_walls_stand_where_the_simulation_has_them(episodes):
     wall = lift.boxes["wall"]
     assert wall.pose.position[0] + wall.half_size[0] == pytest.approx(-0.1 + 0.02)
     floor = draw_trunk(episodes["TrunkPush-v0"]).boxes["floor"]
-    top = floor.pose.position + rotate(np.roll(floor.pose.quaternion, 1), np.array([0, 0, floor.half_size[2]]))
+    up, quaternion = np.array([0, 0, floor.half_size[2]]), np.roll(floor.pose.quaternion, 1)
+    top = floor.pose.position + rotate_by_quaternion(up, quaternion)
     np.testing.assert_allclose(top, [0, -0.105319, 0], atol=1e-9)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from soro_bench.effects.effect import Quantity
 from soro_bench.effects.law import Law
+from soro_bench.models.rotation import rotate_by_vector
 
 
 class Payload(Law):
@@ -37,7 +38,7 @@ class BaseTilt(Law):
     def write(self, which):
         gravity, rows = self.field("opt.gravity"), self.rows[which]
         vector = np.stack([self.values[q.name][which] for q in self.quantities], axis=1)
-        gravity[rows] = rotated(gravity[rows], vector)
+        gravity[rows] = rotate_by_vector(gravity[rows], vector)
 
 
 class FluidDrag(Law):
@@ -69,12 +70,3 @@ class FluidDrag(Law):
         push = -factor[:, None] * velocity - self._pushed[which]
         self._pushed[which] += push
         self.batch.xfrc_applied[rows, ids, :3] += push  # others push too
-
-
-def rotated(points: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """(n, 3) points turned by rotation vectors (n, 3) [rad]; by nothing, they keep their bits (Rodrigues)."""
-    angle = np.sqrt((vector * vector).sum(axis=1))[:, None]
-    axis = vector / np.maximum(angle, 1e-300)
-    along = (axis * points).sum(axis=1)[:, None] * axis
-    turned = np.cos(angle) * points + np.sin(angle) * np.cross(axis, points) + (1.0 - np.cos(angle)) * along
-    return np.where(angle > 0, turned, points)

@@ -9,8 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from soro_bench.effects.bodies import rotated
 from soro_bench.effects.effect import Effect, EffectError, Quantity
+from soro_bench.models.rotation import rotate_by_vector
 
 _ANY = (-np.inf, np.inf)
 _DEGREE = 5  # of the splines between samples
@@ -101,7 +101,7 @@ class FrameMisalignment(Fault):
     def apply(time, values, p, index):
         vector = np.array([p[f"about_{axis}"] for axis in "xyz"])
         flat = values.reshape(-1, 3)
-        turned = rotated(flat, np.broadcast_to(vector, flat.shape)).reshape(values.shape)
+        turned = rotate_by_vector(flat, np.broadcast_to(vector, flat.shape)).reshape(values.shape)
         return turned + np.array([p[axis] for axis in "xyz"])
 
 

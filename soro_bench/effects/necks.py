@@ -13,6 +13,7 @@ from soro_bench.effects.effect import EffectError
 from soro_bench.effects.law import Law
 from soro_bench.effects.springs import Hysteresis, PlasticSet, RestBend, ViscoelasticCreep
 from soro_bench.effects.stiffness import MullinsSoftening, Stiffening
+from soro_bench.models.rotation import rotate_by_quaternion
 
 _CELL = 24  # numbers that place the eight nodes of a flex's cell
 
@@ -66,7 +67,7 @@ class AcrossNeck(Law):
         bend = _across(near, far)
         bend = bend - (bend * axes).sum(axis=1, keepdims=True) * axes
         moment = self._stiffness[which, None] * self.strain(which, bend)
-        push = _turned(near, moment) - self._pushed[which]
+        push = rotate_by_quaternion(moment, near) - self._pushed[which]
         self._pushed[which] += push
         np.add.at(self.batch.xfrc_applied, (rows, self.far[which], slice(3, None)), push)
         np.subtract.at(self.batch.xfrc_applied, (rows, self.near[which], slice(3, None)), push)
@@ -192,13 +193,6 @@ def _across(near: np.ndarray, far: np.ndarray) -> np.ndarray:
     vector = np.where(real < 0, -vector, vector)
     sine = _size(vector)
     return vector * 2.0 * np.arctan2(sine, np.abs(real)) / np.maximum(sine, 1e-12)
-
-
-def _turned(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """(n, 3) vectors turned by quaternions (n, 4)."""
-    w, v = quaternion[:, :1], quaternion[:, 1:]
-    twice = 2.0 * np.cross(v, vector)
-    return vector + w * twice + np.cross(v, twice)
 
 
 def _size(vectors: np.ndarray) -> np.ndarray:

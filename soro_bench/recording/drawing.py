@@ -96,9 +96,3 @@ def flat_shaded(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np
     solid = area > 1e-12
     normals = np.repeat(normals[solid] / area[solid, None], 3, axis=0)
     return corners[solid].reshape(-1, 3), normals, np.arange(3 * solid.sum()).reshape(-1, 3)
-
-
-def rotate(quaternion: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """(..., 3) ``vectors`` turned by the unit quaternions (..., 4) w, x, y, z; leading axes broadcast."""
-    w, axis = quaternion[..., :1], quaternion[..., 1:]
-    return vectors + 2.0 * np.cross(axis, np.cross(axis, vectors) + w * vectors)

@@ -7,8 +7,9 @@ import numpy as np
 
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
+from soro_bench.models.rotation import rotate_by_quaternion
 from soro_bench.models.trunk_skin import build_skin
-from soro_bench.recording.drawing import Box, Drawing, Line, Mesh, Plot, Pose, flat_shaded, rotate
+from soro_bench.recording.drawing import Box, Drawing, Line, Mesh, Plot, Pose, flat_shaded
 from soro_bench.recording.episode import Episode
 from soro_bench.registration import task_type
 
@@ -107,7 +108,7 @@ def _cables(model, links, signals) -> dict[str, Line]:
         start = model.tendon_adr[tendon]
         sites = model.wrap_objid[start : start + model.tendon_num[tendon]]
         link = link_of_body[model.site_bodyid[sites]]
-        offsets = rotate(signals["link_quaternion"][:, link], model.site_pos[sites])
+        offsets = rotate_by_quaternion(model.site_pos[sites], signals["link_quaternion"][:, link])
         cables[f"cables/{name}"] = Line(signals["link_position"][:, link] + offsets, _CABLE_RADIUS, colors[:, c])
     return cables
 

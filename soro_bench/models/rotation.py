@@ -1,0 +1,19 @@
+"""Rotations of many vectors at once."""
+
+import numpy as np
+
+
+def rotate_by_quaternion(vectors: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+    """(..., 3) vectors turned by unit quaternions (..., 4) w, x, y, z; leading axes broadcast."""
+    w, axis = quaternion[..., :1], quaternion[..., 1:]
+    twice = 2.0 * np.cross(axis, vectors)
+    return vectors + w * twice + np.cross(axis, twice)
+
+
+def rotate_by_vector(vectors: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """(n, 3) vectors turned by rotation vectors (n, 3) [rad]; by nothing, they keep their bits (Rodrigues)."""
+    angle = np.sqrt((vector * vector).sum(axis=1))[:, None]
+    axis = vector / np.maximum(angle, 1e-300)
+    along = (axis * vectors).sum(axis=1)[:, None] * axis
+    turned = np.cos(angle) * vectors + np.sin(angle) * np.cross(axis, vectors) + (1.0 - np.cos(angle)) * along
+    return np.where(angle > 0, turned, vectors)
