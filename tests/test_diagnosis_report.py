@@ -12,7 +12,7 @@ pytest.importorskip("rerun")
 pytest.importorskip("matplotlib")
 
 from soro_bench.diagnosis import page, pipeline
-from soro_bench.diagnosis.findings import Finding, _condition, _lacking, findings
+from soro_bench.diagnosis.findings import NINETY, Finding, _condition, _lacking, findings
 from soro_bench.diagnosis.localise import Regime, left_over, residual_map
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.probe import places
@@ -104,7 +104,13 @@ def test_a_hidden_payload_is_named_with_its_place_and_mass_and_the_held_out_fit_
     assert (report["model_patch"], report["model_patch_effects"]) == ("patched_model.xml", ["payload"])
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "patched_model.xml"))
     assert model.body("vertebra7").mass[0] > 1.5 * model.body("vertebra6").mass[0]
-    assert set(load(tmp_path / "posterior.json").names) == {prior.name for prior in robot.priors}
+    posterior = load(tmp_path / "posterior.json")
+    assert posterior.names == tuple(prior.name for prior in robot.priors)
+    spread, found_of = np.sqrt(np.diag(posterior.cov)), report["parameters"]
+    widths = [np.diff(found_of[name]["ci90"])[0] for name in posterior.names]
+    np.testing.assert_allclose(2 * NINETY * spread, widths, rtol=0.02)  # of logarithms, in the report
+    tells_together = posterior.cov / np.outer(spread, spread)  # E and nu make a neck as stiff as it is
+    assert tells_together[posterior.names.index("poisson_ratio"), posterior.names.index("young_modulus")] < -0.8
     (only,) = report["rounds"]
     assert (only["on_top_of"], only["promised"][0]["name"]) == ([], "payload")
     assert only["fitted"][0]["effects"] == [{"name": "payload", "where": first["where"]}]

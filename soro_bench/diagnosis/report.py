@@ -4,6 +4,8 @@ import math
 import sys
 from pathlib import Path
 
+import numpy as np
+
 from soro_bench.diagnosis.compare import ALPHA, Answer, Comparison, Fit
 from soro_bench.diagnosis.explain import Round
 from soro_bench.diagnosis.findings import (
@@ -25,7 +27,7 @@ from soro_bench.diagnosis.suspects import Suspect
 from soro_bench.effects.catalogue import ALL, CATEGORIES
 from soro_bench.effects.effect import load_effects, save_effects
 from soro_bench.files import brief, read_json, write_json
-from soro_bench.randomization import TruncatedNormal
+from soro_bench.randomization import Gaussian
 from soro_bench.recording.excitation import write_actions
 
 SCHEMA = "soro-bench/diagnosis/1"
@@ -83,11 +85,13 @@ def _finite(value) -> float:
     return float(value)
 
 
-def posterior(diagnosis: Diagnosis) -> TruncatedNormal:
+def posterior(diagnosis: Diagnosis) -> Gaussian:
     """The parameters of the patched robot, as a distribution to train on."""
     fit, priors = kept(diagnosis), diagnosis.robot.priors
     low, middle, high = (prior_values(priors, fit.x + k * deviations(diagnosis, fit)) for k in (-1.0, 0.0, 1.0))
-    return TruncatedNormal(tuple(p.name for p in priors), middle, 0.5 * (high - low))
+    width, cov = 0.5 * (high - low), fit.covariance(diagnosis.explanation.problem)[: len(priors), : len(priors)]
+    scale = np.sqrt(np.diag(cov))
+    return Gaussian(tuple(p.name for p in priors), middle, np.outer(width / scale, width / scale) * cov)
 
 
 def report_of(diagnosis: Diagnosis) -> dict:
