@@ -35,7 +35,7 @@ def main():
     )
     panel(upper, least)
     panel(lower, most)
-    upper.set_title(f"{folder.name.replace('proof_', 'release ')}, 95 % intervals; black: the least that is allowed")
+    upper.set_title(f"{folder.name.replace('proof_', 'release ')}; black: the least that is allowed")
     lower.set_title("black: the most that is allowed")
     figure.savefig(Path(__file__).with_suffix(".png"), dpi=120)
 
