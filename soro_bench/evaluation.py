@@ -7,11 +7,13 @@ import gymnasium
 import numpy as np
 
 from soro_bench.envs.task import Task
+from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
 from soro_bench.recording.episode import Episode
 from soro_bench.registration import make_task, task_type
 
 
+@quiet()
 @one_blas_thread
 def evaluate(
     act: Callable[[np.ndarray], np.ndarray],

@@ -48,6 +48,13 @@ def _finite(label: str, names: Sequence[str], values: np.ndarray, axes: int = 1)
     return values
 
 
+def _check_reach(names, means, stds) -> None:
+    """Refuse what has hardly a sample within the bounds, such as a value in another unit."""
+    for name, mean, std, least, most in zip(names, means, stds, *_bounds(names), strict=True):
+        if mean + 2 * std < least or mean - 2 * std > most:
+            raise ValueError(f"{name}: {mean} +- 2 * {std} lies outside the bounds [{least}, {most}]")
+
+
 @dataclass(frozen=True, eq=False)  # arrays have no truth value; to_dict() compares
 class Uniform:
     """Independent uniform distributions on [low, high]."""
@@ -79,15 +86,12 @@ class TruncatedNormal:
     std: np.ndarray
 
     def __post_init__(self):
-        lowest, highest = _bounds(self.names)
+        _bounds(self.names)
         _finite("mean", self.names, self.mean)
-        for name, mean, std, least, most in zip(
-            self.names, self.mean, _finite("std", self.names, self.std), lowest, highest, strict=True
-        ):
+        for name, std in zip(self.names, _finite("std", self.names, self.std), strict=True):
             if std < 0:
                 raise ValueError(f"{name}: a standard deviation of {std} is negative")
-            if mean + 2 * std < least or mean - 2 * std > most:
-                raise ValueError(f"{name}: {mean} +- 2 * {std} lies outside the bounds [{least}, {most}]")
+        _check_reach(self.names, self.mean, self.std)
 
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
         draws = rng.random(len(self.names))  # one draw each, whatever the truncation
@@ -133,6 +137,7 @@ class Gaussian:
             raise ValueError(f"the covariance is not positive semi-definite: there are correlations of {largest:.3g}")
         if (lowest := np.linalg.eigvalsh(correlation).min()) < -1e-9:
             raise ValueError(f"the covariance is not positive semi-definite: its correlation has eigenvalue {lowest}")
+        _check_reach(self.names, self.mean, np.sqrt(np.diag(cov)))
 
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
         scale = np.sqrt(np.diag(self.cov))

@@ -8,6 +8,7 @@ import pytest
 
 from soro_bench.envs.wrappers import DomainRandomization
 from soro_bench.randomization import Gaussian, TruncatedNormal, Uniform, from_dict, load
+from soro_bench.registration import make_task
 from tests.recordings import says
 
 
@@ -117,6 +118,22 @@ def test_seeds_of_vector_environments():
         envs.reset(seed=1.0)
     with pytest.raises(ValueError, match="3 seeds for 2 environments"):
         envs.reset(seed=[1, 2, 3])
+    envs.reset(seed=3)
+    for seed in ("ab", [1.5, 2]):
+        with pytest.raises(ValueError, match=says(f"seed {seed!r}", "an integer, or one for each of 2")):
+            envs.reset(seed=seed)
+    with pytest.raises(gymnasium.error.Error, match="-5"):
+        envs.reset(seed=[1, -5])
+    assert envs.unwrapped.np_random_seed == (3, 4)  # and none of them is seeded anew
+
+
+def test_one_bad_action_of_many_is_named_in_few_words():
+    task = make_task("TrunkReach-v0", 600, 1, "cable", action="continuous")
+    actions = np.zeros((600, 8))
+    actions[300, 2] = 1.2
+    with pytest.raises(ValueError, match=says("1.2 at [300, 2]", "from -1.0 to 1.0")) as error:
+        task.check_actions(actions, 600)
+    assert len(str(error.value)) < 250
 
 
 def test_parameter_of_another_task():
@@ -233,6 +250,7 @@ def test_number_of_seeds(seed):
             ("positive semi-definite", "eigenvalue -0.8"),
         ),
         (lambda: Gaussian(("trunk_mass",), [0.4], [[np.nan]]), ("covariance of trunk_mass", "finite")),
+        (lambda: Gaussian(("trunk_mass",), [9.0], [[0.01]]), ("trunk_mass: 9.0 +- 2 * 0.1", "[0.001, 2.0]")),
     ],
 )
 def test_distribution(make, parts):

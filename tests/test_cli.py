@@ -40,6 +40,8 @@ def test_a_recording_is_made_viewed_and_inferred_from(call, tmp_path):
          "--out", posterior)  # fmt: skip
     with pytest.raises(SystemExit, match="is of TrunkReach-v0, not of TrunkPush-v0"):
         call("infer", "sysid", recording, "--env", "TrunkPush-v0", "--out", posterior)
+    with pytest.raises(SystemExit, match="--simulations is a setting of bayes-sim; sysid has none"):
+        call("infer", "sysid", recording, "--simulations", "100", "--out", posterior)
     assert json.loads(posterior.read_text())["estimate"]["trunk_mass"] == pytest.approx(0.3, rel=0.01)
 
 

@@ -387,6 +387,8 @@ def test_diverged_state_ends_the_episode(make, env_id, model):
     observation, reward, terminated, truncated, info = env.step(0)
     assert (terminated, truncated, info["diverged"]) == (False, True, True)
     assert np.isfinite(observation).all() and np.isfinite(reward)
+    env.unwrapped.task.sim.batch.qvel[0, 0] = np.nan  # whoever goes on is told again
+    assert env.step(0)[-1]["diverged"]
     np.testing.assert_array_equal(env.reset(seed=0)[0], start)
     *_, truncated, info = env.step(0)
     assert not truncated and not info["diverged"]

@@ -252,11 +252,31 @@ def test_what_may_be_zero_is_determined_in_widths_of_its_box():
         ({"noise": np.nan}, "noise nan"),
         ({"seed": -1}, "seed -1: 0 or more"),
         ({"simulations": 3}, "3 simulations; at least 50"),
+        ({"method": "rf-dropo", "optimizer": "sample"}, "optimizer 'sample'; allowed are linearised and sampled"),
+        ({"method": "rf-dropo", "starts": 0}, "0 starts; at least 1"),
+        ({"method": "rf-dropo", "optimizer": "sampled", "samples": 1}, "1 samples; at least 2"),
+        ({"method": "droid", "iterations": 0}, "0 iterations; at least 1"),
+        ({"method": "droid", "popsize": 1}, "1 popsize; at least 2"),
+        ({"method": "sysid", "start": 3.0}, "start 3.0: a share"),
     ],
 )
 def test_settings_without_sense_are_named(reach, settings, message):
     with pytest.raises(ValueError, match=message):
-        infer("bayes-sim", Replay(reach[0], noise=settings.pop("noise", 0.0)), **settings)
+        infer(settings.pop("method", "bayes-sim"), Replay(reach[0], noise=settings.pop("noise", 0.0)), **settings)
+
+
+def test_actions_that_the_environment_refuses_are_not_replayed(reach):
+    commands = {name: Signal(s.time, s.values + 50) for name, s in reach[0].commands.items()}
+    with pytest.raises(RecordingError, match=r"finite numbers from -1\.0 to 1\.0"):
+        Replay(replace(reach[0], commands=commands), threads=1)
+
+
+def test_another_environment_is_another_replay():
+    """Whose parameters that are not inferred have other nominal values."""
+    recording = record("TrunkPush-v0", model="cable", steps=2)
+    lift = replace(recording, metadata={**recording.metadata, "env_id": "TrunkLift-v0"})
+    found = [Replay(one, ["trunk_mass"], threads=1).fingerprint() for one in (recording, lift)]
+    assert found[0] != found[1]
 
 
 @pytest.mark.parametrize(("method", "restart"), [("dropo", False), ("rf-dropo", True)])

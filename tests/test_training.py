@@ -166,6 +166,19 @@ def test_what_cannot_be_trained_deletes_no_older_run(trained, tmp_path):
     assert _bytes(tmp_path) == before
 
 
+@pytest.mark.parametrize("steps", [CONFIG.rollout_steps * CONFIG.rollouts_per_segment + 1, 0, -1])
+def test_episodes_that_end_in_no_segment_are_refused_and_claim_no_folder(tmp_path, steps):
+    with pytest.raises(ValueError, match=rf"{steps}"):
+        train(replace(CONFIG, episode_steps=steps), tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_episode_that_is_shorter_than_registered_may_end_in_a_shorter_segment(tmp_path):
+    config = replace(CONFIG, total_steps=CONFIG.num_envs * 8, rollout_steps=8, rollouts_per_segment=1, batch_size=8)
+    train(replace(config, episode_steps=5), tmp_path)
+    assert (tmp_path / "policy.json").exists()
+
+
 def test_exported_policy_acts_as_the_trained_network(trained):
     """The numpy policy gives the actions of Stable-Baselines3's deterministic policy."""
     import torch

@@ -84,7 +84,6 @@ class ModelRobot(Robot):
         parameters = [Parameter(p.name, p.unit, p.nominal, p.bounds, p.bounds, "") for p in (*self.priors, *known)]
         count = min(max(_FREEDOM // max(compiled.nv, 1), SIMULATIONS), _MOST_SIMULATIONS)
         self.simulation = Simulation(compiled, ParameterSet(*parameters), [fields], count, threads, ())
-        self._bad = np.zeros(count, int)
         self._remember(earlier)
 
     def shortened(self, factor: int) -> Robot:
@@ -211,7 +210,6 @@ class ModelRobot(Robot):
         if self._initial and start is not None:
             batch.qpos[np.ix_(ids, self._model.jnt_qposadr[self._initial])] = start.reshape(len(ids), -1)
         self.simulation.begin(ids)
-        self._bad[ids] = self.simulation.bad_states(ids)
 
     def _set(self, ids, settings):
         if len(ids):
@@ -224,7 +222,7 @@ class ModelRobot(Robot):
         ids = np.arange(len(actions))
         self.simulation.batch.ctrl[ids] = actions
         self.simulation.step(ids, self._substeps)
-        return self.simulation.bad_states(ids) > self._bad[ids]
+        return self.simulation.bad_states(ids)
 
     def _read(self, count):
         values = getattr(self.simulation.batch, self._source)[:count, self._ids].reshape(count, *self.shape)

@@ -16,6 +16,7 @@ from gymnasium import logger, spaces
 
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import Effect, effect_from, load_effects
+from soro_bench.files import brief
 from soro_bench.models.simulation import ParameterMap, Simulation
 from soro_bench.parameters import Parameter, ParameterSet
 from soro_bench.randomization import Distribution
@@ -102,7 +103,6 @@ class Task(ABC):
         self.sim = Simulation(model, self.parameters, maps, num_envs, num_threads, effects)
         self._distribution: Distribution | None = None
         self._substeps = round(self.control_timestep / model.opt.timestep)
-        self._bad_states = np.zeros(num_envs, int)
 
     def reset(self, ids: np.ndarray, rngs: Sequence[np.random.Generator], options: Sequence[Mapping[str, Any]]):
         """Start new episodes in simulations ``ids``.
@@ -124,7 +124,6 @@ class Task(ABC):
         batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._place(ids, starts)
         self.sim.begin(ids)
-        self._bad_states[ids] = self.sim.bad_states(ids)
         self._begin(ids)
         return self._observe(ids), self._info(ids)
 
@@ -140,9 +139,7 @@ class Task(ABC):
         batch = self.sim.batch
         batch.ctrl[ids] = self._controls(actions)
         self._advance(ids)
-        bad = self.sim.bad_states(ids)
-        diverged = bad > self._bad_states[ids]
-        self._bad_states[ids] = bad
+        diverged = self.sim.bad_states(ids)
         observation, space = self._observe(ids), self.single_observation_space
         # A state on its way to infinity leaves the space before the engine calls it bad; a unit quaternion does by
         # rounding. What is no number is outside too.
@@ -193,14 +190,16 @@ class Task(ABC):
         if actions.shape != (count, *space.shape):
             raise ValueError(f"actions have shape {actions.shape}; expected {(count, *space.shape)}")
         if isinstance(space, spaces.Discrete):
-            valid = actions.dtype.kind in "iu" and ((actions >= 0) & (actions < space.n)).all()
-            allowed = f"integers from 0 to {space.n - 1}"
+            kinds, low, high, allowed = "iu", 0, space.n - 1, f"integers from 0 to {space.n - 1}"
         else:
-            # written so that NaN fails
-            valid = actions.dtype.kind in "fiu" and ((actions >= space.low) & (actions <= space.high)).all()
-            allowed = f"finite numbers from {space.low.min()} to {space.high.max()}"
-        if not valid:
-            raise ValueError(f"action {actions.tolist()} is invalid; allowed are {allowed}")
+            kinds, low, high = "fiu", space.low, space.high
+            allowed = f"finite numbers from {low.min()} to {high.max()}"
+        if actions.dtype.kind not in kinds:
+            raise ValueError(f"action {brief(actions.tolist())} is invalid; allowed are {allowed}")
+        if not (valid := (actions >= low) & (actions <= high)).all():  # NaN is not
+            where = np.argwhere(~valid)[0].tolist()
+            value = f"{brief(actions.tolist())} is invalid: {actions[tuple(where)]} at {where}"
+            raise ValueError(f"action {value}; allowed are {allowed}")
         return actions
 
     def _checked_options(self, options: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -1,6 +1,5 @@
 """The Gymnasium vector environment: a task with many simulations on a thread pool."""
 
-import operator
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -74,10 +73,10 @@ class SoftRobotVectorEnv(VectorEnv):
             seeds = [None] * self.num_envs
         elif isinstance(seed, int | np.integer):
             seeds = [int(seed) + i for i in range(self.num_envs)]
-        elif isinstance(seed, Iterable):
-            seeds = list(seed)
         else:
-            raise ValueError(f"seed {seed!r} has to be an integer, or one for each of {self.num_envs} environments")
+            seeds = list(seed) if isinstance(seed, Iterable) else [seed]
+            if not all(one is None or isinstance(one, int | np.integer) for one in seeds):
+                raise ValueError(f"seed {seed!r} has to be an integer, or one for each of {self.num_envs} environments")
         if len(seeds) != self.num_envs:
             raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments")
         options = dict(checked_options(options))
@@ -85,9 +84,9 @@ class SoftRobotVectorEnv(VectorEnv):
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
             raise ValueError(f"reset_mask {mask.tolist()} has to be {self.num_envs} booleans")
         ids = np.flatnonzero(mask)
-        for i in ids:
-            if seeds[i] is not None:
-                self._rngs[i], self._seeds[i] = seeding.np_random(operator.index(seeds[i]))
+        seeded = {i: seeding.np_random(int(seeds[i])) for i in ids if seeds[i] is not None}  # or none of them
+        for i, (rng, used) in seeded.items():
+            self._rngs[i], self._seeds[i] = rng, used
         info: dict[str, Any] = {}
         self._restart(ids, [_options_of(options, i, self.num_envs) for i in ids], info)
         return self._observation.copy(), info

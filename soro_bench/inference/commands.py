@@ -36,10 +36,10 @@ class Infer:
     seed: int = 0
     published: bool = False
     """rf-dropo: the published search, CMA-ES with 100 replays per candidate; a thousand times slower."""
-    features: Literal["mdn", "mdrff"] = "mdn"
-    """bayes-sim: what its network sees."""
-    simulations: int = 1000
-    """bayes-sim: how many."""
+    features: Literal["mdn", "mdrff"] | None = None
+    """bayes-sim: what its network sees; mdn by default."""
+    simulations: int | None = None
+    """bayes-sim: how many; 1000 by default."""
     workers: Parallel = HERE
 
     def run(self) -> None:
@@ -52,8 +52,7 @@ class Infer:
         from soro_bench.recording.simulated import parse_params
 
         check_output(self.out, ".json")
-        if self.published and self.method != "rf-dropo":
-            raise ValueError(f"--published is a search of rf-dropo; {self.method} has none")
+        settings = self._settings()
         known, restart = parse_params(self.known), self.method == "dropo"
         recording = load(self.recording)
         metadata = {"env_id": self.env, **recording.metadata} if self.env else recording.metadata
@@ -61,14 +60,21 @@ class Infer:
             raise ValueError(f"{self.recording} is of {metadata['env_id']}, not of {self.env}")
         recording = replace(recording, metadata=metadata)
         replay = Replay(recording, self.infer or None, known, self.model, self.noise, restart, also=self.also)
-        settings = {}
-        if self.published:
-            settings = {"optimizer": "sampled"}
-        if self.method == "bayes-sim":
-            settings = {"features": self.features, "simulations": self.simulations}
         work = self.out.with_suffix(".log.jsonl")
         with InferenceBar(self.method) as steps:
             posterior = infer(self.method, replay, work, self.seed, steps, self.workers, **settings)
         posterior.save(self.out)
         work.unlink()  # up to 180 MB, and only an interrupted inference needs it
         console.print(write_report(posterior, replay, self.out), soft_wrap=True)
+
+    def _settings(self) -> dict:
+        """Of the method; ValueError for what it does not have."""
+        if self.published and self.method != "rf-dropo":
+            raise ValueError(f"--published is a search of rf-dropo; {self.method} has none")
+        if self.method == "bayes-sim":
+            simulations = 1000 if self.simulations is None else self.simulations
+            return {"features": self.features or "mdn", "simulations": simulations}
+        for name in ("features", "simulations"):
+            if getattr(self, name) is not None:
+                raise ValueError(f"--{name} is a setting of bayes-sim; {self.method} has none")
+        return {"optimizer": "sampled"} if self.published else {}

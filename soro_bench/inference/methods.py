@@ -14,10 +14,13 @@ from soro_bench.inference.identifiability import combinations, fisher
 from soro_bench.inference.posterior import Posterior
 from soro_bench.inference.replay import SIMULATIONS, Replay
 from soro_bench.inference.search import EvaluationLog, cma_search
+from soro_bench.models.simulation import quiet
 from soro_bench.parallel import HERE, Workers, each, one_blas_thread
 from soro_bench.randomization import Distribution, Gaussian, TruncatedNormal
 
 LEAST_SIMULATIONS = 50  # of BayesSim, whose network would learn nothing from fewer
+_LEAST = {"simulations": LEAST_SIMULATIONS, "iterations": 1, "max_iterations": 1, "popsize": 2, "samples": 2,
+          "starts": 1}  # fmt: skip
 METHODS = ("rf-dropo", "bayes-sim", "dropo", "droid", "sysid")
 Progress = Callable[[int, int, float], None]
 
@@ -60,6 +63,7 @@ class Search:
         return (values - self.low) / self.width
 
 
+@quiet()
 @one_blas_thread
 def infer(
     method: str,
@@ -84,8 +88,11 @@ def infer(
         raise ValueError(f"unknown method {method!r}; there are {', '.join(METHODS)}")
     if seed < 0:
         raise ValueError(f"seed {seed}: 0 or more is needed")
-    if (simulations := settings.get("simulations", LEAST_SIMULATIONS)) < LEAST_SIMULATIONS:
-        raise ValueError(f"{simulations} simulations; at least {LEAST_SIMULATIONS} are needed")
+    for name, least in _LEAST.items():
+        if settings.get(name) is not None and settings[name] < least:
+            raise ValueError(f"{settings[name]} {name}; at least {least} are needed")
+    if not 0.0 <= (settings.get("start") or 0.0) <= 1.0:
+        raise ValueError(f"start {settings['start']}: a share of the search box, from 0 to 1, is needed")
     if (method == "dropo") != replay.restarts:
         raise ValueError("dropo needs a replay that restarts from the recorded states, the other methods one that does "
                          "not")  # fmt: skip
@@ -97,6 +104,8 @@ def infer(
 
 def _rf_dropo(search: Search, optimizer: str = "linearised", **settings):
     replay = search.replay
+    if optimizer not in ("linearised", "sampled"):
+        raise ValueError(f"optimizer {optimizer!r}; allowed are linearised and sampled")
     if optimizer == "sampled":
         fit = rf_dropo.sampled(search.residuals, replay.deviation, search.dimension, search.log, search.seed,
                                progress=search.progress, **settings)  # fmt: skip

@@ -56,6 +56,10 @@ class Replay:
         kind, metadata = task_type(env_id), recording.metadata
         self.model = model or metadata.get("model") or kind.accurate
         self._simulated = (env_id, self.model, metadata["action"], threads)
+        try:
+            self._task.check_actions(self.actions, len(self.actions))
+        except ValueError as error:
+            raise RecordingError(str(error)) from error
         self.known = self._task.parameters.check(known or {})
         if names is None:
             names = [p.name for p in kind.randomized if p.name not in self.known]
@@ -121,9 +125,10 @@ class Replay:
         return self._states is not None
 
     def fingerprint(self) -> str:
-        """Names what is replayed: another recording, model or known value has another one."""
-        digest = hashlib.sha256(repr((self.names, sorted(self.known.items()), self.model)).encode())
-        for array in (self.actions, self.measured, self.deviation, *(self._states or {}).values()):
+        """Names what is replayed: another recording, environment, model or known value has another one."""
+        named = (*self._simulated[:2], self.names, sorted(self.known.items()))
+        digest, nominal = hashlib.sha256(repr(named).encode()), self._task.parameters.nominal
+        for array in (nominal, self.actions, self.measured, self.deviation, *(self._states or {}).values()):
             digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()[:16]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.files import shown
-from soro_bench.training.policy import PolicyCard
+from soro_bench.training.policy import PolicyCard, check_observations
 
 MAX_BYTES = 5_000_000  # of a file; parsed, nodes without content take some seventy times as much
 MAX_NODES = 1000
@@ -63,8 +63,7 @@ class OnnxPolicy:
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """Actions for (n, k) observations: (n,) integers if the action mode is discrete, else (n, nu) in [-1, 1]."""
-        if (given := observations.shape[1]) != self._size:
-            raise ValueError(f"the policy takes observations of {self._size} numbers; these have {given}")
+        check_observations(observations, self._size)
         # one row at a time, so that an action does not depend on how many are asked for at once
         rows = [self._evaluator.run(None, {self._name: row[None].astype(self._dtype)})[0] for row in observations]
         found = np.stack([np.ravel(row) for row in rows])

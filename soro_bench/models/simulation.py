@@ -25,7 +25,7 @@ _BAD_STATE = [
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """MuJoCo neither prints nor logs its warnings; states that diverge are counted by ``Simulation.bad_states``."""
+    """MuJoCo neither prints nor logs its warnings; ``Simulation.bad_states`` says what has diverged."""
     before = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda message: None)
     try:
@@ -131,8 +131,11 @@ class Simulation:
             self._effects.reset(ids)
 
     def bad_states(self, ids: np.ndarray) -> np.ndarray:
-        """(n,) how often MuJoCo found a state to be NaN or huge and reset it."""
-        return self.batch.warning[ids][:, _BAD_STATE, 1].sum(axis=1)
+        """(n,) whether MuJoCo has found a state to be NaN or huge, and reset it, since this was asked last."""
+        entries = np.ix_(ids, _BAD_STATE, [1])  # MuJoCo counts anew when it resets, so that one more is not seen
+        found = self.batch.warning[entries].any(axis=(1, 2))
+        self.batch.warning[entries] = 0
+        return found
 
     def step(self, ids: np.ndarray, nstep: int, stage: int = mujoco.mjtStage.mjSTAGE_VEL) -> None:
         """Advance by ``nstep`` time steps and compute the stages up to ``stage`` at the new state, which a persistent

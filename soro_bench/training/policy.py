@@ -30,6 +30,15 @@ class PolicyCard:
                 raise TypeError(f"{field.name} is {brief(value)}; expected {field.type.__name__}")
 
 
+def check_observations(observations: np.ndarray, size: int) -> None:
+    """ValueError unless they are (n, size), a row for each environment."""
+    shape = np.shape(observations)
+    if len(shape) != 2:
+        raise ValueError(f"observations have the shape {shape}; (n, {size}) is needed, a row for each environment")
+    if shape[1] != size:
+        raise ValueError(f"the policy takes observations of {size} numbers; these have {shape[1]}")
+
+
 @dataclass(frozen=True)
 class Policy:
     """Deterministic tanh MLP: normalised observation -> action.
@@ -44,8 +53,7 @@ class Policy:
 
     def act(self, observations: np.ndarray) -> np.ndarray:
         """Actions for (n, k) observations: (n,) integers if the action mode is discrete, else (n, nu) in [-1, 1]."""
-        if (given := observations.shape[1]) != (needed := len(self.tensors["mean"])):
-            raise ValueError(f"the policy takes observations of {needed} numbers; these have {given}")
+        check_observations(observations, len(self.tensors["mean"]))
         x = (observations - self.tensors["mean"]) / self.tensors["std"]
         x = np.clip(x, -OBSERVATION_CLIP, OBSERVATION_CLIP)
         layers = self.num_layers

@@ -23,6 +23,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from soro_bench.envs.sb3 import SB3VecEnv
 from soro_bench.envs.task import effects_of
 from soro_bench.files import brief, read_json, replacing, write_json
+from soro_bench.models.simulation import quiet
 from soro_bench.randomization import Distribution
 from soro_bench.registration import task_type
 from soro_bench.results import metric_key
@@ -123,6 +124,7 @@ def default_config(env_id: str, steps: int | None = None, **changes) -> PPOConfi
     return PPOConfig(env_id, **{"model": task_type(env_id).cheap, **_TASK_DEFAULTS.get(env_id, {}), **changes})
 
 
+@quiet()
 def train(
     config: PPOConfig,
     folder: str | Path,
@@ -142,7 +144,9 @@ def train(
     described, old = _claim(folder, config, distribution)
     torch.set_num_threads(1)  # sums would depend on the number; networks this small gain nothing from more
     env = _make_env(config, distribution)
-    if (steps := env.unwrapped.envs.spec.max_episode_steps) > config.rollout_steps * config.rollouts_per_segment:
+    registered = gymnasium.spec(config.env_id).max_episode_steps
+    steps = registered if config.episode_steps is None else config.episode_steps
+    if not 1 <= steps <= config.rollout_steps * config.rollouts_per_segment:
         raise ValueError(f"no episode of {steps} steps ends in a segment; raise rollout_steps or rollouts_per_segment")
     agent = _make_agent(config, env)
     for path in old:  # only now: what cannot be trained claims no folder
