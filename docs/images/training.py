@@ -13,7 +13,7 @@ from soro_bench.leaderboard.plots import curves_of
 from soro_bench.plotting import pyplot
 
 RESULTS = Path(__file__).parents[2] / "leaderboard" / "results"
-ON_REACH = ("oracle", "rf_dropo", "bayes_sim", "udr", "dr_box", "rf_dropo_cable", "oracle_flex")
+ON_REACH = ("oracle", "rf_dropo", "bayes_sim", "bayes_sim_variance", "udr", "dr_box", "rf_dropo_cable", "oracle_flex")
 ON_PUSH = ("oracle", "rf_dropo", "bayes_sim", "bayes_sim_variance", "udr", "dr_box", "rf_dropo_cable",
            "rf_dropo_unmodelled", "bayes_sim_unmodelled", "udr_unmodelled")  # fmt: skip
 

@@ -43,7 +43,7 @@ class Baseline:
 
     workers: Parallel
     board: Annotated[str, tyro.conf.Positional]
-    """Such as TrunkReach-v0; `soro-bench run --preset paper --plan` lists them."""
+    """Such as TrunkReach-v0 or TrunkLift-v0-50g; docs/how_to/submit.md lists them."""
     seeds: tuple[int, ...] = (0, 1, 2)
     steps: int | None = None
     """Environment steps; what the environment needs by default."""
