@@ -32,7 +32,8 @@ def shares(report: dict) -> tuple[float, float, float]:
     """Excess of the nominal robot and of the best hypothesis [nats], and the share that decides about unknown physics
     (``UNKNOWN``)."""
     nominal, best = left(nominal_of(report)), min(map(left, report["hypotheses"]))
-    return nominal, best, (best - UNKNOWN[2]) / max(nominal - UNKNOWN[2], 1.0)
+    least = UNKNOWN[2] * nominal_of(report)["samples"]
+    return nominal, best, (best - least) / max(nominal - least, 1.0)
 
 
 def promises(cases) -> str:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.audit import audit, outliers
+from soro_bench.diagnosis.audit import audit, noise, outliers
 from soro_bench.diagnosis.localise import intervals, regimes
 from soro_bench.diagnosis.measured import Measured
 from soro_bench.recording.recording import RecordingError
@@ -18,6 +18,14 @@ def test_an_audit_finds_the_noise_beside_motion():
     found = audit(Measured(np.zeros((300, 8)), time, motion + noise, "keypoints", "m"))
     assert found.sigma == pytest.approx(5e-4, rel=0.03)
     assert found.missing == 0
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2])
+def test_gaps_do_not_look_like_noise(share):
+    rng = np.random.default_rng(1)
+    values = rng.standard_normal((600, 63))
+    values[rng.random(values.shape) < share] = np.nan
+    assert noise(values) == pytest.approx(1.0, rel=0.05)
 
 
 @pytest.mark.parametrize("resampled", [False, True])
@@ -71,6 +79,14 @@ def test_intervals_are_the_windows_in_which_most_is_gained():
     time = 0.05 * np.arange(1, 201)
     gain = np.where((time > 2) & (time <= 4), 10.0, 0.1) + np.where((time > 7) & (time <= 8), 10.0, 0.0)
     assert intervals(time, gain) == [(2.0, 4.0), (7.0, 8.0)]
+    assert intervals(time, -np.abs(gain)) == []
+
+
+def test_regimes_do_not_depend_on_the_unit_of_commands_nor_need_any():
+    time, rates = 0.05 * np.arange(1, 101), np.sin(np.arange(100) / 9)[:, None]
+    assert regimes(time, 1e-6 * rates, np.ones(100)) == regimes(time, rates, np.ones(100))
+    rest = next(r for r in regimes(time, np.zeros((100, 0)), np.ones(100)) if r.condition == "while it rests")
+    assert (rest.time, rest.explained) == (1.0, 1.0)
 
 
 def test_regimes_tell_reversals_from_motion_and_rest():

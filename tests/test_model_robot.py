@@ -233,7 +233,22 @@ def test_what_touches_and_flexes_of_any_model_are_places(paths):
     model.write_text(touching.replace("<worldbody>", floor))
     found = {(one.name, one.where.kind, one.where.name) for one in suspects(ModelRobot(model, mapping, threads=1))}
     assert {("stiction", "geom", "skin"), ("adhesion", "geom", "floor"), ("local_stiffness", "flex", "sheet")} <= found
+    assert {name for _, kind, name in found if kind == "joint"} == {"hinge"}
     assert ("stiction", "geom", "floor") not in found
+
+
+def test_what_has_no_name_is_a_place_too(paths):
+    """By its number and the model's name, which tells it from what another model has there."""
+    model, mapping = paths
+    finger = '<body pos="0.2 0 0"><joint axis="0 1 0"/><geom size="0.01" mass="0.01"/></body></body></worldbody>'
+    model.write_text(ARM.replace("</body></worldbody>", finger))
+    found = {(one.name, str(one.where)) for one in suspects(ModelRobot(model, mapping, threads=1))}
+    assert {("coulomb_friction", "joint 1 of arm"), ("payload", "body 2 of arm")} <= found
+
+
+def test_laws_of_all_bodies_together_are_tried_at_a_single_one(paths):
+    found = {(one.name, str(one.where)) for one in suspects(ModelRobot(*paths, threads=1))}
+    assert ("fluid_drag", "body arm") in found
 
 
 def test_a_robot_settles_under_its_first_command(paths):
@@ -289,7 +304,7 @@ def test_channels_are_those_of_all_actuators(paths):
     more = '<actuator><position joint="hinge"/><position name="pull" tendon="string"/>'
     model.write_text(ARM.replace("<actuator>", string + more))
     robot = ModelRobot(model, mapping, threads=1)
-    assert robot.channels == ["actuator number 0", "actuator pull", "actuator motor"]
+    assert robot.channels == ["actuator 0 of arm", "actuator pull", "actuator motor"]
     places = [Port("actuator", "motor"), Port("tendon", "string"), Port("actuator", "*"), Port("joint", "hinge")]
     assert [robot.channel(where) for where in places] == [2, 1, None, None]
     assert robot.commanded(np.eye(3), np.ones((1, 3))).shape == (3, 3)

@@ -33,6 +33,14 @@ def test_a_recording_that_does_not_say_where_it_begins_is_refused(paths):
         ModelRobot(*paths, threads=1).measured(given)
 
 
+def test_a_start_that_was_measured_later_than_the_commands_begin_is_refused(paths):
+    given = recording(paths, [], 0)
+    angle = given.signals["angle"]
+    later = replace(given, signals={"angle": replace(angle, time=angle.time[50:], values=angle.values[50:])})
+    with pytest.raises(RecordingError, match=r"first sample of angle is 1 s after .* within a control step, 0\.02 s"):
+        ModelRobot(*paths, threads=1).measured(later)
+
+
 def test_a_recording_without_a_command_of_the_mapping_is_refused(paths):
     given = Recording({}, {"angle": Signal(np.arange(5.0), np.zeros(5), "rad")})
     with pytest.raises(RecordingError, match="no command 'goal'"):

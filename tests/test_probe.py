@@ -12,7 +12,7 @@ from soro_bench.diagnosis.measured import Measured
 from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.probe import _raced, places
 from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.pushes import Source, replayed, sources
+from soro_bench.diagnosis.pushes import Source, replayed, setpoints, sources
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.suspects import suspect
 from soro_bench.effects.effect import EVERY, Effect, Port
@@ -131,12 +131,10 @@ def test_a_walkers_chamber_that_is_filled_too_much_is_found():
     assert best.where == where
 
 
-@pytest.mark.parametrize("named", [True, False])
-def test_forces_are_found_on_a_robot_whose_actuators_have_no_state(tmp_path, named):
-    """Its setpoints are its controls; a joint that has no name is not pushed by itself."""
+def test_forces_are_found_on_a_robot_whose_actuators_have_no_state(tmp_path):
+    """Its setpoints are its controls."""
     paths = tmp_path / "arm.xml", tmp_path / "arm.toml"
-    link = '<body name="link" pos="0.2 0 0"><joint {} axis="0 1 0" stiffness="0.5" damping="0.01"/><geom size="0.02"/>'
-    link = link.format('name="elbow"' if named else "")
+    link = '<body name="link" pos="0.2 0 0"><joint axis="0 1 0" stiffness="0.5" damping="0.01"/><geom size="0.02"/>'
     paths[0].write_text(ARM.replace("</body></worldbody>", f"{link}</body></body></worldbody>"))
     paths[1].write_text(MAP)
     robot = ModelRobot(*paths, threads=1)
@@ -158,6 +156,7 @@ def test_forces_are_found_on_a_robot_whose_actuators_have_no_state(tmp_path, nam
     )  # fmt: skip
     (base,) = fitted(given, [Guess(np.zeros(3))], (0.7, 0.3, 0.1), seed=0)
     turned = {source.where.name for source in sources(given, robot, base) if source.pushes[0].kind == "joint"}
-    assert turned == ({"arm", "link"} if named else {"arm"})
+    assert turned == {"arm", "link"}
+    np.testing.assert_array_equal(setpoints(given, robot, base)[0], goals)
     found = {place.where: place for place in places(given, robot, base)}
     assert found[Port("body", "link")].force.left < 0.2 * given.left(base.residual)

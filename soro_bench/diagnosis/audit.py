@@ -63,9 +63,10 @@ def noise(values: np.ndarray) -> float:
     count = complete.sum(axis=1)
     if not count.any():
         raise RecordingError(f"no point is present in {_WINDOW} successive samples")
-    used, freedom = count == count.max(), count.max() * (_WINDOW - _DEGREE - 1)
+    used = count > 0
     sums = np.where(complete, squares, 0.0).sum(axis=1)[used]
-    return float(np.sqrt(np.quantile(sums, _QUIET) / chi2.ppf(_QUIET, freedom)))
+    quiet = chi2.ppf(_QUIET, count[used] * (_WINDOW - _DEGREE - 1))  # of what is present in each window
+    return float(np.sqrt(np.quantile(sums / quiet, _QUIET)))
 
 
 def _rows(values: np.ndarray) -> np.ndarray:

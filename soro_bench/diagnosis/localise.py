@@ -59,9 +59,11 @@ def explained_over_time(problem: Problem, before: Hypothesis, after: Hypothesis)
 
 
 def intervals(time: np.ndarray, gain: np.ndarray) -> list[tuple[float, float]]:
-    """The fewest windows with most of the gain, as intervals [s]."""
+    """The fewest windows with most of the gain, as intervals [s]; none if nothing is gained."""
     edges = np.arange(0.0, time[-1] + WINDOW, WINDOW)
     of_window = np.histogram(time - 1e-9, edges, weights=np.maximum(gain, 0.0))[0]
+    if not of_window.any():
+        return []
     order = np.argsort(of_window)[::-1]
     enough = int(np.searchsorted(np.cumsum(of_window[order]), _WHEN * of_window.sum())) + 1
     found: list[tuple[float, float]] = []
@@ -78,11 +80,12 @@ def regimes(time: np.ndarray, rates: np.ndarray, gain: np.ndarray) -> list[Regim
 
     Args:
         time: (T,) s.
-        rates: (T, A) of the commands, in shares of the fastest.
+        rates: (T, A) of the commands.
         gain: (T,) what is explained in each sample.
     """
     steps = max(1, round(_AFTER_REVERSAL / float(np.median(np.diff(time)))))
-    speed = np.abs(rates).max(axis=1)
+    rates = rates / max(float(np.abs(rates).max(initial=0.0)), 1e-300)
+    speed = np.abs(rates).max(axis=1, initial=0.0)
     moving, fast = speed > _STILL, speed > 0.5 * speed.max()
     reversal = np.zeros(len(rates), bool)
     for column in np.sign(np.where(np.abs(rates) > _STILL, rates, 0.0)).T:

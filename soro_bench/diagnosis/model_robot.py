@@ -151,6 +151,12 @@ class ModelRobot(Robot):
         found = super().measured(recording)
         if self._initial and not np.isfinite(found.start).all():
             raise RecordingError(f"the first sample of {self.signal} has gaps; [initial] needs all of it")
+        later = float(recording.signals[self.signal].time[0]) - self.begins(recording)
+        if self._initial and later > self.control_timestep * (1 + 1e-6):
+            raise RecordingError(
+                f"the first sample of {self.signal} is {later:g} s after the recording begins; [initial] needs one "
+                f"within a control step, {self.control_timestep:g} s"
+            )
         return found
 
     def rates(self, actions: np.ndarray) -> np.ndarray:
@@ -236,7 +242,18 @@ def _spec(path) -> mujoco.MjSpec:
         spec.meshdir = str(folder / spec.meshdir)
     if spec.textures:
         spec.texturedir = str(folder / spec.texturedir)
-    return instrument(spec)
+    return instrument(_named(spec, Path(path).stem))
+
+
+def _named(spec, model) -> mujoco.MjSpec:
+    """The spec with names for what has none, as effects act on what has one; another model has other names. The joints
+    of a flex's vertices, which nothing acts on by itself, stay without."""
+    vertices = {name for flex in spec.flexes for name in (*flex.vertbody, *flex.nodebody)}
+    joints = [joint for joint in spec.joints if joint.parent.name not in vertices]
+    for elements in (spec.tendons, joints, spec.actuators, spec.bodies):
+        for i, one in enumerate(elements):
+            one.name = one.name or f"{i} of {model}"
+    return spec
 
 
 def _compiled(path) -> mujoco.MjModel:

@@ -195,14 +195,14 @@ def _rated(rivals, evidence, heat) -> float:
 
 
 def _proposal(motion, rivals, evidence, heat) -> Proposal:
-    labels = _labels(rivals)
-    apart = [pair for pair, e in zip(itertools.combinations(labels, 2), evidence, strict=True) if e >= APART * heat]
+    names = labels(rivals)
+    apart = [pair for pair, e in zip(itertools.combinations(names, 2), evidence, strict=True) if e >= APART * heat]
     enough = evidence[evidence >= APART * heat]
-    return Proposal(motion, tuple(labels), tuple(apart), float(min(enough if len(enough) else evidence, default=0.0)))
+    return Proposal(motion, tuple(names), tuple(apart), float(min(enough if len(enough) else evidence, default=0.0)))
 
 
-def _labels(rivals) -> list[str]:
-    """Names of the effects of every answer, with their places where the names do not tell them apart."""
+def labels(rivals: Sequence[Answer]) -> list[str]:
+    """Names of the effects of every answer, with their places where the names do not tell them apart; "none"."""
     names = [" with ".join(a.names) or "none" for a in rivals]
     places = [" with ".join(f"{s.name} at {s.where}" for s in a.hypothesis.suspects) for a in rivals]
     return [place if names.count(name) > 1 else name for name, place in zip(names, places, strict=True)]

@@ -273,7 +273,7 @@ def setpoints(problem: Problem, robot: Robot, base: Hypothesis) -> list[np.ndarr
     for name in ("act", "ctrl"):
         batch.bind(name)
     parameters, found = np.array([list(robot.parameters(base.x).values())]), []
-    own = np.flatnonzero(model.actuator_actnum)  # where the setpoint is the activation
+    own = model.actuator_actnum > 0  # where the setpoint is the activation
     for each in problem.recordings:
         rows = []
 
@@ -282,6 +282,6 @@ def setpoints(problem: Problem, robot: Robot, base: Hypothesis) -> list[np.ndarr
             rows[-1][own] = batch.act[0, model.actuator_actadr[own]]
 
         robot.simulate_all([each.drive], parameters, [base.effects(problem.parameters)], note)
-        rows = np.array(rows)
-        found.append(0.5 * (rows + np.concatenate([rows[1:], rows[-1:]])))
+        after = np.array([*rows[1:], np.where(own, rows[-1], batch.ctrl[0])])
+        found.append(np.where(own, 0.5 * (np.array(rows) + after), after))  # a control is held from before the step on
     return found

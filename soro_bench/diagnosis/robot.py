@@ -174,9 +174,9 @@ class Robot(ABC):
 
     @property
     def actuator_names(self) -> list[str]:
-        """Of all actuators, or their numbers where they have none."""
+        """Of all actuators."""
         model = self.elements.model
-        return [model.actuator(i).name or f"number {i}" for i in range(model.nu)]
+        return [model.actuator(i).name for i in range(model.nu)]
 
     def channel(self, where: Port) -> int | None:
         """The number of an action that moves a cable or actuator; None for what no single one moves."""
@@ -321,16 +321,13 @@ class Robot(ABC):
         ]
 
     def _roll_out(self, drives, parameters, physics, before_step):
-        """[(1 + T, P, D)] of n replays, each with its own drive: before the first step, and after every one."""
-        n, lengths = len(drives), [len(drive.actions) for drive in drives]
-        # the shorter ones go on with their last row
-        rows = np.minimum(np.arange(max(lengths)), np.array(lengths)[:, None] - 1)
-        actions = np.stack([drive.actions[at] for drive, at in zip(drives, rows, strict=True)])
+        """(n, 1 + T, P, D) of replays, each with its own drive of T steps: before the first, and after every one."""
+        n, actions = len(drives), np.stack([drive.actions for drive in drives])
         start, settings = drives[0].start, drives[0].settings  # all drives have them, or none
         if start is not None:
             start = np.stack([drive.start for drive in drives])
         if settings is not None:
-            settings = np.stack([drive.settings[at] for drive, at in zip(drives, rows, strict=True)])
+            settings = np.stack([drive.settings for drive in drives])
         self.simulation.assign_effects([*physics, *[()] * (self._count - n)])
         self._begin(parameters, start)
         lost, values = np.zeros(n, bool), []
@@ -348,7 +345,7 @@ class Robot(ABC):
             value = self._read(n).copy()
             value[lost] = np.nan
             values.append(value)
-        return [value[: 1 + length] for value, length in zip(np.stack(values, axis=1), lengths, strict=True)]
+        return np.stack(values, axis=1)
 
 
 def _check_clocks(name, times, commands) -> None:

@@ -109,7 +109,7 @@ def suspects(robot: Robot) -> list[Suspect]:
         for kind in law.kinds:
             ports = [] if kind == "joint" and "body" in law.kinds else robot.ports(kind)
             every = [Port(kind, EVERY)] if law.shared and len(ports) > 1 else []
-            for one in _possible(robot, name, every if law.only_shared else every + ports):
+            for one in _possible(robot, name, every if every and law.only_shared else every + ports):
                 found += variants(one)
     for name, fault in ALL.items():
         if name not in PHYSICS and name != "outliers" and (coordinates == 3 or name != "frame_misalignment"):

@@ -8,13 +8,14 @@ from soro_bench.diagnosis.findings import Finding, before_after, described, find
 from soro_bench.diagnosis.patch import kept, patch, rejected
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.priors import Prior
-from soro_bench.diagnosis.propose import DURATION, Proposal
+from soro_bench.diagnosis.propose import DURATION, Proposal, labels
 from soro_bench.diagnosis.report import NEXT_ACTIONS, detectable, invisible, not_looked_for
 from soro_bench.diagnosis.robot import Robot
 from soro_bench.diagnosis.suspects import late
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import Effect
 
+MENTIONED = 0.05  # probability
 FAR = 3.0  # standard deviations of its prior: one parameter in 400 is that far from its nominal value
 
 
@@ -57,10 +58,14 @@ def verdict(diagnosis: Diagnosis) -> str:
             said.append(_of_the_nearest(bool(patch(diagnosis)), " with ".join(best.names)))
     if best.names and best.heldout is None:
         said.append("No recording was held out, so nothing says whether this holds for other motion.")
-    others = [a for a in diagnosis.comparison.ranked[1:] if a.probability >= 0.05][:3]
+    others = [a for a in diagnosis.comparison.ranked[1:] if a.probability >= MENTIONED][:3]
+    names = ["nothing" if name == "none" else name for name in labels([best, *others])[1:]]
+    also = [f"{name} ({a.probability:.2f})" for name, a in zip(names, others, strict=True)]
+    if diagnosis.verdict != "unknown_physics" and (unknown := diagnosis.comparison.unknown) >= MENTIONED:
+        also.append(f"something without a name ({unknown:.2f})")
+    if also:
+        said.append(f"It may also be {', or '.join(also)}.")
     if others:
-        names = ", or ".join(f"{' with '.join(a.names) or 'nothing'} ({a.probability:.2f})" for a in others)
-        said.append(f"It may also be {names}.")
         kinds = {CATEGORIES[name] for name in best.names}
         alike = sum(a.probability for a in diagnosis.comparison.answers if {CATEGORIES[n] for n in a.names} == kinds)
         if kinds and alike > best.probability + 0.05:
@@ -139,9 +144,9 @@ def _sentence(diagnosis: Diagnosis, finding: Finding) -> str:
     )
     when = ", ".join(f"{w['start_s']:.0f}-{w['end_s']:.0f} s" for w in shown["when"][:6])
     if len(diagnosis.explanation.problem.recordings) > 1:
-        when += " of the first recording"
+        when = f"{when} of the first recording" if when else "no time of the first recording"
     return (f"{finding.effect.name} at {finding.effect.where} (probability {finding.probability:.2f}): {values}; "
-            f"visible at {when}; {shown['condition']}.")  # fmt: skip
+            f"visible at {when or 'no time'}; {shown['condition']}.")  # fmt: skip
 
 
 def _twin(robot: Robot, effect: Effect) -> str:

@@ -39,7 +39,8 @@ class Port:
 class Quantity:
     """A parameter of a law.
 
-    typical: where a search begins; a multiple of the port's scale of force, damping or length if ``of`` says so.
+    typical: where a search begins; a multiple of the port's scale of force, damping, length or compliance if ``of``
+        says so.
     null: where the law does nothing, if this is its first parameter.
     also: other values that make another signature, from which a search begins too.
     """
@@ -50,7 +51,7 @@ class Quantity:
     bounds: tuple[float, float]
     null: float = 0.0
     also: tuple[float, ...] = ()  # other values where a search begins
-    of: Literal["force", "damping", "length"] | None = None
+    of: Literal["force", "damping", "length", "compliance"] | None = None
 
 
 @dataclass(frozen=True)

@@ -154,9 +154,12 @@ class Elements:
         return model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE
 
     def scale(self, port: Port, of: str | None) -> float:
-        """What a typical force, damping or length is a multiple of: a share of the port's range, or 1."""
+        """What a typical force, damping or length is a multiple of: a share of the port's range, or 1; of compliances
+        it is that of the servo itself."""
         if of is None:
             return 1.0
+        if of == "compliance":
+            return 1.0 / max(abs(float(self.model.actuator_gainprm[self.id(port), 0])), 1e-6)
         if of == "damping":
             return self.scale(port, "force") / (_TURN if self.turns(port) else _SPEED)
         model = self.model

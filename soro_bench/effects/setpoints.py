@@ -197,7 +197,7 @@ class Compliance(Law):
     """A spring in series with a servo: a cable, a belt; the servo's stiffness and damping fall by 1 + k c."""
 
     name, category, kinds = "compliance", "static_one_sided", ("actuator",)
-    quantities = (Quantity("compliance", "m/N or rad/(N m)", 1e-4, (0.0, np.inf)),)
+    quantities = (Quantity("compliance", "m/N or rad/(N m)", 1.0, (0.0, np.inf), of="compliance"),)
     fields: ClassVar = ("actuator_gainprm", "actuator_biasprm")
 
     def prepare(self, elements):
