@@ -135,6 +135,25 @@ def test_the_worse_of_two_laws_of_which_one_contains_the_other_is_begun_where_th
     assert {name: law.parameters[name] for name in shared} == pytest.approx({n: known.parameters[n] for n in shared})
 
 
+def test_close_rivals_of_an_earlier_round_go_on_with_what_the_best_has_got_since(robot, monkeypatch):
+    """But not what was far behind then, nor what was at another place."""
+
+    def ended(left, at, *laws):
+        found = tuple(suspect(robot, name, where) for name, where in laws)
+        x = np.full(2 + sum(one.size for one in found), at)
+        return Hypothesis(found, x, np.array([left]), left, np.zeros((len(x), 1)), np.zeros((0, 1)))
+
+    here, there, delay = Port("tendon", "L0"), Port("tendon", "L1"), ("actuator_delay", Port("actuator", "*"))
+    taken, rival = ended(3000.0, 0.1, ("coulomb_friction", here)), ended(5000.0, 0.2, ("viscous_friction", here))
+    behind, elsewhere = ended(7000.0, 0.2, ("load_friction", here)), ended(4000.0, 0.2, ("viscous_friction", there))
+    best = ended(1000.0, 0.3, ("coulomb_friction", here), delay)
+    monkeypatch.setattr(refit, "fitted", lambda problem, guesses, *_: guesses)
+    given = SimpleNamespace(parameters=2, robot=robot, excess=lambda residual: float(residual[0]))
+    (guess,) = refit.continued(given, best, [taken, rival, behind, elsewhere], 0)
+    assert guess.suspects == (*rival.suspects, best.suspects[1])
+    assert guess.x.tolist() == [0.3, 0.3, 0.2, 0.3]  # the robot and the delay of the best, the friction of the rival
+
+
 @pytest.mark.parametrize("began", ["vertebra4", "vertebra8"])
 def test_a_law_begun_at_a_neighbour_ends_at_its_place(robot, actions, began):
     hidden = Effect("payload", Port("body", "vertebra6"), {"mass": 0.04})

@@ -99,6 +99,32 @@ def without_one(problem: Problem, hypothesis: Hypothesis, nominal: Hypothesis, s
     return descended(problem, fitted(problem, nearer, _POLISH, seed))
 
 
+def continued(problem: Problem, best: Hypothesis, earlier: Sequence[Hypothesis], seed: int) -> list[Hypothesis]:
+    """The best hypothesis with each close rival of earlier rounds instead of the law at its place that they went on
+    with, fitted from where both ended: two laws that leave as much alone may not beside a third one."""
+    guesses = []
+    for h in earlier:
+        k = len(h.suspects) - 1
+        taken = best.suspects[: k + 1]
+        if 0 <= k < len(best.suspects) - 1 and _there(h.suspects, taken) and _close(problem, h, earlier):
+            part = slices(best.suspects, problem.parameters)[k]
+            x = np.concatenate([best.x[: part.start], h.x[-h.suspects[k].size :], best.x[part.stop :]])
+            guesses.append(Guess(x, (*h.suspects, *best.suspects[k + 1 :])))
+    guesses = [g for g in guesses if problem.robot.accepts(effects_at(g.x[problem.parameters :], g.suspects))]
+    return fitted(problem, guesses, _POLISH, seed) if guesses else []
+
+
+def _there(one, other):
+    """Whether suspects differ in the law of the last only."""
+    return one[:-1] == other[:-1] and one[-1].where == other[-1].where and one[-1].name != other[-1].name
+
+
+def _close(problem, hypothesis, others):
+    """Whether it leaves hardly more than the best one with as many effects."""
+    least = min(problem.excess(h.residual) for h in others if len(h.suspects) == len(hypothesis.suspects))
+    return problem.excess(hypothesis.residual) < RIVAL * max(least, CLEAN)
+
+
 def exchanged(
     problem: Problem, hypotheses: Sequence[Hypothesis], candidates: Sequence[Suspect], known: set, seed: int
 ) -> list[Hypothesis]:
