@@ -226,7 +226,8 @@ class _Search:
         if len(self.rounds) == 1 and not self.problem.rough:
             leads += _leads(self.problem, self.first, pairs(self.first))
         new = refitted(self.problem, leads, self.screened, next(self.seeds))
-        new += continued(self.problem, new[0], self.tried, next(self.seeds))
+        if self.rounds:
+            new += continued(self.problem, new[0], self.tried, next(self.seeds))
         if self.problem.rough:
             new = persevered(self.problem, new, next(self.seeds))
         self.problem, new = _with_own_floor(self.problem, self.refined, new, next(self.seeds))
