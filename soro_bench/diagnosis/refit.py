@@ -101,16 +101,16 @@ def without_one(problem: Problem, hypothesis: Hypothesis, nominal: Hypothesis, s
 
 def continued(problem: Problem, best: Hypothesis, earlier: Sequence[Hypothesis], seed: int) -> list[Hypothesis]:
     """The best hypothesis with each close rival of earlier rounds instead of the law at its place that they went on
-    with, fitted from where both ended: two laws that leave as much alone may not beside a third one."""
-    guesses = []
+    with, fitted from where either ended: two laws that leave as much alone may not beside a third one."""
+    guesses, d = [], problem.parameters
     for h in earlier:
         k = len(h.suspects) - 1
         taken = best.suspects[: k + 1]
         if 0 <= k < len(best.suspects) - 1 and _there(h.suspects, taken) and _close(problem, h, earlier):
-            part = slices(best.suspects, problem.parameters)[k]
-            x = np.concatenate([best.x[: part.start], h.x[-h.suspects[k].size :], best.x[part.stop :]])
-            guesses.append(Guess(x, (*h.suspects, *best.suspects[k + 1 :])))
-    guesses = [g for g in guesses if problem.robot.accepts(effects_at(g.x[problem.parameters :], g.suspects))]
+            since = best.x[slices(best.suspects, d)[k].stop :]
+            for robot in (best.x[:d], h.x[:d]):
+                guesses.append(Guess(np.concatenate([robot, h.x[d:], since]), (*h.suspects, *best.suspects[k + 1 :])))
+    guesses = [g for g in guesses if problem.robot.accepts(effects_at(g.x[d:], g.suspects))]
     return fitted(problem, guesses, _POLISH, seed) if guesses else []
 
 
