@@ -1,6 +1,6 @@
 """What laws leave of a study's recordings, each fitted whether or not a diagnosis would try it.
 
-    python benchmarks/law_fits.py bam_servo gains --fit coulomb_friction:joint:hinge --data data/real --seeds 3
+    python benchmarks/law_fits.py bam_servo gains --fit coulomb_friction:joint:hinge --seeds 0 1 2
     python benchmarks/law_fits.py asl_trunk random --fit "actuator_delay:actuator:*" local_stiffness:body:link3_3of3
 
 A --fit is laws that act together, each LAW:KIND:NAME of where it acts; the parameters of the robot are fitted with
