@@ -16,7 +16,7 @@ from multigait_gaits import ACTIONS, STEPS, Tree
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from soro_bench.training.policy import OBSERVATION_CLIP
-from soro_bench.training.ppo import _make_agent, default_config
+from soro_bench.training.ppo import default_config, make_agent
 
 ROOT = Path(__file__).parents[1]
 VARIANTS = {
@@ -87,7 +87,7 @@ def displacement(observations, way, config) -> float:
     env = Table(observations, way, config.num_envs, config.finite_horizon)
     floor = config.observation_floor**2
     normalised = VecNormalize(env, norm_reward=False, clip_obs=OBSERVATION_CLIP, epsilon=floor)
-    agent = _make_agent(config, normalised)
+    agent = make_agent(config, normalised)
     agent.lr_schedule = lambda _: config.learning_rate * (1.0 - agent.num_timesteps / config.total_steps)
     agent.learn(config.total_steps)
     place = 0

@@ -183,10 +183,10 @@ def test_exported_policy_acts_as_the_trained_network(trained):
     """The numpy policy gives the actions of Stable-Baselines3's deterministic policy."""
     import torch
 
-    from soro_bench.training.ppo import _Curve, _load_checkpoint, _make_agent, _make_env
+    from soro_bench.training.ppo import _Curve, _load_checkpoint, make_agent, make_env
 
-    env = _make_env(CONFIG, None)
-    agent = _make_agent(CONFIG, env)
+    env = make_env(CONFIG, None)
+    agent = make_agent(CONFIG, env)
     _load_checkpoint(trained, agent, env, _Curve())
     env.training = False
     observations = np.random.default_rng(0).uniform(-0.2, 0.2, (50, 66))

@@ -143,12 +143,12 @@ def train(
     folder = Path(folder)
     described, old = _claim(folder, config, distribution)
     torch.set_num_threads(1)  # sums would depend on the number; networks this small gain nothing from more
-    env = _make_env(config, distribution)
+    env = make_env(config, distribution)
     registered = gymnasium.spec(config.env_id).max_episode_steps
     steps = registered if config.episode_steps is None else config.episode_steps
     if not 1 <= steps <= config.rollout_steps * config.rollouts_per_segment:
         raise ValueError(f"no episode of {steps} steps ends in a segment; raise rollout_steps or rollouts_per_segment")
-    agent = _make_agent(config, env)
+    agent = make_agent(config, env)
     for path in old:  # only now: what cannot be trained claims no folder
         path.unlink(missing_ok=True)
     write_json(folder / "config.json", described)
@@ -185,7 +185,8 @@ def _claim(folder: Path, config: PPOConfig, distribution) -> tuple[dict, list[Pa
     return described, [folder / name for name in ("checkpoint.pt", "curve.csv", "policy.json", "policy.safetensors")]
 
 
-def _make_env(config: PPOConfig, distribution) -> VecNormalize:
+def make_env(config: PPOConfig, distribution: Distribution | None = None) -> VecNormalize:
+    """The environments of a training, as Stable-Baselines3 takes them."""
     steps = {} if config.episode_steps is None else {"max_episode_steps": config.episode_steps}
     missing = {} if config.effects is None else {"effects": config.effects}
     envs = gymnasium.make_vec(
@@ -206,7 +207,9 @@ def _make_env(config: PPOConfig, distribution) -> VecNormalize:
     )  # fmt: skip
 
 
-def _make_agent(config: PPOConfig, env: VecNormalize) -> PPO:
+def make_agent(config: PPOConfig, env: VecNormalize, device: str = "cpu") -> PPO:
+    """PPO as configured. Networks this small gain nothing from a GPU (docs/performance.md), and on the CPU a policy has
+    the same bytes with and without one."""
     agent = PPO(
         "MlpPolicy",
         env,
@@ -219,7 +222,7 @@ def _make_agent(config: PPOConfig, env: VecNormalize) -> PPO:
         ent_coef=config.entropy_coefficient,
         policy_kwargs={"net_arch": list(config.hidden), "log_std_init": config.initial_log_std},
         seed=config.seed,
-        device="cpu",
+        device=device,
     )
     agent.set_logger(Logger(folder=None, output_formats=[]))  # the default leaves a folder in /tmp per segment
     return agent
