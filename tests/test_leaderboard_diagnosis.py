@@ -10,6 +10,7 @@ from soro_bench.files import write_json
 from soro_bench.leaderboard import diagnosis_entry
 from soro_bench.leaderboard.verify import verify_diagnosis
 from soro_bench.proof import score
+from soro_bench.proof.commands import Prove
 from tests.entries import edit
 from tests.test_bad_input import says
 from tests.test_proof_score import label, report
@@ -47,6 +48,24 @@ def test_a_diagnosis_is_scored_again_and_what_was_edited_is_found(tmp_path, monk
     (tmp_path / "reports" / "case_001.json").unlink()
     with pytest.raises(ValueError, match=says("case_001.json", "missing; every case needs its report")):
         verify_diagnosis(path, cases, tmp_path / "reports")
+
+
+def test_the_command_prove_writes_an_entry_that_verifies(tmp_path, monkeypatch):
+    monkeypatch.setattr(score, "BOOTSTRAP", 50)
+    labels = [label(0), label(1)]
+
+    def prove(folder, *_):
+        _set_of_cases(folder, labels)
+        reports = {found["id"]: report() for found in labels}
+        for name, content in reports.items():
+            write_json(folder / "reports" / f"{name}.json", content)
+        write_json(folder / "scorecard.json", score.scored(labels, reports) | {"ablations": []})
+        return "scorecard"
+
+    monkeypatch.setattr("soro_bench.proof.prove.prove", prove)
+    Prove(tmp_path).run()
+    found = verify_diagnosis(tmp_path / "entry.json", tmp_path / "cases", tmp_path / "reports")
+    assert set(found.values()) == {"same"}
 
 
 @pytest.mark.parametrize("labels", [

@@ -212,7 +212,6 @@ def test_labels_are_opened_only_when_every_case_has_its_report(tmp_path, monkeyp
     monkeypatch.setattr(prove, "diagnose", lambda robot, train, heldout: done.append(train[0].parent.name))
     monkeypatch.setattr(prove, "report_of", lambda found: report())
     monkeypatch.setattr(prove, "unseen", lambda found, recording: report()["unseen"])
-    monkeypatch.setattr(prove, "write_entry", lambda *_: None)
     monkeypatch.setattr(prove, "opened_labels", lambda folder: [label(i) for i in range(len(done))])
     (tmp_path / "reports").mkdir()
     text = prove.prove(tmp_path, 2, 0)

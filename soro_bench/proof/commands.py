@@ -13,7 +13,7 @@ class Prove:
     """Test the diagnosis on robots with concealed physics; an interrupted proof goes on from its files."""
 
     out: Path
-    """Folder for cases, reports and scorecard."""
+    """Folder for cases, reports, scorecard, and entry.json, the same for the leaderboard."""
     count: int = 120
     seed: int = 0
     """Of the cases; one that has been used to develop the method proves nothing."""
@@ -24,8 +24,14 @@ class Prove:
     workers: Parallel = HERE
 
     def run(self) -> None:
+        from soro_bench.files import read_json
+        from soro_bench.leaderboard.diagnosis_entry import write_entry
+        from soro_bench.leaderboard.strict import require_jsonschema
         from soro_bench.proof.prove import prove
 
+        require_jsonschema()  # before the work, not after it
         with StageBars() as bar:
             text = prove(self.out, self.count, self.seed, self.nulls, self.ablations, self.workers, bar)
+        card = read_json(self.out / "scorecard.json")
+        write_entry(self.out / "entry.json", "soro_bench", "soro-bench diagnose", self.out / "cases", card)
         console.print(text, soft_wrap=True)

@@ -10,8 +10,6 @@ from soro_bench.diagnosis.report import report_of
 from soro_bench.diagnosis.suite_robot import SuiteRobot
 from soro_bench.diagnosis.version import method_version
 from soro_bench.files import read_json, replacing, write_json
-from soro_bench.leaderboard.diagnosis_entry import write_entry
-from soro_bench.leaderboard.strict import require_jsonschema
 from soro_bench.parallel import HERE, Workers, each, processors
 from soro_bench.proof import ablation_score
 from soro_bench.proof.ablation_score import ablation_rows
@@ -34,8 +32,6 @@ def prove(
 ) -> str:  # fmt: skip
     """Write what is missing of cases, reports and scorecard in a folder; returns the scorecard, Markdown.
 
-    Beside the scorecard comes entry.json, the same for the leaderboard.
-
     The diagnosis sees recordings only; the labels are opened when every case has its report. Reports are of one version
     of the method.
 
@@ -45,7 +41,6 @@ def prove(
     """
     if not 0 <= ablations <= count:
         raise ValueError(f"ablations {ablations}: 0 to {count}, as many as there are cases, can be asked for")
-    require_jsonschema()  # before the work, not after it
     folder = Path(folder).resolve()  # workers of a cluster start elsewhere
     cases, reports = folder / "cases", folder / "reports"
     claim(reports / METHOD, method_version())
@@ -70,7 +65,7 @@ def _carry_out(function: Callable, wanted: Sequence[tuple], workers: Workers, pr
 
 
 def _scorecard(folder: Path, ablations: Iterable[str]) -> str:
-    """Open the labels and write scorecard and entry; returns the scorecard."""
+    """Open the labels and write the scorecard; returns it."""
     labels, found = opened_labels(folder / "cases"), _read_all(folder / "reports")
     card = scored(labels, found)
     card["ablations"] = ablation_rows(labels, found, {ablation: _read_all(folder / ablation) for ablation in ablations})
@@ -78,7 +73,6 @@ def _scorecard(folder: Path, ablations: Iterable[str]) -> str:
     text = f"{markdown(card)}\n\n{ablation_score.markdown(card['ablations'])}"
     with replacing(folder / "scorecard.md") as temporary:
         temporary.write_text(text + "\n")
-    write_entry(folder / "entry.json", "soro_bench", "soro-bench diagnose", folder / "cases", card)
     return text
 
 
