@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from rich.progress import Progress
 
+from soro_bench.cli import plain_errors
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.pipeline import diagnose
 from soro_bench.diagnosis.suite_robot import SuiteRobot
@@ -28,6 +29,7 @@ from soro_bench.leaderboard.statistics import interval
 from soro_bench.markdown import table
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
+from soro_bench.options import check_seed
 from soro_bench.proof import body_laws, command_laws
 from soro_bench.proof.cases import recording
 from soro_bench.proof.closed_loop import final_distances
@@ -160,6 +162,15 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--steps", type=int, default=224_000, help="environment steps of each training")
     options = parser.parse_args()
+    with plain_errors(parser.prog):
+        close_the_loop(options)
+
+
+def close_the_loop(options) -> None:
+    """Diagnose, train and evaluate what is missing; writes results.json and results.md."""
+    default_config(ENV_ID, options.steps)  # wrong steps and seeds are said before the work, not after it
+    for seed in options.seeds:
+        check_seed(seed)
     results = []
     with Progress() as bars:
         for name in CONCEALED:

@@ -21,6 +21,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from soro_bench.cli import plain_errors
 from soro_bench.envs.trunk_lift import TrunkLiftTask
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.models import trunk_geometry as geo
@@ -258,6 +259,15 @@ def case_name(options) -> str:
     return f"{options.model}_{options.mass:g}kg_{'wall' if options.wall else 'no_wall'}"
 
 
+def plan_of(path: Path) -> np.ndarray:
+    """(10, 4) knots [m] of a sequence file; ValueError if it has none."""
+    found = read_json(path)
+    knots = np.array(found.get("knots_m") if isinstance(found, dict) else None, dtype=object)
+    if knots.shape != (NUM_KNOTS, 4):
+        raise ValueError(f"{path} holds no plan: knots_m of shape ({NUM_KNOTS}, 4) are needed")
+    return knots.astype(float)
+
+
 def search(options) -> None:
     name = case_name(options)
     params = {"cube_mass": options.mass, "wall_offset": 0.0 if options.wall else OUT_OF_REACH}
@@ -267,7 +277,7 @@ def search(options) -> None:
     explorer = Explorer(task, params, archive, np.random.default_rng([options.seed, len(archive)]))
     judge = Judge(task, params)
     starts = [*([options.start] if options.start else []), *([sequence_file] if sequence_file.exists() else [])]
-    known = [np.array(read_json(path)["knots_m"]) for path in starts]
+    known = [plan_of(path) for path in starts]
     for plan in [*known, None]:
         explorer.restart(plan)
     begin = saved = time.time()
@@ -312,7 +322,9 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--work", type=Path, default=Path("runs/lift_search"), help="folder of the archives")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "lift_sequences")
-    search(parser.parse_args())
+    options = parser.parse_args()
+    with plain_errors(parser.prog):
+        search(options)
 
 
 if __name__ == "__main__":

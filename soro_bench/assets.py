@@ -8,7 +8,7 @@ _PACKAGE = Path(__file__).parent
 def asset_path(name: str) -> Path:
     """Path of ``assets/<name>``: beside the package in a checkout, inside it in a wheel."""
     for root in (_PACKAGE / "assets", _PACKAGE.parent / "assets"):
-        if (path := root / name).is_file():
+        if (path := root / name).exists():
             return path
     raise FileNotFoundError(f"no asset {name!r} in soro_bench's assets")
 

@@ -42,7 +42,8 @@ CABLE_STIFFNESS = Parameter(
 FRICTION = Parameter("friction", "1", 0.3, (0.01, 1.0), (0.0, 2.0), "Coulomb friction of every pair in contact")
 CUBE_MASS = Parameter("cube_mass", "kg", 0.05, (0.005, 1.0), (0.001, 2.0), "mass of the pushed or lifted object")
 WALL_OFFSET = Parameter(
-    "wall_offset", "m", 0.0, (-0.03, 0.03), (-0.2, 0.05),
+    # beyond 0.037 m the wall is in the object's way from the start
+    "wall_offset", "m", 0.0, (-0.03, 0.03), (-0.2, 0.035),
     "wall position along x, from the nominal -0.1 m; -0.2 puts it out of reach",
 )  # fmt: skip
 # MultiGait: the same paper, Section IV, and its configuration files; the published search of the membrane's Poisson's

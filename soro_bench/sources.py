@@ -5,15 +5,18 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import soro_bench
+from soro_bench.assets import mjcf_path
 from soro_bench.files import replacing
 
-SIMULATION = ("models/*.py", "envs/*.py", "effects/*.py")  # what an episode depends on
+SIMULATION = ("parameters.py", "models/*.py", "envs/*.py", "effects/*.py")  # what an episode depends on, and scenes
 
 
 def version_of(parts: Iterable[str]) -> str:
-    """A hash of files of this package, given as patterns: with another one, the same work may give other results."""
+    """A hash of files of this package, given as patterns, and of all scenes: with another one, the same work may give
+    other results."""
     package, digest = Path(soro_bench.__file__).parent, hashlib.sha256()
-    for file in sorted(file for part in parts for file in package.glob(part)):
+    scenes = sorted(mjcf_path(".").rglob("*.xml"))
+    for file in (*sorted(file for part in parts for file in package.glob(part)), *scenes):
         digest.update(file.read_bytes())
     return digest.hexdigest()
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from soro_bench.effects.catalogue import CATEGORIES
+from soro_bench.files import write_json
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.proof import body_laws, cable_laws, closed_loop, command_laws, neck_laws
@@ -107,6 +108,32 @@ def test_friction_sticks(kind):
     assert np.ptp(held.points[-second // 2 :], axis=0).max() < 2e-5
     assert 0.1 < abs(law.force) <= 1.0
     assert np.abs(held.points[-1] - free.points[-1]).max() > 1e-4
+
+
+@pytest.mark.parametrize("law", [
+    neck_laws.StiffnessDrift(0.3), body_laws.Tilt(0.2, 0.3, 1.0), cable_laws.Capstan(0, 0.5)
+], ids=lambda law: type(law).__name__)  # fmt: skip
+def test_a_robot_that_runs_twice_does_the_same_twice(law):
+    robot = Robot("fine", NOMINAL, [law])
+    first, second = robot.run(rates(8)), robot.run(rates(8))
+    np.testing.assert_array_equal(first.points, second.points)
+
+
+def test_what_a_capstan_acts_on_has_the_laws_that_came_after_it():
+    capstan, compliance = cable_laws.Capstan(0, 0.5), cable_laws.Compliance(0, 1e-4)
+    after, before, alone = (
+        simulate("fine", NOMINAL, laws, rates(8)).points
+        for laws in ([capstan, compliance], [compliance, capstan], [capstan])
+    )
+    np.testing.assert_allclose(after, before, atol=1e-9)
+    assert np.abs(after - alone).max() > 1e-4
+
+
+def test_the_seed_of_a_proof_is_drawn_once(tmp_path):
+    first = cases.sealed_seed(tmp_path)
+    assert 0 <= first < 10**18 and first != cases.sealed_seed(tmp_path)
+    write_json(tmp_path / "sealed" / "plan.json", {"seed": first})
+    assert cases.sealed_seed(tmp_path) == first
 
 
 def test_what_explodes_is_refused(tmp_path, monkeypatch):

@@ -39,6 +39,9 @@ def test_a_diagnosis_is_scored_again_and_what_was_edited_is_found(tmp_path, monk
     edit(path, lambda entry: entry["gates"][2].update(value=1.0, met=True))
     found = verify_diagnosis(path, cases, tmp_path / "reports")
     assert found["gates"].startswith("differs") and found["confusion"] == "same"
+    write_json(tmp_path / "reports" / "case_001.json", wrong | {"unseen": None})
+    with pytest.raises(ValueError, match=says("case_001.json", "no errors on it")):
+        verify_diagnosis(path, cases, tmp_path / "reports")
     (tmp_path / "reports" / "case_001.json").write_text('{"effects": []}')
     with pytest.raises(ValueError, match=says("case_001.json", "cannot be scored")):
         verify_diagnosis(path, cases, tmp_path / "reports")

@@ -64,6 +64,18 @@ def test_assets_inside_the_package(tmp_path):
     assert Path(found).resolve() == (tmp_path / "soro_bench/assets/mjcf/push.xml").resolve()
 
 
+@pytest.mark.parametrize(
+    "part", ["soro_bench/parameters.py", "assets/mjcf/trunk.xml", "assets/mjcf/real/bam_servo.xml"]
+)
+def test_another_simulation_is_another_version_of_the_method(part, tmp_path):
+    for folder in ("soro_bench", "assets"):
+        shutil.copytree(CHECKOUT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    code = "from soro_bench.diagnosis.version import method_version; print(method_version())"
+    before = run_python(code, tmp_path)
+    (tmp_path / part).write_text((tmp_path / part).read_text() + "\n")
+    assert run_python(code, tmp_path) != before
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="EGL is asked for on Linux only")
 def test_without_egl_the_package_is_imported_all_the_same():
     """With MUJOCO_GL=egl MuJoCo could not be."""

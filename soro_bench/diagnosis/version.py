@@ -1,8 +1,8 @@
 """Which version of the method a result comes from."""
 
-from soro_bench.sources import version_of
+from soro_bench.sources import SIMULATION, version_of
 
-PARTS = ("diagnosis/*.py", "effects/*.py", "models/*.py", "inference/clouds.py")
+PARTS = (*SIMULATION, "diagnosis/*.py", "recording/*.py", "inference/clouds.py")
 
 
 def method_version() -> str:

@@ -73,6 +73,8 @@ def rescored(cases: Path, reports: Path) -> dict:
             raise ValueError(f"{path} is missing; every case needs its report")
         found[name] = read_strict(path, REPORT_BYTES)
         with _called(path):
+            if not found[name]["unseen"]:
+                raise ValueError("the case has motion that no diagnosis sees, and the report no errors on it")
             case_row(label, found[name])
     with _called(reports):
         return scored(list(labels.values()), found)

@@ -227,12 +227,8 @@ def asl_trunk(fine: bool = False) -> mujoco.MjSpec:
     for s, body in enumerate(ends):
         body.add_site(name=f"disk{s + 1}", pos=[0, 0, chain.end(s)])
     tip = ends[-1].add_body(name="gripper", pos=[0, 0, chain.end(2)])
-    tip.explicitinertial, tip.mass, tip.ipos, tip.inertia = (
-        True,
-        _TIP_MASS,
-        [0, 0, 0],
-        [4e-5] * 3,
-    )  # about that of a ball of 3 cm
+    tip.explicitinertial, tip.mass, tip.ipos = True, _TIP_MASS, [0, 0, 0]
+    tip.inertia = [4e-5] * 3  # assumed: a ball of 50 g with a radius of 4.5 cm
     for i in range(len(_MOTORS)):
         _add_motor(spec, base, i, chain, holes)
     return spec

@@ -47,10 +47,8 @@ class Capstan(Law):
     cable: int
     coefficient: float  # 1/rad
 
-    def install(self, robot):
-        self._fields = _ServoFields(robot, self.cable)
-
     def begin(self, robot, rng):
+        self._fields = _ServoFields(robot, self.cable)  # with what other laws have made of them
         self._necks = geo.NUM_NECKS if self.cable < 4 else 4  # that the cable passes
         self._place = robot.data.actuator_length[robot.cables[self.cable]]
         self._direction = 0.0  # from -1, paying out, to 1, pulling

@@ -1,6 +1,6 @@
 """The blinded challenge: cases with concealed physics are written and committed to, diagnosed, and only then scored."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -14,7 +14,7 @@ from soro_bench.parallel import HERE, Workers, each, processors
 from soro_bench.proof import ablation_score
 from soro_bench.proof.ablation_score import ablation_rows
 from soro_bench.proof.ablations import ABLATIONS, ENV_ID, ablated
-from soro_bench.proof.cases import write_cases
+from soro_bench.proof.cases import sealed_seed, write_cases
 from soro_bench.proof.score import opened_labels, scored
 from soro_bench.proof.scorecard import markdown
 from soro_bench.proof.unseen import unseen
@@ -27,8 +27,8 @@ Progress = Callable[[str, int, int], None]
 
 
 def prove(
-    folder: str | Path, count: int, seed: int, nulls: int | None = None, ablations: int = 0, workers: Workers = HERE,
-    progress: Progress = lambda *_: None,
+    folder: str | Path, count: int, seed: int | None = None, nulls: int | None = None, ablations: int = 0,
+    workers: Workers = HERE, progress: Progress = lambda *_: None,
 ) -> str:  # fmt: skip
     """Write what is missing of cases, reports and scorecard in a folder; returns the scorecard, Markdown.
 
@@ -36,6 +36,7 @@ def prove(
     of the method.
 
     Args:
+        seed: of the cases; that of those in the folder by default, or a new one that nobody can guess.
         ablations: how many of the cases, the first ones, are also diagnosed without each part of the method.
         workers: what computes the cases; those of a cluster see the same folder.
     """
@@ -44,17 +45,18 @@ def prove(
     folder = Path(folder).resolve()  # workers of a cluster start elsewhere
     cases, reports = folder / "cases", folder / "reports"
     claim(reports / METHOD, method_version())
+    seed = sealed_seed(cases) if seed is None else seed
     write_cases(cases, count, seed, nulls, workers, lambda done, total: progress("cases written", done, total))
     names = sorted(path.name for path in cases.glob("case_*"))
     wanted = [(cases / name, reports / f"{name}.json") for name in names]
     _carry_out(diagnosed, wanted, workers, partial(progress, "cases diagnosed"))
-    text = _scorecard(folder, ())
+    text = _scorecard(folder)
     wanted = [
         (ablation, cases / name, folder / ablation / f"{name}.json")
         for ablation, name in product(ABLATIONS if ablations else (), names[:ablations])
     ]
     _carry_out(ablated, wanted, workers, partial(progress, "ablations"))
-    return _scorecard(folder, ABLATIONS) if ablations else text
+    return _scorecard(folder) if ablations else text
 
 
 def _carry_out(function: Callable, wanted: Sequence[tuple], workers: Workers, progress) -> None:
@@ -64,11 +66,12 @@ def _carry_out(function: Callable, wanted: Sequence[tuple], workers: Workers, pr
         progress(len(wanted) - len(todo) + i + 1, len(wanted))
 
 
-def _scorecard(folder: Path, ablations: Iterable[str]) -> str:
-    """Open the labels and write the scorecard; returns it."""
+def _scorecard(folder: Path) -> str:
+    """Open the labels and write the scorecard, with those ablations that are there; returns it."""
     labels, found = opened_labels(folder / "cases"), _read_all(folder / "reports")
+    found_without = {name: reports for name in ABLATIONS if (reports := _read_all(folder / name))}
     card = scored(labels, found)
-    card["ablations"] = ablation_rows(labels, found, {ablation: _read_all(folder / ablation) for ablation in ablations})
+    card["ablations"] = ablation_rows(labels, found, found_without)
     write_json(folder / "scorecard.json", card)
     text = f"{markdown(card)}\n\n{ablation_score.markdown(card['ablations'])}"
     with replacing(folder / "scorecard.md") as temporary:

@@ -103,6 +103,9 @@ class Robot:
         for law in self.laws:
             law.install(self)
         mujoco.mj_setConst(model, self.data)
+        self._installed = [(field, field.copy()) for field in (
+            model.opt.gravity, model.actuator_gainprm, model.actuator_biasprm, model.actuator_forcerange
+        )]  # fmt: skip
 
     @property
     def timestep(self) -> float:
@@ -125,6 +128,9 @@ class Robot:
         """The reset state, for a run of so many control steps at most."""
         self.duration = steps * CONTROL_TIMESTEP
         mujoco.mj_resetData(self.model, self.data)
+        for field, value in self._installed:  # laws have moved them in the run before
+            field[:] = value
+        self.scale_necks()
         mujoco.mj_step1(self.model, self.data)
         self._pull = np.zeros(len(self.cables))
         for i, law in enumerate(self.laws):
