@@ -38,9 +38,19 @@ def brief(value) -> str:
 
 
 def check_output(path: Path, suffix: str) -> None:
-    """ValueError if a file that is to be written has another suffix: it would take the place of something else."""
+    """ValueError if a file could not be written after all the work that goes before, or has another suffix: it would
+    take the place of something else."""
     if path.suffix != suffix:
         raise ValueError(f"{path}: expected a name that ends in {suffix}")
+    try:
+        str(path).encode()
+    except UnicodeEncodeError as error:
+        raise ValueError(f"{str(path)!a}: expected a name in UTF-8") from error
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder; the name of a file is needed")
+    parent = next(folder for folder in path.absolute().parents if folder.exists())
+    if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
+        raise ValueError(f"{path} cannot be written: {parent} is no folder, or one that may not be written to")
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from soro_bench.parallel import Workers
 EnvId = Annotated[str, tyro.conf.Positional]
 Parallel = Annotated[Workers, tyro.conf.arg(name="")]  # --jobs, --backend, --scheduler
 
+MAX_NAME = 60  # letters
 FOLDER = r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,59}$"  # what a leaderboard calls methods and entries, which are folders there
 
 

@@ -110,11 +110,27 @@ def _client(scheduler):
     except ImportError as error:
         raise ImportError("backend dask needs distributed: pip install soro_bench[cluster]") from error
     try:
+        _check_address(scheduler)  # a client that could not even begin (distributed 2026.8) takes 20 s to end
         return Client(scheduler, timeout=TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise ValueError(f"no Dask scheduler answers at {scheduler}: {error}") from error
     except AssertionError as error:  # of distributed (2026.8), where its own thread does not start within 10 s
         raise ValueError(f"no Dask scheduler answers at {scheduler}: this machine is too busy to ask") from error
+
+
+def _check_address(address: str) -> None:
+    """ValueError for what no scheduler could answer at."""
+    from distributed import Security
+    from distributed.comm.addressing import parse_address, parse_host_port
+
+    scheme, location = parse_address(address)
+    if scheme == "inproc":  # a cluster in this process
+        return
+    host, port = parse_host_port(location)
+    if scheme not in ("tcp", "tls") or not host or not 0 < port < 65536:
+        raise ValueError("an address such as tcp://10.0.0.1:8786 is needed")
+    if scheme == "tls" and Security().get_connection_args("client")["ssl_context"] is None:
+        raise ValueError("Dask's configuration names no certificates for tls")
 
 
 def _alone(function, *given):

@@ -14,7 +14,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
-console = Console(markup=False, highlight=False)  # names and paths are text, whatever is in them
+console = Console(markup=False, highlight=False, emoji=False)  # names and paths are text, whatever is in them
 LOG_INTERVAL = 600.0  # s
 SLOW = 7200.0  # s, over which the speed of slow steps is estimated
 

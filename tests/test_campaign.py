@@ -18,9 +18,9 @@ from soro_bench.leaderboard.boards import BOARDS, board_of
 from soro_bench.leaderboard.enter import _check_fixed, enter
 from soro_bench.leaderboard.entry import policy_of, read_entry
 from soro_bench.parallel import HERE
-from soro_bench.randomization import TruncatedNormal, from_dict
+from soro_bench.randomization import TruncatedNormal, Uniform, from_dict
 from soro_bench.registration import task_type
-from soro_bench.training.methods import ORACLE, Method, udr
+from soro_bench.training.methods import ORACLE, Method, fixed, udr
 from soro_bench.training.policy import Policy
 from soro_bench.training.ppo import TRAINER, PPOConfig, train
 
@@ -180,6 +180,27 @@ def test_the_page_of_a_campaign_is_written_whatever_fails(small_board, tmp_path)
     assert "oracle" in (tmp_path / "index.html").read_text()
 
 
+def test_a_page_that_could_not_be_written_is_said_before_the_work(small_board, tmp_path):
+    (run,) = [Run("TrunkReach-v0", ORACLE, TINY)]
+    with pytest.raises(ValueError, match=r"is within .*; choose another folder for the page"):
+        campaign([run], tmp_path / "out", tmp_path, HERE)
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "notes.json").write_text("{}")
+    with pytest.raises(ValueError, match=r"notes.json"):
+        campaign([run], tmp_path / "out", tmp_path / "results", HERE)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_method_that_was_changed_is_told_from_what_was_trained(small_board, tmp_path):
+    def boxed(low):
+        return Run("TrunkReach-v0", fixed("box", Uniform(("trunk_mass",), [low], [0.5])), TINY)
+
+    carry_out_all([boxed(0.4)], tmp_path, tmp_path / "results", HERE)
+    assert boxed(0.4).done(tmp_path / "results")
+    with pytest.raises(ValueError, match="was trained on parameters drawn otherwise than box says"):
+        boxed(0.3).done(tmp_path / "results")
+
+
 def test_what_could_not_be_entered_is_refused_before_the_training():
     with pytest.raises(ValueError, match="seed 20260101: 0 to 1000000"):
         Run("TrunkReach-v0", ORACLE, replace(TINY, seed=20260101))
@@ -201,7 +222,7 @@ def test_finished_runs_are_not_carried_out_again(small_board, tmp_path):
     (run,) = [Run("TrunkReach-v0", ORACLE, TINY)]
     run.result(tmp_path).parent.mkdir(parents=True)
     training = {"trainer": TRAINER, "settings": run.config.settings()}
-    run.result(tmp_path).write_text(json.dumps({"training": training}))
+    run.result(tmp_path).write_text(json.dumps({"training": training, "distribution": None}))
     carry_out_all([run], tmp_path / "work", tmp_path, HERE)
     assert not (tmp_path / "work").exists()
     for name, value in (("total_steps", 600), ("discount", 0.5)):

@@ -8,8 +8,23 @@ import pytest
 from soro_bench.diagnosis.robot_map import read_mapping
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import load_effects
-from soro_bench.files import read_json, write_json
+from soro_bench.files import check_output, read_json, write_json
 from soro_bench.randomization import load
+
+
+@pytest.mark.parametrize(("path", "said"), [
+    ("a.csv", "expected a name that ends in .json"),
+    ("folder.json", "is a folder"),
+    ("file/a.json", "is no folder, or one that may not be written to"),
+    ("a\udce9.json", "expected a name in UTF-8"),
+])  # fmt: skip
+def test_where_nothing_can_be_written_is_said_before_the_work(tmp_path, path, said):
+    (tmp_path / "folder.json").mkdir()
+    (tmp_path / "file").touch()
+    check_output(tmp_path / "new" / "a.json", ".json")
+    with pytest.raises(ValueError, match=said):
+        check_output(tmp_path / path, ".json")
+    assert not (tmp_path / "new").exists()
 
 
 def test_json_that_is_cut_off_in_the_middle_leaves_the_old_file(tmp_path, monkeypatch):

@@ -116,6 +116,9 @@ def test_a_recording_can_begin_later_than_its_file(csv):
     assert recording.signals["f"].values.tolist() == [4, 5]
     np.testing.assert_allclose(recording.signals["f"].time, [0.0, 0.1], atol=1e-12)
     assert float(recording.metadata["start_time"]) == 5.3
+    for until, kept in (("0.1", [4]), ("0.15", [4, 5])):  # up to there, however 5.4 - 5.3 is rounded
+        other = csv("t,f\n5.3,4\n5.4,5\n5.5,6\n", mapping.replace("begin = 0.3", "").replace("0.2", until))
+        assert other.signals["f"].values.tolist() == kept
     with pytest.raises(RecordingError, match=r"signals.f has nothing from \[time\] begin = 9"):
         csv("t,f\n0,1\n1,2\n", mapping.replace("0.3", "9.0"))
 

@@ -85,6 +85,7 @@ def _set(*keys, value):
         (_set("seed", value=-1), ("seed is -1", "minimum 0")),
         (_set("seed", value=True), ("seed is True", "integer")),
         (_set("seed", value=0.0), ("seed is 0.0", "an integer, written as one")),
+        (_set("steps", value=1000.0), ("steps is 1000.0", "an integer, written as one")),
         (_set("seed", value=1), ("policy.file is 'seed0.safetensors'", "seed1.safetensors")),
         (_set("evaluations", "cable", "diverged", value=3), ("cable.diverged is 3", "2 at most")),
         (_set("entry", value="../../etc"), ("entry is '../../etc'", "pattern")),

@@ -107,7 +107,8 @@ def test_a_worker_that_would_run_several_jobs_in_a_process_is_refused():
 def test_a_scheduler_that_does_not_answer_is_named(monkeypatch):
     pytest.importorskip("distributed", reason="needs the cluster extra")
     monkeypatch.setattr(parallel, "TIMEOUT", 0.5)
-    for address in ("tcp://127.0.0.1:9", "nonsense", "tls://127.0.0.1:9"):
+    wrong = ("nonsense", "tls://127.0.0.1:9", "http://a:1", "tcp://", "tcp://a:99999")
+    for address in ("tcp://127.0.0.1:9", *wrong):
         with pytest.raises(ValueError, match=f"no Dask scheduler answers at {address}"):
             list(each(squared, [(2,)], Workers(backend="dask", scheduler=address)))
 

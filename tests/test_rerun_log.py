@@ -2,7 +2,6 @@
 
 import importlib.util
 import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +12,7 @@ from soro_bench.models import trunk
 from soro_bench.models.rotation import rotate_by_quaternion
 from soro_bench.recording import rerun_log
 from soro_bench.recording.drawing import Drawing, Mesh
-from soro_bench.recording.rerun_log import DRAWINGS, viewer_environment, write_recording
+from soro_bench.recording.rerun_log import DRAWINGS, RERUN, viewer_environment, write_recording
 from soro_bench.recording.trunk_drawing import draw_trunk, tension_colors
 from soro_bench.registration import task_type
 
@@ -193,19 +192,26 @@ def test_rerun_accepts_the_file_and_collects_no_usage_statistics(reach, tmp_path
     for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME"):
         monkeypatch.delenv(name, raising=False)
     write_recording(tmp_path / "a.rrd", [reach], "a")
-    verify = [sys.executable, "-m", "rerun_cli", "rrd", "verify", str(tmp_path / "a.rrd")]
-    subprocess.run(verify, env=viewer_environment(), check=True)
+    subprocess.run([*RERUN, "rrd", "verify", str(tmp_path / "a.rrd")], env=viewer_environment(), check=True)
     assert list(home.iterdir()) == []
+    (tmp_path / "b.rrd").write_bytes((tmp_path / "a.rrd").read_bytes()[:1000])
+    broken = subprocess.run([*RERUN, "rrd", "verify", str(tmp_path / "b.rrd")], env=viewer_environment())
+    assert broken.returncode != 0
 
 
 def test_viewer_opens_the_file_without_usage_statistics_for_this_machine_only(tmp_path, monkeypatch):
-    calls = []
-    monkeypatch.setattr(subprocess, "run", lambda command, env, check: calls.append((command, env)))
+    calls, status = [], [0, 1]
+
+    def run(command, env):
+        calls.append((command, env))
+        return subprocess.CompletedProcess(command, status.pop(0))
+
+    monkeypatch.setattr(subprocess, "run", run)
     (tmp_path / "a.rrd").touch()
     rerun_log.open_viewer(tmp_path / "a.rrd")
-    ((command, environment),) = calls
-    assert command[1:] == ["-m", "rerun_cli", "--bind", "127.0.0.1", str(tmp_path / "a.rrd")]
-    assert environment == viewer_environment()
+    assert calls == [([*RERUN, "--bind", "127.0.0.1", str(tmp_path / "a.rrd")], viewer_environment())]
+    with pytest.raises(ValueError, match="needs a display"):
+        rerun_log.open_viewer(tmp_path / "a.rrd")
 
 
 def test_opening_a_missing_file_raises(tmp_path):

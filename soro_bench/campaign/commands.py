@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from soro_bench.options import Parallel, check_name
+from soro_bench.options import MAX_NAME, Parallel, check_name
 from soro_bench.parallel import Workers
 from soro_bench.progress import CampaignBar, console
 
@@ -88,17 +88,20 @@ class InferenceBaseline(Baseline):
 
     def _named(self, method: str) -> str:
         """The method with the options that differ from the defaults: other options are another method."""
+        from soro_bench.recording.untrusted import read_bytes
+
         noise = [f"noise_{self.noise:g}"] if self.noise else []
-        recording = [f"{self.recording.stem}_{_digest(self.recording)}"] if self.recording else []
+        recording = [f"{self.recording.stem}_{_digest(read_bytes(self.recording))}"] if self.recording else []
         options = [*self.known, *([self.replay_model] if self.replay_model else []), *noise, *recording]
-        return "_".join([method, *(re.sub(r"[^A-Za-z0-9.+-]+", "_", option) for option in options)])
+        name = "_".join([method, *(re.sub(r"[^A-Za-z0-9.+-]+", "_", option) for option in options)])
+        if len(name) <= MAX_NAME:
+            return name
+        return f"{name[: MAX_NAME - 9]}_{_digest(name.encode())}"
 
 
-def _digest(path: Path) -> str:
-    """Tells recordings of the same name apart."""
-    from soro_bench.recording.untrusted import read_bytes
-
-    return hashlib.sha256(read_bytes(path)).hexdigest()[:8]
+def _digest(data: bytes) -> str:
+    """Tells recordings of the same name apart, and long names that begin alike."""
+    return hashlib.sha256(data).hexdigest()[:8]
 
 
 def script(options: type[Baseline], method, description: str) -> None:
@@ -112,22 +115,26 @@ def script(options: type[Baseline], method, description: str) -> None:
 def campaign(runs, work: Path, results: Path, workers: Workers, only_plan: bool = False) -> None:
     """Carry out what is missing, and write the page that compares all results in ``results``."""
     from soro_bench.campaign.campaign import carry_out_all
-    from soro_bench.leaderboard.gather import gather_control
-    from soro_bench.leaderboard.page import build
+    from soro_bench.leaderboard.page import build, gathered
     from soro_bench.leaderboard.table import markdown_table
 
+    gathered(results, work)  # before the work, not after it
     missing = [run.name for run in runs if not run.done(results)]
     console.print(f"{len(runs)} runs, {len(missing)} still to be done; results in {results}", soft_wrap=True)
     if only_plan:
         return console.print("\n".join(missing), soft_wrap=True)
     with CampaignBar() as bar:
         failures = carry_out_all(runs, work, results, workers, bar)
-    build(results, work)
-    groups = [group for members in gather_control(results).values() for group in members]
-    console.print(markdown_table(groups), soft_wrap=True)
+    failed = "\n".join([f"{len(failures)} of {len(missing)} runs failed:", *failures]) if failures else ""
+    try:
+        build(results, work)
+    except (ValueError, OSError) as error:
+        raise ValueError("\n".join(filter(None, [failed, f"no page of results: {error}"]))) from error
+    boards, _ = gathered(results, work)
+    console.print(markdown_table([group for groups in boards.values() for group in groups]), soft_wrap=True)
     recording = next(iter(sorted(work.rglob("*.rrd"))), "FILE.rrd")
     console.print(
         f"{work / 'index.html'} shows them; watch what a policy does with: soro-bench view {recording}", soft_wrap=True
     )
-    if failures:
-        raise ValueError(f"{len(failures)} of {len(missing)} runs failed:\n" + "\n".join(failures))
+    if failed:
+        raise ValueError(failed)

@@ -50,7 +50,15 @@ class Run:
             if found.get(name) != asked.get(name):
                 raise ValueError(f"{path} was trained with {name} {found.get(name)}, not {asked.get(name)}; choose "
                                  "another folder for results")  # fmt: skip
+        if self.method.at_once and not self._drew_from(entry.get("distribution")):
+            raise ValueError(f"{path} was trained on parameters drawn otherwise than {self.method.name} says; choose "
+                             "another name, or another folder for results")  # fmt: skip
         return True
+
+    def _drew_from(self, entered: dict | None) -> bool:
+        """Whether what an entry was trained on is what the method gives now."""
+        asked = self.distribution(Path())
+        return entered == (asked and asked.to_dict())
 
     @property
     def name(self) -> str:

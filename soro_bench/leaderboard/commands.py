@@ -27,7 +27,7 @@ class Evaluate:
     """Folder for the results; the policy's own by default, which an entry needs to be told."""
 
     def run(self) -> None:
-        from soro_bench.files import read_json, write_json
+        from soro_bench.files import read_json, results_folder, write_json
         from soro_bench.leaderboard.boards import board_of
         from soro_bench.leaderboard.enter import record_evaluations
         from soro_bench.training.policy import Policy
@@ -41,8 +41,9 @@ class Evaluate:
         before = read_json(path) if path.exists() else {"board": name}
         if not isinstance(before, dict) or before.get("board") != name:
             raise ValueError(f"{path} holds other results: say with --out where those on {name} go")
-        scores = record_evaluations(policy, name, (board.labelled(label),), out)
-        write_json(path, {"board": name, **scores})
+        with results_folder(out):
+            scores = record_evaluations(policy, name, (board.labelled(label),), out)
+            write_json(path, {"board": name, **scores})
         final = scores[label]["final_mm"]
         mean, solved = sum(final) / len(final), sum(scores[label]["success"])
         said = f"{name} on {label}: final {board.metric} {mean:.2f} mm, mean of {len(final)} episodes; {solved} solved"

@@ -31,10 +31,12 @@ def enter(folder: Path, board: str, entry: str, results: Path, threads: int = 0,
     policy, config = Policy.load(folder), read_json(folder / "config.json")
     if missing := sorted({"distribution", "trainer"} - set(config if isinstance(config, dict) else {})):
         raise ValueError(f"{folder / 'config.json'} lacks {', '.join(missing)}; soro-bench train writes both")
+    if type(trainer := config["trainer"]) is not int:
+        raise ValueError(f"{folder / 'config.json'}: trainer is {trainer!r}; it has to be a number")
     effects = effects_of(config.get("effects", []))
     _check_fixed(board, config["distribution"], folder)
     training = _training(folder, policy.card.env_id) | {
-        "trainer": config["trainer"],
+        "trainer": trainer,
         "settings": {name: config[name] for name in PPOConfig(policy.card.env_id).settings() if name in config},
         "effects": [effect.name for effect in effects],
     }
@@ -66,9 +68,12 @@ def _training(folder: Path, env_id: str) -> dict:
         rows = list(csv.DictReader(file))
     if not rows:
         raise ValueError(f"{path} has no rows; a training of soro-bench train has one for every update")
-    last = rows[-1]
     curve = thinned_curve(path, task_type(env_id).metric)
-    return {"algorithm": "PPO", "seconds": float(last["seconds"]), "curve": curve}
+    try:
+        seconds = float(rows[-1]["seconds"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path} does not say in its last row how many seconds the training took") from error
+    return {"algorithm": "PPO", "seconds": seconds, "curve": curve}
 
 
 def record_evaluations(

@@ -40,9 +40,10 @@ def check_entry(entry: dict, path: str | Path) -> None:
     check(entry, SCHEMA, path)
     if (board := BOARDS.get(entry["board"])) is None:
         raise ValueError(f"{path}: board is {entry['board']!r}; allowed: {', '.join(BOARDS)}")
-    if not isinstance(seed := entry["seed"], int):
-        raise ValueError(f"{path}: seed is {seed!r}; allowed: an integer, written as one")
-    if Path(file := entry["policy"]["file"]).stem != f"seed{seed}":
+    for name in ("seed", "steps"):
+        if type(entry[name]) is not int:  # 1.0 is one by the schema
+            raise ValueError(f"{path}: {name} is {entry[name]!r}; allowed: an integer, written as one")
+    if Path(file := entry["policy"]["file"]).stem != f"seed{(seed := entry['seed'])}":
         raise ValueError(f"{path}: policy.file is {file!r}; allowed: seed{seed}.safetensors or seed{seed}.onnx")
     for label, scores in entry["evaluations"].items():
         _check_scores(board, label, scores, path)

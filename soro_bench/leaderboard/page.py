@@ -42,11 +42,8 @@ def build(
         record: whether to write rerun recordings too, of the best policy of every method on the accurate model.
         progress: is told what is being done.
     """
-    out, own = Path(out), Path(results).resolve()
-    copies = (out / "results").resolve()
-    if copies != own and copies.is_relative_to(own):  # they would be taken for entries of another board
-        raise ValueError(f"{out} is within {results}; choose another folder for the page")
-    boards, diagnoses = gather_control(results), gather_diagnosis(results)
+    out = Path(out)
+    boards, diagnoses = gathered(results, out)
     groups = [group for members in boards.values() for group in members]
     for group in groups if record else ():
         progress(f"recording {title_of(group)} on {group.board}")
@@ -61,6 +58,15 @@ def build(
         _copy(policy_bytes(path, entry), out / "results" / file.relative_to(results))
     _copy(text.encode(), out / "index.html")
     return out / "index.html"
+
+
+def gathered(results: str | Path, out: str | Path) -> tuple[dict[str, list[Group]], list[dict]]:
+    """What a page in the folder ``out`` would show: entries of the control track by board, and of the diagnosis;
+    ValueError if it could not be built."""
+    own, copies = Path(results).resolve(), (Path(out) / "results").resolve()
+    if copies != own and copies.is_relative_to(own):  # they would be taken for entries of another board
+        raise ValueError(f"{out} is within {results}; choose another folder for the page")
+    return gather_control(results), gather_diagnosis(results)
 
 
 def _copy(data: bytes, path: Path) -> None:

@@ -114,6 +114,8 @@ class View:
         path = self.recording
         if path.suffix not in (".rrd", ".parquet") or not path.is_file():
             raise ValueError(f"{path} is no recording; expected is a file .rrd or .parquet")
+        if path.suffix == ".rrd" and self.out:
+            raise ValueError(f"--out {self.out} is for the .rrd of a .parquet; {path} is one already")
         if path.suffix == ".parquet":
             from soro_bench.recording.comparison import write_comparison
             from soro_bench.recording.parquet import load

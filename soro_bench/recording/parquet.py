@@ -63,6 +63,8 @@ def save(recording: Recording, path: str | Path) -> None:
         )
         if (size := pq.read_metadata(temporary).serialized_size) > MAX_FOOTER:  # it could not be read again
             raise RecordingError(f"names, units and metadata take {size} bytes of the file; at most {MAX_FOOTER} may")
+        if (size := temporary.stat().st_size) > MAX_BYTES:
+            raise RecordingError(f"{numbers} numbers take {size} bytes; {MAX_BYTES} are read: cut the recording")
 
 
 def load(path: str | Path, max_bytes: int = MAX_BYTES) -> Recording:

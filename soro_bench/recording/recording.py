@@ -210,7 +210,7 @@ def check_parameters(parameters: Mapping[str, float]) -> None:
     for name, value in parameters.items():
         check_name(name)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < math.inf:
-            raise RecordingError(f"parameter {name} is {brief(value)}; it has to be a finite number")
+            raise RecordingError(f"parameter {name} is {brief(value)}; it has to be a finite int or float")
 
 
 def check_metadata(metadata: Mapping[str, str]) -> None:

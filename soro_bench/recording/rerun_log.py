@@ -67,6 +67,10 @@ def recorded(path: str | Path, title: str, recording_id: str) -> Iterator["rerun
         temporary.write_bytes(memory.drain_as_bytes())
 
 
+# python -m rerun_cli (0.41) succeeds whatever becomes of the viewer
+RERUN = (sys.executable, "-c", "import sys, rerun_cli.__main__ as rerun; sys.exit(rerun.main())")
+
+
 def open_viewer(path: str | Path) -> None:
     """Open a recording in rerun's viewer and wait until it is closed.
 
@@ -75,8 +79,9 @@ def open_viewer(path: str | Path) -> None:
     require_rerun()
     if not Path(path).is_file():
         raise FileNotFoundError(f"no recording {path}")
-    command = [sys.executable, "-m", "rerun_cli", "--bind", "127.0.0.1", str(path)]
-    subprocess.run(command, env=viewer_environment(), check=True)
+    ended = subprocess.run([*RERUN, "--bind", "127.0.0.1", str(path)], env=viewer_environment())
+    if ended.returncode:
+        raise ValueError("rerun's viewer did not run; it needs a display, and --no-open does without it")
 
 
 def viewer_environment() -> dict[str, str]:

@@ -88,7 +88,7 @@ class Policy:
         An entry's policy may be an :class:`soro_bench.leaderboard.onnx_policy.OnnxPolicy`.
         """
         path = Path(path)
-        if path.suffix == ".json":
+        if path.suffix == ".json" and not path.is_dir():
             from soro_bench.leaderboard.entry import policy_of, read_entry
 
             return policy_of(path, read_entry(path))

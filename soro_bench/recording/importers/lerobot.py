@@ -18,7 +18,7 @@ from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, named_errors, r
 _PLACE = ("column", "indices")
 _VERSION = re.compile(r"v3\.\d{1,3}")
 _MAX_FILES, _MAX_INFO_BYTES = 10_000, 10_000_000
-_NUMBERS = ("float16", "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "bool")
+_NUMBERS = ("float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "bool")
 _MAX_FOOTER = 4_000_000  # bytes: a row group per episode takes some 800
 _EPISODE, _TIME = "episode_index", "timestamp"
 

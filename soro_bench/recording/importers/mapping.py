@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from soro_bench.files import shown
 from soro_bench.recording.importers.units import si
 from soro_bench.recording.recording import MAX_SIGNALS, Recording, RecordingError, Signal, check_name, check_shape
 from soro_bench.recording.untrusted import named_errors, read_bytes
@@ -95,13 +96,14 @@ class FileMapping:
         groups = {"commands": {}, "signals": {}}
         for (group, name), (time, numbers) in found.items():
             build, since = getattr(self, group)[name].signal, seconds(time - start) - begin
-            kept = (since > -_ROUNDING) & (since < until)
+            kept = (since > -_ROUNDING) & (since < until - _ROUNDING)
             if group == "commands" and not (_regular(since) and kept.any()):
                 kept |= _in_force(since)
             if len(time) and not kept.any():
                 raise RecordingError(f"{group}.{name} has nothing from [time] begin = {begin:g} to until = {until:g}")
             groups[group][name] = _named(f"{group}.{name}", build, np.maximum(since[kept], 0.0), numbers[kept])
-        metadata = {"source": file_name[:200], "start_time": repr(float(seconds(start) + begin)), **self.metadata}
+        about = {"source": shown(file_name[:200]), "start_time": repr(float(seconds(start) + begin))}
+        metadata = {**about, **self.metadata}
         return Recording(**groups, parameters=self.parameters, metadata=metadata)
 
     def counted(self, rows: int) -> np.ndarray:

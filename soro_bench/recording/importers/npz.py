@@ -86,7 +86,7 @@ class _Archive:
         file = io.BytesIO(content)
         shape, _, dtype = _header(file)
         size = math.prod(shape) * dtype.itemsize
-        if dtype.kind not in "fiu" or not shape or len(shape) > 5 or shape[0] > MAX_ROWS:
+        if dtype.kind not in "fiu" or not shape or len(shape) > 5 or not 0 < shape[0] <= MAX_ROWS:
             raise RecordingError(f"{name} has type {dtype} and shape {shape}; expected rows of real numbers")
         if 8 * math.prod(shape) > self._most:
             raise RecordingError(f"{name} has {math.prod(shape)} numbers; at most {self._most // 8} are read")
