@@ -8,6 +8,7 @@ them, as hypotheses of a diagnosis are, and alone in the first row.
 """
 
 import argparse
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -52,9 +53,14 @@ def main() -> None:
         )
         _print_row(problem, sets, nominal, seed)
         for some in fits:
-            guess = Guess(np.concatenate([nominal.x, *(one.simulated for one in some)]), tuple(some))
-            (found,) = persevered(problem, fitted(problem, [guess], RADII, seed), seed)
-            _print_row(problem, sets, found, seed)
+            guesses = [Guess(np.concatenate([nominal.x, *x]), tuple(some)) for x in product(*map(_starts, some))]
+            found = persevered(problem, fitted(problem, guesses, RADII, seed), seed)
+            _print_row(problem, sets, min(found, key=lambda h: h.cost), seed)
+
+
+def _starts(suspect) -> list[np.ndarray]:
+    """Typical magnitudes, and their opposites where the law has such: softer as well as stiffer."""
+    return [x for x in (suspect.simulated, -suspect.simulated) if (x >= suspect.bounds[0]).all()]
 
 
 def _suspect(parser, robot, text):
