@@ -19,9 +19,11 @@ import gymnasium
 import numpy as np
 import torch
 
-import soro_bench
+import soro_bench  # before OpenGL, for which it chooses EGL where there is no display
 from soro_bench.markdown import table
 from soro_bench.training.ppo import default_config, make_agent, make_env, train
+
+from OpenGL import GL  # isort: skip
 
 ENV_ID = "TrunkReach-v0"
 NUM_ENVS = 64
@@ -40,9 +42,11 @@ def rendering() -> None:
         start = time.perf_counter()
         for _ in range(FRAMES):
             frame = env.render()
-        rows.append((env_id, f"{frame.shape[1]}x{frame.shape[0]}", f"{FRAMES / (time.perf_counter() - start):.0f}"))
+        rate = FRAMES / (time.perf_counter() - start)
+        drawn_by = GL.glGetString(GL.GL_RENDERER).decode()
+        rows.append((env_id, f"{frame.shape[1]}x{frame.shape[0]}", f"{rate:.0f}", drawn_by))
         env.close()
-    print(table(("environment", "size", "frames/s"), rows), flush=True)
+    print(table(("environment", "size", "frames/s", "drawn by"), rows), flush=True)
 
 
 def updates() -> None:
