@@ -8,6 +8,7 @@ exit status is 1.
 """
 
 import argparse
+import re
 import sys
 import traceback
 from pathlib import Path
@@ -19,30 +20,41 @@ from soro_bench.markdown import table
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results" / "real_robots.json"
+DATA = ("train", "heldout", "unseen")
 
 
-def effects(summary: dict) -> list[str]:
-    """What the most probable answer says is missing, as words."""
-    best, names = summary["answers"][0], []
-    for effect in best["effects"]:
-        values = ", ".join(f"{name} {value:.3g}" for name, value in effect["parameters"].items())
-        names.append(f"{named(effect)} ({values})")
-    return names or ["nothing"]
+UNITS = {"m": (1000, "mm"), "rad": (1, "rad")}  # of a table, by the unit of what is measured: factor and name
 
 
-def seeds_table(found: list[dict]) -> str:
-    """Markdown: the answer of every seed."""
+def left(summary: dict, fit: dict) -> str:
+    """The rms distance of the last point that a fit leaves, of all kinds of data: train, held out, unseen."""
+    factor, unit = UNITS[summary["unit"]]
+    return ", ".join(f"{errors['rms'] * factor:.3g}" for key, errors in fit.items() if key in DATA) + f" {unit}"
+
+
+def unnamed(summary: dict) -> str:
+    """The probability of something without a name, and where it is, if that is the verdict."""
+    first = summary["verdict"].splitlines()[0]
+    place = re.match(r"Something acts at (.+) that has no name", first)
+    return f"{summary['unknown']:.2f}" + (f", {place[1]}" if place else "")
+
+
+def every_seed() -> str:
+    """Markdown: the answer of every seed and what it leaves, the second table of docs/real_robots.md."""
     rows = []
-    for s in found:
-        probability = f"{s['answers'][0]['probability']:.2f}"
+    for s in sorted(read_json(RESULTS), key=lambda s: (STUDIES.index(s["study"]), s["part"], s["seed"])):
+        best = s["answers"][0]
         rows.append((
             f"{s['study']}, {s['part']}",
             s["seed"],
-            "; ".join(effects(s)),
-            probability,
-            f"{s['unknown']:.2f}",
+            left(s, s["parameters"]),
+            left(s, best),
+            " + ".join(map(named, best["effects"])) or "nothing",
+            f"{best['probability']:.2f}",
+            unnamed(s),
         ))
-    return table(("robot, part", "seed", "most probable answer", "probability", "unknown"), rows)
+    names = ("robot, part", "seed", "parameters fitted", "patched", "likeliest with a name", "probability", "no name")
+    return table(names, rows)
 
 
 def main() -> None:
@@ -66,7 +78,7 @@ def main() -> None:
             failed.append(folder.name)
             traceback.print_exc()
         write_results(found)
-    print(first_seed(), seeds_table(found), sep="\n\n")
+    print(first_seed(), every_seed(), sep="\n\n")
     if failed:
         sys.exit(f"failed: {', '.join(failed)}")
 
