@@ -11,7 +11,7 @@ from soro_bench.inference import baseline, rf_dropo
 from soro_bench.inference.baseline import inferred
 from soro_bench.inference.identifiability import combinations
 from soro_bench.inference.likelihood import horizon, log_likelihood, sample_factor
-from soro_bench.inference.methods import errors, infer
+from soro_bench.inference.methods import infer, uncertainty
 from soro_bench.inference.replay import Replay
 from soro_bench.inference.search import EvaluationLog
 from soro_bench.parameters import FRICTION, TRUNK_MASS, WALL_OFFSET, YOUNG_MODULUS
@@ -145,6 +145,15 @@ def test_least_squares_recovers_parameters_near_the_nominal_ones():
     assert posterior.estimate == pytest.approx(truth, rel=1e-3)
 
 
+def test_least_squares_are_as_unsure_as_the_search_box_of_what_a_recording_says_nothing_about():
+    """Friction, before anything is touched."""
+    recording = record("TrunkPush-v0", model="cable", steps=3)
+    replay = Replay(recording, ("trunk_mass", "friction"), noise=5e-4, threads=1)
+    distribution = infer("sysid", replay, max_iterations=3).distribution
+    low, high = replay.parameters[1].search
+    assert np.sqrt(distribution.cov[1, 1]) == pytest.approx(rf_dropo.LARGEST_STD * (high - low), rel=0.05)
+
+
 def test_droid_recovers_the_only_parameter(reach):
     recording, truth = reach
     known = {name: value for name, value in truth.items() if name != "trunk_mass"}
@@ -232,7 +241,7 @@ def test_a_ratio_is_named_when_only_the_ratio_matters():
 def test_what_a_recording_says_nothing_about_is_as_wide_as_its_box():
     jacobian = np.zeros((10, 1, 2))
     jacobian[:, 0, 0] = 1.0
-    assert errors(jacobian, np.full((10, 1), 1e-3)) == pytest.approx(
+    assert np.sqrt(np.diag(uncertainty(jacobian, np.full((10, 1), 1e-3)))) == pytest.approx(
         [1e-3 / np.sqrt(10), rf_dropo.LARGEST_STD], rel=1e-4
     )
 

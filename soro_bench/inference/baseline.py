@@ -36,7 +36,7 @@ def inferred(
         if not path.exists():
             work = path.with_suffix(".log.jsonl")
             infer(method, replay, work, seed).save(path)
-            work.unlink()  # up to 180 MB, and only an interrupted inference needs it
+            work.unlink(missing_ok=True)  # up to 180 MB, and only an interrupted inference needs it
         return load(path)
 
     return Method(method.replace("-", "_"), distribution)

@@ -64,7 +64,7 @@ class Infer:
         with InferenceBar(self.method) as steps:
             posterior = infer(self.method, replay, work, self.seed, steps, self.workers, **settings)
         posterior.save(self.out)
-        work.unlink()  # up to 180 MB, and only an interrupted inference needs it
+        work.unlink(missing_ok=True)  # up to 180 MB, and only an interrupted inference needs it
         console.print(write_report(posterior, replay, self.out), soft_wrap=True)
 
     def _settings(self) -> dict:

@@ -14,7 +14,6 @@ from soro_bench.inference.identifiability import combinations, fisher
 from soro_bench.inference.posterior import Posterior
 from soro_bench.inference.replay import SIMULATIONS, Replay
 from soro_bench.inference.search import EvaluationLog, cma_search
-from soro_bench.models.simulation import quiet
 from soro_bench.parallel import HERE, Workers, each, one_blas_thread
 from soro_bench.randomization import Distribution, Gaussian, TruncatedNormal
 
@@ -63,7 +62,6 @@ class Search:
         return (values - self.low) / self.width
 
 
-@quiet()
 @one_blas_thread
 def infer(
     method: str,
@@ -114,18 +112,19 @@ def _rf_dropo(search: Search, optimizer: str = "linearised", **settings):
                                   search.seed, progress=search.progress, **settings)  # fmt: skip
     mean = search.low + search.width * fit.mean
     # how much the parameters vary, which the likelihood is about, and how well their means are known
-    std = np.minimum(np.hypot(fit.std, errors(fit.jacobian, replay.deviation)), rf_dropo.LARGEST_STD)
+    errors = np.sqrt(np.diag(uncertainty(fit.jacobian, replay.deviation)))
+    std = np.minimum(np.hypot(fit.std, errors), rf_dropo.LARGEST_STD)
     return TruncatedNormal(replay.names, mean, search.width * std), mean, -fit.jacobian / search.width
 
 
-def errors(jacobian: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-    """(d,) standard deviations with which means are known, shares of the box; its own where a recording says nothing.
+def uncertainty(jacobian: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """(d, d) covariance with which means are known, in shares of the box; its own where a recording says nothing.
 
     Args:
         jacobian, deviation: see :func:`soro_bench.inference.identifiability.fisher`.
     """
     prior = np.eye(jacobian.shape[-1]) / rf_dropo.LARGEST_STD**2
-    return np.sqrt(np.diag(np.linalg.inv(fisher(jacobian, deviation) + prior)))
+    return np.linalg.inv(fisher(jacobian, deviation) + prior)
 
 
 def _droid(search: Search, iterations: int = 60, popsize: int = 16):
@@ -167,13 +166,11 @@ def _sysid(search: Search, max_iterations: int = 30, start: float | None = None)
     _, result = sysid.optimize(params, residual, verbose=False, max_iters=max_iterations, eps=1e-4, **quiet)
     best = np.clip(np.asarray(result.x, float).ravel(), 0, 1)
     slope = _slope(search, best)
-    white = search.log(lambda p: search.residuals(p[None], steps) / replay.deviation, best, "residual")[0]
-    seen = ~np.isnan(replay.measured)  # mujoco.sysid's variance counts every row
-    white, jacobian = white[seen], (slope * search.width / replay.deviation[..., None])[seen]
-    covariance, _ = sysid.calculate_intervals([white], jacobian)
-    scale = np.outer(search.width, search.width)
+    left = search.log(lambda p: search.residuals(p[None], steps)[0], best, "fit")
+    # not mujoco.sysid's, which knows no prior: what a recording says nothing about would have any variance
+    covariance = np.outer(search.width, search.width) * uncertainty(slope * search.width, _deviation(replay, left))
     values = search.low + search.width * best
-    return Gaussian(replay.names, values, 0.5 * scale * (covariance + covariance.T)), values, slope
+    return Gaussian(replay.names, values, 0.5 * (covariance + covariance.T)), values, slope
 
 
 def _bayes_sim(search: Search, features: str = "mdn", simulations: int = 1000, samples: int = 2000):
@@ -229,21 +226,24 @@ def _posterior(method, search, distribution: Distribution, estimate, slope, sett
     seen = ~np.isnan(replay.measured)
     fit = {name: float(np.sqrt((residual[:, group][seen[:, group]] ** 2).mean()))
            for name, group in zip(replay.signal_names, replay.groups, strict=True)}  # fmt: skip
-    # what the fit leaves is the deviation that it has, if it is more than was expected
-    left = (residual / replay.deviation)[seen]
-    deviation = max(1.0, float(np.sqrt((left**2).mean()))) * replay.deviation
     return Posterior(
         method=method,
         distribution=_with_known(distribution, replay.known),
         estimate=dict(zip(replay.names, map(float, estimate), strict=True)),
         fit=fit,
-        combinations=combinations(slope, deviation, replay.parameters, estimate),
+        combinations=combinations(slope, _deviation(replay, residual), replay.parameters, estimate),
         known=replay.known,
         model=replay.model,
         replay=replay.fingerprint(),
         replays=search.log.work / steps,
         settings=settings,
     )
+
+
+def _deviation(replay: Replay, residual: np.ndarray) -> np.ndarray:
+    """(T, k) of the measurement, or what a fit leaves if it is more."""
+    left = (residual / replay.deviation)[~np.isnan(replay.measured)]
+    return max(1.0, float(np.sqrt((left**2).mean()))) * replay.deviation
 
 
 def _with_known(distribution: Distribution, known: dict[str, float]) -> Distribution:

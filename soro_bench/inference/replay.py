@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from soro_bench.models.simulation import quiet
 from soro_bench.parallel import processors
 from soro_bench.parameters import Parameter
 from soro_bench.recording.recording import Recording, RecordingError, Signal, resampled, sampled
@@ -150,6 +151,7 @@ class Replay:
             signals[first : first + len(part)] = self._roll_out(part, steps)
         return signals
 
+    @quiet()  # of every process that replays
     def residuals(self, params: np.ndarray, steps: int | None = None) -> np.ndarray:
         """(N, steps, k) measured less simulated, 0 where nothing was measured."""
         simulated = self.simulate(params, steps)

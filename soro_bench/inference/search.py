@@ -31,7 +31,8 @@ class EvaluationLog:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         if not self._path.exists() or not self._path.stat().st_size:
             self._append({"title": title})
-        *lines, cut_off = self._path.read_bytes().split(b"\n")
+        content = self._path.read_bytes()
+        *lines, cut_off = content.split(b"\n")
         try:
             header, *self._entries = [json.loads(line) for line in lines]
             if any(set(entry) != {"call", "work", "shape", "values"} for entry in self._entries):
@@ -43,7 +44,7 @@ class EvaluationLog:
                 raise ValueError(f"{path} is the log of another inference; remove it, or choose another file")
             self._path.write_text(json.dumps({"title": title}) + "\n")  # one that failed before it began
         else:
-            os.truncate(self._path, self._path.stat().st_size - len(cut_off))
+            os.truncate(self._path, len(content) - len(cut_off))
 
     @property
     def known(self) -> int:
