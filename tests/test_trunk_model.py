@@ -183,6 +183,19 @@ def test_free_fall(model):
     assert task.object_position(ids)[0] == pytest.approx([0, -0.060 - 9.81 * h**2 * n * (n + 1) / 2, 0.1], abs=1e-9)
 
 
+def test_tension_is_that_of_the_state_that_a_recording_has_beside_it(model):
+    """What MuJoCo's servos pull with when they stop there, here while all cables move."""
+    task = TrunkReachTask(1, 1, model=model, action="continuous")
+    task.reset(np.arange(1), [np.random.default_rng(0)], [{}])
+    for rates in np.random.default_rng(0).uniform(-1, 1, (6, 1, 8)):
+        task.step(np.arange(1), rates)
+    data = task.sim.batch.get_data(0)
+    data.ctrl[:] = 0  # otherwise MuJoCo uses the displacement at the end of the next step
+    mujoco.mj_fwdActuation(task.sim.batch.get_model(0), data)
+    assert task.signals(np.arange(1))["tension"][0] == pytest.approx(data.actuator_force, rel=1e-9, abs=1e-9)
+    assert data.actuator_force.max() > 1  # N
+
+
 def test_tension_stays_within_limits(model):
     """Cables only pull, with at most 30 N, whatever is commanded."""
     task = TrunkReachTask(2, 2, model=model, action="continuous")

@@ -91,7 +91,7 @@ class TrunkTask(Task):
         self.goal = np.zeros((num_envs, 3))  # m
         self._initial_distance = np.ones(num_envs)  # m
         self._links = [compiled.body("base").id, *(compiled.body(f"vertebra{k}").id for k in range(geo.NUM_NECKS))]
-        for field in ("site_xpos", "xpos", "xquat", "actuator_force"):
+        for field in ("site_xpos", "xpos", "xquat", "actuator_length", "actuator_velocity"):
             self.sim.batch.bind(field)
 
     def spec(self):
@@ -108,9 +108,17 @@ class TrunkTask(Task):
             "keypoints": self.keypoints(ids),
             "link_position": batch.xpos[links],
             "link_quaternion": batch.xquat[links],
-            "tension": batch.actuator_force[ids],
+            "tension": self._tension(np.asarray(ids)),
             "commanded": batch.act[ids],
         }
+
+    def _tension(self, ids) -> np.ndarray:
+        """(n, 8) N at the present state (MuJoCo's actuator_force is that of the time step before)."""
+        batch = self.sim.batch
+        gain, bias, limits = (batch.expand(f"actuator_{name}")[ids] for name in ("gainprm", "biasprm", "forcerange"))
+        of_length, of_velocity = bias[..., 1] * batch.actuator_length[ids], bias[..., 2] * batch.actuator_velocity[ids]
+        force = gain[..., 0] * batch.act[ids] + bias[..., 0] + of_length + of_velocity
+        return np.clip(force, limits[..., 0], limits[..., 1])
 
     def keypoints(self, ids) -> np.ndarray:
         """(n, 21, 3) keypoint positions [m], from the clamp to the tip."""
@@ -135,12 +143,12 @@ class TrunkTask(Task):
         if "goal" not in options:
             return drawn
         try:
-            goal = np.asarray(options["goal"], float)
-        except (TypeError, ValueError, OverflowError):
-            goal = np.full(3, np.nan)
-        if goal.shape != (3,) or not (np.abs(goal) <= REACH_LIMIT).all():
+            goal = np.asarray(options["goal"])
+        except ValueError:  # rows of different lengths
+            goal = np.empty(0)
+        if goal.shape != (3,) or goal.dtype.kind not in "fiu" or not (np.abs(goal) <= REACH_LIMIT).all():
             raise ValueError(f"goal {options['goal']} has to be 3 coordinates from -{REACH_LIMIT} to {REACH_LIMIT} m")
-        return goal
+        return goal.astype(float)
 
     def _sample_goal(self, rng: np.random.Generator) -> np.ndarray:
         raise NotImplementedError
