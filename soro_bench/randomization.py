@@ -127,12 +127,12 @@ class Gaussian:
         _bounds(self.names)
         _finite("mean", self.names, self.mean)
         cov = _finite("covariance", self.names, self.cov, axes=2)
-        if not np.allclose(cov, cov.T):
-            raise ValueError(f"the covariance has to be a symmetric {len(self.names)} x {len(self.names)} matrix")
         # scaled by the variances, as the parameters' units differ by many orders of magnitude
         scale = np.sqrt(np.maximum(np.diag(cov), np.finfo(float).tiny))
         with np.errstate(over="ignore"):
             correlation = cov / np.outer(scale, scale)
+        if not np.allclose(correlation, correlation.T):
+            raise ValueError(f"the covariance has to be a symmetric {len(self.names)} x {len(self.names)} matrix")
         if not (largest := np.abs(correlation).max()) <= 1 + 1e-9:  # also of a parameter without a variance
             raise ValueError(f"the covariance is not positive semi-definite: there are correlations of {largest:.3g}")
         if (lowest := np.linalg.eigvalsh(correlation).min()) < -1e-9:

@@ -81,6 +81,7 @@ OPTIONS = [
     ({"goal": [0, 0]}, ("[0, 0]", "3 coordinates from -0.3 to 0.3 m")),
     ({"goal": [0, 0, 120]}, ("[0, 0, 120]", "3 coordinates from -0.3 to 0.3 m")),
     ({"goal": [0, float("nan"), 0.1]}, ("nan", "3 coordinates from -0.3 to 0.3 m")),
+    ({"goal": ["0", "0", "0.1"]}, ("['0', '0', '0.1']", "3 coordinates from -0.3 to 0.3 m")),
     ({"goal": "left"}, ("left", "3 coordinates from -0.3 to 0.3 m")),
     ({"goal": [[0, 0], [0]]}, ("[[0, 0], [0]]", "3 coordinates from -0.3 to 0.3 m")),
     ({"params": {"young": 4e6}}, ("parameter 'young'", "young_modulus")),
@@ -239,6 +240,10 @@ def test_number_of_seeds(seed):
         (lambda: Gaussian(("trunk_mass",), [0.4], [[1, 0], [0, 1]]), ("covariance of trunk_mass", "(1, 1) is needed")),
         (lambda: Gaussian(("trunk_mass",), [0.4, 0.3], [[1]]), ("mean of trunk_mass", "(1,) is needed")),
         (lambda: Gaussian(("trunk_mass", "friction"), [0.4, 0.3], [[1, 2], [0, 1]]), ("symmetric 2 x 2",)),
+        (
+            lambda: Gaussian(("trunk_mass", "friction"), [0.4, 0.3], [[1e-8, 4e-9], [-4e-9, 1e-8]]),
+            ("symmetric 2 x 2",),
+        ),
         (
             lambda: Gaussian(("trunk_mass", "friction"), [0.4, 0.3], [[1, 2], [2, 1]]),
             ("positive semi-definite", "correlations of 2"),
