@@ -188,8 +188,8 @@ class Explorer:
 
 
 def rounded_actions(plans):
-    """(n, 100, 8) float32 actions of plans (n, 10, 4) [m], to the four digits that a file holds."""
-    return np.round(actions_from_knots(antagonistic(plans), DUE), 4)
+    """(n, 100, 8) float32 actions, to the four digits that a file holds, of plans (n, 10, 4) [m], to its six."""
+    return np.round(actions_from_knots(antagonistic(np.round(plans, 6)), DUE), 4)
 
 
 class Judge:
@@ -205,8 +205,11 @@ class Judge:
         return roll_out(self._task, actions, {"params": params}, lambda ids: heights(self._task, ids))
 
     def worth(self, plans) -> np.ndarray:
-        """(n,) mm: what plans (n, 10, 4) [m] hold in the worse of the two simulations; -inf if one diverged."""
-        actions = rounded_actions(plans)
+        """(n,) mm: what plans (n, 10, 4) [m] hold."""
+        return self.worth_of(rounded_actions(plans))
+
+    def worth_of(self, actions) -> np.ndarray:
+        """(n,) mm: what actions (n, 100, 8) hold in the worse of the two simulations; -inf if one diverged."""
         worths = []
         for params in self._params:
             played = 1e3 * self.play(actions, params)
@@ -301,9 +304,12 @@ def search(options) -> None:
         print(f"{name} {time.time() - begin:5.0f} s: worth {value:.2f} mm, {figures}", flush=True)
         return figures["elevation_held_mm"] >= options.enough
 
-    stored = worth[len(known) - 1] if sequence_file.exists() else -np.inf  # only a better one takes its place
-    if sequence_file.exists() and read_json(sequence_file)["elevation_held_mm"] >= options.enough:
-        return
+    stored = -np.inf
+    if sequence_file.exists():  # only a better one takes its place; its actions count, since its knots are rounded
+        before = read_json(sequence_file)
+        if before["elevation_held_mm"] >= options.enough:
+            return
+        stored = judge.worth_of(np.array(before["actions"], np.float32)[None])[0]
     polish(judge, plans[worth.argmax()], stored, options, begin + 60 * options.minutes, found)
 
 
