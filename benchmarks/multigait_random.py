@@ -4,6 +4,7 @@
 
 Parameters uniform in the search box, random actions, discrete and continuous in turn, 6 steps. Adds counts to
 a file in --work after every batch and goes on from there. Whole, they are copied to docs/results/multigait_random.json.
+Warnings are those of MuJoCo that are not of a bad state, as a state that is counts as diverged.
 """
 
 import argparse

@@ -5,7 +5,8 @@
 
 Runs that many episodes of every trunk task, each with parameters drawn uniformly from the published search box and
 with uniformly random actions, discrete and continuous in turn. Writes counts to --work after every batch; a run that
-was interrupted goes on from there. Whole, they are copied to docs/results/random_episodes_<model>.json.
+was interrupted goes on from there. Whole, they are copied to docs/results/random_episodes_<model>.json. Warnings are
+those of MuJoCo that are not of a bad state, as a state that is counts as diverged.
 """
 
 import argparse
@@ -48,7 +49,7 @@ def run_batch(env_id: str, model: str, number: int, threads: int) -> dict:
         diverged |= step.diverged
         tip = step.observation[:, 60:63]
         moved = np.linalg.norm(tip - observation[:, 60:63], axis=1)
-        fastest = max(fastest, float(moved[sane].max()) / task.control_timestep)
+        fastest = max(fastest, float(moved[sane].max(initial=0.0)) / task.control_timestep)
         observation = step.observation
     counts = task.sim.batch.warning[:, :, 1].sum(axis=0)
     return {

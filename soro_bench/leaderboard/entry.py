@@ -25,6 +25,7 @@ from soro_bench.training.policy import MAX_BYTES, Policy, PolicyCard
 
 FORMAT, SCHEMA = "soro_bench/control/1", "control_entry.schema.json"
 CURVE_POINTS = 50
+FARTHEST = 1e6  # mm, of the schema
 _KINDS = {kind.suffix: kind for kind in (Policy, OnnxPolicy)}
 
 
@@ -174,4 +175,5 @@ def evaluated(
 def thinned_curve(path: str | Path, metric: str) -> dict[str, list[float]]:
     """A training's curve.csv as an entry has it: means of some 50 equal parts; ``metric`` is the task's."""
     steps, final = read_curve(path, metric, CURVE_POINTS)
+    final = np.clip(final, -FARTHEST, FARTHEST)  # an episode that diverged may have ended anywhere
     return {"steps": [round(float(s)) for s in steps], "final_mm": [round(float(value), 3) for value in final]}
