@@ -64,6 +64,27 @@ def _hours(left: float | None) -> str:
     return "" if left is None else f", {left / 3600:.1f} h left"
 
 
+class StageStatus:
+    """The name of what is being done, for stages that nobody can count; in a log file, a line for each."""
+
+    def __enter__(self):
+        self._status, self._start, self._stage = console.status(""), time.monotonic(), ""
+        if console.is_terminal:
+            self._status.start()
+        return self
+
+    def __call__(self, stage: str) -> None:
+        if console.is_terminal:
+            self._status.update(f"{stage} ...")
+        elif stage != self._stage:
+            console.print(f"{time.monotonic() - self._start:6.0f} s  {stage}", soft_wrap=True)
+        self._stage = stage
+
+    def __exit__(self, *_):
+        if console.is_terminal:
+            self._status.stop()
+
+
 class InferenceBar:
     """A progress bar for an inference."""
 

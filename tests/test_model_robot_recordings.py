@@ -10,7 +10,8 @@ pytest.importorskip("pyarrow", reason="needs the train extra")
 
 from soro_bench.diagnosis.audit import audit
 from soro_bench.diagnosis.model_robot import ModelRobot
-from soro_bench.diagnosis.pipeline import diagnose
+from soro_bench.diagnosis.pipeline import diagnose, unexplained
+from soro_bench.diagnosis.scale import check_scale
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from tests.arm import ARM, MAP, recording
 
@@ -71,6 +72,29 @@ def test_a_command_that_mujoco_would_cut_off_is_refused(paths):
     paths[0].write_text(ARM.replace('kp="2"', 'kp="2" ctrllimited="true" ctrlrange="-0.1 0.1"'))
     with pytest.raises(RecordingError, match=r"'goal' is from -0.\d+ to 0.\d+; .* of actuator 'motor', -0.1 to 0.1"):
         ModelRobot(*paths, threads=1).measured(given)
+
+
+def test_control_steps_that_leave_out_most_of_a_command_are_refused(paths):
+    """It changes every 0.01 s, as an excitation in a log does."""
+    given, time = recording(paths, [], 0), 0.01 * np.arange(400)
+    robot = ModelRobot(*paths, threads=1)
+    robot.measured(replace(given, commands={"goal": Signal(time, 0.1 * np.sin(time)[:, None])}))
+    paths[1].write_text(MAP.replace("0.02", "0.05", 1))
+    with pytest.raises(RecordingError, match=r"'goal' changes every 0.01 s; a control_timestep of 0.05 s leaves most"):
+        ModelRobot(*paths, threads=1).measured(
+            replace(given, commands={"goal": Signal(time, 0.1 * np.sin(time)[:, None])})
+        )
+
+
+@pytest.mark.parametrize(("scale", "times"), [(180 / np.pi, "57"), (1e-3, "0.001"), (-1.0, "-1")])
+def test_a_signal_in_a_wrong_unit_or_the_other_way_round_is_refused(paths, scale, times):
+    """It would be explained, as something without a name. Other parameters than the model's are none of that."""
+    given, robot = recording(paths, [], 0), ModelRobot(*paths, threads=1)
+    angle = given.signals["angle"]
+    check_scale(unexplained(robot, (robot.measured(given),), 1.0))
+    wrong = replace(given, signals={"angle": replace(angle, values=scale * angle.values)})
+    with pytest.raises(RecordingError, match=rf"angle moves {times}\S* times as far in the recordings as in the model"):
+        check_scale(unexplained(robot, (replace(robot.measured(wrong), start=angle.values[:1, None]),), 1.0))
 
 
 def test_samples_with_points_and_coordinates_exchanged_are_refused(paths):

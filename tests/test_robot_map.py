@@ -35,6 +35,7 @@ def test_sensors_of_more_than_coordinates_are_refused(paths):
         ('unit = "rad"', "", "needs a name, a unit"),
         ("control_timestep = 0.02", "control_timestep = 0.003", "no multiple"),
         ("control_timestep = 0.02", "timestep = 0.02", "unknown entry 'timestep'"),
+        ("dof_damping:hinge", "dof_frictionloss:hinge", "dof_frictionloss:hinge is 0 in the model"),
         ("body_mass:arm", "body_weight:arm", "expected field:element"),
         ("actuator_biasprm[0]:motor", "actuator_biasprm[99]:motor", "no column 99"),
         ("body_mass:arm", "body_mass:leg*", "no body of the model is called 'leg*'"),

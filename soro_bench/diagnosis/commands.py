@@ -8,7 +8,7 @@ import tyro
 
 from soro_bench.files import check_output, results_folder
 from soro_bench.options import EnvId
-from soro_bench.progress import console
+from soro_bench.progress import StageStatus, console
 
 
 @dataclass
@@ -62,11 +62,11 @@ class Diagnose:
 
         if not self.recordings:
             raise ValueError("no recording to explain; give one or more .parquet files")
-        with results_folder(self.out), console.status("") as status:
+        with results_folder(self.out), StageStatus() as status:
             robot = self._robot()
             recordings, heldout = ([load(path) for path in paths] for paths in (self.recordings, self.heldout))
-            found = diagnose(robot, recordings, heldout, self.seed, lambda stage: status.update(f"{stage} ..."))
-            status.update("report ...")
+            found = diagnose(robot, recordings, heldout, self.seed, status)
+            status("report")
             text = write_reports(found, recordings, self.out)
         console.print(text, soft_wrap=True)
         console.print(f"{self.out / 'report.html'}, {self.out / 'report.json'}; {found.seconds:.0f} s", soft_wrap=True)
@@ -102,8 +102,8 @@ class Study:
         from soro_bench.files import replacing
 
         study = load_study(self.name, self.data)
-        with console.status("") as status:
-            summaries = run_study(study, self.out, self.seed, progress=lambda stage: status.update(f"{stage} ..."))
+        with StageStatus() as status:
+            summaries = run_study(study, self.out, self.seed, progress=status)
         with replacing(self.out / "results.md") as temporary:
             temporary.write_text(results(summaries) + "\n")
         for summary in summaries:

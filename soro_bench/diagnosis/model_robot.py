@@ -36,6 +36,7 @@ _LARGE = 1e6  # of a signal, in its unit: the simulation has diverged
 # time step of a small model costs less than what calls it
 _FREEDOM, _MOST_SIMULATIONS = 2000, 256
 _SHARE = 0.3  # of an actuator's range, how far a proposed motion goes
+_MOST_CHANGES = 3  # of a command in a control step
 _BEYOND = 1e-3  # of an actuator's range, by which a command may be outside of it
 
 
@@ -109,9 +110,21 @@ class ModelRobot(Robot):
         for name, actuators, unit in self._commands:
             actions[:, actuators] = held(recording, name, self._times(recording, steps), len(actuators))
             check_unit(recording.commands[name], name, unit)
+            self._check_rate(name, recording.commands[name])
             for actuator in actuators:
                 self._check_range(name, actuator, actions[:, actuator])
         return actions
+
+    def _check_rate(self, name, command):
+        """Refuse control steps that leave out most of what was commanded: that would be taken for physics."""
+        values = command.values.reshape(len(command.time), -1)
+        changed = command.time[1:][(np.diff(values, axis=0) != 0).any(axis=1)]
+        every = float(np.median(np.diff(changed))) if len(changed) > 1 else np.inf
+        if self.control_timestep > _MOST_CHANGES * every * (1 + 1e-6):
+            raise RecordingError(
+                f"the command {name!r} changes every {every:.3g} s; a control_timestep of {self.control_timestep:g} s "
+                f"leaves most of it out; allowed is {_MOST_CHANGES} times as long"
+            )
 
     def _check_range(self, command, actuator, asked):
         """Refuse what MuJoCo would cut off."""

@@ -17,6 +17,7 @@ from soro_bench.diagnosis.probe import Place, places
 from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.propose import Proposal, proposed
 from soro_bench.diagnosis.robot import FITTED, Robot
+from soro_bench.diagnosis.scale import check_scale
 from soro_bench.diagnosis.suspects import suspects
 from soro_bench.inference.clouds import LowRank
 from soro_bench.models.simulation import quiet
@@ -101,6 +102,7 @@ def diagnose(
     audits = tuple(audit(each) for each in (*measured, *tested))
     # of one sensor: motion only adds to it
     sigma = max(min(a.sigma for a in audits), max(a.least for a in audits))
+    check_scale(unexplained(robot, measured, sigma))
     problem, nominal = nominal_fit(unexplained(fitted, measured, sigma), refined, seed, progress)
     for each in (robot, fitted):
         problem.check_finite(each, problem.simulated(each, [(nominal.x, ())]))

@@ -233,8 +233,10 @@ class Robot(ABC):
             raise RecordingError(f"the recording has no signal {self.signal!r}; it has {', '.join(recording.names)}")
         given = recording.signals[self.signal]
         if (given.unit, given.frame) != (self.unit, self.frame):
+            hint = "; imported recordings are in SI units" if given.unit != self.unit else ""
             raise RecordingError(
                 f"{self.signal} is in {given.unit!r}, frame {given.frame!r}; expected are {self.unit!r}, {self.frame!r}"
+                f"{hint}"
             )
         shape = given.values.shape[1:]
         if math.prod(shape) != math.prod(self.shape) or (len(shape) > 1 and shape != self.shape):

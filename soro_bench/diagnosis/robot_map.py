@@ -23,7 +23,7 @@ metadata = "gain"                 # from its metadata, or command = "..." of one
 reference = 200                   # the number for which the fields are as in the model; 1 by default
 fields = ["actuator_gainprm[0]:motor"]
 
-[parameters.inertia]              # fields that are scaled together, or with add = true and a unit shifted
+[parameters.inertia]              # fields that are scaled together (none is 0), or with add = true and a unit shifted
 fields = ["body_mass:arm", "body_inertia:arm"]  # a star in a name is for any text: "site_pos[0]:hole_*"
 deviation = 0.3                   # of the prior: of the logarithm, or in the unit
 """
@@ -237,6 +237,8 @@ def parameters_of(model, table, scaled: dict[str, list[_Entry]]) -> tuple[tuple[
             bounds = (-_FAR * deviation, _FAR * deviation)
             priors.append(Prior(name, str(entry.get("unit", "1")), 0.0, deviation, False, bounds))
         else:
+            for text, one in zip(entry["fields"], entries[name], strict=True):
+                _check_scaled(model, label, text, one)
             priors.append(Prior(name, "1", 1.0, deviation, True, (1e-3, 1e3)))
     if not priors:
         raise ModelError("the mapping has no [parameters.<name>]; a diagnosis fits at least one")
@@ -263,6 +265,15 @@ def _entry(model, label, text) -> _Entry:
         widths = [_WIDTH.get(mujoco.mjtJoint(model.jnt_type[i]).name, 1) for i in numbers]
         numbers = [model.jnt_dofadr[i] + k for i, width in zip(numbers, widths, strict=True) for k in range(width)]
     return _Entry(match["field"], np.array(numbers), column)
+
+
+def _check_scaled(model, label, text, entry) -> None:
+    """Refuse what no factor changes: it would get an interval all the same."""
+    values = getattr(model, entry.field)[entry.rows]
+    if not (values if entry.column is None else values[..., entry.column]).any():
+        raise ModelError(
+            f"{label}: {text} is 0 in the model, and no factor changes that; give it a value, or add = true"
+        )
 
 
 def _matching(model, kind, count, name, label) -> list[int]:
