@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import tyro
 from rich.table import Table
 
@@ -133,8 +134,12 @@ class View:
 
 
 def _describe(recording, path: Path) -> None:
-    table = Table("signal", "samples", "shape", "unit", "frame", title=f"{path}: {recording.duration:g} s")
+    names = ("signal", "samples", "per s", "shape", "unit", "frame", "least", "largest", "with gaps")
+    table = Table(*names, title=f"{path}: {recording.duration:g} s")
     for name, signal in (*recording.commands.items(), *sorted(recording.signals.items())):
-        shape = " x ".join(map(str, signal.values.shape[1:]))
-        table.add_row(name, str(len(signal.time)), shape, signal.unit, signal.frame)
+        count, shape = len(signal.time), " x ".join(map(str, signal.values.shape[1:]))
+        rate = f"{1 / np.median(np.diff(signal.time)):.4g}" if count > 1 else ""
+        gaps = int(np.isnan(signal.values.reshape(count, -1)).any(axis=1).sum())
+        ends = (f"{end(signal.values):.4g}" for end in (np.nanmin, np.nanmax))
+        table.add_row(name, str(count), rate, shape, signal.unit, signal.frame, *ends, str(gaps or ""))
     console.print(table)

@@ -117,8 +117,8 @@ def recorded_actions(recording: Recording) -> tuple[str, np.ndarray]:
     env_id, action = metadata.get("env_id"), metadata.get("action")
     if env_id not in ENV_IDS or action not in ACTION_MODES:
         raise RecordingError(
-            f"env_id {env_id!r} and action {action!r} in its metadata say not what to replay it with; there are "
-            f"{', '.join(ENV_IDS)} and {', '.join(ACTION_MODES)}"
+            f"its metadata have env_id {env_id!r} and action {action!r}: nothing to replay it with; environments of "
+            f"the suite are {', '.join(ENV_IDS)}, actions {', '.join(ACTION_MODES)}"
         )
     if COMMAND not in recording.commands:
         raise RecordingError(f"there is no command {COMMAND!r} to replay; there are {sorted(recording.commands)}")

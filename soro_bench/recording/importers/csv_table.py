@@ -154,7 +154,9 @@ class _Table:
         if not isinstance(name, str) or self.header.count(name) != 1:
             count = self.header.count(name)
             found = ", ".join(ascii(column)[1:-1] for column in self.header)[:200]
-            raise RecordingError(f"{count} columns are called {ascii(name)[:80]}; there are {found}")
+            hint = "; are [format] delimiter and skip_rows right?" if len(self.header) == 1 else ""
+            label = f"{count} columns are" if count else "no column is"
+            raise RecordingError(f"{label} called {ascii(name)[:80]}; there {_are(self.header)} {found}{hint}")
         return self.header.index(name)
 
     def _number(self, cell: str) -> float:
@@ -169,8 +171,14 @@ class _Table:
             value = math.inf
         if not math.isfinite(value):
             hint = "what stands for a missing one belongs into [format] missing"
+            if "," in cell and self._decimal == ".":
+                hint = 'of decimal commas [format] says decimal = ","'
             raise RecordingError(f"line {self._line}: {ascii(cell)[:40]} is no finite number; {hint}")
         return value
+
+
+def _are(names) -> str:
+    return "is" if len(names) == 1 else "are"
 
 
 def _words(options, key) -> list[str]:

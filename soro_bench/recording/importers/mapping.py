@@ -172,6 +172,10 @@ def load_mapping(
             }
         if not table["commands"] and not table["signals"]:
             raise RecordingError("the mapping has neither [commands.<name>] nor [signals.<name>]")
+        # numbers are as good as texts there
+        table["metadata"] = {
+            k: v if type(v) not in (int, float) else repr(v) for k, v in table.get("metadata", {}).items()
+        }
         return FileMapping(**table)
 
 
