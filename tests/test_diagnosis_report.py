@@ -206,6 +206,17 @@ def test_what_has_no_name_gets_a_place_and_a_force_over_time(robot, payload, tmp
     assert "What has no name" in (tmp_path / "report.html").read_text()
 
 
+def test_places_that_explain_nearly_as_much_are_told_too(robot, payload):
+    found, _ = payload
+    first, *_ = places(found.explanation.problem, robot, found.explanation.nominal)
+    others = [replace(first, where=Port("body", f"vertebra{k}"), gain=share * first.gain)
+              for k, share in enumerate((0.99, 0.98, 0.97, 0.96, 0.5))]  # fmt: skip
+    unknown = replace(found, comparison=replace(found.comparison, unknown=0.9), places=(first, *others))
+    named = "body vertebra0, body vertebra1, body vertebra2, 1 other place"
+    assert f"So it may be elsewhere: forces at {named} explain nearly as much." in verdict(unknown)
+    assert "elsewhere" not in verdict(replace(unknown, places=(first, others[-1])))
+
+
 def test_what_acts_at_no_single_place_is_still_called_unknown(payload):
     found, _ = payload
     text = verdict(replace(found, comparison=replace(found.comparison, unknown=0.9), places=()))

@@ -380,7 +380,9 @@ def test_a_simulation_that_diverges_is_no_physics(paths, stiffness, tmp_path, mo
     while fits have half of it. MuJoCo's warnings of every replay are not shown."""
     monkeypatch.chdir(tmp_path)
     given = recording(paths, [], 0)
-    stiff = ARM.replace('kp="2" kv="0.05" forcerange="-1 1"', f'kp="{stiffness}"').replace('damping="0.02"', "")
+    stiff = ARM.replace('kp="2" kv="0.05" forcerange="-1 1"', f'kp="{stiffness}"').replace(
+        'damping="0.02"', 'damping="1e-9"'
+    )
     paths[0].write_text(stiff.replace("implicitfast", "Euler"))
     with pytest.raises(SimulationError, match=r"the simulation by arm diverges .* s into recording 1"):
         diagnose(ModelRobot(*paths, threads=1), [given])

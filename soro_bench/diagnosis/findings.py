@@ -119,10 +119,16 @@ def unit_at(robot: Robot, unit: str, where: Port) -> str:
 
 
 def deviations(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:
-    """(n,) of x, under evidence tempered as in the comparison: a model that is wrong knows less than it seems."""
+    """(n,) of x."""
+    return np.sqrt(np.diag(tempered(diagnosis, hypothesis)))
+
+
+def tempered(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:
+    """(n, n) covariance of x, under evidence tempered as in the comparison: a model that is wrong knows less than it
+    seems. Priors are as they are."""
     problem = diagnosis.explanation.problem
-    heat = temperature(problem.excess(hypothesis.residual))
-    return np.minimum(np.sqrt(heat * np.diag(hypothesis.covariance(problem))), 1.0)
+    heat, prior = temperature(problem.excess(hypothesis.residual)), np.eye(len(hypothesis.x))
+    return np.linalg.inv((np.linalg.inv(hypothesis.covariance(problem)) - prior) / heat + prior)
 
 
 def prior_values(priors, x) -> np.ndarray:

@@ -26,7 +26,8 @@ class Hypothesis:
     """Suspects (none: the nominal robot) and the most probable unknowns so far.
 
     x: (n,) parameters, then those of the suspects. residual: (M,) there. slope: (n, M) of the residual. error: (E, M)
-    what the linearisation leaves, a basis of its covariance.
+    what the linearisation leaves, a basis of its covariance. known: (n, n) covariance of x, where that is not what
+    slope and error say (widths.py).
     """
 
     suspects: tuple[Suspect, ...]
@@ -35,6 +36,7 @@ class Hypothesis:
     cost: float
     slope: np.ndarray
     error: np.ndarray
+    known: np.ndarray | None = None
 
     def floor(self, problem: Problem) -> LowRank:
         """Numerical error together with that of the linearisation."""
@@ -46,6 +48,8 @@ class Hypothesis:
 
     def covariance(self, problem: Problem) -> np.ndarray:
         """(n, n) of x."""
+        if self.known is not None:
+            return self.known
         return np.linalg.inv(_hessian(self.floor(problem), self.slope))
 
     def scaled(self, problem: Problem, factor: float | np.ndarray) -> "Hypothesis":

@@ -19,12 +19,14 @@ from soro_bench.diagnosis.propose import Proposal, proposed
 from soro_bench.diagnosis.robot import FITTED, Robot
 from soro_bench.diagnosis.scale import check_scale
 from soro_bench.diagnosis.suspects import suspects
+from soro_bench.diagnosis.widths import with_covariance
 from soro_bench.inference.clouds import LowRank
 from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
 from soro_bench.recording.recording import Recording, RecordingError
 
 MOST_NUMBERS = 300_000  # of all samples: four minutes of a trunk, of which every suspect is one more
+LIKELY = 0.05  # probability of an answer, above which it is worth knowing how well its unknowns are known
 UNSURE = 0.1  # probability of physics without a name, above which its place is looked for
 
 
@@ -112,6 +114,7 @@ def diagnose(
     explanation = explained(problem, nominal, robot, refined, suspects(robot), seed, progress)
     progress("comparison")
     comparison = compared(explanation, tried_on(explanation, tested, refined, shortlist(explanation)))
+    explanation, comparison = _with_widths(explanation, comparison, seed)
     found = Diagnosis(robot, audits, found_outliers, explanation, comparison, (), None, 0.0)
     if comparison.detected and comparison.unknown > UNSURE:
         progress("place of what has no name")
@@ -119,6 +122,18 @@ def diagnose(
     progress("next recording")
     proposal = _proposal(found, seed)
     return replace(found, proposal=proposal, seconds=time.perf_counter() - start)
+
+
+def _with_widths(explanation: Explanation, comparison: Comparison, seed: int) -> tuple[Explanation, Comparison]:
+    """The same with the covariances of what a report has intervals of."""
+    problem, nominal = explanation.problem, with_covariance(explanation.problem, explanation.nominal, seed)
+    answers = [
+        replace(a, hypothesis=with_covariance(problem, a.hypothesis, seed))
+        if a is comparison.best or a.probability > LIKELY
+        else a
+        for a in comparison.answers
+    ]
+    return replace(explanation, nominal=nominal), replace(comparison, answers=tuple(answers))
 
 
 def _named(label: str, function, recording: Recording):

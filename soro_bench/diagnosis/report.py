@@ -15,6 +15,7 @@ from soro_bench.diagnosis.findings import (
     findings,
     length,
     prior_values,
+    tempered,
     unit_at,
 )
 from soro_bench.diagnosis.fit import Hypothesis
@@ -89,7 +90,7 @@ def posterior(diagnosis: Diagnosis) -> Gaussian:
     """The parameters of the patched robot, as a distribution to train on."""
     fit, priors = kept(diagnosis), diagnosis.robot.priors
     low, middle, high = (prior_values(priors, fit.x + k * deviations(diagnosis, fit)) for k in (-1.0, 0.0, 1.0))
-    width, cov = 0.5 * (high - low), fit.covariance(diagnosis.explanation.problem)[: len(priors), : len(priors)]
+    width, cov = 0.5 * (high - low), tempered(diagnosis, fit)[: len(priors), : len(priors)]
     scale = np.sqrt(np.diag(cov))
     return Gaussian(tuple(p.name for p in priors), middle, np.outer(width / scale, width / scale) * cov)
 

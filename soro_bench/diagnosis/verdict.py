@@ -1,6 +1,7 @@
 """A diagnosis in sentences."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -8,6 +9,7 @@ from soro_bench.diagnosis.findings import Finding, before_after, described, find
 from soro_bench.diagnosis.patch import kept, patch, rejected
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.priors import Prior
+from soro_bench.diagnosis.probe import Place
 from soro_bench.diagnosis.propose import DURATION, Proposal, labels
 from soro_bench.diagnosis.report import NEXT_ACTIONS, detectable, invisible, not_looked_for
 from soro_bench.diagnosis.robot import Robot
@@ -16,6 +18,7 @@ from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import Effect
 
 MENTIONED = 0.05  # probability
+NEARLY, NAMED = 0.9, 3  # of the evidence that the best place gains; places that are named
 FAR = 3.0  # standard deviations of its prior: one parameter in 400 is that far from its nominal value
 
 
@@ -43,7 +46,10 @@ def verdict(diagnosis: Diagnosis) -> str:
         nearest = " with ".join(best.names) or "nothing"
         said.append(f"Something acts{place} that has no name in the catalogue "
                     f"(probability {diagnosis.comparison.unknown:.2f}); nearest is {nearest}.")  # fmt: skip
-        said.append(_force(diagnosis, unit) if diagnosis.places else "No force at a single place explains any of it.")
+        if diagnosis.places:
+            said += [_force(diagnosis, unit), *_elsewhere(diagnosis.places)]
+        else:
+            said.append("No force at a single place explains any of it.")
     else:
         found = [f for f in findings(diagnosis) if f.answer is best]
         said += [_sentence(diagnosis, f) + _twin(diagnosis.robot, f.effect) for f in found]
@@ -100,6 +106,14 @@ def _force(diagnosis: Diagnosis, unit: str) -> str:
     form = f"linear in what the robot is told and in its shape (mostly in: {form})" if force.shares else "free in time"
     return (f"Without a law: what acts there is {', '.join(sizes)} rms; with it, {form}, "
             f"{length(force.left, unit)} of {length(before, unit)} would be left.")  # fmt: skip
+
+
+def _elsewhere(places: Sequence[Place]) -> list[str]:
+    """Where forces explain nearly as much as at the first place, as a sentence; none if nowhere."""
+    near = [str(place.where) for place in places[1:] if place.gain >= NEARLY * places[0].gain]
+    more = len(near) - NAMED
+    names = near[:NAMED] + [f"{more} other place{'s' * (more > 1)}"] * (more > 0)
+    return [f"So it may be elsewhere: forces at {', '.join(names)} explain nearly as much."] if near else []
 
 
 def _far(diagnosis: Diagnosis) -> str:
