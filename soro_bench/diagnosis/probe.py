@@ -65,7 +65,7 @@ class Place:
 
 def places(problem: Problem, robot: Robot, base: Hypothesis, refined: Sequence[Robot] = ()) -> list[Place]:
     """Where forces would explain most of what a hypothesis leaves, the best place first; none if no force gains more
-    than the best of so many forms and places does by chance.
+    than the best of so many forms and places does by chance, or if forces leave more than nothing does.
 
     Args:
         robot: that is pushed, with the time steps of its model.
@@ -83,7 +83,9 @@ def places(problem: Problem, robot: Robot, base: Hypothesis, refined: Sequence[R
     for one in sorted(race.driven, key=lambda one: -one.gain):
         if one.gain > chance:
             best.setdefault(one.where, one)
-    return [Place(one.where, one.gain, _force(problem, search, one)) for one in best.values()]
+    found = [Place(one.where, one.gain, _force(problem, search, one)) for one in best.values()]
+    # parameters make up for some forces to first order, which is far from what they do
+    return [place for place in found if place.force.left < problem.left(base.residual)]
 
 
 def _leads(robot: Robot, everything: Sequence[Source], gains: Sequence[float]) -> list[Source]:
