@@ -11,11 +11,13 @@ import pytest
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
 from soro_bench.diagnosis.findings import unit_at
+from soro_bench.diagnosis.fit import Guess, fitted
 from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.page import write_reports
-from soro_bench.diagnosis.pipeline import diagnose
+from soro_bench.diagnosis.pipeline import diagnose, unexplained
 from soro_bench.diagnosis.priors import Earlier
 from soro_bench.diagnosis.problem import SimulationError
+from soro_bench.diagnosis.refit import plainer
 from soro_bench.diagnosis.report import earlier
 from soro_bench.diagnosis.suspects import suspects
 from soro_bench.diagnosis.verdict import _far, verdict
@@ -397,3 +399,17 @@ def test_a_delay_of_everything_measured_is_compared_with_one_of_everything_comma
     assert ("actuator_delay",) in names
     assert ("sensor_delay",) in names
     assert "clocks do" in verdict(found)
+
+
+def test_a_plainer_law_than_that_of_the_best_hypothesis_is_tried_where_that_ended(paths):
+    """Dry friction, where friction of a loaded gear, which has it too, leads."""
+    hidden = [Effect("coulomb_friction", Port("joint", "hinge"), {"friction": 0.05, "presliding": 0.0005})]
+    robot = ModelRobot(*paths, threads=1)
+    problem = unexplained(robot, (robot.measured(recording(paths, hidden, 0)),), 5e-4)
+    candidates = suspects(robot)
+    gear = next(s for s in candidates if s.name == "gear_friction")
+    (best,) = fitted(problem, [Guess(np.concatenate([np.zeros(3), gear.simulated]), (gear,))], (0.3,), 0)
+    found = {h.suspects[-1].name: h for h in plainer(problem, best, [best], candidates, 0)}
+    assert {"coulomb_friction", "stribeck_friction"} <= found.keys() and "gear_friction" not in found
+    assert found["coulomb_friction"].cost < best.cost
+    assert found["coulomb_friction"].effects(3)[0].parameters["friction"] == pytest.approx(0.05, rel=0.2)

@@ -20,6 +20,7 @@ from soro_bench.diagnosis.refit import (
     exchanged,
     laws,
     persevered,
+    plainer,
     polished,
     refitted,
     twins,
@@ -230,6 +231,8 @@ class _Search:
             new += continued(self.problem, new[0], self.tried, next(self.seeds))
         if self.problem.rough:
             new = persevered(self.problem, new, next(self.seeds))
+            best = min(new, key=lambda h: h.cost)
+            new += plainer(self.problem, best, new, self.possible, next(self.seeds))
         self.problem, new = _with_own_floor(self.problem, self.refined, new, next(self.seeds))
         return sorted(new, key=lambda h: -h.log_evidence(self.problem))
 

@@ -15,6 +15,7 @@ from soro_bench.diagnosis.suspects import Suspect, effects_at, late, slices
 from soro_bench.effects.catalogue import CATEGORIES
 
 SCALE, KEPT = 0.15, 3  # of the cloud, and how many hypotheses remain
+_SIZES = (0.1, 0.3, 1.0, 3.0, 10.0)  # shares of typical magnitudes at which plainer laws are tried
 _TRIED, _LENGTHS = 4, (0.5, 1.0)  # how many leads are fitted, and shares of their magnitudes at which all are tried
 _LITTLE = 0.1  # of magnitudes: nearly none, but not so little that slopes vanish
 _POLISH = (0.3, 0.1)  # radii
@@ -112,6 +113,23 @@ def continued(problem: Problem, best: Hypothesis, earlier: Sequence[Hypothesis],
                 guesses.append(Guess(np.concatenate([robot, h.x[d:], since]), (*h.suspects, *best.suspects[k + 1 :])))
     guesses = [g for g in guesses if problem.robot.accepts(effects_at(g.x[d:], g.suspects))]
     return fitted(problem, guesses, _POLISH, seed) if guesses else []
+
+
+def plainer(
+    problem: Problem, best: Hypothesis, others: Sequence[Hypothesis], candidates: Sequence[Suspect], seed: int
+) -> list[Hypothesis]:
+    """The best hypothesis with laws of fewer quantities, of the class of its last one and at its place, that none of
+    the others has there, fitted from its parameters: what they promise far from there is not what they explain."""
+    last, known = best.suspects[-1], {laws(h) for h in others}
+    rest, guesses = best.x[: -last.size], []
+    for one in candidates:
+        suspects = (*best.suspects[:-1], one)
+        if _trace(problem.robot, one) == _trace(problem.robot, last) and one.size < last.size:
+            points = [np.concatenate([rest, share * one.simulated]) for share in _SIZES]
+            guess = Guess(_cheapest(problem, points, suspects), suspects)
+            if laws(guess) not in known:
+                guesses.append(guess)
+    return persevered(problem, fitted(problem, guesses, _POLISH, seed), seed + 1) if guesses else []
 
 
 def _there(one, other):
