@@ -4,7 +4,8 @@
 
 Every arm is simulated with parameters drawn from their priors, dry friction that its model lacks, and a tenth of the
 model's time step. Only ratios of all these forces show in the motion. Prints, of every number, the truth and its 90 %
-interval, and how many intervals hold it: as they are, and from the slopes that the fits ended with (widths.py).
+interval, and how many intervals hold it: as they are, and from the slopes that the fits ended with (widths.py). Of
+another law than dry friction there is no friction to hold.
 """
 
 import argparse
@@ -109,7 +110,6 @@ def main() -> None:
                       flush=True)  # fmt: skip
     count = np.sum(held, axis=0)
     print(f"\n{count[0]} of {len(held)} intervals hold the truth, {count[1]} of those from slopes")
-    print("where another law than dry friction is the answer, its friction has none")
 
 
 if __name__ == "__main__":
