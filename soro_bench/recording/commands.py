@@ -140,6 +140,7 @@ def _describe(recording, path: Path) -> None:
         count, shape = len(signal.time), " x ".join(map(str, signal.values.shape[1:]))
         rate = f"{1 / np.median(np.diff(signal.time)):.4g}" if count > 1 else ""
         gaps = int(np.isnan(signal.values.reshape(count, -1)).any(axis=1).sum())
-        ends = (f"{end(signal.values):.4g}" for end in (np.nanmin, np.nanmax))
+        seen = signal.values[~np.isnan(signal.values)]
+        ends = (f"{seen.min():.4g}", f"{seen.max():.4g}") if seen.size else ("", "")
         table.add_row(name, str(count), rate, shape, signal.unit, signal.frame, *ends, str(gaps or ""))
     console.print(table)
