@@ -1,15 +1,17 @@
 # make demo   train, evaluate and record two small policies; see README.md
-# make test   the tests and the style checks
+# make test   the tests, the style checks and the documentation site
+# make docs   the documentation site, into build/site
 #
-# Both set up .venv first, once, and again when pyproject.toml or constraints.txt change.
+# All set up .venv first, once, and again when pyproject.toml or constraints.txt change.
 # Another interpreter: make demo PYTHON=python3.12
 
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+MKDOCS := NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 
-.PHONY: demo test
+.PHONY: demo test docs
 demo: $(VENV)/all.installed
 	$(BIN)/soro-bench run --preset quick
 
@@ -17,6 +19,10 @@ test: $(VENV)/dev.installed
 	$(BIN)/python -m pytest -n 2
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
+	$(MKDOCS)
+
+docs: $(VENV)/dev.installed
+	$(MKDOCS)
 
 $(VENV)/%.installed: pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.version_info >= (3, 11) or sys.exit("needs Python 3.11 or newer; have " + sys.version)'
