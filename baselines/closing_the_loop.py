@@ -17,10 +17,15 @@ from pathlib import Path
 import numpy as np
 from rich.progress import Progress
 
+from soro_bench.blind_benchmark import body_laws, command_laws
+from soro_bench.blind_benchmark.cases import recording
+from soro_bench.blind_benchmark.closed_loop import final_distances
+from soro_bench.blind_benchmark.manoeuvre import manoeuvre
+from soro_bench.blind_benchmark.robot import CONTROL_TIMESTEP, Law, Robot
 from soro_bench.cli import plain_errors
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.pipeline import diagnose
-from soro_bench.diagnosis.suite_robot import SuiteRobot
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.version import method_version
 from soro_bench.effects.effect import EVERY, Effect, Port, save_effects
 from soro_bench.envs.task import effects_of
@@ -30,11 +35,6 @@ from soro_bench.markdown import table
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.options import check_seed
-from soro_bench.proof import body_laws, command_laws
-from soro_bench.proof.cases import recording
-from soro_bench.proof.closed_loop import final_distances
-from soro_bench.proof.manoeuvre import manoeuvre
-from soro_bench.proof.robot import CONTROL_TIMESTEP, Law, Robot
 from soro_bench.randomization import Distribution, holding, load
 from soro_bench.recording.excitation import excitation
 from soro_bench.registration import make_task

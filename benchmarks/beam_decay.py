@@ -15,13 +15,13 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from soro_bench.assets import mjcf_path
-from soro_bench.diagnosis.audit import audit
-from soro_bench.diagnosis.explain import nominal_fit
-from soro_bench.diagnosis.model_robot import ModelRobot
+from soro_bench.diagnosis.estimation.data_quality import audit
+from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.pipeline import unexplained
-from soro_bench.diagnosis.problem import Problem
 from soro_bench.diagnosis.report import earlier
-from soro_bench.diagnosis.robot import FITTED
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.robot import FITTED
+from soro_bench.diagnosis.selection.forward_selection import nominal_fit
 from soro_bench.recording.importers import import_recording
 
 FREQUENCY = {"gravity": 7.7, "load52": 4.4}  # Hz, about

@@ -20,11 +20,11 @@ import mujoco
 import numpy as np
 from rich.progress import track
 
-from soro_bench.diagnosis.suite_robot import SuiteRobot
+from soro_bench.blind_benchmark.ablations import ENV_ID
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.files import read_json, write_json
 from soro_bench.markdown import table
 from soro_bench.parallel import processors
-from soro_bench.proof.ablations import ENV_ID
 
 DURATION = 30.0  # s, of a recording
 

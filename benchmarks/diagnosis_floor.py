@@ -3,7 +3,7 @@ and how fits converge.
 
     python benchmarks/diagnosis_floor.py
 
-Prints the first tables of docs/diagnosis_measured.md. The recorded robots are those of soro_bench.proof, 30 s of
+Prints the tables of the discretisation error. The recorded robots are those of soro_bench.blind_benchmark, 30 s of
 excitation.
 """
 
@@ -12,13 +12,13 @@ import argparse
 import numpy as np
 from gymnasium import spaces
 
-from soro_bench.diagnosis.fit import Guess, fitted
-from soro_bench.diagnosis.floor import floor_and_residuals
-from soro_bench.diagnosis.measured import Measured
-from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.robot import FITTED, Robot
-from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.diagnosis.suspects import suspect
+from soro_bench.diagnosis.candidates import suspect
+from soro_bench.diagnosis.estimation.discretisation import floor_and_residuals
+from soro_bench.diagnosis.estimation.fit import Guess, fitted
+from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.robots.measured import Measured
+from soro_bench.diagnosis.robots.robot import FITTED, Robot
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.effects.effect import EVERY, Port
 from soro_bench.inference.clouds import LowRank
 from soro_bench.markdown import header, row

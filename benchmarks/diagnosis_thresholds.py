@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import gumbel_r
 
-from soro_bench.diagnosis.compare import STILL, UNKNOWN
+from soro_bench.blind_benchmark.score import opened_labels
+from soro_bench.diagnosis.selection.model_probabilities import STILL, UNKNOWN
 from soro_bench.files import read_json
 from soro_bench.markdown import table
-from soro_bench.proof.score import opened_labels
 
 
 def left(hypothesis: dict) -> float:

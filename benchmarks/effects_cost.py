@@ -8,8 +8,8 @@ import time
 
 import numpy as np
 
-from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.diagnosis.suspects import suspects, typical
+from soro_bench.diagnosis.candidates import suspects, typical
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.markdown import header, row
 from soro_bench.registration import make_task
 

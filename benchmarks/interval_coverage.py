@@ -16,9 +16,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from soro_bench.diagnosis.model_robot import ModelRobot
 from soro_bench.diagnosis.pipeline import Diagnosis, diagnose
 from soro_bench.diagnosis.report import report_of
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.markdown import header, row
 from soro_bench.recording.recording import Recording, Signal
 

@@ -13,15 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from soro_bench.diagnosis.audit import audit
-from soro_bench.diagnosis.explain import nominal_fit
-from soro_bench.diagnosis.fit import Guess, fitted
-from soro_bench.diagnosis.model_robot import ModelRobot
+from soro_bench.diagnosis.candidates import suspects
+from soro_bench.diagnosis.estimation.data_quality import audit
+from soro_bench.diagnosis.estimation.fit import Guess, fitted
 from soro_bench.diagnosis.pipeline import unexplained
-from soro_bench.diagnosis.refit import persevered
-from soro_bench.diagnosis.robot import FITTED
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.robot import FITTED
+from soro_bench.diagnosis.selection.forward_selection import nominal_fit
+from soro_bench.diagnosis.selection.moves import persevered
 from soro_bench.diagnosis.study import STUDIES, errors_of, load_study
-from soro_bench.diagnosis.suspects import suspects
 
 RADII = (0.7, 0.3)
 SETS = ("train", "heldout", "unseen")

@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 from rich.progress import track
 
-from soro_bench.diagnosis.suite_robot import SuiteRobot
+from soro_bench.blind_benchmark.ablations import ENV_ID
+from soro_bench.blind_benchmark.score import opened_labels
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.effects.effect import Effect, Port
 from soro_bench.files import read_json
 from soro_bench.markdown import table
-from soro_bench.proof.ablations import ENV_ID
-from soro_bench.proof.score import opened_labels
 from soro_bench.recording.parquet import load
 
 MODELS = ("cable", "flex")

@@ -10,12 +10,12 @@ try:
     from rich.table import Table
     from rich.text import Text
 
+    from soro_bench.blind_benchmark.commands import Prove
     from soro_bench.campaign.commands import RunPreset
     from soro_bench.diagnosis.commands import Diagnose, Excite, Study
     from soro_bench.inference.commands import Infer
     from soro_bench.leaderboard.commands import Evaluate, Leaderboard
     from soro_bench.progress import console
-    from soro_bench.proof.commands import Prove
     from soro_bench.recording.commands import Data, Import, Record, View
     from soro_bench.training.commands import Train
 except ImportError as error:

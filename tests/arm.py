@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from soro_bench.diagnosis.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.recording.recording import Recording, Signal
 
 ARM = """<mujoco><option timestep="0.005" integrator="implicitfast"/>

@@ -40,7 +40,7 @@ def call(monkeypatch, capsys):
 @pytest.fixture(scope="module")
 def robot():
     """The cheap trunk."""
-    suite_robot = pytest.importorskip("soro_bench.diagnosis.suite_robot", reason="needs the infer extra")
+    suite_robot = pytest.importorskip("soro_bench.diagnosis.robots.suite_robot", reason="needs the infer extra")
     return suite_robot.SuiteRobot("TrunkReach-v0", threads=1)
 
 

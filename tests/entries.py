@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from soro_bench.blind_benchmark.score import GATES
 from soro_bench.files import write_json
 from soro_bench.leaderboard.boards import BOARDS, Condition
 from soro_bench.leaderboard.entry import evaluated, write_entry
-from soro_bench.proof.score import GATES
 from soro_bench.training.policy import Policy, PolicyCard
 
 BOARD = "TrunkReach-v0"

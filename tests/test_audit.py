@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.audit import audit, noise, outliers
-from soro_bench.diagnosis.localise import intervals, regimes
-from soro_bench.diagnosis.measured import Measured
+from soro_bench.diagnosis.estimation.data_quality import audit, noise, outliers
+from soro_bench.diagnosis.localisation.residual_maps import intervals, regimes
+from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.recording.recording import RecordingError
 
 SIGMA = 5e-4

@@ -9,18 +9,18 @@ import mujoco
 import numpy as np
 import pytest
 
+from soro_bench.blind_benchmark import body_laws, cable_laws, closed_loop, command_laws, neck_laws
+from soro_bench.blind_benchmark.hidden import ALL, MEASUREMENT, PHYSICS, UNKNOWN
+from soro_bench.blind_benchmark.manoeuvre import manoeuvre
+from soro_bench.blind_benchmark.robot import CONTROL_TIMESTEP, Diverged, Robot, simulate
+from soro_bench.blind_benchmark.sensor_laws import SensorLaw
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.files import write_json
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
-from soro_bench.proof import body_laws, cable_laws, closed_loop, command_laws, neck_laws
-from soro_bench.proof.hidden import ALL, MEASUREMENT, PHYSICS, UNKNOWN
-from soro_bench.proof.manoeuvre import manoeuvre
-from soro_bench.proof.robot import CONTROL_TIMESTEP, Diverged, Robot, simulate
-from soro_bench.proof.sensor_laws import SensorLaw
 
 pytest.importorskip("pyarrow")
-from soro_bench.proof import bench, cases, draw
+from soro_bench.blind_benchmark import bench, cases, draw
 from soro_bench.recording.parquet import load
 
 NOMINAL = {p.name: p.nominal for p in trunk.PARAMETERS}

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.fit import Guess, Hypothesis, bounds, fitted, fitted_under_floor
-from soro_bench.diagnosis.floor import floor_and_residuals
-from soro_bench.diagnosis.localise import windows
-from soro_bench.diagnosis.problem import SimulationError
-from soro_bench.diagnosis.screen import evidence, pairs, responses, singles
-from soro_bench.diagnosis.suspects import Suspect, suspect, suspects, typical
+from soro_bench.diagnosis.candidates import Suspect, suspect, suspects, typical
+from soro_bench.diagnosis.estimation.discretisation import floor_and_residuals
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, bounds, fitted, fitted_under_floor
+from soro_bench.diagnosis.estimation.problem import SimulationError
+from soro_bench.diagnosis.localisation.residual_maps import windows
+from soro_bench.diagnosis.selection.screening import evidence, pairs, responses, singles
 from soro_bench.effects.effect import EVERY, Effect, Port
 from soro_bench.models.trunk_geometry import CABLE_NAMES
 from soro_bench.recording.recording import Recording, RecordingError, Signal

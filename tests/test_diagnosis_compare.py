@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis import compare
-from soro_bench.diagnosis.explain import Explanation
-from soro_bench.diagnosis.fit import Hypothesis
+from soro_bench.diagnosis.candidates import Suspect
+from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.pipeline import Diagnosis, Outliers
-from soro_bench.diagnosis.suspects import Suspect
+from soro_bench.diagnosis.selection import model_probabilities as compare
+from soro_bench.diagnosis.selection.forward_selection import Explanation
 from soro_bench.effects.effect import Port
 from tests.trunk import SIGMA, problem
 

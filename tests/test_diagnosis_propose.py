@@ -7,14 +7,21 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from soro_bench.diagnosis import propose
-from soro_bench.diagnosis.compare import Answer, Comparison, Fit
-from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
-from soro_bench.diagnosis.measured import Measured
-from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.propose import Proposal, competing, motions, predictions, proposed, separations
-from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.diagnosis.suspects import Suspect, suspect
+from soro_bench.diagnosis.candidates import Suspect, suspect
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, fitted
+from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.robots.measured import Measured
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
+from soro_bench.diagnosis.selection import experiment_design as propose
+from soro_bench.diagnosis.selection.experiment_design import (
+    Proposal,
+    competing,
+    motions,
+    predictions,
+    proposed,
+    separations,
+)
+from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, Fit
 from soro_bench.diagnosis.verdict import _what_next
 from soro_bench.effects.effect import Port
 from soro_bench.inference.clouds import LowRank

@@ -5,11 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis import explain, refit
-from soro_bench.diagnosis.descent import descended
-from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
-from soro_bench.diagnosis.screen import Lead, evidence, responses
-from soro_bench.diagnosis.suspects import effects_at, suspect, suspects
+from soro_bench.diagnosis.candidates import effects_at, suspect, suspects
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, fitted
+from soro_bench.diagnosis.estimation.gauss_newton import descended
+from soro_bench.diagnosis.selection import forward_selection as explain
+from soro_bench.diagnosis.selection import moves as refit
+from soro_bench.diagnosis.selection.screening import Lead, evidence, responses
 from soro_bench.effects.effect import Effect, Port
 from soro_bench.inference.clouds import LowRank
 from tests.trunk import TRUTH, problem

@@ -11,19 +11,19 @@ pytest.importorskip("pyarrow")
 pytest.importorskip("rerun")
 pytest.importorskip("matplotlib")
 
+from soro_bench.blind_benchmark.unseen import unseen
 from soro_bench.diagnosis import page, pipeline
-from soro_bench.diagnosis.findings import NINETY, Finding, _condition, _lacking, findings
-from soro_bench.diagnosis.localise import Regime, left_over, residual_map
+from soro_bench.diagnosis.assembly.findings import NINETY, Finding, _condition, _lacking, findings
+from soro_bench.diagnosis.candidates import suspect, suspects
+from soro_bench.diagnosis.localisation.ranking import places
+from soro_bench.diagnosis.localisation.residual_maps import Regime, left_over, residual_map
 from soro_bench.diagnosis.page import write_reports
-from soro_bench.diagnosis.probe import places
-from soro_bench.diagnosis.propose import Proposal, motions
 from soro_bench.diagnosis.report import report_of, write_json_report
-from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.diagnosis.suspects import suspect, suspects
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
+from soro_bench.diagnosis.selection.experiment_design import Proposal, motions
 from soro_bench.diagnosis.verdict import _twin, verdict
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import Effect, Port, load_effects
-from soro_bench.proof.unseen import unseen
 from soro_bench.randomization import load
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from soro_bench.recording.simulated import replay
@@ -71,7 +71,7 @@ def diagnosed(robot, monkeypatch, hidden):
     monkeypatch.setattr(pipeline, "suspects", lambda *_: few)
     finer = robot.refined()[:1]
     monkeypatch.setattr(robot, "refined", lambda: finer)
-    monkeypatch.setattr("soro_bench.diagnosis.audit.noise", lambda values: 5e-4)
+    monkeypatch.setattr("soro_bench.diagnosis.estimation.data_quality.noise", lambda values: 5e-4)
     return pipeline.diagnose(robot, [recording(robot, hidden, 0)], [recording(robot, hidden, 1)])
 
 

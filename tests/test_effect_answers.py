@@ -4,8 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.diagnosis.suspects import suspects, typical
+from soro_bench.blind_benchmark import cable_laws, neck_laws
+from soro_bench.blind_benchmark.robot import simulate
+from soro_bench.diagnosis.candidates import suspects, typical
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.effects.catalogue import MEASUREMENT
 from soro_bench.effects.effect import Effect, EffectError, Port
 from soro_bench.effects.elements import Elements, instrument
@@ -13,8 +15,6 @@ from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import ParameterSet
-from soro_bench.proof import cable_laws, neck_laws
-from soro_bench.proof.robot import simulate
 from soro_bench.registration import make_task
 
 

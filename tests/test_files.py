@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from soro_bench.diagnosis.robot_map import read_mapping
+from soro_bench.diagnosis.robots.robot_map import read_mapping
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import load_effects
 from soro_bench.files import check_output, read_json, write_json

@@ -5,13 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.fit import Hypothesis
-from soro_bench.diagnosis.force_against_state import force_against_state
-from soro_bench.diagnosis.measured import Measured
-from soro_bench.diagnosis.model_robot import ModelRobot
-from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.diagnosis.suspects import suspect
+from soro_bench.diagnosis.assembly.force_against_state import force_against_state
+from soro_bench.diagnosis.candidates import suspect
+from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.robots.measured import Measured
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.effects.effect import EVERY, Effect, Port
 from soro_bench.inference.clouds import LowRank
 from tests.test_model_robot import ARM, MAP

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.forms import Free, Linear
+from soro_bench.diagnosis.localisation.input_models import Free, Linear
 
 TIMESTEP, STEPS = 0.05, (60, 41)
 

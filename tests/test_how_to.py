@@ -15,8 +15,8 @@ BLOCK = re.compile(r"```(python|diff|xml)\n(.*?)```", re.DOTALL)
 FILE = re.compile(r"`((?:soro_bench|assets)/[\w/]+\.(?:py|xml))`")
 TRY = """
 import gymnasium, soro_bench, numpy as np
-from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.diagnosis.suspects import suspects
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
+from soro_bench.diagnosis.candidates import suspects
 env = gymnasium.make("FingerReach-v0", model="coarse")
 start, _ = env.reset(seed=0, options={"params": {"finger_mass": 0.025}})
 assert env.observation_space.contains(start)

@@ -6,11 +6,11 @@ import pytest
 
 pytest.importorskip("jsonschema", reason="needs the board extra")
 
+from soro_bench.blind_benchmark import score
+from soro_bench.blind_benchmark.commands import Prove
 from soro_bench.files import write_json
 from soro_bench.leaderboard import diagnosis_entry
 from soro_bench.leaderboard.verify import verify_diagnosis
-from soro_bench.proof import score
-from soro_bench.proof.commands import Prove
 from tests.entries import edit
 from tests.test_bad_input import says
 from tests.test_proof_score import label, report
@@ -65,7 +65,7 @@ def test_the_command_prove_writes_an_entry_that_verifies(tmp_path, monkeypatch):
         write_json(folder / "scorecard.json", score.scored(labels, reports) | {"ablations": []})
         return "scorecard"
 
-    monkeypatch.setattr("soro_bench.proof.prove.prove", prove)
+    monkeypatch.setattr("soro_bench.blind_benchmark.prove.prove", prove)
     Prove(tmp_path).run()
     found = verify_diagnosis(tmp_path / "entry.json", tmp_path / "cases", tmp_path / "reports")
     assert set(found.values()) == {"same"}

@@ -10,16 +10,16 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
-from soro_bench.diagnosis.findings import unit_at
-from soro_bench.diagnosis.fit import Guess, fitted
-from soro_bench.diagnosis.model_robot import ModelRobot
+from soro_bench.diagnosis.assembly.findings import unit_at
+from soro_bench.diagnosis.candidates import suspects
+from soro_bench.diagnosis.estimation.fit import Guess, fitted
+from soro_bench.diagnosis.estimation.problem import SimulationError
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.pipeline import diagnose, unexplained
-from soro_bench.diagnosis.priors import Earlier
-from soro_bench.diagnosis.problem import SimulationError
-from soro_bench.diagnosis.refit import plainer
 from soro_bench.diagnosis.report import earlier
-from soro_bench.diagnosis.suspects import suspects
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.priors import Earlier
+from soro_bench.diagnosis.selection.moves import plainer
 from soro_bench.diagnosis.verdict import _far, verdict
 from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Effect, Port

@@ -8,10 +8,10 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
-from soro_bench.diagnosis.audit import audit
-from soro_bench.diagnosis.model_robot import ModelRobot
+from soro_bench.diagnosis.estimation.data_quality import audit
+from soro_bench.diagnosis.estimation.unit_check import check_scale
 from soro_bench.diagnosis.pipeline import diagnose, unexplained
-from soro_bench.diagnosis.scale import check_scale
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from tests.arm import ARM, MAP, recording
 

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from soro_bench import parallel
 from soro_bench.diagnosis.pipeline import diagnose
-from soro_bench.diagnosis.suite_robot import SuiteRobot
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.inference.methods import infer
 from soro_bench.inference.replay import SIMULATIONS, Replay
 from soro_bench.parallel import HERE, Workers, each, processors

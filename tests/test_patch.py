@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from soro_bench.assets import mjcf_path
-from soro_bench.diagnosis.compare import Fit
-from soro_bench.diagnosis.model_robot import ModelRobot
-from soro_bench.diagnosis.patch import (
+from soro_bench.diagnosis.assembly.patch import (
     MODEL,
     REMAINING,
     PatchError,
@@ -20,7 +18,9 @@ from soro_bench.diagnosis.patch import (
     write_model_patch,
     written,
 )
-from soro_bench.diagnosis.suite_robot import SuiteRobot
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
+from soro_bench.diagnosis.selection.model_probabilities import Fit
 from soro_bench.effects.catalogue import ALL, QUANTITIES
 from soro_bench.effects.effect import EVERY, Effect, Port, load_effects
 from soro_bench.effects.elements import AUXILIARY, FOUND, instrument, without_unused_springs

@@ -6,15 +6,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.fit import Guess, Hypothesis, fitted
-from soro_bench.diagnosis.forces import Driven
-from soro_bench.diagnosis.measured import Measured
-from soro_bench.diagnosis.model_robot import ModelRobot
-from soro_bench.diagnosis.probe import _raced, places
-from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.pushes import Source, replayed, setpoints, sources
-from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.diagnosis.suspects import suspect
+from soro_bench.diagnosis.candidates import suspect
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, fitted
+from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.localisation.ranking import _raced, places
+from soro_bench.diagnosis.localisation.test_inputs import Source, replayed, setpoints, sources
+from soro_bench.diagnosis.localisation.unknown_inputs import Driven
+from soro_bench.diagnosis.robots.measured import Measured
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.effects.effect import EVERY, Effect, Port
 from soro_bench.inference.clouds import LowRank
 from tests.arm import ARM, MAP

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.measured import Measured
-from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.proof.ablations import Calibrated, Unrefined
+from soro_bench.blind_benchmark.ablations import Calibrated, Unrefined
+from soro_bench.diagnosis.robots.measured import Measured
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 
 ENV_ID = "TrunkReach-v0"
 
@@ -28,7 +28,7 @@ def measured(seed):
 
 def test_a_network_learns_what_follows_from_the_commands():
     pytest.importorskip("torch")
-    from soro_bench.proof.residual_network import residual_rms
+    from soro_bench.blind_benchmark.residual_network import residual_rms
 
     before, after = residual_rms(Still(), np.zeros(0), measured(0), measured(1))
     assert before == pytest.approx(float(np.sqrt((measured(1).values ** 2).mean())))

@@ -4,12 +4,12 @@ import hashlib
 
 import pytest
 
+from soro_bench.blind_benchmark import prove
+from soro_bench.blind_benchmark.ablation_score import ablation_rows, by_bic
+from soro_bench.blind_benchmark.magnitude import magnitude_errors
+from soro_bench.blind_benchmark.score import opened_labels, scored
+from soro_bench.blind_benchmark.scorecard import markdown
 from soro_bench.files import write_json
-from soro_bench.proof import prove
-from soro_bench.proof.ablation_score import ablation_rows, by_bic
-from soro_bench.proof.magnitude import magnitude_errors
-from soro_bench.proof.score import opened_labels, scored
-from soro_bench.proof.scorecard import markdown
 
 
 def label(number, group="one", name="payload", category="inertia", kind="body", place="vertebra4", index=None):

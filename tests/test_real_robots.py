@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from soro_bench.assets import mjcf_path
-from soro_bench.diagnosis.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.effects.effect import Effect, Port
 from soro_bench.models.real_robots import ASL, OPENCR, ROBOTS
 

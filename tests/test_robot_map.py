@@ -6,8 +6,8 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
-from soro_bench.diagnosis.model_robot import ModelRobot
-from soro_bench.diagnosis.robot_map import ModelError
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.robot_map import ModelError
 from tests.arm import ARM, MAP
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.diagnosis.suspects import suspects
+from soro_bench.diagnosis.candidates import suspects
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.effects.effect import EVERY, Effect, Port
 from soro_bench.recording.simulated import record
 from soro_bench.registration import ENV_IDS

@@ -5,11 +5,11 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
-from soro_bench.diagnosis.descent import descended
-from soro_bench.diagnosis.fit import Hypothesis
-from soro_bench.diagnosis.model_robot import ModelRobot
+from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.estimation.gauss_newton import descended
+from soro_bench.diagnosis.estimation.posterior_covariance import with_covariance
 from soro_bench.diagnosis.pipeline import unexplained
-from soro_bench.diagnosis.widths import with_covariance
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.recording.recording import Recording, Signal
 from tests.arm import ARM, MAP
 

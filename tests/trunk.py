@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from soro_bench.diagnosis.measured import Measured
-from soro_bench.diagnosis.problem import Problem
+from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.inference.clouds import LowRank
 
 SIGMA = 5e-4

@@ -72,9 +72,9 @@ class Diagnose:
         console.print(f"{self.out / 'report.html'}, {self.out / 'report.json'}; {found.seconds:.0f} s", soft_wrap=True)
 
     def _robot(self):
-        from soro_bench.diagnosis.model_robot import ModelRobot
         from soro_bench.diagnosis.report import earlier
-        from soro_bench.diagnosis.suite_robot import SuiteRobot
+        from soro_bench.diagnosis.robots.model_robot import ModelRobot
+        from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 
         known = earlier(self.since) if self.since else None
         if self.env and not self.map:

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from soro_bench.diagnosis.findings import NINETY, findings, spaced
-from soro_bench.diagnosis.force_against_state import Curve, force_against_state
-from soro_bench.diagnosis.localise import explained_over_time, left_over, map_window, residual_map
-from soro_bench.diagnosis.patch import REMAINING, kept, patch
+from soro_bench.diagnosis.assembly.findings import NINETY, findings, spaced
+from soro_bench.diagnosis.assembly.force_against_state import Curve, force_against_state
+from soro_bench.diagnosis.assembly.patch import REMAINING, kept, patch
+from soro_bench.diagnosis.localisation.residual_maps import explained_over_time, left_over, map_window, residual_map
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.report import only_outliers, write_json_report
-from soro_bench.diagnosis.suite_robot import SuiteRobot
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.verdict import verdict
 from soro_bench.files import replacing
 from soro_bench.plotting import pyplot

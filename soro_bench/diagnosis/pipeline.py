@@ -7,19 +7,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soro_bench.diagnosis.audit import Audit, audit, noise, outliers
-from soro_bench.diagnosis.compare import Answer, Comparison, compared, shortlist
-from soro_bench.diagnosis.explain import Explanation, explained, nominal_fit
-from soro_bench.diagnosis.fit import Hypothesis
-from soro_bench.diagnosis.floor import floor_and_residuals
-from soro_bench.diagnosis.measured import Measured
-from soro_bench.diagnosis.probe import Place, places
-from soro_bench.diagnosis.problem import Problem
-from soro_bench.diagnosis.propose import Proposal, proposed
-from soro_bench.diagnosis.robot import FITTED, Robot
-from soro_bench.diagnosis.scale import check_scale
-from soro_bench.diagnosis.suspects import suspects
-from soro_bench.diagnosis.widths import with_covariance
+from soro_bench.diagnosis.candidates import suspects
+from soro_bench.diagnosis.estimation.data_quality import Audit, audit, noise, outliers
+from soro_bench.diagnosis.estimation.discretisation import floor_and_residuals
+from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.estimation.posterior_covariance import with_covariance
+from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.estimation.unit_check import check_scale
+from soro_bench.diagnosis.localisation.ranking import Place, places
+from soro_bench.diagnosis.robots.measured import Measured
+from soro_bench.diagnosis.robots.robot import FITTED, Robot
+from soro_bench.diagnosis.selection.experiment_design import Proposal, proposed
+from soro_bench.diagnosis.selection.forward_selection import Explanation, explained, nominal_fit
+from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, compared, shortlist
 from soro_bench.inference.clouds import LowRank
 from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread

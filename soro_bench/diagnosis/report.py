@@ -6,9 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from soro_bench.diagnosis.compare import ALPHA, Answer, Comparison, Fit
-from soro_bench.diagnosis.explain import Round
-from soro_bench.diagnosis.findings import (
+from soro_bench.diagnosis.assembly.findings import (
     NINETY,
     described,
     deviations,
@@ -18,13 +16,15 @@ from soro_bench.diagnosis.findings import (
     tempered,
     unit_at,
 )
-from soro_bench.diagnosis.fit import Hypothesis
-from soro_bench.diagnosis.patch import MODEL, ModelPatch, kept, model_patch, patch, rejected, write_model_patch
+from soro_bench.diagnosis.assembly.patch import MODEL, ModelPatch, kept, model_patch, patch, rejected, write_model_patch
+from soro_bench.diagnosis.candidates import Suspect
+from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.priors import LIMIT, Earlier
-from soro_bench.diagnosis.propose import DURATION, Proposal
-from soro_bench.diagnosis.suite_robot import SuiteRobot
-from soro_bench.diagnosis.suspects import Suspect
+from soro_bench.diagnosis.robots.priors import LIMIT, Earlier
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
+from soro_bench.diagnosis.selection.experiment_design import DURATION, Proposal
+from soro_bench.diagnosis.selection.forward_selection import Round
+from soro_bench.diagnosis.selection.model_probabilities import ALPHA, Answer, Comparison, Fit
 from soro_bench.effects.catalogue import ALL, CATEGORIES
 from soro_bench.effects.effect import load_effects, save_effects
 from soro_bench.files import brief, read_json, write_json

@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.assets import asset_path
-from soro_bench.diagnosis.compare import Answer
-from soro_bench.diagnosis.fit import Hypothesis
-from soro_bench.diagnosis.measured import Measured
-from soro_bench.diagnosis.model_robot import ModelRobot
+from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.pipeline import Diagnosis, diagnose, unexplained
 from soro_bench.diagnosis.report import earlier
-from soro_bench.diagnosis.robot import Robot
+from soro_bench.diagnosis.robots.measured import Measured
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.selection.model_probabilities import Answer
 from soro_bench.diagnosis.version import method_version
 from soro_bench.files import read_json, write_json
 from soro_bench.recording.importers import import_recording

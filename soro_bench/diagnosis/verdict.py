@@ -5,15 +5,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from soro_bench.diagnosis.findings import Finding, before_after, described, findings, length, percent, spaced
-from soro_bench.diagnosis.patch import kept, patch, rejected
+from soro_bench.diagnosis.assembly.findings import Finding, before_after, described, findings, length, percent, spaced
+from soro_bench.diagnosis.assembly.patch import kept, patch, rejected
+from soro_bench.diagnosis.candidates import late
+from soro_bench.diagnosis.localisation.ranking import Place
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.priors import Prior
-from soro_bench.diagnosis.probe import Place
-from soro_bench.diagnosis.propose import DURATION, Proposal, labels
 from soro_bench.diagnosis.report import NEXT_ACTIONS, detectable, invisible, not_looked_for
-from soro_bench.diagnosis.robot import Robot
-from soro_bench.diagnosis.suspects import late
+from soro_bench.diagnosis.robots.priors import Prior
+from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.selection.experiment_design import DURATION, Proposal, labels
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import Effect
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from soro_bench.blind_benchmark.score import GATES, LABEL_BYTES, case_row, commitment, is_met, opened_labels, scored
 from soro_bench.files import brief, write_json
 from soro_bench.leaderboard.strict import REPORT_BYTES, check, read_strict
-from soro_bench.proof.score import GATES, LABEL_BYTES, case_row, commitment, is_met, opened_labels, scored
 from soro_bench.results import versions
 
 FORMAT, SCHEMA = "soro_bench/diagnosis/1", "diagnosis_entry.schema.json"
@@ -43,7 +43,7 @@ def write_entry(path: str | Path, entry: str, method: str, cases: str | Path, ca
         entry: who, or which code base, made the diagnoses.
         method: what it does, in a few words.
         cases: folder of the cases, their labels and the commitment.
-        card: what :func:`soro_bench.proof.score.scored` gives, with the rows of the ablations, perhaps none.
+        card: what :func:`soro_bench.blind_benchmark.score.scored` gives, with the rows of the ablations, perhaps none.
     """
     about = {"format": FORMAT, "entry": entry, "method": method, "set": opened(Path(cases))}
     written = {**about, **{part: card[part] for part in PARTS}, "versions": versions()}

@@ -1,0 +1,124 @@
+"""What each part of the diagnosis is worth: the same cases without it, and what others would do instead."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.blind_benchmark.residual_network import residual_rms
+from soro_bench.blind_benchmark.unseen import unseen
+from soro_bench.diagnosis.estimation.data_quality import audit
+from soro_bench.diagnosis.pipeline import diagnose, unexplained
+from soro_bench.diagnosis.report import report_of
+from soro_bench.diagnosis.robots.robot import FITTED, Robot
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
+from soro_bench.diagnosis.selection.forward_selection import nominal_fit
+from soro_bench.files import write_json
+from soro_bench.parallel import one_blas_thread, processors
+from soro_bench.recording.parquet import load
+
+ENV_ID = "TrunkReach-v0"
+FROZEN = 1e-6  # of a parameter's prior standard deviation, where it is not fitted
+
+
+class Unrefined(SuiteRobot):
+    """A robot of which no more accurate simulation is known: there is no numerical floor."""
+
+    def refined(self) -> list[Robot]:
+        """None."""
+        return []
+
+
+class Calibrated(SuiteRobot):
+    """A robot whose parameters have been fitted before anything else is looked at, and stay.
+
+    Args:
+        x: (d,) where they stay, in standard deviations of their priors.
+    """
+
+    def __init__(self, env_id: str, x: np.ndarray, threads: int = 0):
+        super().__init__(env_id, threads=threads)
+        self.priors = tuple(
+            replace(prior, nominal=float(prior.value(value)), deviation=FROZEN * prior.deviation)
+            for prior, value in zip(self.priors, x, strict=True)
+        )
+
+    def shortened(self, factor: int) -> Robot:
+        """As the robot's, with the same parameters."""
+        return self._same(super().shortened(factor))
+
+    def accurate(self) -> Robot | None:
+        """As the robot's, with the same parameters."""
+        finer = super().accurate()
+        return finer and self._same(finer)
+
+    def _same(self, robot: Robot) -> Robot:
+        robot.priors = self.priors
+        return robot
+
+
+def without_floor(robot: SuiteRobot, case: Path) -> dict:
+    """No numerical floor."""
+    return _report(Unrefined(robot.env_id, threads=robot.threads), case)
+
+
+def without_joint_fit(robot: SuiteRobot, case: Path) -> dict:
+    """Parameters fitted first, effects looked for in what that leaves."""
+    measured = robot.measured(load(case / "train.parquet"))
+    problem = unexplained(robot.shortened(FITTED), (measured,), audit(measured).sigma)
+    _, nominal = nominal_fit(problem, robot.refined(), 0)
+    return _report(Calibrated(robot.env_id, nominal.x, robot.threads), case)
+
+
+def on_task_motion(robot: SuiteRobot, case: Path) -> dict:
+    """A recording of smooth motion like that of a task, instead of an excitation; then no motion is left unseen."""
+    return report_of(diagnose(robot, [load(case / "task.parquet")], [load(case / "heldout.parquet")])) | {
+        "unseen": None
+    }
+
+
+def network_only(robot: SuiteRobot, case: Path) -> dict:
+    """Parameters fitted, and a network for what they leave; it names nothing."""
+    train, unseen_motion = (robot.measured(load(case / f"{role}.parquet")) for role in ("train", "task"))
+    problem = unexplained(robot.shortened(FITTED), (train,), audit(train).sigma)
+    _, nominal = nominal_fit(problem, robot.refined(), 0)
+    before, after = residual_rms(problem.robot, nominal.x, train, unseen_motion)
+    return {"unseen": {"rmse_before": before, "rmse_after": after, "noise_floor": problem.sigma}}
+
+
+def parameters_only(robot: SuiteRobot, case: Path) -> dict:
+    """Parameters fitted by mujoco.sysid, from the nominal values, with the time steps of the model; before is the
+    nominal robot."""
+    from soro_bench.inference.methods import infer
+    from soro_bench.inference.replay import Replay
+
+    names = [prior.name for prior in robot.priors]
+    recording, other = load(case / "train.parquet"), robot.measured(load(case / "task.parquet"))
+    found = infer("sysid", Replay(recording, names, model=robot.model_name, noise=5e-4, threads=robot.threads))
+    rows = np.array([[prior.nominal for prior in robot.priors], [found.estimate[name] for name in names]])
+    simulated = robot.simulate(other.actions, rows, [(), ()])
+    before, after = np.sqrt(np.nanmean((other.values - simulated) ** 2, axis=(1, 2, 3)))
+    return {"unseen": {"rmse_before": float(before), "rmse_after": float(after), "noise_floor": audit(other).sigma}}
+
+
+ABLATIONS: dict[str, Callable[[SuiteRobot, Path], dict]] = {
+    "no_floor": without_floor,
+    "no_joint_fit": without_joint_fit,
+    "task_motion": on_task_motion,
+    "parameters_only": parameters_only,
+    "network_only": network_only,
+}
+
+
+@one_blas_thread
+def ablated(name: str, case: Path, path: Path) -> None:
+    """Write what an ablation says of a case."""
+    write_json(path, ABLATIONS[name](SuiteRobot(ENV_ID, threads=processors()), case))
+
+
+def _report(robot, case) -> dict:
+    found = diagnose(robot, [load(case / "train.parquet")], [load(case / "heldout.parquet")])
+    # all are measured alike: numerical error is taken off of motion that has not been seen, whatever was fitted with
+    same = replace(found, robot=SuiteRobot(robot.env_id, threads=robot.threads))
+    return report_of(found) | {"unseen": unseen(same, load(case / "task.parquet"))}

@@ -1,0 +1,94 @@
+"""What is drawn of a set of concealed cases before anything is simulated."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from soro_bench.blind_benchmark.hidden import MEASUREMENT, PHYSICS, UNKNOWN
+from soro_bench.blind_benchmark.robot import KINDS
+from soro_bench.models import trunk
+
+TARGETS = (0.7, 4.0)  # mm, rms change of the keypoints by one effect
+GROUPS = ("none", "one", "two", "measurement", "unknown")
+_NULL_SHARE = 0.2
+_SHARES = np.array([45, 15, 10, 10]) / 80  # of the rest, in the order of the other groups
+_SPREAD = math.log(1.3)  # of every parameter but Poisson's ratio, about its nominal value
+_POISSON_SPREAD = 0.03
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is drawn of a case before anything is simulated.
+
+    Args:
+        group: of GROUPS.
+        robot: "flex" or "fine".
+        effects: names in ``hidden.ALL``.
+        targets: mm, rms change of the keypoints by each effect.
+        seed: of everything that is drawn later.
+    """
+
+    id: str
+    group: str
+    robot: str
+    parameters: dict[str, float]
+    effects: tuple[str, ...]
+    targets: tuple[float, ...]
+    seed: tuple[int, int]
+
+
+def draw_cases(count: int, seed: int, nulls: int | None = None) -> list[Case]:
+    """``count`` cases in random order.
+
+    Args:
+        nulls: how many have no effect, a fifth by default; the rest is shared as in the design.
+    """
+    nulls = round(_NULL_SHARE * count) if nulls is None else nulls
+    if count < 1 or seed < 0 or not 0 <= nulls <= count:
+        raise ValueError(f"count {count}, seed {seed}, nulls {nulls}: 1, 0 and 0 to count are needed")
+    rng = np.random.default_rng(seed)
+    drawn = []
+    for group, size in zip(GROUPS, [nulls, *_apportioned(count - nulls)], strict=True):
+        # half of each group on either robot, the odd one on a random one
+        kinds = np.resize(rng.permutation(list(KINDS)), size)
+        drawn += zip([group] * size, _effects(group, size, rng), map(str, kinds), strict=True)
+    cases = []
+    for i, k in enumerate(rng.permutation(count)):
+        group, effects, robot = drawn[k]
+        targets = tuple(float(t) for t in np.exp(rng.uniform(*np.log(TARGETS), len(effects))))
+        cases.append(Case(f"case_{i:03d}", group, robot, _parameters(rng), effects, targets, (seed, i)))
+    return cases
+
+
+def _apportioned(count) -> list[int]:
+    """How many of ``count`` cases each group with an effect has: the largest remainders are rounded up."""
+    exact = count * _SHARES
+    sizes = np.floor(exact).astype(int)
+    sizes[np.argsort(sizes - exact, kind="stable")[: count - sizes.sum()]] += 1
+    return sizes.tolist()
+
+
+def _effects(group, size, rng) -> list[tuple[str, ...]]:
+    """The effects of each of ``size`` cases; within a group, every effect comes equally often."""
+    if group == "none":
+        return [()] * size
+    if group == "two":
+        return [_pair(rng) for _ in range(size)]
+    names = list({"one": PHYSICS, "measurement": MEASUREMENT, "unknown": UNKNOWN}[group])
+    rounds = [rng.permutation(names) for _ in range(-(-size // len(names)))]
+    return [(str(name),) for name in np.concatenate([*rounds, []])[:size]]
+
+
+def _pair(rng) -> tuple[str, ...]:
+    """Two effects of different classes."""
+    while True:
+        a, b = map(str, rng.choice(list(PHYSICS), 2, replace=False))
+        if PHYSICS[a][0] != PHYSICS[b][0]:
+            return a, b
+
+
+def _parameters(rng) -> dict[str, float]:
+    parameters = {p.name: p.nominal * math.exp(rng.uniform(-_SPREAD, _SPREAD)) for p in trunk.PARAMETERS}
+    nominal = next(p.nominal for p in trunk.PARAMETERS if p.name == "poisson_ratio")
+    return parameters | {"poisson_ratio": nominal + rng.uniform(-_POISSON_SPREAD, _POISSON_SPREAD)}

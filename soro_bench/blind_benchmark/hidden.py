@@ -1,0 +1,282 @@
+"""Hidden effects: where each acts and how it looks are drawn here; only its magnitude is left open.
+
+An effect's magnitude is zero where it changes nothing, and the larger it is, the more it changes.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from soro_bench.blind_benchmark import body_laws as body
+from soro_bench.blind_benchmark import cable_laws as cable
+from soro_bench.blind_benchmark import command_laws as command
+from soro_bench.blind_benchmark import neck_laws as neck
+from soro_bench.blind_benchmark import sensor_laws as sensor
+from soro_bench.blind_benchmark import uncatalogued
+from soro_bench.blind_benchmark.places import (
+    Hidden,
+    any_cable,
+    any_keypoint,
+    any_neck,
+    log_uniform,
+    offset_values,
+    random_direction,
+)
+from soro_bench.blind_benchmark.robot import Trace
+from soro_bench.models import trunk
+from soro_bench.models import trunk_geometry as geo
+
+_ALL_ACTUATORS = {"kind": "actuator", "name": "*"}
+_ALL_NECKS = {"kind": "body", "name": "*"}
+_ALL_KEYPOINTS = {"kind": "sensor", "name": "keypoints"}
+_STIFFEST = 15.0  # of what is explicit at a neck, in parts of its own nominal stiffness; twice as much would chatter
+_EXCITATION = 30.0  # s, over which a drift's magnitude is its change
+
+
+def _coulomb_friction(rng, base):
+    c, where = any_cable(rng, "tendon")
+    return Hidden(where, lambda m: cable.Friction(c, m), lambda m: {"friction": (m, "N")}, 0.4, 10.0)
+
+
+def _load_friction(rng, base):
+    c, where = any_cable(rng, "tendon")
+    return Hidden(where, lambda m: cable.Capstan(c, m), lambda m: {"coefficient": (m, "1")}, 0.4, 1.0)
+
+
+def _stribeck_friction(rng, base):
+    c, where = any_cable(rng, "tendon")
+    ratio, speed = rng.uniform(1.6, 3.0), log_uniform(rng, 0.002, 0.010)
+
+    def parameters(m):
+        return {"friction": (m, "N"), "breakaway_friction": (ratio * m, "N"), "stribeck_speed": (speed, "m/s")}
+
+    return Hidden(where, lambda m: cable.Friction(c, m, ratio, speed), parameters, 0.3, 10.0)
+
+
+def _viscous_friction(rng, base):
+    c, where = any_cable(rng, "tendon")
+    return Hidden(where, lambda m: cable.Viscous(c, m), lambda m: {"drag": (m, "N s/m")}, 15.0, 1000.0)
+
+
+def _backlash(rng, base):
+    c, where = any_cable(rng, "actuator")
+    return Hidden(where, lambda m: command.Backlash(c, m), lambda m: {"width": (m, "m")}, 0.0023, 0.02)
+
+
+def _compliance(rng, base):
+    c, where = any_cable(rng, "actuator")
+    return Hidden(where, lambda m: cable.Compliance(c, m), lambda m: {"compliance": (m, "m/N")}, 2e-4, 1e-2)
+
+
+def _actuator_gain(rng, base):
+    c, where = any_cable(rng, "actuator")
+    sign = rng.choice([-1.0, 1.0], p=[0.7, 0.3])
+    return Hidden(where, lambda m: command.Gain(c, 1 + sign * m), lambda m: {"gain": (1 + sign * m, "1")}, 0.15, 0.9)
+
+
+def _pretension(rng, base):
+    c, where = any_cable(rng, "actuator")
+    sign = rng.choice([-1.0, 1.0])
+    return Hidden(where, lambda m: command.Offset(c, sign * m), lambda m: {"offset": (sign * m, "m")}, 0.0012, 0.02)
+
+
+def _actuator_saturation(rng, base):
+    c, where = any_cable(rng, "actuator")
+    highest = min(1.05 * base.tension[:, c].max(), trunk.MAX_TENSION)  # between samples there may be a little more
+
+    def limit(m):
+        return highest * (1 - m) if m > 0 else trunk.MAX_TENSION
+
+    return Hidden(where, lambda m: cable.TensionLimit(c, limit(m)), lambda m: {"limit": (limit(m), "N")}, 0.4, 0.95)
+
+
+def _actuator_deadband(rng, base):
+    c, where = any_cable(rng, "actuator")
+    return Hidden(where, lambda m: command.Deadband(c, m), lambda m: {"width": (m, "m")}, 0.0016, 0.02)
+
+
+def _actuator_delay(rng, base):
+    return Hidden(_ALL_ACTUATORS, command.Delay, lambda m: {"delay": (m, "s")}, 0.01, 0.3)
+
+
+def _actuator_lag(rng, base):
+    return Hidden(_ALL_ACTUATORS, command.Lag, lambda m: {"time_constant": (m, "s")}, 0.011, 0.3)
+
+
+def _hysteresis(rng, base):
+    k, where = any_neck(rng)
+    angle = log_uniform(rng, 0.06, 0.2)
+    highest = _STIFFEST * float(geo.BEND[1, k]) / neck.Hysteresis(k, 1.0, angle).stiffness
+
+    def parameters(m):
+        return {"moment": (m, "N m"), "yield_angle": (angle, "rad")}
+
+    return Hidden(where, lambda m: neck.Hysteresis(k, m, angle), parameters, 0.04, highest)
+
+
+def _plastic_set(rng, base):
+    k, where = any_neck(rng)
+    angle = rng.uniform(0.25, 0.55) * base.bend[:, k].max()
+
+    def parameters(m):
+        return {"yield_angle": (angle, "rad"), "share": (m, "1")}
+
+    return Hidden(where, lambda m: neck.PlasticSet(k, angle, m), parameters, 0.5, 0.95)
+
+
+def _local_stiffness(rng, base):
+    k, where = any_neck(rng)
+    sign = rng.choice([-1.0, 1.0], p=[0.6, 0.4])
+
+    def factor(m):
+        return math.exp(sign * m)
+
+    return Hidden(where, lambda m: neck.LocalStiffness(k, factor(m)), lambda m: {"factor": (factor(m), "1")}, 0.4, 1.6)
+
+
+def _viscoelastic_creep(rng, base):
+    time_constant = log_uniform(rng, 0.7, 6.0)
+
+    def parameters(m):
+        return {"stiffness_ratio": (m, "1"), "time_constant": (time_constant, "s")}
+
+    return Hidden(_ALL_NECKS, lambda m: neck.Creep(m, time_constant), parameters, 0.25, 3.0)
+
+
+def _stiffening(rng, base):
+    return Hidden(_ALL_NECKS, neck.Stiffening, lambda m: {"cubic": (m, "1/rad^2")}, 1.5, 20.0)
+
+
+def _mullins_softening(rng, base):
+    angle = log_uniform(rng, 0.1, 0.3)
+
+    def parameters(m):
+        return {"softening": (m, "1"), "angle": (angle, "rad")}
+
+    return Hidden(_ALL_NECKS, lambda m: neck.Mullins(m, angle), parameters, 0.3, 0.9)
+
+
+def _stiffness_drift(rng, base):
+    sign = rng.choice([-1.0, 1.0], p=[0.7, 0.3])
+
+    def rate(m):
+        return sign * m / _EXCITATION
+
+    return Hidden(_ALL_NECKS, lambda m: neck.StiffnessDrift(rate(m)), lambda m: {"rate": (rate(m), "1/s")}, 0.15, 0.8)
+
+
+def _payload(rng, base):
+    k, where = any_neck(rng)
+    return Hidden(where, lambda m: body.Payload(k, m), lambda m: {"mass": (m, "kg")}, 0.015, 0.3)
+
+
+def _base_tilt(rng, base):
+    azimuth = rng.uniform(0, 2 * np.pi)
+
+    def parameters(m):
+        return {"angle": (m, "rad"), "axis_azimuth": (azimuth, "rad")}
+
+    where = {"kind": "model", "name": "gravity"}
+    return Hidden(where, lambda m: body.Tilt(m, azimuth), parameters, 0.05, 0.8)
+
+
+def _fluid_drag(rng, base):
+    return Hidden(_ALL_NECKS, body.Drag, lambda m: {"drag": (m, "N s^2/m^2")}, 0.1, 20.0)
+
+
+def _sensor_bias(rng, base):
+    i, direction = any_keypoint(rng), random_direction(rng)
+    return Hidden(
+        {**_ALL_KEYPOINTS, "index": i},
+        lambda m: sensor.SensorBias(i, m * direction),
+        lambda m: offset_values(m * direction),
+        0.009,
+        0.1,
+    )
+
+
+def _sensor_delay(rng, base):
+    return Hidden(_ALL_KEYPOINTS, sensor.SensorDelay, lambda m: {"delay": (m, "s")}, 0.01, 0.3)
+
+
+def _clock_skew(rng, base):
+    sign = rng.choice([-1.0, 1.0])
+    return Hidden(
+        _ALL_KEYPOINTS, lambda m: sensor.ClockSkew(sign * m), lambda m: {"skew": (sign * m, "1")}, 0.0006, 0.02
+    )
+
+
+def _marker_slip(rng, base):
+    i, direction, start = any_keypoint(rng), random_direction(rng), rng.uniform(3.0, 9.0)
+    return Hidden(
+        {**_ALL_KEYPOINTS, "index": i},
+        lambda m: sensor.SensorBias(i, m * direction, start),
+        lambda m: {**offset_values(m * direction), "start": (start, "s")},
+        0.01,
+        0.1,
+    )
+
+
+def _frame_misalignment(rng, base):
+    axis = random_direction(rng)
+
+    def parameters(m):
+        return {"angle": (m, "rad"), **{f"axis_{n}": (float(a), "1") for n, a in zip("xyz", axis, strict=True)}}
+
+    return Hidden(_ALL_KEYPOINTS, lambda m: sensor.Misalignment(m, axis), parameters, 0.02, 0.5)
+
+
+def _outliers(rng, base):
+    share = log_uniform(rng, 0.001, 0.01)
+
+    def parameters(m):
+        return {"size": (m, "m"), "share": (share, "1")}
+
+    return Hidden(_ALL_KEYPOINTS, lambda m: sensor.Outliers(m, share), parameters, 0.02, 0.3)
+
+
+Draw = Callable[[np.random.Generator, Trace], Hidden]
+# by name: class, and what draws place and shape given the robot without the effect
+PHYSICS: dict[str, tuple[str, Draw]] = {
+    "coulomb_friction": ("dry_loss", _coulomb_friction),
+    "load_friction": ("dry_loss", _load_friction),
+    "stribeck_friction": ("dry_loss", _stribeck_friction),
+    "viscous_friction": ("timing", _viscous_friction),
+    "backlash": ("rate_independent_memory", _backlash),
+    "compliance": ("static_one_sided", _compliance),
+    "actuator_gain": ("static_one_sided", _actuator_gain),
+    "pretension": ("static_one_sided", _pretension),
+    "actuator_lag": ("timing", _actuator_lag),
+    "actuator_delay": ("timing", _actuator_delay),
+    "actuator_saturation": ("amplitude", _actuator_saturation),
+    "actuator_deadband": ("rate_independent_memory", _actuator_deadband),
+    "viscoelastic_creep": ("slow_drift", _viscoelastic_creep),
+    "hysteresis": ("rate_independent_memory", _hysteresis),
+    "stiffening": ("amplitude", _stiffening),
+    "mullins_softening": ("amplitude", _mullins_softening),
+    "plastic_set": ("slow_drift", _plastic_set),
+    "local_stiffness": ("local", _local_stiffness),
+    "stiffness_drift": ("local", _stiffness_drift),
+    "payload": ("inertia", _payload),
+    "base_tilt": ("static_one_sided", _base_tilt),
+    "fluid_drag": ("inertia", _fluid_drag),
+}
+MEASUREMENT: dict[str, tuple[str, Draw]] = {
+    "sensor_bias": ("measurement", _sensor_bias),
+    "sensor_delay": ("measurement", _sensor_delay),
+    "clock_skew": ("measurement", _clock_skew),
+    "marker_slip": ("measurement", _marker_slip),
+    "frame_misalignment": ("measurement", _frame_misalignment),
+    "outliers": ("measurement", _outliers),
+}
+# what no catalogue has; their labels say "unknown"
+UNKNOWN: dict[str, tuple[str, Draw]] = {
+    "cross_talk": ("unknown", uncatalogued.cross_talk),
+    "rubber_band": ("unknown", uncatalogued.rubber_band),
+    "vibrating_base": ("unknown", uncatalogued.vibrating_base),
+    "gusts": ("unknown", uncatalogued.gusts),
+    "hidden_obstacle": ("unknown", uncatalogued.hidden_obstacle),
+    "coupled_bend": ("unknown", uncatalogued.coupled_bend),
+}
+ALL = {**PHYSICS, **MEASUREMENT, **UNKNOWN}

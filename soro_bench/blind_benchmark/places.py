@@ -1,0 +1,64 @@
+"""Where a hidden effect acts, and how it looks: what the draws have in common."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from soro_bench.blind_benchmark.robot import Law
+from soro_bench.blind_benchmark.sensor_laws import SensorLaw
+from soro_bench.models import trunk_geometry as geo
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """An effect but for its magnitude.
+
+    Args:
+        where: as in a report of a diagnosis: kind and name of a port, and perhaps an index.
+        law: of a magnitude.
+        parameters: value and unit by name, of a magnitude.
+        guess: the magnitude that changes keypoints by about 2 mm.
+        highest: the largest magnitude that makes sense.
+        description: of what has no name in the catalogue.
+    """
+
+    where: dict[str, str | int]
+    law: Callable[[float], Law | SensorLaw]
+    parameters: Callable[[float], dict[str, tuple[float, str]]]
+    guess: float
+    highest: float
+    description: str = field(default="")
+
+
+def log_uniform(rng, low, high) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def random_direction(rng) -> np.ndarray:
+    """(3,) unit vector, uniform on the sphere."""
+    vector = rng.standard_normal(3)
+    return vector / np.linalg.norm(vector)
+
+
+def any_cable(rng, kind):
+    c = int(rng.integers(len(geo.CABLE_NAMES)))
+    return c, {"kind": kind, "name": geo.CABLE_NAMES[c]}
+
+
+def any_neck(rng, first=0):
+    k = int(rng.integers(first, geo.NUM_NECKS))
+    return k, vertebra(k)
+
+
+def vertebra(k) -> dict[str, str | int]:
+    return {"kind": "body", "name": f"vertebra{k}"}
+
+
+def any_keypoint(rng) -> int:
+    """Any but the clamped end."""
+    return int(rng.integers(1, len(geo.KEYPOINT_Z)))
+
+
+def offset_values(vector) -> dict[str, tuple[float, str]]:
+    return {f"offset_{n}": (float(v), "m") for n, v in zip("xyz", vector, strict=True)}

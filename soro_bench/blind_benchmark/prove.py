@@ -1,0 +1,90 @@
+"""The blinded challenge: cases with concealed physics are written and committed to, diagnosed, and only then scored."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import product
+from pathlib import Path
+
+from soro_bench.blind_benchmark import ablation_score
+from soro_bench.blind_benchmark.ablation_score import ablation_rows
+from soro_bench.blind_benchmark.ablations import ABLATIONS, ENV_ID, ablated
+from soro_bench.blind_benchmark.cases import sealed_seed, write_cases
+from soro_bench.blind_benchmark.score import opened_labels, scored
+from soro_bench.blind_benchmark.scorecard import markdown
+from soro_bench.blind_benchmark.unseen import unseen
+from soro_bench.diagnosis.pipeline import diagnose
+from soro_bench.diagnosis.report import report_of
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
+from soro_bench.diagnosis.version import method_version
+from soro_bench.files import read_json, replacing, write_json
+from soro_bench.parallel import HERE, Workers, each, processors
+from soro_bench.recording.parquet import load
+from soro_bench.sources import claim
+
+METHOD = "method.txt"
+
+Progress = Callable[[str, int, int], None]
+
+
+def prove(
+    folder: str | Path, count: int, seed: int | None = None, nulls: int | None = None, ablations: int = 0,
+    workers: Workers = HERE, progress: Progress = lambda *_: None,
+) -> str:  # fmt: skip
+    """Write what is missing of cases, reports and scorecard in a folder; returns the scorecard, Markdown.
+
+    The diagnosis sees recordings only; the labels are opened when every case has its report. Reports are of one version
+    of the method.
+
+    Args:
+        seed: of the cases; that of those in the folder by default, or a new one that nobody can guess.
+        ablations: how many of the cases, the first ones, are also diagnosed without each part of the method.
+        workers: what computes the cases; those of a cluster see the same folder.
+    """
+    if not 0 <= ablations <= count:
+        raise ValueError(f"ablations {ablations}: 0 to {count}, as many as there are cases, can be asked for")
+    folder = Path(folder).resolve()  # workers of a cluster start elsewhere
+    cases, reports = folder / "cases", folder / "reports"
+    claim(reports / METHOD, method_version())
+    seed = sealed_seed(cases) if seed is None else seed
+    write_cases(cases, count, seed, nulls, workers, lambda done, total: progress("cases written", done, total))
+    names = sorted(path.name for path in cases.glob("case_*"))
+    wanted = [(cases / name, reports / f"{name}.json") for name in names]
+    _carry_out(diagnosed, wanted, workers, partial(progress, "cases diagnosed"))
+    text = _scorecard(folder)
+    wanted = [
+        (ablation, cases / name, folder / ablation / f"{name}.json")
+        for ablation, name in product(ABLATIONS if ablations else (), names[:ablations])
+    ]
+    _carry_out(ablated, wanted, workers, partial(progress, "ablations"))
+    return _scorecard(folder) if ablations else text
+
+
+def _carry_out(function: Callable, wanted: Sequence[tuple], workers: Workers, progress) -> None:
+    """Call the function for those whose file, the last of the arguments, is not there."""
+    todo = [arguments for arguments in wanted if not arguments[-1].exists()]
+    for i, _ in enumerate(each(function, todo, workers)):
+        progress(len(wanted) - len(todo) + i + 1, len(wanted))
+
+
+def _scorecard(folder: Path) -> str:
+    """Open the labels and write the scorecard, with those ablations that are there; returns it."""
+    labels, found = opened_labels(folder / "cases"), _read_all(folder / "reports")
+    found_without = {name: reports for name in ABLATIONS if (reports := _read_all(folder / name))}
+    card = scored(labels, found)
+    card["ablations"] = ablation_rows(labels, found, found_without)
+    write_json(folder / "scorecard.json", card)
+    text = f"{markdown(card)}\n\n{ablation_score.markdown(card['ablations'])}"
+    with replacing(folder / "scorecard.md") as temporary:
+        temporary.write_text(text + "\n")
+    return text
+
+
+def _read_all(folder) -> dict[str, dict]:
+    return {path.stem: read_json(path) for path in sorted(folder.glob("case_*.json"))}
+
+
+def diagnosed(case: Path, path: Path) -> None:
+    """Write the report of a case, and how it does on motion that it has not seen."""
+    robot = SuiteRobot(ENV_ID, threads=processors())
+    found = diagnose(robot, [load(case / "train.parquet")], [load(case / "heldout.parquet")])
+    write_json(path, report_of(found) | {"unseen": unseen(found, load(case / "task.parquet"))})

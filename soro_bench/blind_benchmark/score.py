@@ -1,0 +1,311 @@
+"""Scores of diagnoses against the sealed labels: gates with intervals, confusions, calibration."""
+
+import hashlib
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import binomtest
+
+from soro_bench.blind_benchmark.magnitude import magnitude_errors
+from soro_bench.files import brief, parsed_json, read_bytes
+
+BOOTSTRAP, LEVEL = 2000, 95  # resamples, and per cent of the interval
+BINS = 10  # of stated probabilities
+LABEL_BYTES = 100_000_000
+_ID, _HASH = re.compile(r"case_[0-9]{3,}"), re.compile(r"[0-9a-f]{64}")
+_DRAWS = 200  # of outcomes, of a method whose probabilities are right
+_SAME_PLACE = {"tendon", "actuator"}  # a cable and the actuator that pulls it
+_SEGMENTS = 1  # a body or keypoint may be off by so many
+_FAINT = 0.3  # mm, a change of keypoints that is too small to be explained, against 0.5 mm of noise
+
+
+def opened_labels(folder: Path) -> list[dict]:
+    """The labels of a set of cases; ValueError if they are not those that were committed to."""
+    path = folder / "sealed" / "labels.json"
+    content = read_bytes(path, LABEL_BYTES, links=False)
+    found = hashlib.sha256(content).hexdigest()
+    if (committed := commitment(folder)) != found:
+        raise ValueError(f"{path} has the hash {found}, the commitment is {committed}")
+    labels = parsed_json(content)["cases"]
+    for label in labels:
+        if not _ID.fullmatch(label["id"]):  # it becomes the name of a file
+            raise ValueError(f"{path} has the case {brief(label['id'])}; expected case_000 or the like")
+    if len({label["id"] for label in labels}) < len(labels):
+        raise ValueError(f"{path} has two cases of one name")
+    return labels
+
+
+def commitment(folder: Path) -> str:
+    """The hash of sealed labels, in hexadecimal digits."""
+    path = folder / "commitment.txt"
+    text = read_bytes(path, 1000, links=False).decode(errors="replace").strip()
+    if not _HASH.fullmatch(text):
+        raise ValueError(f"{path} holds no SHA-256, which has 64 hexadecimal digits")
+    return text
+
+
+def scored(labels: Sequence[dict], reports: dict[str, dict], seed: int = 0) -> dict:
+    """The scorecard: what of ``labels`` the ``reports`` (by id) found.
+
+    Returns:
+        {"cases": a row per case, "gates": a row per gate, "confusion": (truth, said, count), "calibration": bins}.
+    """
+    rows = [case_row(label, reports[label["id"]]) for label in labels if label["id"] in reports]
+    rng = np.random.default_rng(seed)
+    return {
+        "cases": rows,
+        "gates": [_gate(rows, *gate, rng) for gate in GATES],
+        "confusion": _confusion(rows),
+        "calibration": _calibration(rows),
+    }
+
+
+def case_row(label: dict, report: dict) -> dict:
+    """What a report found of what a label says."""
+    first = _first(report)
+    said = [first["name"], *(e["name"] for e in report["effects"] if e is not first)][:3]
+    if not 0.0 <= first["probability"] <= 1.0:
+        raise ValueError(f"the probability of {first['name']} is {first['probability']}; allowed: 0 to 1")
+    truth, all_of_them = [e["name"] for e in label["effects"]], report["hypotheses"][0]["names"]
+    named = next((e for e in label["effects"] if e["name"] == first["name"]), label["effects"][0] if truth else None)
+    concealed = None
+    if label["group"] in ("one", "two"):
+        left = max(report["fit"]["parameters_only"] ** 2 - label["noise"]["value"] ** 2, 0.0)
+        concealed = 1.0 - 3.0 * left / (1e-3 * label["change_mm"]["train"]) ** 2
+    error, inside = (named and magnitude_errors(named, first)) or (None, None)
+    return {
+        "id": label["id"],
+        "group": label["group"],
+        "robot": label["robot"],
+        "truth": truth,
+        "said": said,
+        "verdict": report["verdict"],
+        "probability": first["probability"],
+        "alarm": report["verdict"] != "none_detected",
+        "first": first["name"] in (truth or ["none"]),
+        "first_three": bool(set(said) & set(truth)),
+        "exact": report["verdict"] != "unknown_physics" and sorted(all_of_them) == sorted(truth),
+        "right_class": report["classes"][0]["class"] in [e["class"] for e in label["effects"]],
+        "place": bool(named) and _same_place(named["where"], first["where"]),
+        "part": named and _part(named["where"]),
+        "covered": bool(set(report["credible_set"]) & set(truth or ["none"])),
+        "abstained": report["verdict"] == "unknown_physics",
+        "confused": (first["class"] == "measurement") != (label["group"] == "measurement"),
+        "answered": first["name"] not in ("none", "unknown"),
+        "magnitude_error": error,
+        "magnitude_inside": inside,
+        "fve_unseen": report["unseen"] and report["unseen"]["fve"],
+        "fve_unseen_raw": report["unseen"] and _raw_explained(report["unseen"]),
+        "error_left": report["unseen"] and report["unseen"]["rmse_after"] / report["unseen"]["rmse_before"],
+        "change_unseen_mm": label["change_mm"]["task"],
+        "concealed": concealed,
+        "seconds": report["seconds"],
+    }
+
+
+def _first(report: dict) -> dict:
+    """The first answer of a report; where its verdict is that nothing was detected, that, whatever is likelier."""
+    found = report["effects"][0]
+    if report["verdict"] == "none_detected" and found["name"] != "none":
+        nothing = {"name": "none", "class": "none", "where": None, "probability": 0.0}
+        return next((e for e in report["effects"] if e["name"] == "none"), nothing)
+    return found
+
+
+def _same_place(truth: dict, said: dict | None) -> bool:
+    """Whether a place is right: the same cable, or a segment or keypoint next to it."""
+    if not said:
+        return False
+    kinds = [truth["kind"], said["kind"]]
+    if kinds[0] != kinds[1] and not set(kinds) <= _SAME_PLACE:
+        return False
+    if truth.get("index") is not None:
+        return said.get("index") is not None and abs(truth["index"] - said["index"]) <= _SEGMENTS
+    if truth["kind"] == "body" and "*" not in (truth["name"], said["name"]):
+        numbers = [int("".join(filter(str.isdigit, name)) or -9) for name in (truth["name"], said["name"])]
+        return abs(numbers[0] - numbers[1]) <= _SEGMENTS
+    return truth["name"] == said["name"]
+
+
+def _part(where: dict) -> str:
+    """Of which kind a place is: one cable, one segment or keypoint, or the whole robot."""
+    if where.get("index") is not None:
+        return "segment"
+    part = "cable" if where["kind"] in _SAME_PLACE else "segment" if where["kind"] == "body" else "whole"
+    return "whole" if where["name"] == "*" else part
+
+
+def _raw_explained(unseen: dict) -> float:
+    """The share of the variance above the noise that is explained, numerical error and all; 0 where there is none."""
+    before, after = (unseen[key] ** 2 - unseen["noise_floor"] ** 2 for key in ("rmse_before", "rmse_after"))
+    return 1.0 - max(after, 0.0) / before if before > 0 else 0.0
+
+
+@dataclass(frozen=True)
+class Share:
+    """The share of cases of which all of some keys are true."""
+
+    keys: tuple[str, ...]
+
+    def __init__(self, *keys: str):
+        object.__setattr__(self, "keys", keys)
+
+    def __call__(self, rows: Sequence[dict]) -> float:
+        return self.count(rows) / len(rows)
+
+    def count(self, rows: Sequence[dict]) -> int:
+        """How many they are."""
+        return sum(all(row[key] for key in self.keys) for row in rows)
+
+
+def _median(key: str) -> Callable[[list[dict]], float]:
+    return lambda rows: float(np.median([row[key] for row in rows]))
+
+
+def _calibration(rows) -> list[dict]:
+    """Stated probability of the first answer against how often it was right, in bins."""
+    found = []
+    for k in range(BINS):
+        if inside := [row for row in rows if _bin(row) == k]:
+            found.append({
+                "cases": len(inside),
+                "stated": float(np.mean([row["probability"] for row in inside])),
+                "right": Share("first")(inside),
+            })
+    return found
+
+
+def _bin(row) -> int:
+    return min(int(BINS * row["probability"]), BINS - 1)
+
+
+def _expected_error(rows) -> float:
+    """Expected calibration error (Naeini et al., AAAI 2015)."""
+    return sum(b["cases"] * abs(b["stated"] - b["right"]) for b in _calibration(rows)) / len(rows)
+
+
+def _error_by_chance(rows) -> float:
+    """The expected calibration error of a method whose stated probabilities are right: of few cases it is not zero."""
+    stated, bins = np.array([row["probability"] for row in rows]), np.eye(BINS)[[_bin(row) for row in rows]]
+    right = np.random.default_rng(0).random((_DRAWS, len(rows))) < stated
+    return float(np.abs((right - stated) @ bins).sum(axis=1).mean() / len(rows))
+
+
+def _group(*names: str) -> Callable[[dict], bool]:
+    return lambda row: row["group"] in names
+
+
+_NAMED, _ANY = _group("one", "two", "measurement"), _group("none", "one", "two", "measurement", "unknown")
+_KNOWN = _group("none", "one", "two", "measurement")
+
+
+def _answered(row) -> bool:
+    return _NAMED(row) and row["answered"]
+
+
+def _rightly_named(part: str) -> Callable[[dict], bool]:
+    return lambda row: _NAMED(row) and row["first"] and row["part"] == part
+
+
+def shows(row) -> bool:
+    """Whether concealed physics changes the unseen motion enough to be explained."""
+    return row["group"] in ("one", "two") and row["change_unseen_mm"] >= _FAINT
+
+
+def _shows_on(robot: str) -> Callable[[dict], bool]:
+    return lambda row: shows(row) and row["robot"] == robot
+
+
+def _measured(row) -> bool:
+    return row["first"] and row["magnitude_error"] is not None
+
+
+def absorbed(row, share: float = 0.9) -> bool:
+    """Whether parameters absorb more than a share of what the concealed physics changes."""
+    return row["concealed"] is not None and row["concealed"] > share
+
+
+# what, of which cases, how it is computed, the bar (None: only reported), and whether it has to be below it
+GATES = (
+    ("false alarms", _group("none"), Share("alarm"), 0.03, True),
+    ("detected", lambda row: row["group"] != "none", Share("alarm"), 0.95, False),
+    ("first answer right", _NAMED, Share("first"), 0.80, False),
+    ("right among the first three", _NAMED, Share("first_three"), 0.95, False),
+    ("class right", _NAMED, Share("right_class"), 0.92, False),
+    ("of right names: place right", lambda row: _NAMED(row) and row["first"], Share("place"), 0.95, False),
+    ("of right names: cable right", _rightly_named("cable"), Share("place"), 0.95, False),
+    ("of right names: segment or keypoint within one", _rightly_named("segment"), Share("place"), 0.95, False),
+    ("truth in the 90 % set, at least", _KNOWN, Share("covered"), 0.88, False),
+    ("truth in the 90 % set, at most", _KNOWN, Share("covered"), 0.95, True),
+    ("expected calibration error", _ANY, _expected_error, 0.05, True),
+    ("the same of probabilities that are right, by chance", _ANY, _error_by_chance, None, True),
+    ("unseen motion: variance explained, median, numerical error off", shows, _median("fve_unseen"), 0.90, False),
+    (
+        "unseen motion: variance explained, median, all of the error",
+        shows,
+        _median("fve_unseen_raw"),
+        None,
+        False,
+    ),
+    # where the real robot is another model, the difference between the two models is most of the error, patch or not
+    ("the same, fine robots: error after over before, median", _shows_on("fine"), _median("error_left"), None, True),
+    ("the same, flex robots: error after over before, median", _shows_on("flex"), _median("error_left"), None, True),
+    ("unknown called unknown", _group("unknown"), Share("abstained"), 0.80, False),
+    ("unknown called so, at the right place", _group("unknown"), Share("first", "place"), 0.75, False),
+    ("physics and measurement confused", _NAMED, Share("confused"), 0.02, True),
+    ("of those with a name for it: physics and measurement confused", _answered, Share("confused"), None, True),
+    ("first answer right where parameters hide 90 %", absorbed, Share("first"), 0.8, False),
+    ("the same, where they hide half", lambda row: absorbed(row, 0.5), Share("first"), None, False),
+    ("seconds, median", _ANY, _median("seconds"), 60.0, True),
+    ("two effects: both named, and no other", _group("two"), Share("exact"), None, False),
+    ("magnitude of what is named rightly: error, median", _measured, _median("magnitude_error"), None, True),
+    ("magnitude of what is named rightly: in its 90 % interval", _measured, Share("magnitude_inside"), None, False),
+)
+
+
+def _gate(rows, name, chosen, statistic, bar, below, rng) -> dict:
+    members = [row for row in rows if chosen(row)]
+    gate = {
+        "gate": name,
+        "cases": len(members),
+        "value": None,
+        "interval": None,
+        "bar": bar,
+        "below": below,
+        "met": None,
+    }
+    if not members:
+        return gate
+    value, interval = statistic(members), _interval(statistic, members, rng)
+    return gate | {"value": value, "interval": interval, "met": is_met(value, bar, below)}
+
+
+def is_met(value: float | None, bar: float | None, below: bool) -> bool | None:
+    """Whether a gate is met; None if there is no such case, or no bar."""
+    if value is None or bar is None:
+        return None
+    return value <= bar if below else value >= bar
+
+
+def _interval(statistic, members, rng) -> list[float]:
+    """95 %: exact for shares (Clopper and Pearson 1934), where resampling would make none of 40 certain; by bootstrap
+    for others."""
+    if isinstance(statistic, Share):
+        ends = binomtest(statistic.count(members), len(members)).proportion_ci(LEVEL / 100)
+        return [float(ends.low), float(ends.high)]
+    draws = [statistic([members[i] for i in rng.integers(len(members), size=len(members))]) for _ in range(BOOTSTRAP)]
+    tail = (100 - LEVEL) / 2
+    return [float(q) for q in np.percentile(draws, (tail, 100 - tail))]
+
+
+def _confusion(rows) -> list[dict]:
+    """What was said of what, the most frequent mistakes first."""
+    pairs = Counter()
+    for row in rows:
+        if not row["first"]:
+            pairs[" + ".join(row["truth"]) or "none", row["said"][0]] += 1
+    return [{"truth": truth, "said": said, "cases": n} for (truth, said), n in pairs.most_common()]

@@ -1,0 +1,1 @@
+"""From recordings to a fit: the problem, data quality, discretisation error, MAP fit, posterior covariance."""

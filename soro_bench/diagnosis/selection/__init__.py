@@ -1,0 +1,1 @@
+"""Which candidate terms: screening, forward selection, moves, model probabilities, experiment design."""
