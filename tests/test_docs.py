@@ -20,13 +20,13 @@ def test_the_tables_of_the_reproduction_are_what_the_entries_say():
     assert runpy.run_path(str(DOCS.parent / "leaderboard" / "reproduction.py"))["filled"](page) == page
 
 
-def test_the_pages_of_the_proof_have_the_final_sets_as_they_were_scored():
+def test_the_pages_have_the_releases_as_they_were_scored():
     """If not: put what python benchmarks/final_sets.py prints there."""
     script = runpy.run_path(str(DOCS.parent / "benchmarks" / "final_sets.py"))
-    folders = script["scored_folders"]()
-    assert script["gates"](folders[-1:]) in (DOCS / "diagnosis.md").read_text()
+    files = script["releases"]()
+    assert script["gates"](files[-1:]) in (DOCS / "diagnosis.md").read_text()
     for name in ("gates", "unseen"):
-        assert script[name](folders) in (DOCS / "proof.md").read_text(), name
+        assert script[name](files) in (DOCS / "proof.md").read_text(), name
 
 
 def test_the_page_of_real_robots_has_what_their_studies_have_found():

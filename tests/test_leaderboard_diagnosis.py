@@ -1,6 +1,7 @@
 """Entries of the diagnosis track."""
 
 import hashlib
+from pathlib import Path
 
 import pytest
 
@@ -10,7 +11,8 @@ from soro_bench.blind_benchmark import score
 from soro_bench.blind_benchmark.commands import Prove
 from soro_bench.files import write_json
 from soro_bench.leaderboard import diagnosis_entry
-from soro_bench.leaderboard.verify import verify_diagnosis
+from soro_bench.leaderboard.release import Release
+from soro_bench.leaderboard.verify import verify_diagnosis, verify_release
 from tests.entries import edit
 from tests.test_bad_input import says
 from tests.test_proof_score import label, report
@@ -51,6 +53,33 @@ def test_a_diagnosis_is_scored_again_and_what_was_edited_is_found(tmp_path, monk
     (tmp_path / "reports" / "case_001.json").unlink()
     with pytest.raises(ValueError, match=says("case_001.json", "missing; every case needs its report")):
         verify_diagnosis(path, cases, tmp_path / "reports")
+
+
+def test_a_release_in_one_file_is_scored_as_its_reports_are(tmp_path, monkeypatch):
+    monkeypatch.setattr(score, "BOOTSTRAP", 50)
+    labels = [label(0), label(1)]
+    reports = {found["id"]: report() | {"detectable": {"backlash": 1.0}} for found in labels}
+    _set_of_cases(tmp_path, labels)
+    for name, content in reports.items():
+        write_json(tmp_path / "reports" / f"{name}.json", content)
+    (tmp_path / "reports" / "method.txt").write_text("abc\n")
+    entry, packed = tmp_path / "entry.json", tmp_path / "release.json.xz"
+    card = score.scored(labels, reports) | {"ablations": []}
+    diagnosis_entry.write_entry(entry, "ours", "guessing", tmp_path / "cases", card)
+    Release.gather(tmp_path).pack(packed)
+    assert set(verify_release(entry, packed).values()) == {"same"}
+    assert "detectable" not in Release.load(packed).reports["case_000"]
+    packed.write_bytes(packed.read_bytes()[:-40])
+    with pytest.raises(ValueError, match=says("release.json.xz", "no release", "cut off")):
+        Release.load(packed)
+
+
+@pytest.mark.parametrize("number", range(1, 7))
+def test_a_release_has_the_labels_that_were_committed_to(number, tmp_path):
+    root = Path(__file__).parents[1]
+    Release.load(root / "docs" / "results" / "releases" / f"release_{number}.json.xz").unpack(tmp_path)
+    entry = root / "leaderboard" / "results" / "diagnosis" / f"soro_bench_{number}.json"
+    assert diagnosis_entry.opened(tmp_path / "cases") == diagnosis_entry.read_entry(entry)["set"]
 
 
 def test_the_command_prove_writes_an_entry_that_verifies(tmp_path, monkeypatch):

@@ -6,7 +6,6 @@ python docs/images/gates.py
 import runpy
 from pathlib import Path
 
-from soro_bench.files import read_json
 from soro_bench.plotting import pyplot
 
 ROOT = Path(__file__).parents[2]
@@ -26,8 +25,8 @@ def panel(axes, gates):
 
 def main():
     final_sets = runpy.run_path(str(ROOT / "benchmarks" / "final_sets.py"))
-    folder = final_sets["scored_folders"]()[-1]
-    gates = [gate for gate in read_json(folder / "scorecard.json")["gates"] if gate["met"] is not None]
+    release = final_sets["releases"]()[-1]
+    gates = [gate for gate in final_sets["scores"](release) if gate["met"] is not None]
     shares = [gate for gate in gates if gate["bar"] <= 1]  # all but seconds
     least, most = ([gate for gate in shares if gate["below"] is below] for below in (False, True))
     figure, (upper, lower) = pyplot().subplots(
@@ -35,7 +34,7 @@ def main():
     )
     panel(upper, least)
     panel(lower, most)
-    upper.set_title(f"{folder.name.replace('proof_', 'release ')}; black: the least that is allowed")
+    upper.set_title(f"{final_sets['name_of'](release)}; black: the least that is allowed")
     lower.set_title("black: the most that is allowed")
     figure.savefig(Path(__file__).with_suffix(".png"), dpi=120)
 

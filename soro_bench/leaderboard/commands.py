@@ -112,6 +112,8 @@ class Verify:
     """Diagnosis: folder with the sealed labels and the commitment to them."""
     reports: Path | None = None
     """Diagnosis: folder with the report of every case."""
+    release: Path | None = None
+    """Diagnosis: a file of docs/results/releases, .json.xz, which holds both."""
 
     def run(self) -> None:
         if not self.entries:
@@ -131,12 +133,15 @@ class Verify:
     def _verified(self, path: Path) -> dict[str, str]:
         from soro_bench.leaderboard import diagnosis_entry
         from soro_bench.leaderboard.strict import read_strict
-        from soro_bench.leaderboard.verify import verify_control, verify_diagnosis
+        from soro_bench.leaderboard.verify import verify_control, verify_diagnosis, verify_release
 
         if read_strict(path).get("format") != diagnosis_entry.FORMAT:
             return verify_control(path, self.labels)
+        if self.release:
+            return verify_release(path, self.release)
         if not self.cases or not self.reports:
-            raise ValueError(f"{path} is an entry of the diagnosis: --cases and --reports say what to score again")
+            raise ValueError(f"{path} is an entry of the diagnosis: --cases and --reports, or --release, say what to "
+                             "score again")  # fmt: skip
         return verify_diagnosis(path, self.cases, self.reports)
 
 

@@ -1,5 +1,6 @@
 """Whether an entry is what its policy, or its reports, give today: every number, exactly."""
 
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -9,6 +10,7 @@ from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.diagnosis_entry import opened, rescored
 from soro_bench.leaderboard.diagnosis_entry import read_entry as read_diagnosis_entry
 from soro_bench.leaderboard.entry import evaluated, policy_of, read_entry
+from soro_bench.leaderboard.release import Release
 
 
 def verify_control(path: str | Path, labels: Sequence[str] = (), num_threads: int = 0) -> dict[str, str]:
@@ -56,6 +58,13 @@ def verify_diagnosis(path: str | Path, cases: str | Path, reports: str | Path) -
     if entry["ablations"]:
         found["ablations"] = "not verified, as their reports are not asked for"
     return found
+
+
+def verify_release(path: str | Path, release: str | Path) -> dict[str, str]:
+    """As :func:`verify_diagnosis`, of the labels and reports in the file of a release."""
+    with tempfile.TemporaryDirectory() as folder:
+        Release.load(release).unpack(folder)
+        return verify_diagnosis(path, Path(folder) / "cases", Path(folder) / "reports")
 
 
 def _first_difference(entered: list, found: list) -> str:
