@@ -13,7 +13,9 @@ import numpy as np
 
 from soro_bench.evaluation import evaluate
 from soro_bench.leaderboard.boards import BOARDS
+from soro_bench.leaderboard.entry import entries_of
 from soro_bench.markdown import header, row
+from soro_bench.packed import folder_of
 from soro_bench.registration import task_type
 from soro_bench.training.policy import Policy
 
@@ -36,8 +38,9 @@ def main() -> None:
     places = [f"{1e3 * offset:+.0f}" for offset in OFFSETS[:-1]] + ["out of reach"]
     print(header(("board", "trained", *places)))
     for board in BOTH:
-        for folder in sorted((RESULTS / board / "ppo").iterdir()):
-            policies = [Policy.load(path) for path in sorted(folder.glob("seed*.json"))]
+        for archive in sorted((RESULTS / board / "ppo").glob("*.zip")):
+            folder = folder_of(archive)
+            policies = [Policy.load(path) for path in entries_of(folder)]
             rows = np.array([elevations(policy, board, options.model) for policy in policies])
             print(row((board, folder.name, *(f"{mean:.1f}" for mean in rows.mean(axis=0)))))
 

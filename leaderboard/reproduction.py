@@ -18,6 +18,7 @@ from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.gather import OLD, Group, gather_control
 from soro_bench.leaderboard.table import markdown_table
 from soro_bench.markdown import table
+from soro_bench.packed import is_there
 from soro_bench.parameters import ALL_PARAMETERS
 
 RESULTS = Path(__file__).parent / "results"
@@ -103,7 +104,7 @@ def tables() -> dict[str, str]:
     groups = {(board, g.name): g for board, members in found.items() for g in members if g.entry == ENTRY}
     planned = paper()
     done = sum(run.done(RESULTS) for run in planned)
-    older = sum(run.result(RESULTS).exists() for run in planned) - done
+    older = sum(is_there(run.result(RESULTS)) for run in planned) - done
     state = f"{len(planned)} runs are planned, {done} are done; {older} more have results of an older trainer."
     return {
         "state": f"**State: {state}**",

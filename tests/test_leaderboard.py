@@ -3,9 +3,9 @@
 import json
 import os
 import pickle
-import shutil
 import subprocess
 import sys
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,8 +15,10 @@ import pytest
 pytest.importorskip("jsonschema", reason="needs the board extra")
 
 import soro_bench
+from soro_bench import packed
 from soro_bench.leaderboard.boards import BOARDS
-from soro_bench.leaderboard.entry import SCHEMA, card_of, policy_of, read_entry, thinned_curve, write_entry
+from soro_bench.leaderboard.commands import Pack, Verify
+from soro_bench.leaderboard.entry import SCHEMA, card_of, check_free, policy_of, read_entry, thinned_curve, write_entry
 from soro_bench.leaderboard.gather import gather_control
 from soro_bench.leaderboard.verify import verify_control
 from soro_bench.options import FOLDER, MAX_SEED
@@ -238,6 +240,42 @@ def test_a_right_entry_is_confirmed_and_an_edited_score_found(tmp_path):
         verify_control(path, ["flex"])
 
 
+def test_packed_entries_are_what_they_were(tmp_path, capsys):
+    """Read, gathered, verified and recorded from by the same paths; a new file in the folder counts instead."""
+    first = true_entry(tmp_path)
+    second = true_entry(tmp_path, given=replace(policy(3), card=replace(CARD, seed=1)))
+    entries, before = [read_entry(path) for path in (first, second)], gather_control(tmp_path)
+    Pack((first.parent,)).run()
+    assert [path.name for path in first.parents[1].iterdir()] == ["oracle.zip"]
+    assert [read_entry(path) for path in (first, second)] == entries and gather_control(tmp_path) == before
+    np.testing.assert_array_equal(Policy.load(second).tensors["w0"], policy(3).tensors["w0"])
+    assert record(BOARD, str(second), "cable", steps=2).metadata["policy"] == str(second)
+    capsys.readouterr()
+    Verify((first.parent.with_name("oracle.zip"),)).run()
+    assert capsys.readouterr().out.splitlines() == [f"{path}: cable: same" for path in (first, second)]
+    with pytest.raises(ValueError, match=says(str(first), "is the entry of another policy")):
+        check_free(tmp_path, BOARD, "ours", other := replace(policy(5), card=CARD))
+    true_entry(tmp_path, given=other)
+    assert read_entry(first) != entries[0] and len(gather_control(tmp_path)[BOARD][0].entries) == 2
+    Pack((first.parent,)).run()
+    np.testing.assert_array_equal(Policy.load(first).tensors["w0"], policy(5).tensors["w0"])
+    with pytest.raises(ValueError, match="udr has no entries to pack"):
+        Pack((first.parents[1] / "udr",)).run()
+
+
+def test_an_archive_with_what_is_no_policy_is_refused(tmp_path):
+    path = true_entry(tmp_path)
+    Pack((path.parent,)).run()
+    archive = path.parent.with_name("oracle.zip")
+    with zipfile.ZipFile(archive, "a") as file:
+        file.writestr("seed1.json", json.dumps({"format": "soro_bench/control/1"}))
+    with pytest.raises(ValueError, match=says("oracle/seed1.json", "required property")):
+        gather_control(tmp_path)
+    archive.rename(archive.with_name("udr.zip"))
+    with pytest.raises(ValueError, match=says("udr/seed0.json holds what belongs to", "oracle/seed0.json")):
+        gather_control(tmp_path)
+
+
 def test_a_folder_of_results_with_what_is_no_policy_or_comes_twice_is_refused(tmp_path):
     first = true_entry(tmp_path)
     gather_control(tmp_path)
@@ -284,12 +322,12 @@ def test_the_command_fails_where_a_figure_differs(tmp_path):
     """A shipped entry is confirmed; the same with another figure ends with status 1."""
     code = "import sys; from soro_bench.cli import main; sys.argv[0] = 'soro-bench'; main()"
     shipped = Path(__file__).parents[1] / "leaderboard" / "results" / "TrunkPush-v0" / "ppo" / "oracle" / "seed0.json"
-    if not shipped.exists():
+    if not packed.is_there(shipped):
         pytest.skip("needs a checkout")
     edited = tmp_path / "seed0.json"
     for file in (shipped, shipped.with_suffix(".safetensors")):
-        shutil.copy(file, tmp_path)
-    (true,) = json.loads(shipped.read_text())["evaluations"]["cable"]["final_mm"]
+        (tmp_path / file.name).write_bytes(packed.read(file, 1_000_000))
+    (true,) = read_entry(shipped)["evaluations"]["cable"]["final_mm"]
     edit(edited, _set("evaluations", "cable", "final_mm", value=[true + 1.25]))
     command = [sys.executable, "-c", code, "leaderboard", "verify", str(shipped), str(edited), "--labels", "cable"]
     run = subprocess.run(command, capture_output=True, text=True, timeout=120)

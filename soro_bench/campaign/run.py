@@ -3,10 +3,11 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from soro_bench.files import read_json
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.enter import enter
+from soro_bench.leaderboard.strict import read_strict
 from soro_bench.options import check_name, check_seed
+from soro_bench.packed import is_there
 from soro_bench.parallel import processors
 from soro_bench.randomization import Distribution, holding
 from soro_bench.training.methods import Method
@@ -38,10 +39,10 @@ class Run:
 
     def done(self, results: Path) -> bool:
         """Whether its entry is there, of the present trainer; ValueError if that was trained with other settings."""
-        if not (path := self.result(results)).exists():
+        if not is_there(path := self.result(results)):
             return False
-        entry, asked = read_json(path), self.config.settings()
-        training = entry.get("training") if isinstance(entry, dict) else None
+        entry, asked = read_strict(path), self.config.settings()
+        training = entry.get("training")
         if not isinstance(training, dict) or not isinstance(found := training.get("settings", {}), dict):
             raise ValueError(f"{path} is no entry of a run; remove it, or choose another folder for results")
         if training.get("trainer") != TRAINER:

@@ -1,6 +1,7 @@
 """``soro-bench evaluate`` and ``leaderboard``: enter a policy, verify entries, build the page."""
 
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -105,7 +106,7 @@ class Verify:
     """Compute the figures of entries again and compare them exactly; exit status 1 if one differs."""
 
     entries: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """.json files; what they hold is never executed."""
+    """.json files; a folder or .zip of a method stands for all of its seeds. What they hold is never executed."""
     labels: tuple[str, ...] = ()
     """Control: which conditions, such as cable; by default all that were entered."""
     cases: Path | None = None
@@ -119,16 +120,26 @@ class Verify:
         if not self.entries:
             raise ValueError("say which entries to verify: soro-bench leaderboard verify ENTRY.json ...")
         differs = False
-        for path in self.entries:
-            try:
-                lines = self._verified(path)
-            except (ValueError, OSError) as error:  # the others are verified all the same
-                lines = {"refused": f"differs: {shown(str(error))}"}
-            for part, found in lines.items():
+        for given in self.entries:
+            for path, part, found in self._lines(given):
                 console.print(f"{path}: {part}: {found}", soft_wrap=True)
                 differs = differs or found.startswith("differs")
         if differs:
             sys.exit(1)
+
+    def _lines(self, given: Path) -> Iterator[tuple[Path, str, str]]:
+        """(entry, part, what is found) of all entries that a path stands for; an invalid one stops no other."""
+        try:
+            paths = _entries(given)
+        except (ValueError, OSError) as error:
+            paths = []
+            yield given, "refused", f"differs: {shown(str(error))}"
+        for path in paths:
+            try:
+                lines = self._verified(path)
+            except (ValueError, OSError) as error:
+                lines = {"refused": f"differs: {shown(str(error))}"}
+            yield from ((path, part, found) for part, found in lines.items())
 
     def _verified(self, path: Path) -> dict[str, str]:
         from soro_bench.leaderboard import diagnosis_entry
@@ -145,6 +156,36 @@ class Verify:
         return verify_diagnosis(path, self.cases, self.reports)
 
 
+def _entries(given: Path) -> list[Path]:
+    """The entry files that a path stands for: itself, or all of a method's folder or archive."""
+    from soro_bench.leaderboard.entry import entries_of
+    from soro_bench.packed import SUFFIX, archive_of, folder_of
+
+    if given.is_dir() or archive_of(given).is_file():
+        folder = given
+    elif given.suffix == SUFFIX:
+        folder = folder_of(given)
+    else:
+        return [given]
+    if not (found := entries_of(folder)):
+        raise ValueError(f"{given} has no entries")
+    return found
+
+
+@dataclass
+class Pack:
+    """Move the files of all seeds of a method into one archive beside its folder; nothing else reads differently."""
+
+    folders: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Of methods: leaderboard/results/BOARD/ENTRY/METHOD."""
+
+    def run(self) -> None:
+        from soro_bench.leaderboard.entry import pack_entries
+
+        for folder in self.folders:
+            console.print(f"{pack_entries(folder)}", soft_wrap=True)
+
+
 @dataclass
 class Leaderboard:
     """The leaderboard: its page, and whether its entries reproduce."""
@@ -152,6 +193,7 @@ class Leaderboard:
     command: tyro.conf.OmitSubcommandPrefixes[
         Annotated[Build, tyro.conf.subcommand("build")]
         | Annotated[Enter, tyro.conf.subcommand("enter")]
+        | Annotated[Pack, tyro.conf.subcommand("pack")]
         | Annotated[Verify, tyro.conf.subcommand("verify")]
     ]
 

@@ -1,7 +1,8 @@
 """Entries of the control track: a policy, what it was trained on, and what it did on a board's evaluations.
 
 An entry is <results>/<board>/<entry>/<method>/seed<k>.json (control_entry.schema.json), its policy the file
-seed<k>.safetensors or seed<k>.onnx beside it.
+seed<k>.safetensors or seed<k>.onnx beside it. The files of all seeds may be in <method>.zip instead
+(:mod:`soro_bench.packed`); their paths stay the same.
 """
 
 import hashlib
@@ -13,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from soro_bench import packed
 from soro_bench.envs.task import Task
-from soro_bench.files import read_bytes, replacing, write_json
+from soro_bench.files import replacing, write_json
 from soro_bench.leaderboard.boards import BOARDS, Board
 from soro_bench.leaderboard.onnx_policy import OnnxPolicy
 from soro_bench.leaderboard.strict import check, read_strict
@@ -76,7 +78,7 @@ def card_of(entry: dict) -> PolicyCard:
 def policy_bytes(path: str | Path, entry: dict) -> bytes:
     """The content of the policy file beside the entry ``path``; ValueError if it is not what was entered."""
     file = Path(path).parent / entry["policy"]["file"]
-    data = read_bytes(file, MAX_BYTES, links=False)
+    data = packed.read(file, MAX_BYTES)
     if (found := hashlib.sha256(data).hexdigest()) != (entered := entry["policy"]["sha256"]):
         raise ValueError(f"{file} has the SHA-256 {found}; {path} says {entered}")
     return data
@@ -102,6 +104,26 @@ def _check_fit(policy: Policy | OnnxPolicy, file: Path) -> None:
 @cache
 def _task(env_id: str, action: str) -> Task:
     return make_task(env_id, 1, 1, task_type(env_id).cheap, action=action)
+
+
+def entries_of(folder: str | Path) -> list[Path]:
+    """Files of the entries in a method's folder and in its archive, by name."""
+    return [Path(folder) / name for name in packed.names(folder) if name.endswith(".json")]
+
+
+def pack_entries(folder: str | Path) -> Path:
+    """Move the entries in a method's folder, with their policies, into its archive; returns that.
+
+    Raises:
+        ValueError: there is no entry, or one is invalid; nothing has been moved.
+    """
+    chosen = []
+    for path in entries_of(folder):
+        policy_of(path, entry := read_entry(path))
+        chosen += [path.name, entry["policy"]["file"]]
+    if not chosen:
+        raise ValueError(f"{folder} has no entries to pack")
+    return packed.pack(folder, chosen)
 
 
 def write_entry(
@@ -156,7 +178,7 @@ def write_entry(
 def check_free(results: str | Path, board: str, entry: str, policy: Policy | OnnxPolicy) -> None:
     """ValueError if another policy's entry is where that of ``policy`` belongs."""
     path = _path(results, board, entry, policy.card)
-    if path.exists() and read_entry(path)["policy"]["sha256"] != hashlib.sha256(policy.to_bytes()).hexdigest():
+    if packed.is_there(path) and read_entry(path)["policy"]["sha256"] != hashlib.sha256(policy.to_bytes()).hexdigest():
         raise ValueError(f"{path} is the entry of another policy; --replace puts this one in its place, another name "
                          "of the method (soro-bench train --name) or of the entry beside it")  # fmt: skip
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from soro_bench.leaderboard import diagnosis_entry
 from soro_bench.leaderboard.boards import BOARDS
-from soro_bench.leaderboard.entry import check_entry, policy_of
-from soro_bench.leaderboard.strict import read_strict
+from soro_bench.leaderboard.entry import entries_of, policy_of, read_entry
+from soro_bench.packed import SUFFIX, folder_of
 
 DIAGNOSIS = "diagnosis"  # folder of that track, beside those of the boards
 OLD = " (old)"  # what was trained before trainers had numbers
@@ -60,16 +60,14 @@ class Group:
 def gather_control(results: str | Path) -> dict[str, list[Group]]:
     """The groups of every board that has entries; ValueError names what is wrong with a file and what is allowed."""
     results, found = Path(results), defaultdict(list)
-    for path in sorted(results.rglob("*.json")):
-        if path.parent != results / DIAGNOSIS and not path.is_dir():  # methods may be called so
-            entry = read_strict(path)
-            check_entry(entry, path)
-            expected = results / entry["board"] / entry["entry"] / entry["method"] / f"seed{entry['seed']}.json"
-            if path != expected:
-                raise ValueError(f"{path} holds what belongs to {expected}")
-            policy_of(path, entry)  # refuses what is none
-            trainer = entry.get("training", {}).get("trainer", 0)
-            found[entry["board"], entry["entry"], entry["method"], trainer].append((path, entry))
+    for path in _entries(results):
+        entry = read_entry(path)
+        expected = results / entry["board"] / entry["entry"] / entry["method"] / f"seed{entry['seed']}.json"
+        if path != expected:
+            raise ValueError(f"{path} holds what belongs to {expected}")
+        policy_of(path, entry)  # refuses what is none
+        trainer = entry.get("training", {}).get("trainer", 0)
+        found[entry["board"], entry["entry"], entry["method"], trainer].append((path, entry))
     newest, groups = defaultdict(int), defaultdict(list)
     for _, entry, _, trainer in found:
         newest[entry] = max(newest[entry], trainer)
@@ -79,6 +77,13 @@ def gather_control(results: str | Path) -> dict[str, list[Group]]:
         _check_alike(group)
         groups[board].append(group)
     return {board: groups[board] for board in BOARDS if board in groups}
+
+
+def _entries(results: Path) -> list[Path]:
+    """Files of the control track, also those in archives, by their paths."""
+    found = {path for path in results.rglob("*.json") if path.parent != results / DIAGNOSIS and not path.is_dir()}
+    archives = (path for path in results.rglob(f"*{SUFFIX}") if not path.is_dir())  # methods may be called so
+    return sorted(found.union(*(entries_of(folder_of(archive)) for archive in archives)))
 
 
 def _check_alike(group: Group) -> None:

@@ -14,6 +14,8 @@ from soro_bench.leaderboard.entry import policy_bytes, policy_of
 from soro_bench.leaderboard.gather import Group, gather_control, gather_diagnosis
 from soro_bench.leaderboard.plots import color_of, curves_of, plot_calibration, plot_curves, plot_scores, title_of
 from soro_bench.leaderboard.statistics import interquartile_mean, interval, probability_of_improvement
+from soro_bench.leaderboard.strict import ENTRY_BYTES
+from soro_bench.packed import read
 from soro_bench.recording.rerun_log import write_recording
 from soro_bench.registration import task_type
 
@@ -53,7 +55,7 @@ def build(
     scored = sorted((_diagnosis_section(i, entry) for i, entry in enumerate(diagnoses)), key=_rank)
     text = _render(boards=sections, diagnoses=scored, headlines=HEADLINES)
     for path, entry in (member for group in groups for member in group.entries):
-        _copy(path.read_bytes(), out / "results" / path.relative_to(results))
+        _copy(read(path, ENTRY_BYTES), out / "results" / path.relative_to(results))
         file = path.with_name(entry["policy"]["file"])
         _copy(policy_bytes(path, entry), out / "results" / file.relative_to(results))
     _copy(text.encode(), out / "index.html")

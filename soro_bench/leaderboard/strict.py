@@ -5,7 +5,8 @@ import reprlib
 from functools import cache
 from pathlib import Path
 
-from soro_bench.files import parsed_json, read_bytes
+from soro_bench.files import parsed_json
+from soro_bench.packed import read
 
 ENTRY_BYTES = 1_000_000
 REPORT_BYTES = 10_000_000
@@ -13,8 +14,11 @@ MAX_DEPTH = 50  # of lists and objects in one another; Python's recursion ends a
 
 
 def read_strict(path: str | Path, max_bytes: int = ENTRY_BYTES) -> dict:
-    """A JSON object without NaN, infinity, a name that comes twice or characters that cannot be shown."""
-    data = read_bytes(path, max_bytes, links=False)
+    """A JSON object without NaN, infinity, a name that comes twice or characters that cannot be shown.
+
+    The file may be in the archive of its folder (:mod:`soro_bench.packed`).
+    """
+    data = read(path, max_bytes)
     try:
         found = parsed_json(data.decode(), max_digits=18)
     except (ValueError, RecursionError) as error:

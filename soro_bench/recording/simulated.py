@@ -14,6 +14,7 @@ import soro_bench
 from soro_bench.effects.effect import Effect
 from soro_bench.envs.task import ACTION_MODES
 from soro_bench.evaluation import evaluate
+from soro_bench.packed import is_there
 from soro_bench.recording.episode import Episode
 from soro_bench.recording.excitation import excitation
 from soro_bench.recording.recording import Recording, RecordingError, Signal, latest
@@ -171,7 +172,7 @@ def _recording(episode, action, noise, seed, metadata) -> Recording:
 
 
 def _trained(path, env_id, action):
-    if not Path(path).exists():
+    if not is_there(path):
         raise ValueError(f"policy {path!r} is neither {', '.join(POLICIES)} nor a folder or entry")
     policy = Policy.load(path)
     if policy.card.env_id != env_id or action not in (None, policy.card.action):

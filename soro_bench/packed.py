@@ -1,0 +1,126 @@
+"""A folder of small files as one archive beside it: the files of ``oracle/`` may be in ``oracle.zip`` instead.
+
+A path such as ``oracle/seed0.json`` then stands for the member ``seed0.json`` of ``oracle.zip``. Files in the folder
+come before members of the same name. Archives may be from strangers: they are flat, and their sizes are bounded.
+"""
+
+import errno
+import io
+import os
+import re
+import struct
+import zipfile
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+from soro_bench.files import brief, read_bytes, replacing
+
+SUFFIX = ".zip"
+MAX_BYTES = 20_000_000  # of an archive
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,80}")
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_BROKEN = (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, LookupError, OverflowError, ValueError,
+           struct.error, zlib.error)  # fmt: skip
+_TIME = (1980, 1, 1, 0, 0, 0)  # of all members, so that the same files give the same archive
+
+
+def archive_of(folder: str | Path) -> Path:
+    """The archive that may stand for a folder."""
+    return Path(folder).with_name(Path(folder).name + SUFFIX)
+
+
+def folder_of(archive: str | Path) -> Path:
+    """The folder that an archive stands for."""
+    return Path(archive).with_name(Path(archive).name.removesuffix(SUFFIX))
+
+
+def names(folder: str | Path) -> list[str]:
+    """Names of the files in a folder and in its archive, sorted; ValueError if the archive is none."""
+    folder, archive = Path(folder), archive_of(folder)
+    found = {path.name for path in folder.iterdir() if not path.is_dir()} if folder.is_dir() else set()
+    if archive.is_file():
+        found |= set(_members(archive)[1])
+    return sorted(found)
+
+
+def is_there(path: str | Path) -> bool:
+    """Whether a file is in its folder or in the archive of it."""
+    path = Path(path)
+    return path.exists() or (archive_of(path.parent).is_file() and path.name in names(path.parent))
+
+
+def read(path: str | Path, max_bytes: int) -> bytes:
+    """The content of a regular file, no link, of at most ``max_bytes``, in its folder or in the archive of it.
+
+    Raises:
+        ValueError: the file, or the archive, is not what is allowed.
+        FileNotFoundError: it is in neither of them.
+    """
+    path = Path(path)
+    archive = archive_of(path.parent)
+    if os.path.lexists(path) or not archive.is_file():
+        return read_bytes(path, max_bytes, links=False)
+    opened, members = _members(archive)
+    if (member := members.get(path.name)) is None:
+        raise FileNotFoundError(errno.ENOENT, f"neither a file nor in {archive}", str(path))
+    if member.file_size > max_bytes:
+        raise ValueError(f"{path}, in {archive}, has {member.file_size} bytes; at most {max_bytes} are read")
+    try:
+        with opened.open(member) as file:
+            data = file.read(max_bytes + 1)
+    except _BROKEN as error:
+        raise _broken(archive, error) from error
+    if len(data) != member.file_size:
+        raise ValueError(f"{path}, in {archive}, has not the {member.file_size} bytes that the archive says")
+    return data
+
+
+def pack(folder: str | Path, chosen: Sequence[str]) -> Path:
+    """Move files of a folder, those with the chosen names, into its archive; returns that.
+
+    Members that the archive has stay there, unless a chosen file has their name. The folder goes if it is empty then.
+    """
+    folder, archive = Path(folder), archive_of(folder)
+    if archive.is_dir():
+        raise ValueError(f"{archive} is a folder; the archive of {folder} cannot be written")
+    kept = set(_members(archive)[1]) if archive.is_file() else set()
+    with replacing(archive) as temporary:
+        with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as file:
+            for name in sorted(kept | set(chosen)):
+                member = zipfile.ZipInfo(name, _TIME)
+                member.compress_type, member.create_system, member.external_attr = zipfile.ZIP_DEFLATED, 3, 0o644 << 16
+                file.writestr(member, read(folder / name, MAX_BYTES))
+        try:
+            _members(temporary)  # refuses what could not be read again
+        except ValueError as error:
+            raise ValueError(str(error).replace(str(temporary), str(archive))) from error
+    for name in chosen:
+        (folder / name).unlink(missing_ok=True)
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
+    return archive
+
+
+def _members(archive: Path) -> tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]:
+    """An archive, and its members by name; ValueError unless they are plain files that come once."""
+    data = read_bytes(archive, MAX_BYTES, links=False)
+    try:
+        opened = zipfile.ZipFile(io.BytesIO(data))
+    except _BROKEN as error:
+        raise _broken(archive, error) from error
+    members = {}
+    for member in opened.infolist():
+        if not _NAME.fullmatch(member.filename):
+            raise ValueError(f"{archive} has the member {brief(member.filename)}; allowed: up to 81 letters, digits "
+                             "and ._-, a letter or digit first")  # fmt: skip
+        if member.filename in members:
+            raise ValueError(f"{archive} has {member.filename} twice")
+        if member.compress_type not in _METHODS or member.flag_bits & 1:
+            raise ValueError(f"{archive} has {member.filename} encrypted or compressed otherwise than by deflate")
+        members[member.filename] = member
+    return opened, members
+
+
+def _broken(archive: Path, error: Exception) -> ValueError:
+    return ValueError(f"{archive} is no valid archive: {brief(str(error))}")
