@@ -1,5 +1,5 @@
 # make demo   train, evaluate and record two small policies; see README.md
-# make test   the tests, the style and type checks and the documentation site
+# make test   the tests, the checks of style, types and imports, and the documentation site
 # make docs   the documentation site, into build/site
 #
 # All set up .venv first, once, and again when pyproject.toml or constraints.txt change.
@@ -20,6 +20,7 @@ test: $(VENV)/dev.installed
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
 	$(MKDOCS)
 
 docs: $(VENV)/dev.installed

@@ -35,11 +35,11 @@ from soro_bench.markdown import table
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.options import check_seed
+from soro_bench.policies.policy import Policy
 from soro_bench.randomization import Distribution, holding, load
 from soro_bench.recording.excitation import excitation
 from soro_bench.registration import make_task
 from soro_bench.training.methods import METHODS
-from soro_bench.training.policy import Policy
 from soro_bench.training.ppo import TRAINER, default_config, train
 
 ENV_ID, MODEL, KIND = "TrunkReach-v0", "cable", "fine"

@@ -5,7 +5,7 @@
 Trains on the cheap model, evaluates on both, writes policies, results and rerun recordings; goes on where it stopped.
 """
 
-from soro_bench.campaign.commands import Baseline, script
+from soro_bench.commands.campaign import Baseline, script
 from soro_bench.training.methods import ORACLE
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ Trains on the cheap model, evaluates on both; writes posteriors, policies, resul
 it stopped.
 """
 
-from soro_bench.campaign.commands import InferenceBaseline, script
+from soro_bench.commands.campaign import InferenceBaseline, script
 
 if __name__ == "__main__":
     script(InferenceBaseline, "rf-dropo", __doc__)

@@ -13,18 +13,18 @@ import numpy as np
 
 from soro_bench.evaluation import evaluate
 from soro_bench.leaderboard.boards import BOARDS
-from soro_bench.leaderboard.entry import entries_of
+from soro_bench.leaderboard.entry import entries_of, load_policy
 from soro_bench.markdown import header, row
 from soro_bench.packed import folder_of
+from soro_bench.policies.policy import TrainedPolicy
 from soro_bench.registration import task_type
-from soro_bench.training.policy import Policy
 
 RESULTS = Path(__file__).parents[1] / "leaderboard" / "results"
 BOTH = ("TrunkLift-v0-100g", "TrunkLift-v0-50g")
 OFFSETS = (-0.03, -0.015, 0.0, 0.015, 0.03, -0.2)  # m; randomised within +-0.03, out of reach at -0.2
 
 
-def elevations(policy: Policy, board: str, model: str) -> list[float]:
+def elevations(policy: TrainedPolicy, board: str, model: str) -> list[float]:
     """Final elevation [mm] for each place of the wall."""
     starts = [{"params": {**BOARDS[board].fixed, "wall_offset": offset}} for offset in OFFSETS]
     episodes = evaluate(policy.act, BOARDS[board].env_id, model, policy.card.action, starts)
@@ -40,7 +40,7 @@ def main() -> None:
     for board in BOTH:
         for archive in sorted((RESULTS / board / "ppo").glob("*.zip")):
             folder = folder_of(archive)
-            policies = [Policy.load(path) for path in entries_of(folder)]
+            policies = [load_policy(path) for path in entries_of(folder)]
             rows = np.array([elevations(policy, board, options.model) for policy in policies])
             print(row((board, folder.name, *(f"{mean:.1f}" for mean in rows.mean(axis=0)))))
 

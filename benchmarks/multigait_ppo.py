@@ -15,7 +15,7 @@ from gymnasium import spaces
 from multigait_gaits import ACTIONS, STEPS, Tree
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
-from soro_bench.training.policy import OBSERVATION_CLIP
+from soro_bench.policies.policy import OBSERVATION_CLIP
 from soro_bench.training.ppo import default_config, make_agent
 
 ROOT = Path(__file__).parents[1]

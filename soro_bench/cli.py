@@ -1,8 +1,6 @@
 """The ``soro-bench`` command."""
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 try:
@@ -10,21 +8,19 @@ try:
     from rich.table import Table
     from rich.text import Text
 
-    from soro_bench.blind_benchmark.commands import Prove
-    from soro_bench.campaign.commands import RunPreset
+    from soro_bench.commands.blind_benchmark import Prove
+    from soro_bench.commands.campaign import RunPreset
+    from soro_bench.commands.inference import Infer
+    from soro_bench.commands.leaderboard import Evaluate, Leaderboard
+    from soro_bench.commands.recording import Data, Import, Record, View
+    from soro_bench.commands.training import Train
     from soro_bench.diagnosis.commands import Diagnose, Excite, Study
-    from soro_bench.inference.commands import Infer
-    from soro_bench.leaderboard.commands import Evaluate, Leaderboard
     from soro_bench.progress import console
-    from soro_bench.recording.commands import Data, Import, Record, View
-    from soro_bench.training.commands import Train
 except ImportError as error:
     sys.exit(f"soro-bench needs more than the core install: pip install soro_bench[all] ({error})")
 
-from soro_bench.files import shown
+from soro_bench.errors import plain_errors
 from soro_bench.registration import ENV_IDS, task_type
-
-_LINE = 1000  # letters of an error: what it quotes may be a stranger's, and long
 
 
 @dataclass
@@ -63,21 +59,6 @@ COMMANDS = {
     "prove": Prove,
     "leaderboard": Leaderboard,
 }
-
-
-@contextmanager
-def plain_errors(program: str) -> Iterator[None]:
-    """One clear line for what a user can mend, no traceback."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        sys.exit(f"{program}: {error}: pip install 'soro_bench[all]'")
-    except (ValueError, OSError, ImportError) as error:
-        if sys.flags.dev_mode:  # PYTHONDEVMODE=1: the traceback, to find out where it comes from
-            raise
-        sys.exit("\n".join(shown(line[:_LINE]) for line in f"{program}: {error}".split("\n")))
-    except KeyboardInterrupt:
-        sys.exit(f"{program}: interrupted; train, run, infer, study and prove go on where they were, given again")
 
 
 def main() -> None:

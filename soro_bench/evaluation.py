@@ -6,10 +6,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from soro_bench.envs.episode import Episode
 from soro_bench.envs.task import Task
 from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
-from soro_bench.recording.episode import Episode
 from soro_bench.registration import make_task, task_type
 
 

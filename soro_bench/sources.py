@@ -4,17 +4,16 @@ import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 
-import soro_bench
 from soro_bench.assets import mjcf_path
 from soro_bench.files import replacing
 
-SIMULATION = ("parameters.py", "models/*.py", "envs/*.py", "effects/*.py")  # what an episode depends on, and scenes
+SIMULATION = ("parameters.py", "rotation.py", "models/*.py", "envs/*.py", "effects/*.py")  # of an episode; and scenes
 
 
 def version_of(parts: Iterable[str]) -> str:
     """A hash of files of this package, given as patterns, and of all scenes: with another one, the same work may give
     other results."""
-    package, digest = Path(soro_bench.__file__).parent, hashlib.sha256()
+    package, digest = Path(__file__).parent, hashlib.sha256()
     scenes = sorted(mjcf_path(".").rglob("*.xml"))
     for file in (*sorted(file for part in parts for file in package.glob(part)), *scenes):
         digest.update(file.read_bytes())

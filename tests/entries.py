@@ -11,7 +11,7 @@ from soro_bench.blind_benchmark.score import GATES
 from soro_bench.files import write_json
 from soro_bench.leaderboard.boards import BOARDS, Condition
 from soro_bench.leaderboard.entry import evaluated, write_entry
-from soro_bench.training.policy import Policy, PolicyCard
+from soro_bench.policies.policy import Policy, PolicyCard
 
 BOARD = "TrunkReach-v0"
 CARD = PolicyCard(BOARD, "cable", "continuous", "oracle", 0, 1000)

@@ -10,18 +10,18 @@ pytest.importorskip("stable_baselines3", reason="needs the train extra")
 pytest.importorskip("rerun", reason="needs the view extra")
 
 from soro_bench.campaign.campaign import carry_out_all, state
-from soro_bench.campaign.commands import campaign
 from soro_bench.campaign.plan import BOXES, SEEDS, UNMODELLED, chosen, paper, runs_of, variance_for_deviation
 from soro_bench.campaign.run import Run
+from soro_bench.commands.campaign import campaign
 from soro_bench.files import read_json
 from soro_bench.leaderboard.boards import BOARDS, board_of
 from soro_bench.leaderboard.enter import _check_fixed, enter
 from soro_bench.leaderboard.entry import policy_of, read_entry
 from soro_bench.parallel import HERE
+from soro_bench.policies.policy import Policy
 from soro_bench.randomization import TruncatedNormal, Uniform, from_dict
 from soro_bench.registration import task_type
 from soro_bench.training.methods import ORACLE, Method, fixed, udr
-from soro_bench.training.policy import Policy
 from soro_bench.training.ppo import TRAINER, PPOConfig, train
 
 TINY = PPOConfig(

@@ -16,15 +16,24 @@ pytest.importorskip("jsonschema", reason="needs the board extra")
 
 import soro_bench
 from soro_bench import packed
+from soro_bench.commands.leaderboard import Pack, Verify
+from soro_bench.envs.episode import Episode
 from soro_bench.leaderboard.boards import BOARDS
-from soro_bench.leaderboard.commands import Pack, Verify
-from soro_bench.leaderboard.entry import SCHEMA, card_of, check_free, policy_of, read_entry, thinned_curve, write_entry
+from soro_bench.leaderboard.entry import (
+    SCHEMA,
+    card_of,
+    check_free,
+    load_policy,
+    policy_of,
+    read_entry,
+    thinned_curve,
+    write_entry,
+)
 from soro_bench.leaderboard.gather import gather_control
 from soro_bench.leaderboard.verify import verify_control
 from soro_bench.options import FOLDER, MAX_SEED
-from soro_bench.recording.episode import Episode
+from soro_bench.policies.policy import Policy
 from soro_bench.recording.simulated import record
-from soro_bench.training.policy import Policy
 from tests.entries import BOARD, CARD, edit, policy, put_policy, scores, shrink_board, true_entry
 from tests.test_bad_input import says
 
@@ -49,17 +58,17 @@ def test_what_is_written_is_read_again(tmp_path):
     assert card_of(entry) == CARD
     assert entry["training"] == training and entry["distribution"] == box
     assert entry["evaluations"] == scores(3.0, 4.0)
-    for loaded in (policy_of(path, entry), Policy.load(path)):
+    for loaded in (policy_of(path, entry), load_policy(path)):
         assert loaded.card == CARD
         np.testing.assert_array_equal(loaded.tensors["w0"], policy().tensors["w0"])
 
 
 def test_an_entry_stands_for_its_policy_where_one_is_recorded(path):
-    recording = record(BOARD, str(path), "cable", steps=2)
+    recording = record(BOARD, str(path), "cable", steps=2, load=load_policy)
     first = recording.commands["action"].values[0]
     assert first.shape == (8,) and recording.metadata["policy"] == str(path)
     with pytest.raises(ValueError, match=r"seed0\.json is for TrunkReach-v0"):
-        record("TrunkPush-v0", str(path))
+        record("TrunkPush-v0", str(path), load=load_policy)
 
 
 def test_a_long_training_curve_becomes_fifty_means(tmp_path):
@@ -248,8 +257,8 @@ def test_packed_entries_are_what_they_were(tmp_path, capsys):
     Pack((first.parent,)).run()
     assert [path.name for path in first.parents[1].iterdir()] == ["oracle.zip"]
     assert [read_entry(path) for path in (first, second)] == entries and gather_control(tmp_path) == before
-    np.testing.assert_array_equal(Policy.load(second).tensors["w0"], policy(3).tensors["w0"])
-    assert record(BOARD, str(second), "cable", steps=2).metadata["policy"] == str(second)
+    np.testing.assert_array_equal(load_policy(second).tensors["w0"], policy(3).tensors["w0"])
+    assert record(BOARD, str(second), "cable", steps=2, load=load_policy).metadata["policy"] == str(second)
     capsys.readouterr()
     Verify((first.parent.with_name("oracle.zip"),)).run()
     assert capsys.readouterr().out.splitlines() == [f"{path}: cable: same" for path in (first, second)]
@@ -258,7 +267,7 @@ def test_packed_entries_are_what_they_were(tmp_path, capsys):
     true_entry(tmp_path, given=other)
     assert read_entry(first) != entries[0] and len(gather_control(tmp_path)[BOARD][0].entries) == 2
     Pack((first.parent,)).run()
-    np.testing.assert_array_equal(Policy.load(first).tensors["w0"], policy(5).tensors["w0"])
+    np.testing.assert_array_equal(load_policy(first).tensors["w0"], policy(5).tensors["w0"])
     with pytest.raises(ValueError, match="udr has no entries to pack"):
         Pack((first.parents[1] / "udr",)).run()
 

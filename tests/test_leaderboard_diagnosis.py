@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("jsonschema", reason="needs the board extra")
 
 from soro_bench.blind_benchmark import score
-from soro_bench.blind_benchmark.commands import Prove
+from soro_bench.commands.blind_benchmark import Prove
 from soro_bench.files import write_json
 from soro_bench.leaderboard import diagnosis_entry
 from soro_bench.leaderboard.release import Release

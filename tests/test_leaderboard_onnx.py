@@ -9,8 +9,8 @@ pytest.importorskip("onnx", reason="needs the onnx extra")
 
 from onnx import TensorProto, helper, numpy_helper
 
-from soro_bench.leaderboard.onnx_policy import MAX_NODES, OnnxPolicy
-from soro_bench.training.policy import Policy, PolicyCard
+from soro_bench.policies.onnx_policy import MAX_NODES, OnnxPolicy
+from soro_bench.policies.policy import Policy, PolicyCard
 from tests.test_bad_input import says
 
 INPUTS, HIDDEN, OUTPUTS = 5, 7, 3

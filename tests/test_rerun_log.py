@@ -9,12 +9,12 @@ import pytest
 
 from soro_bench.evaluation import evaluate
 from soro_bench.models import trunk
-from soro_bench.models.rotation import rotate_by_quaternion
 from soro_bench.recording import rerun_log
 from soro_bench.recording.drawing import Drawing, Mesh
 from soro_bench.recording.rerun_log import DRAWINGS, RERUN, viewer_environment, write_recording
 from soro_bench.recording.trunk_drawing import draw_trunk, tension_colors
 from soro_bench.registration import task_type
+from soro_bench.rotation import rotate_by_quaternion
 
 rr = pytest.importorskip("rerun")
 from rerun.chunk import RrdReader  # noqa: E402

@@ -8,12 +8,12 @@ import pytest
 from gymnasium import spaces
 
 from soro_bench.effects.effect import Effect, Port
+from soro_bench.policies.policy import Policy, PolicyCard
 from soro_bench.recording import comparison, rerun_runs
 from soro_bench.recording.excitation import excitation, shortest, write_actions
 from soro_bench.recording.recording import Signal
 from soro_bench.recording.simulated import parse_params, record, recorded_actions, replay, replay_begins
 from soro_bench.registration import ENV_IDS, make_task, task_type
-from soro_bench.training.policy import Policy, PolicyCard
 from tests.recordings import assert_same, says
 
 pytest.importorskip("pyarrow.parquet")

@@ -19,9 +19,9 @@ from safetensors.numpy import load_file, save_file
 from soro_bench.effects.effect import Effect, Port, save_effects
 from soro_bench.evaluation import evaluate
 from soro_bench.files import read_json, write_json
+from soro_bench.policies.policy import Policy
 from soro_bench.randomization import Uniform
 from soro_bench.training import ppo
-from soro_bench.training.policy import Policy
 from soro_bench.training.ppo import TRAINER, PPOConfig, train
 
 CONFIG = PPOConfig(

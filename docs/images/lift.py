@@ -12,7 +12,7 @@ from trunk import HEIGHT, WIDTH, draw, state_of
 
 import soro_bench  # noqa: F401  registers the environments
 from soro_bench.files import read_json
-from soro_bench.training.policy import Policy
+from soro_bench.leaderboard.entry import load_policy
 
 ROOT = Path(__file__).parents[2]
 MASS = 0.05  # kg
@@ -22,7 +22,7 @@ SEARCHED = ROOT / "baselines" / "lift_sequences" / "cable_0.05kg_wall.json"
 
 def by_policy(entry: str):
     """An entry's action for a step and an observation."""
-    policy = Policy.load(ROOT / "leaderboard" / "results" / "TrunkLift-v0-50g" / "ppo" / f"{entry}.json")
+    policy = load_policy(ROOT / "leaderboard" / "results" / "TrunkLift-v0-50g" / "ppo" / f"{entry}.json")
     return lambda step, observation: policy.act(observation[None])[0]
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from soro_bench.effects.effect import Quantity
 from soro_bench.effects.law import Law
-from soro_bench.models.rotation import rotate_by_vector
+from soro_bench.rotation import rotate_by_vector
 
 
 class Payload(Law):

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from soro_bench.effects.effect import Effect, EffectError, Quantity
-from soro_bench.models.rotation import rotate_by_vector
+from soro_bench.rotation import rotate_by_vector
 
 _ANY = (-np.inf, np.inf)
 _DEGREE = 5  # of the splines between samples

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from soro_bench.envs.episode import Episode
 from soro_bench.evaluation import evaluate
-from soro_bench.recording.episode import Episode
+from soro_bench.policies.policy import Policy
 from soro_bench.registration import task_type
-from soro_bench.training.policy import Policy
 
 # the largest length [m] and return that an entry may have; what has diverged may be farther off
 _FAR, _MOST = 1000.0, 1e6

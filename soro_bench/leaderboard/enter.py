@@ -9,10 +9,10 @@ from soro_bench.files import read_json
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.entry import check_free, thinned_curve, write_entry
 from soro_bench.parameters import ALL_PARAMETERS
+from soro_bench.policies.policy import Policy
 from soro_bench.randomization import Distribution, Gaussian, from_dict, holding
 from soro_bench.recording.rerun_log import write_recording
 from soro_bench.registration import task_type
-from soro_bench.training.policy import Policy
 from soro_bench.training.ppo import PPOConfig
 
 

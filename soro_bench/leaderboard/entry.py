@@ -18,12 +18,12 @@ from soro_bench import packed
 from soro_bench.envs.task import Task
 from soro_bench.files import replacing, write_json
 from soro_bench.leaderboard.boards import BOARDS, Board
-from soro_bench.leaderboard.onnx_policy import OnnxPolicy
 from soro_bench.leaderboard.strict import check, read_strict
+from soro_bench.policies.onnx_policy import OnnxPolicy
+from soro_bench.policies.policy import MAX_BYTES, Policy, PolicyCard, TrainedPolicy
 from soro_bench.registration import make_task, task_type
 from soro_bench.results import versions
 from soro_bench.training.curve import read_curve
-from soro_bench.training.policy import MAX_BYTES, Policy, PolicyCard
 
 FORMAT, SCHEMA = "soro_bench/control/1", "control_entry.schema.json"
 CURVE_POINTS = 50
@@ -90,6 +90,14 @@ def policy_of(path: str | Path, entry: dict) -> Policy | OnnxPolicy:
     policy = _KINDS[file.suffix].from_bytes(card_of(entry), policy_bytes(path, entry), file)
     _check_fit(policy, file)
     return policy
+
+
+def load_policy(path: str | Path) -> TrainedPolicy:
+    """The policy of an entry's file (.json), or of the folder that a training wrote; ValueError if there is none."""
+    path = Path(path)
+    if path.suffix == ".json" and not path.is_dir():
+        return policy_of(path, read_entry(path))
+    return Policy.load(path)
 
 
 def _check_fit(policy: Policy | OnnxPolicy, file: Path) -> None:

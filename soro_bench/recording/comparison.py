@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
+from soro_bench.envs.episode import Episode
 from soro_bench.recording.drawing import Points
-from soro_bench.recording.episode import Episode
 from soro_bench.recording.recording import Recording, Signal
 from soro_bench.recording.rerun_log import require_rerun
 from soro_bench.recording.simulated import replay, replay_begins

@@ -3,10 +3,10 @@
 import numpy as np
 import rerun as rr
 
+from soro_bench.envs.episode import Episode
 from soro_bench.markdown import table
 from soro_bench.parameters import ALL_PARAMETERS
 from soro_bench.recording.drawing import Drawing, Mesh, Pose
-from soro_bench.recording.episode import Episode
 
 TIMELINE = "time"
 OVERVIEW = "episodes"

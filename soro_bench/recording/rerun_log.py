@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from soro_bench.envs.episode import Episode
 from soro_bench.files import replacing
 from soro_bench.recording.drawing import Drawing
-from soro_bench.recording.episode import Episode
 from soro_bench.recording.trunk_drawing import draw_trunk
 from soro_bench.recording.walker_drawing import draw_walker
 

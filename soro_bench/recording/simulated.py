@@ -12,14 +12,14 @@ from gymnasium import spaces
 
 import soro_bench
 from soro_bench.effects.effect import Effect
+from soro_bench.envs.episode import Episode
 from soro_bench.envs.task import ACTION_MODES
 from soro_bench.evaluation import evaluate
 from soro_bench.packed import is_there
-from soro_bench.recording.episode import Episode
+from soro_bench.policies.policy import Policy, TrainedPolicy
 from soro_bench.recording.excitation import excitation
 from soro_bench.recording.recording import Recording, RecordingError, Signal, latest
 from soro_bench.registration import ENV_IDS, make_task, task_type
-from soro_bench.training.policy import Policy
 
 POLICIES = ("random", "excitation")  # and the folder or leaderboard entry of a trained one
 COMMAND = "action"  # the command that an episode is driven by
@@ -38,11 +38,12 @@ def record(
     noise: float = 0.0,
     full_state: bool = False,
     effects: str | Path | Sequence[Effect] | None = None,
+    load: Callable[[str], TrainedPolicy] = Policy.load,
 ) -> Recording:
     """Simulate an episode and record what there is to measure.
 
     Args:
-        policy: "random" (uniform actions), "excitation", or the folder or leaderboard entry of a trained policy.
+        policy: "random" (uniform actions), "excitation", or the folder of a trained policy.
         model: the environment's model or mesh; the accurate one by default.
         action: "discrete" or "continuous"; by default continuous, or what the trained policy needs.
         params: physical parameters; nominal where none is given.
@@ -53,6 +54,7 @@ def record(
             those of markers 12.5 mm off the centre.
         full_state: whether to record the simulation's whole state too, as signals named state.qpos and so on.
         effects: physics that the model leaves out, as the environment takes it; a replay does not have it.
+        load: reads a trained policy; :func:`soro_bench.leaderboard.entry.load_policy` also takes leaderboard entries.
 
     Raises:
         ValueError: names what is wrong and what is allowed, or says when the simulation diverged.
@@ -61,7 +63,7 @@ def record(
         raise ValueError(f"unknown environment {env_id!r}; there are {', '.join(ENV_IDS)}")
     if not 0 <= noise < math.inf or (steps is not None and steps < 1) or seed < 0:
         raise ValueError(f"noise {noise}, steps {steps} and seed {seed}: at least 0, 1 and 0 are needed")
-    trained = None if policy in POLICIES else _trained(policy, env_id, action)
+    trained = None if policy in POLICIES else _trained(policy, env_id, action, load)
     action = trained.card.action if trained else action or "continuous"
     model = model or task_type(env_id).accurate
     if action not in ACTION_MODES:
@@ -171,10 +173,10 @@ def _recording(episode, action, noise, seed, metadata) -> Recording:
     return Recording(commands, signals, episode.params, metadata)
 
 
-def _trained(path, env_id, action):
+def _trained(path: str, env_id: str, action: str | None, load: Callable[[str], TrainedPolicy]) -> TrainedPolicy:
     if not is_there(path):
         raise ValueError(f"policy {path!r} is neither {', '.join(POLICIES)} nor a folder or entry")
-    policy = Policy.load(path)
+    policy = load(path)
     if policy.card.env_id != env_id or action not in (None, policy.card.action):
         raise ValueError(f"the policy in {path} is for {policy.card.env_id} with {policy.card.action} actions")
     return policy

@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 
 from soro_bench.assets import mjcf_path
+from soro_bench.envs.episode import Episode
 from soro_bench.envs.multigait import SCENE
 from soro_bench.models.walker_mesh import CHAMBERS, RESOLUTIONS, Mesh, build_mesh
 from soro_bench.recording.drawing import Box, Drawing, Line, Plot, Pose
 from soro_bench.recording.drawing import Mesh as Surface
-from soro_bench.recording.episode import Episode
 
 _FLOOR_HALF_SIZE = np.array([0.15, 0.08, 0.0005])  # m, drawn only
 _FLOOR_HEIGHT = -0.0015  # m, as in multigait.xml

@@ -24,10 +24,10 @@ from soro_bench.envs.sb3 import SB3VecEnv
 from soro_bench.envs.task import effects_of
 from soro_bench.files import brief, read_json, replacing, write_json
 from soro_bench.models.simulation import quiet
+from soro_bench.policies.policy import OBSERVATION_CLIP, Policy, PolicyCard
 from soro_bench.randomization import Distribution
 from soro_bench.registration import task_type
 from soro_bench.results import metric_key
-from soro_bench.training.policy import OBSERVATION_CLIP, Policy, PolicyCard
 
 # version of how a configuration becomes a policy; 1 let the learning rate fall in every segment anew, for 1 and 2
 # nothing that came after success counted, and 1 to 3 let observations that hardly vary be blown up

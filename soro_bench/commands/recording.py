@@ -40,13 +40,14 @@ class Record:
     """JSON file of physics that the model leaves out (docs/effects.md); for a robot to try a diagnosis on."""
 
     def run(self) -> None:
+        from soro_bench.leaderboard.entry import load_policy
         from soro_bench.recording.parquet import save
         from soro_bench.recording.simulated import parse_params, record
 
         check_output(self.out, ".parquet")
         recording = record(
             self.env, self.policy, self.model, self.action, parse_params(self.params), self.steps, self.seed,
-            self.noise, self.full_state, self.effects,
+            self.noise, self.full_state, self.effects, load_policy,
         )  # fmt: skip
         save(recording, self.out)
         _describe(recording, self.out)

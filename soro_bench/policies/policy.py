@@ -3,10 +3,12 @@
 import reprlib
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
+from soro_bench.arrays import Floats
 from soro_bench.files import brief, read_bytes, read_json, replacing, write_json
 
 _WEIGHTS, _CARD = "policy.safetensors", "policy.json"
@@ -37,6 +39,22 @@ def check_observations(observations: np.ndarray, size: int) -> None:
         raise ValueError(f"observations have the shape {shape}; (n, {size}) is needed, a row for each environment")
     if shape[1] != size:
         raise ValueError(f"the policy takes observations of {size} numbers; these have {shape[1]}")
+
+
+class TrainedPolicy(Protocol):
+    """What every policy can do, whatever it is made of."""
+
+    suffix: ClassVar[str]  # of its file
+
+    @property
+    def card(self) -> PolicyCard:
+        """What it was trained for."""
+
+    def act(self, observations: Floats) -> NDArray[Any]:
+        """Actions for (n, k) observations: (n,) integers if the action mode is discrete, else (n, nu) in [-1, 1]."""
+
+    def to_bytes(self) -> bytes:
+        """The content of its file."""
 
 
 @dataclass(frozen=True)
@@ -82,16 +100,12 @@ class Policy:
         write_json(Path(folder) / _CARD, asdict(self.card))
 
     @classmethod
-    def load(cls, path: str | Path):
-        """Read the policy of a folder, or of a leaderboard entry's file; ValueError if there is none.
+    def load(cls, folder: str | Path) -> "Policy":
+        """Read the policy that a training wrote into ``folder``; ValueError if there is none.
 
-        An entry's policy may be an :class:`soro_bench.leaderboard.onnx_policy.OnnxPolicy`.
+        :func:`soro_bench.leaderboard.entry.load_policy` also reads that of a leaderboard entry.
         """
-        path = Path(path)
-        if path.suffix == ".json" and not path.is_dir():
-            from soro_bench.leaderboard.entry import policy_of, read_entry
-
-            return policy_of(path, read_entry(path))
+        path = Path(folder)
         for name in (_WEIGHTS, _CARD):
             if not (path / name).is_file():
                 raise ValueError(f"{path} holds no policy: {name} is missing")

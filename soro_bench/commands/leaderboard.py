@@ -31,9 +31,9 @@ class Evaluate:
         from soro_bench.files import read_json, results_folder, write_json
         from soro_bench.leaderboard.boards import board_of
         from soro_bench.leaderboard.enter import record_evaluations
-        from soro_bench.training.policy import Policy
+        from soro_bench.leaderboard.entry import load_policy
 
-        policy, out = Policy.load(self.policy), self.out or self.policy
+        policy, out = load_policy(self.policy), self.out or self.policy
         if out.suffix == ".json":
             raise ValueError(f"{out} is an entry: say with --out where its results go")
         name, board = board_of(policy.card.env_id, self.board)
@@ -90,7 +90,7 @@ class Enter:
     def run(self) -> None:
         from soro_bench.leaderboard.boards import board_of
         from soro_bench.leaderboard.enter import enter
-        from soro_bench.training.policy import Policy
+        from soro_bench.policies.policy import Policy
 
         card = Policy.load(self.policy).card
         for what, name in {"entry": self.entry, "method": card.method}.items():  # before the work, not after it

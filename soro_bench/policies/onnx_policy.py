@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.files import shown
-from soro_bench.training.policy import PolicyCard, check_observations
+from soro_bench.policies.policy import PolicyCard, check_observations
 
 MAX_BYTES = 5_000_000  # of a file; parsed, nodes without content take some seventy times as much
 MAX_NODES = 1000

@@ -72,8 +72,8 @@ class InferenceBaseline(Baseline):
     """Standard deviation [m] of the recorded positions."""
 
     def run(self, method: str) -> None:
+        from soro_bench.campaign.inferred import inferred
         from soro_bench.campaign.plan import recording_path
-        from soro_bench.inference.baseline import inferred
         from soro_bench.leaderboard.boards import BOARDS
         from soro_bench.recording.simulated import parse_params
 
@@ -106,7 +106,7 @@ def _digest(data: bytes) -> str:
 
 def script(options: type[Baseline], method, description: str) -> None:
     """What a script of baselines/ does with its command line."""
-    from soro_bench.cli import plain_errors
+    from soro_bench.errors import plain_errors
 
     with plain_errors("baselines"):
         tyro.cli(options, description=description).run(method)

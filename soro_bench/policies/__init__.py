@@ -1,0 +1,1 @@
+"""Policies as data: no file of them is ever executed or unpickled."""
