@@ -1,7 +1,7 @@
 """What MkDocs calls while it builds the site: equations become MathML, links to source files become text.
 
-MathML needs no script and no network. Source files are no part of the site, but are read in a checkout, where the same
-pages are read too: a link to one stays a link there. A link to a file that does not exist ends a strict build.
+MathML needs no script and no network. Source files are no part of the site, but the same pages are read in a checkout,
+where a link to one works. A link to a file that does not exist ends a strict build.
 """
 
 import html
@@ -17,14 +17,15 @@ LINK = re.compile(r"(?<!!)\[([^\]]+)\]\((?!\w+:|#|/)([^)#\s]+)(#[^)\s]*)?\)")
 
 
 def on_page_markdown(markdown: str, page, config, files) -> str:
-    """A page with links out of docs/ as their text."""
+    """A page with links out of docs/ as their text; in the archive, which is not kept up to date, dead ones too."""
+    archived = page.file.src_uri.startswith("archive/")
     folder, root = Path(page.file.abs_src_path or config.docs_dir).parent, Path(config.docs_dir).resolve()
 
     def text_or_link(match: re.Match) -> str:
         target = (folder / match[2]).resolve()
-        if target.is_relative_to(root):
+        if target.is_relative_to(root) and (target.exists() or not archived):
             return match[0]
-        if not target.exists():
+        if not target.exists() and not archived:
             LOG.warning("%s links to %s, which does not exist", page.file.src_uri, match[2])
         return match[1]
 

@@ -1,4 +1,7 @@
-"""Independent jobs: in this process, in several on this machine (joblib), or on a Dask cluster (docs/cluster.md)."""
+"""Independent jobs: in this process, in several on this machine (joblib), or on a Dask cluster.
+
+docs/how_to/use_a_cluster.md.
+"""
 
 import os
 from collections import deque

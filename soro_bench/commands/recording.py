@@ -37,7 +37,7 @@ class Record:
     full_state: bool = False
     """Record the simulation's whole state too, which DROPO restarts from."""
     effects: Path | None = None
-    """JSON file of physics that the model leaves out (docs/effects.md); for a robot to try a diagnosis on."""
+    """JSON file of physics that the model leaves out (docs/reference/effects.md); for a robot to try a diagnosis on."""
 
     def run(self) -> None:
         from soro_bench.leaderboard.entry import load_policy
@@ -62,7 +62,7 @@ class Import:
     out: Path
     """The file to write, .parquet."""
     mapping: Path | None = None
-    """TOML file that says what is what (docs/recordings.md); a LeRobot dataset needs none."""
+    """TOML file that says what is what (docs/how_to/import_a_log.md); a LeRobot dataset needs none."""
     episode: int | None = None
     """Which episode of a LeRobot dataset; the first by default."""
 
@@ -79,7 +79,7 @@ class Import:
 
 @dataclass
 class Data:
-    """Get recordings of real robots from where they are published, and check them; docs/data.md."""
+    """Get published recordings of real robots, and check them; docs/how_to/get_real_recordings.md."""
 
     robots: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
     """Which; without any, all are listed, and what of them is there."""

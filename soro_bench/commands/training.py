@@ -25,7 +25,8 @@ class Train:
     --effects."""
     seed: int = 0
     steps: int | None = None
-    """Environment steps, rounded up to whole segments (docs/training.md); what the environment needs by default."""
+    """Environment steps, rounded up to whole segments (docs/how_to/train_many_policies.md); what the environment needs
+    by default."""
     model: str | None = None
     """The environment's model or mesh to train on; the cheap one by default."""
     action: Literal["discrete", "continuous"] | None = None

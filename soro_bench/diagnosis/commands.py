@@ -48,7 +48,7 @@ class Diagnose:
     model: str | None = None
     """MJCF file of another robot; with --env the model to simulate, the cheap one by default."""
     map: Path | None = None
-    """TOML file that says how recordings and parameters belong to the MJCF file; see docs/own_robot.md."""
+    """TOML file that says how recordings and parameters belong to the MJCF file; docs/reference/robot_map.md."""
     heldout: tuple[Path, ...] = ()
     """Recordings of another motion, to test what is found."""
     since: Path | None = None

@@ -50,7 +50,7 @@ class MultiGaitTask(Task):
         mesh: "fine" (accurate), "coarse" (cheap) or "finest".
         action: "discrete" (6 actions) or "continuous" (changes of 3 inflations).
         observation_noise: whether observations are noisy.
-        effects: physics that the model leaves out, or an effects file (docs/effects.md).
+        effects: physics that the model leaves out, or an effects file (docs/reference/effects.md).
     """
 
     variant_name, accurate, cheap = "mesh", "fine", "coarse"
@@ -189,7 +189,7 @@ class MultiGaitEnv(SoftRobotEnv):
     * `mesh`: "coarse" (110 nodes, to train on), "fine" (340, the default, to evaluate on), "finest" (708).
     * `action`: "discrete" or "continuous".
     * `observation_noise`: False or True.
-    * `effects`: physics that the model leaves out, a list of `Effect` or an effects file (docs/effects.md).
+    * `effects`: physics that the model leaves out, a list of `Effect` or an effects file (docs/reference/effects.md).
     * `reset(options={"params": {...}})` takes robot_mass, pdms_poisson_ratio, pdms_young_modulus,
       ecoflex_poisson_ratio, ecoflex_young_modulus.
 

@@ -42,7 +42,7 @@ class TrunkTask(Task):
         model: "flex" (accurate) or "cable" (cheap).
         action: "discrete" (16 actions: pull or release one cable by 5 mm) or "continuous" (8 cable rates in units of
             0.1 m/s).
-        effects: physics that the model leaves out, or an effects file (docs/effects.md).
+        effects: physics that the model leaves out, or an effects file (docs/reference/effects.md).
     """
 
     variant_name, accurate, cheap = "model", "flex", "cable"

@@ -66,7 +66,7 @@ class TrunkReachEnv(SoftRobotEnv):
 
     ## Arguments
     `model`: "flex" (accurate, default) or "cable" (cheap). `action`: see above. `render_mode`: "human", "rgb_array".
-    `effects`: physics that the model leaves out, a list of `Effect` or an effects file (docs/effects.md).
+    `effects`: physics that the model leaves out, a list of `Effect` or an effects file (docs/reference/effects.md).
     `reset(options=...)`: `goal` (3,) in metres and `params`, a dict of trunk_mass, poisson_ratio, young_modulus,
     damping, cable_stiffness in SI units.
 

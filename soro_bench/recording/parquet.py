@@ -3,7 +3,7 @@
 A column ``timestamp`` [s]; a column ``action`` for a command of that name, ``action.<name>`` for any other;
 ``observation.<name>`` for a signal. A row is null where a signal has no sample at its time. Samples that are arrays are
 lists of fixed length. A column's unit, frame and shape are in its metadata; parameters, metadata and the version of the
-schema are JSON in the table's, under "soro_bench". docs/recordings.md describes it for readers.
+schema are JSON in the table's, under "soro_bench". docs/reference/recordings.md describes it for readers.
 """
 
 import json

@@ -36,7 +36,7 @@ TRAINER = 4
 
 @dataclass(frozen=True)
 class PPOConfig:
-    """How to train; docs/training.md says how the defaults were found."""
+    """How to train; docs/archive/training.md says how the defaults were found."""
 
     env_id: str
     method: str = "oracle"
@@ -79,7 +79,7 @@ class PPOConfig:
         return described
 
 
-# What differs from PPOConfig's defaults, which were found on TrunkReach (docs/training.md)
+# What differs from PPOConfig's defaults, which were found on TrunkReach (docs/archive/training.md)
 _TASK_DEFAULTS = {
     "TrunkPush-v0": {"initial_log_std": -0.5, "final_log_std": -2.0, "total_steps": 1_000_000},
     # A lift costs reward for three seconds before it pays: discounted by 0.95 a step it is worth less than tipping the
@@ -208,8 +208,8 @@ def make_env(config: PPOConfig, distribution: Distribution | None = None) -> Vec
 
 
 def make_agent(config: PPOConfig, env: VecNormalize, device: str = "cpu") -> PPO:
-    """PPO as configured. Networks this small gain nothing from a GPU (docs/performance.md), and on the CPU a policy has
-    the same bytes with and without one."""
+    """PPO as configured. Networks this small gain nothing from a GPU (docs/how_to/make_it_fast.md), and on the CPU a
+    policy has the same bytes with and without one."""
     agent = PPO(
         "MlpPolicy",
         env,

@@ -3,7 +3,7 @@
 [robot]
 control_timestep = 0.02           # s, how long a command is held
 settle = 1.0                      # s with the first command before a recording begins; none by default
-accurate = "finer.xml"            # a more accurate model, if there is one (docs/own_robot.md)
+accurate = "finer.xml"            # a more accurate model, if there is one (docs/how_to/use_your_own_robot.md)
 
 [commands.goal]                   # a command of the recordings, one column for each actuator
 actuators = ["motor"]

@@ -1,4 +1,4 @@
-"""Recordings from files of others; docs/recordings.md describes the mapping file."""
+"""Recordings from files of others; docs/reference/recordings.md describes the mapping file."""
 
 import importlib.util
 from collections.abc import Mapping

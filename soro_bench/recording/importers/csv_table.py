@@ -22,7 +22,7 @@ _MAX_ROW = 1_000_000  # letters, as every cell of a row is a text of its own bef
 def import_csv(path: str | Path, mapping: str | Path | None, max_bytes: int = MAX_BYTES) -> Recording:
     """Read a CSV file with a mapping file; RecordingError says what is wrong with either."""
     if mapping is None:
-        raise RecordingError(f"{path}: a CSV file needs a mapping file; docs/recordings.md has an example")
+        raise RecordingError(f"{path}: a CSV file needs a mapping file; docs/how_to/import_a_log.md has an example")
     spec = load_mapping(mapping, _PLACE, ("column", "unit", "interval"), _FORMAT)
     data = read_bytes(path, max_bytes)
     with named_errors(path):

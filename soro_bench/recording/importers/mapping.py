@@ -1,4 +1,4 @@
-"""Which part of a foreign file is which command or signal: a small TOML file, described in docs/recordings.md."""
+"""Which part of a foreign file is which command or signal: a TOML file, described in docs/reference/recordings.md."""
 
 import math
 import tomllib

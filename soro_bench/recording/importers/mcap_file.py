@@ -24,7 +24,7 @@ _STEP = re.compile(r"([^.\[\]]+)|\[(\d{1,6})\]")
 def import_mcap(path: str | Path, mapping: str | Path | None, max_bytes: int = MAX_BYTES) -> Recording:
     """Read an MCAP file with a mapping file; RecordingError says what is wrong with either."""
     if mapping is None:
-        raise RecordingError(f"{path}: an MCAP file needs a mapping file; docs/recordings.md has an example")
+        raise RecordingError(f"{path}: an MCAP file needs a mapping file; docs/how_to/import_a_log.md has an example")
     spec = load_mapping(mapping, _PLACE, ("source", "unit"))
     data = read_bytes(path, max_bytes)
     with named_errors(path):

@@ -24,7 +24,7 @@ _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, Runti
 def import_npz(path: str | Path, mapping: str | Path | None, max_bytes: int = MAX_BYTES) -> Recording:
     """Read an NPZ file with a mapping file; RecordingError says what is wrong with either."""
     if mapping is None:
-        raise RecordingError(f"{path}: an NPZ file needs a mapping file; docs/recordings.md has an example")
+        raise RecordingError(f"{path}: an NPZ file needs a mapping file; docs/how_to/import_a_log.md has an example")
     spec = load_mapping(mapping, _PLACE, ("array", "unit", "interval"))
     data = read_bytes(path, max_bytes)
     with named_errors(path):

@@ -1,0 +1,327 @@
+"""Writes the parts of docs/reference that say what the code says: environments, effects, parameters and commands.
+
+python docs/generate.py
+
+A page of an environment is written whole; in other pages the text between two marks is replaced. A test compares.
+"""
+
+import argparse
+import inspect
+import os
+import re
+import textwrap
+import warnings
+from pathlib import Path
+
+import gymnasium
+import mujoco
+import numpy as np
+import tyro
+
+from soro_bench.cli import COMMANDS
+from soro_bench.effects.catalogue import ALL
+from soro_bench.effects.effect import Quantity
+from soro_bench.effects.equations import EQUATIONS
+from soro_bench.envs.task import ACTION_MODES, Task
+from soro_bench.leaderboard.boards import BOARDS
+from soro_bench.markdown import table
+from soro_bench.parameters import ALL_PARAMETERS, Parameter
+from soro_bench.registration import ENV_IDS, task_type
+
+DOCS = Path(__file__).parent
+REFERENCE = DOCS / "reference"
+BEGIN, END = "<!-- written by docs/generate.py -->", "<!-- end of what docs/generate.py writes -->"
+AXES, QUATERNION = "xyz", "wxyz"
+
+
+def pages() -> dict[Path, str]:
+    """The texts of all pages that have a generated part, by their paths."""
+    return {
+        **{REFERENCE / "environments" / f"{env_id}.md": environment(env_id) for env_id in ENV_IDS},
+        **{REFERENCE / name: filled(REFERENCE / name, text()) for name, text in PARTS.items()},
+    }
+
+
+def filled(path: Path, part: str) -> str:
+    """A page with its generated part anew."""
+    page = path.read_text()
+    begin, end = page.index(BEGIN) + len(BEGIN), page.index(END)
+    return f"{page[:begin]}\n\n{part}\n\n{page[end:]}"
+
+
+# --- environments ---
+
+
+def environment(env_id: str) -> str:
+    """The page of an environment."""
+    task = task_type(env_id)
+    # the cheap model, as its spaces are those of the others and it is compiled faster
+    envs = {mode: gymnasium.make(env_id, **{task.variant_name: task.cheap}, action=mode) for mode in ACTION_MODES}
+    summary, text = inspect.getdoc(type(envs["discrete"].unwrapped)).split("\n", 1)
+    sections = dict(re.findall(r"## (.*)\n((?:(?!## ).*\n?)*)", linked(text)))
+    sections["Actions"] += "\n" + actions(envs)
+    sections["Observations"] += "\n" + observations(envs["continuous"])
+    sections["Parameters"] = parameter_table(task)
+    parts = [BEGIN, f"# {env_id}", summary, f"![{env_id} in motion](../../images/{env_id}.gif)"]
+    parts += [overview(env_id, task, envs)]
+    parts += [f"## {title}\n\n{body.strip()}" for title, body in sections.items()]
+    parts += ["Arguments, reset options, info and randomisation that all environments share: [Environments](index.md)."]
+    return "\n\n".join(parts) + "\n"
+
+
+def overview(env_id: str, task: type[Task], envs: dict[str, gymnasium.Env]) -> str:
+    """The table at the top of a page."""
+    env = envs["discrete"]
+    boards = {name: board for name, board in BOARDS.items() if board.env_id == env_id}
+    rows = [
+        ("Make", f'`gymnasium.make("{env_id}")` after `import soro_bench`'),
+        *((f"Action space, {mode}", f"`{made.action_space}`") for mode, made in envs.items()),
+        ("Observation space", f"`{env.observation_space}`"),
+        ("Episode", f"{env.spec.max_episode_steps} steps of {task.control_timestep:g} s"),
+        ("Models", f"`{task.variant_name}`: `{task.accurate}` (default, accurate), `{task.cheap}` (cheap)"),
+        ("Fixed evaluation", f"{len(task.evaluation)} episode{'s' * (len(task.evaluation) > 1)}"),
+    ]
+    if boards:
+        better = "larger" if next(iter(boards.values())).higher else "smaller"
+        rows += [
+            ("Metric", f'`info["{task.metric}"]` [m] at the end of an episode; {better} is better'),
+            ("Boards", ", ".join(f"`{name}`" for name in boards)),
+        ]
+    return table(("", ""), rows)
+
+
+def actions(envs: dict[str, gymnasium.Env]) -> str:
+    """A table of continuous and one of discrete actions, from what they do to the model's controls."""
+    space, task = envs["continuous"].action_space, envs["continuous"].unwrapped.task
+    for env in envs.values():
+        env.reset(seed=0)
+    envs["continuous"].step(np.ones_like(space.low))
+    unit = rate_unit(task)
+    rows = []
+    for i, unit_vector in enumerate(np.eye(len(space.low), dtype=np.float32)):
+        moved = moved_by(envs["continuous"], unit_vector)
+        span = {f"{ends[0]:g} .. {ends[1]:g}" for ends in (task.model.actuator(name).actrange for name in moved)}
+        least, most = (f"{sign * next(iter(moved.values())):.3g}" for sign in (-1, 1))
+        rows.append(
+            (i, f"rate of {' and '.join(moved)}", f"{space.low[i]:g}", f"{space.high[i]:g}", least, most,
+             ", ".join(f"`{name}`" for name in moved), "actuator", unit, ", ".join(span))
+        )  # fmt: skip
+    of_setpoint = f"limits of the setpoint [{unit.removesuffix('/s')}]"
+    columns = ("num", "action", "min", "max", "control min", "control max", "name in the MJCF", "type", "unit")
+    continuous = table((*columns, of_setpoint), rows)
+    choices = []
+    for i in range(int(envs["discrete"].action_space.n)):
+        moved = moved_by(envs["discrete"], i)
+        what = ", ".join(f"`{name}`" for name in moved)
+        choices.append((i, f"sets the rate of {' and '.join(moved)}", f"{next(iter(moved.values())):+.3g}", what, unit))
+    discrete = table(("action", "what it does", "control", "name in the MJCF", "unit"), choices)
+    return f'With `action="continuous"`:\n\n{continuous}\n\nWith `action="discrete"`:\n\n{discrete}'
+
+
+def moved_by(env: gymnasium.Env, action) -> dict[str, float]:
+    """The controls that an action sets, by the name of the actuator."""
+    env.step(action)
+    task = env.unwrapped.task
+    controls = task.sim.batch.ctrl[0]
+    return {task.model.actuator(i).name: float(controls[i]) for i in np.flatnonzero(controls)}
+
+
+def rate_unit(task: Task) -> str:
+    """The unit of a control, which is the rate of a setpoint that is recorded as a signal."""
+    signals = task.signals(np.arange(1))
+    (unit,) = (task.signal_units[n][0] for n, value in signals.items() if np.array_equal(value, task.sim.batch.act))
+    return f"{unit}/s"
+
+
+def observations(env: gymnasium.Env) -> str:
+    """A row for every entry of the observation, with the quantity of the model that it is equal to."""
+    space = env.observation_space
+    rows = [
+        (i, *entry[:1], f"{space.low[i]:g}", f"{space.high[i]:g}", *entry[1:]) for i, entry in enumerate(entries(env))
+    ]
+    return table(("num", "observation", "min", "max", "name in the MJCF", "type", "unit"), rows)
+
+
+def entries(env: gymnasium.Env) -> list[tuple[str, str, str, str]]:
+    """Meaning, name in the MJCF, type and unit of every entry, found by comparing numbers after random actions."""
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    task = env.unwrapped.task
+    task.sim.batch.bind("subtree_com")
+    observed, known = [], []
+    for _ in range(3):
+        observed.append(env.step(env.action_space.sample())[0])
+        known.append(quantities(task))
+    left, found = list(known[0]), []
+    for column in np.array(observed).T:
+        same = (key for key in left if np.allclose([each[key] for each in known], column, rtol=0, atol=1e-9))
+        found.append(next(same))
+        left.remove(found[-1])  # two points of the clamp are equal and at rest: each is the next one
+    return found
+
+
+def quantities(task: Task) -> dict[tuple[str, str, str, str], float]:
+    """What an observation may consist of: meaning, name, type and unit of numbers of the present state."""
+    model, batch = task.model, task.sim.batch
+    values = {}
+    for site in (model.site(i) for i in range(model.nsite)):
+        of = re.sub(r"(\d+)", r" \1", site.name)
+        for axis, value in zip(AXES, batch.site_xpos[0, site.id], strict=True):
+            values[f"{axis} of {of}", f"`{site.name}`", "site", "m"] = value
+    for body in (model.body(i) for i in range(model.nbody)):
+        if body.mocapid[0] >= 0:
+            for axis, value in zip(AXES, batch.mocap_pos[0, body.mocapid[0]], strict=True):
+                values[f"{axis} of the {body.name}", f"`{body.name}`", "mocap body", "m"] = value
+    for joint in (model.joint(i) for i in range(model.njnt)):
+        if joint.type[0] == mujoco.mjtJoint.mjJNT_FREE:
+            pose = batch.qpos[0, joint.qposadr[0] : joint.qposadr[0] + 7]
+            for axis, value in zip(AXES, pose[:3], strict=True):
+                values[f"{axis} of the {joint.name}'s centre", f"`{joint.name}`", "free joint", "m"] = value
+            for axis, value in zip(QUATERNION, pose[3:], strict=True):
+                values[f"{axis} of the {joint.name}'s unit quaternion", f"`{joint.name}`", "free joint", "1"] = value
+    for axis, value in zip(AXES, task.sim.batch.subtree_com[0, 0], strict=True):
+        values[f"{axis} of the centre of mass", "`world`", "body and all below it", "m"] = value
+    for actuator in (model.actuator(i) for i in range(model.nu)):
+        name = actuator.name
+        unit = rate_unit(task).removesuffix("/s")
+        values[f"setpoint of {name}", f"`{name}`", "actuator", unit] = batch.act[0, actuator.id]
+    return values
+
+
+def linked(text: str) -> str:
+    """A docstring with its cross references as links, and without tables, which are written anew."""
+    text = re.sub(r"(?m)^\|.*\n", "", text)
+    text = re.sub(r":class:`(\w+)Env`", r"[\1-v0](\1-v0.md)", text)
+    return doc_links(text, REFERENCE / "environments")
+
+
+def doc_links(text: str, folder: Path) -> str:
+    """A text with the pages that it names as links from a folder."""
+
+    def link(match: re.Match) -> str:
+        page = DOCS / match[1]
+        title = page.read_text().split("# ", 1)[1].split("\n", 1)[0]
+        return f"[{title}]({os.path.relpath(page, folder)})"
+
+    return re.sub(r"docs/((?:\w+/)*\w+\.md)", link, text)
+
+
+# --- parameters ---
+
+
+def parameter_table(task: type[Task]) -> str:
+    """The parameters of a task."""
+    randomized = {p.name for p in task.randomized}
+    rows = [(*parameter_row(p), "yes" if p.name in randomized else "no") for p in task.parameters.parameters.values()]
+    return table((*PARAMETER_COLUMNS, "randomised in the study"), rows)
+
+
+PARAMETER_COLUMNS = ("name", "nominal", "unit", "bounds", "search box", "meaning")
+
+
+def parameter_row(p: Parameter) -> tuple[str, ...]:
+    """A parameter's cells."""
+    ranges = ("{:g} .. {:g}".format(*pair) for pair in (p.bounds, p.search))
+    return (f"`{p.name}`", f"{p.nominal:g}", p.unit, *ranges, p.meaning)
+
+
+def parameters() -> str:
+    """The table of all parameters, and the environments that have them."""
+    rows = []
+    for p in ALL_PARAMETERS.values():
+        having = {env_id: task_type(env_id).parameters.parameters.get(p.name) for env_id in ENV_IDS}
+        links = ", ".join(
+            f"[{env_id}](environments/{env_id}.md)" + (f" ({own.nominal:g})" if own.nominal != p.nominal else "")
+            for env_id, own in having.items()
+            if own
+        )
+        rows.append((*parameter_row(p), links))
+    return table((*PARAMETER_COLUMNS, "environments (other nominal value)"), rows)
+
+
+# --- effects ---
+
+
+def effects() -> str:
+    """The catalogue: a table of all laws, then a section for each."""
+    classes = list(dict.fromkeys(law.category for law in ALL.values()))
+    order = sorted(ALL.values(), key=lambda law: classes.index(law.category))
+    rows = [
+        (f"[`{law.name}`](#{law.name})", law.category, ", ".join(law.kinds), f"${barless(EQUATIONS[law.name].latex)}$")
+        for law in order
+    ]
+    parts = [table(("law", "class", "acts on", "equation"), rows)]
+    return "\n\n".join([*parts, *(effect(law) for law in order)])
+
+
+def barless(latex: str) -> str:
+    """The same in a cell of a table, where a vertical bar would begin the next one."""
+    return latex.replace("|", r"\vert ")
+
+
+def effect(law) -> str:
+    """The section of a law."""
+    equation = EQUATIONS[law.name]
+    summary = re.sub(r"\s+", " ", inspect.getdoc(law).split("\n\n")[0]).rstrip(".")
+    others = ", ".join(f"${symbol}$ {meaning}" for symbol, meaning in equation.other.items())
+    rows = [quantity_row(q, equation.symbols[q.name], q is law.quantities[0]) for q in law.quantities]
+    return "\n\n".join([
+        f"### {law.name}",
+        f"{summary}. Class `{law.category}`; acts on: {', '.join(law.kinds)}.",
+        f"$${equation.latex}$$",
+        table(("symbol", "parameter", "unit", "typical", "bounds", "no effect at"), rows),
+        f"Other symbols: {others}.",
+    ])
+
+
+def quantity_row(q: Quantity, symbol: str, first: bool) -> tuple[str, ...]:
+    """A parameter of a law."""
+    typical = f"{q.typical:g}" + (f" x typical {q.of}" if q.of else "")
+    low, high = ("-∞" if end == -np.inf else "∞" if end == np.inf else f"{end:.3g}" for end in q.bounds)
+    return (f"${symbol}$", f"`{q.name}`", f"{q.unit}", typical, f"{low} .. {high}", f"{q.null:g}" if first else "")
+
+
+# --- command line ---
+
+
+def command_line() -> str:
+    """A section for every command."""
+    return "\n\n".join(part for name, command in COMMANDS.items() for part in _command(name, _parser(command)))
+
+
+def _parser(command) -> argparse.ArgumentParser:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of get_parser, for which there is no other way
+        return tyro.extras.get_parser(command)
+
+
+def _command(name: str, parser: argparse.ArgumentParser) -> list[str]:
+    nested = [a for a in parser._actions if isinstance(a.choices, dict)]  # other commands
+    plain = [a for a in parser._actions if a.dest != "help" and a not in nested]
+    text = textwrap.dedent(parser.description or "").strip()
+    parts = [f"## soro-bench {name}", text]
+    if plain:
+        parts.append(table(("argument", "value", "default", "meaning"), map(_option, plain)))
+    return parts + [
+        part for action in nested for sub, inner in action.choices.items() for part in _command(f"{name} {sub}", inner)
+    ]
+
+
+def _option(action: argparse.Action) -> tuple[str, ...]:
+    """The row of an argument."""
+    text = re.sub(r"\s+", " ", action.help or "")
+    meaning, _, default = text.rpartition("(")
+    default = default.rstrip(")").removeprefix("default:").strip()
+    name = ", ".join(f"`{option}`" for option in action.option_strings) or f"`{action.dest.upper()}`"
+    value = (action.metavar or "").replace("{None}|", "").replace("{None,", "{")
+    if not action.option_strings and meaning.strip() == action.dest:
+        meaning = ""
+    shown = "" if default in ("None", "") else default if default == "required" else f"`{default}`"
+    return (name, f"`{value}`" if value else "", shown, doc_links(meaning.strip().replace("<", "&lt;"), REFERENCE))
+
+
+PARTS = {"effects.md": effects, "parameters.md": parameters, "command_line.md": command_line}
+
+if __name__ == "__main__":
+    for path, text in pages().items():
+        path.write_text(text)
