@@ -10,6 +10,7 @@ from gymnasium import spaces
 from soro_bench.effects.effect import Effect, Port
 from soro_bench.policies.policy import Policy, PolicyCard
 from soro_bench.recording import comparison, rerun_runs
+from soro_bench.recording import distances as measured_distances
 from soro_bench.recording.excitation import excitation, shortest, write_actions
 from soro_bench.recording.recording import Signal
 from soro_bench.recording.simulated import parse_params, record, recorded_actions, replay, replay_begins
@@ -213,7 +214,7 @@ def test_comparison_shows_the_measured_points_at_their_times(tmp_path):
     np.testing.assert_allclose(positions[1], keypoints.values[1], atol=1e-6)
     assert any(c.entity_path == "/replay/world/backbone" for c in chunks)
     assert any(c.entity_path == "/map/keypoints/replay" for c in chunks)
-    assert comparison.measured_points(recording, 0.0).keys() == {"keypoints", "link_position"}
+    assert measured_distances.measured_points(recording, 0.0).keys() == {"keypoints", "link_position"}
 
 
 def test_comparison_says_how_far_a_robot_is_from_what_was_measured():
@@ -226,18 +227,18 @@ def test_comparison_says_how_far_a_robot_is_from_what_was_measured():
     signals = {"keypoints": replace(keypoints, time=times, values=np.concatenate([keypoints.values[:1], between]))}
     commands = {"action": replace(recording.commands["action"], time=begin + 0.05 * np.arange(5))}
     late = replace(recording, signals=signals, commands=commands)
-    points = comparison.measured_points(late, replay_begins(late))
+    points = measured_distances.measured_points(late, replay_begins(late))
     far = replace(run, signals={"keypoints": run.signals["keypoints"] + 1.0})
-    of_points = comparison.distances({"before": far, "after": run}, points)["keypoints"]
+    of_points = measured_distances.distances({"before": far, "after": run}, points)["keypoints"]
     assert of_points.shape == (6, 21, 2)
     assert of_points[4, 2, 1] > 0.05 > of_points[4, 3, 1]
-    found = comparison.over_points(of_points)
+    found = measured_distances.over_points(of_points)
     assert found[0] == pytest.approx([np.sqrt(3.0), 0.0], abs=1e-6)
     assert found[1:4, 1] == pytest.approx(5e-3, abs=1e-9)
     assert found[4, 1] > 0.01
     assert np.isnan(found[5]).all()
     short = replace(run, time=run.time[:4], signals={"keypoints": run.signals["keypoints"][:4]})
-    cut = comparison.over_points(comparison.distances({"short": short}, points)["keypoints"])[:, 0]
+    cut = measured_distances.over_points(measured_distances.distances({"short": short}, points)["keypoints"])[:, 0]
     assert np.isfinite(cut[:4]).all() and np.isnan(cut[4:]).all()
 
 

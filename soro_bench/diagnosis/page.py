@@ -19,7 +19,8 @@ from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.verdict import verdict
 from soro_bench.files import replacing
 from soro_bench.plotting import pyplot
-from soro_bench.recording.comparison import distances, measured_points, over_points, write_comparison
+from soro_bench.recording.comparison import write_comparison
+from soro_bench.recording.distances import distances, measured_points, over_points
 from soro_bench.recording.recording import Recording
 from soro_bench.recording.rerun_signals import write_signals
 from soro_bench.recording.simulated import replay, replay_begins

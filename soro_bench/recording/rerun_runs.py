@@ -15,7 +15,7 @@ import rerun.blueprint as rrb
 from soro_bench.envs.episode import Episode
 from soro_bench.markdown import table
 from soro_bench.parameters import ALL_PARAMETERS
-from soro_bench.recording.comparison import over_points
+from soro_bench.recording.distances import over_points
 from soro_bench.recording.drawing import Points
 from soro_bench.recording.rerun_entities import (
     log_columns,
