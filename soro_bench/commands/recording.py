@@ -11,6 +11,7 @@ from rich.table import Table
 from soro_bench.files import check_output
 from soro_bench.options import EnvId
 from soro_bench.progress import console
+from soro_bench.recording.recording import Recording
 
 
 @dataclass
@@ -40,6 +41,7 @@ class Record:
     """JSON file of physics that the model leaves out (docs/reference/effects.md); for a robot to try a diagnosis on."""
 
     def run(self) -> None:
+        """Simulate, save and describe the recording; ValueError names an option that is wrong."""
         from soro_bench.leaderboard.entry import load_policy
         from soro_bench.recording.parquet import save
         from soro_bench.recording.simulated import parse_params, record
@@ -67,6 +69,7 @@ class Import:
     """Which episode of a LeRobot dataset; the first by default."""
 
     def run(self) -> None:
+        """Read, save and describe the recording; RecordingError says what is wrong with the file or its mapping."""
         from soro_bench.recording.importers import import_recording
         from soro_bench.recording.parquet import save
 
@@ -87,6 +90,7 @@ class Data:
     """Folder with a folder for each robot."""
 
     def run(self) -> None:
+        """List the robots, or fetch the chosen ones; ValueError names an unknown robot or a file that cannot be had."""
         from soro_bench.recording.published import fetch, sources, summary
 
         known = sources()
@@ -111,6 +115,7 @@ class View:
     """Whether to open the viewer."""
 
     def run(self) -> None:
+        """Draw a .parquet beside its replay, and open the viewer; ValueError if the file cannot be shown."""
         from soro_bench.recording.rerun_log import open_viewer
 
         path = self.recording
@@ -134,7 +139,7 @@ class View:
             open_viewer(path)
 
 
-def _describe(recording, path: Path) -> None:
+def _describe(recording: Recording, path: Path) -> None:
     names = ("signal", "samples", "per s", "shape", "unit", "frame", "least", "largest", "with gaps")
     table = Table(*names, title=f"{path}: {recording.duration:g} s")
     for name, signal in (*recording.commands.items(), *sorted(recording.signals.items())):

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from soro_bench.recording.parquet_pages import Footer, decoded_bytes, read_footer
+from soro_bench.recording.parquet_pages import Column, Footer, decoded_bytes, read_footer
 from soro_bench.recording.recording import RecordingError
 from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, MAX_COLUMNS, MAX_ROWS
 
@@ -29,7 +29,7 @@ class BoundedParquet:
         RecordingError, or what ``named_errors`` turns into one.
     """
 
-    def __init__(self, data: bytes, max_bytes: int = MAX_BYTES, max_footer: int = MAX_FOOTER):
+    def __init__(self, data: bytes, max_bytes: int = MAX_BYTES, max_footer: int = MAX_FOOTER) -> None:
         self._data, self._budget, self._footer = data, EXPANSION * max_bytes, _footer(data, max_footer)
         self.num_row_groups = len(self._footer.groups)
         for label, count, most in (
@@ -85,13 +85,13 @@ class BoundedParquet:
             raise RecordingError(f"column {name!r} has type {kind}; expected numbers or lists of them")
         return first
 
-    def _spend(self, column) -> None:
+    def _spend(self, column: Column) -> None:
         self._budget -= decoded_bytes(self._data, column)
         if self._budget < 0:
             raise RecordingError("decoding it would take more memory than its largest size allows")
 
 
-def _footer(data, most) -> Footer:
+def _footer(data: bytes, most: int) -> Footer:
     """Its length is known before it is parsed."""
     if len(data) < 12 or data[:4] != _MAGIC or data[-4:] != _MAGIC:
         raise RecordingError("no complete Parquet file; soro-bench import makes one of tables and logs")

@@ -46,7 +46,7 @@ def distances(runs: Mapping[str, Episode], measured: Mapping[str, Points]) -> di
     return found
 
 
-def _distance(points, time, values):
+def _distance(points: Points, time: np.ndarray, values: np.ndarray) -> np.ndarray:
     at = np.apply_along_axis(lambda column: np.interp(points.time, time, column), 0, values)
     # a log may have its first sample up to a control step before the first command
     at[(points.time < 2 * time[0] - time[1]) | (points.time > time[-1] + 1e-6)] = np.nan

@@ -109,22 +109,22 @@ def multisine(steps: int, channels: int, timestep: float, seed: int) -> np.ndarr
     return rates / np.maximum(np.abs(rates).max(axis=0), 1e-9)
 
 
-def _loops_of_all(channels) -> np.ndarray:
+def _loops_of_all(channels: int) -> np.ndarray:
     """(n, channels) loops of one channel after the other, of the second half with all of them pulled a little."""
     alone, pulled = np.array_split(np.eye(channels), 2)
     little = np.ones((1, channels))
     return np.concatenate([in_turn(loops(), alone), little, in_turn(loops(), pulled), -little])
 
 
-def _pairs(channels) -> np.ndarray:
+def _pairs(channels: int) -> np.ndarray:
     """(K, channels) neighbouring channels together."""
     return np.minimum((np.eye(channels) + np.roll(np.eye(channels), 1, axis=1))[::2], 1)
 
 
-def _triangles_length(stroke, channels) -> int:
+def _triangles_length(stroke: int, channels: int) -> int:
     return channels * len(triangles(stroke))
 
 
-def _fixed(channels) -> int:
+def _fixed(channels: int) -> int:
     holds = len(_pairs(channels)) * len(step_and_hold(_HOLD)) + len(step_and_hold(_LONG_HOLD, _LONG_REST))
     return 2 * _REST + len(_loops_of_all(channels)) + holds

@@ -8,7 +8,9 @@ schema are JSON in the table's, under "soro_bench". docs/reference/recordings.md
 
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -85,7 +87,7 @@ def load(path: str | Path, max_bytes: int = MAX_BYTES) -> Recording:
         return _recording(table, file.schema, head)
 
 
-def _array(signal, times) -> pa.Array:
+def _array(signal: Signal, times: np.ndarray) -> pa.Array:
     """One entry per time, null where the signal has none."""
     rows = np.searchsorted(times, signal.time)
     missing = np.ones(len(times), bool)
@@ -99,11 +101,11 @@ def _array(signal, times) -> pa.Array:
     return pa.FixedSizeListArray.from_arrays(flat, int(np.prod(shape)), mask=pa.array(missing))
 
 
-def _command_column(name) -> str:
+def _command_column(name: str) -> str:
     return name if name == _COMMAND else f"{_COMMAND}.{name}"
 
 
-def _head(metadata) -> dict:
+def _head(metadata: Mapping[bytes, bytes]) -> dict:
     if _KEY not in metadata:
         raise RecordingError("no recording of soro_bench; other tables need an importer")
     head = json.loads(metadata[_KEY])
@@ -115,7 +117,7 @@ def _head(metadata) -> dict:
     return head
 
 
-def _recording(table, schema, head) -> Recording:
+def _recording(table: pa.Table, schema: pa.Schema, head: Mapping[str, Any]) -> Recording:
     if schema.names[:1] != [_TIME] or schema.field(0).type != pa.float64():
         raise RecordingError(f"the first column has to be {_TIME}, float64")
     times = table.column(_TIME)
@@ -123,7 +125,8 @@ def _recording(table, schema, head) -> Recording:
         raise RecordingError(f"{_TIME} has nulls")
     times = times.to_numpy()
     Signal(times, times)  # checks them
-    commands, signals = {}, {}
+    commands: dict[str, Signal] = {}
+    signals: dict[str, Signal] = {}
     for field in list(schema)[1:]:
         kind, _, name = field.name.partition(".")
         group = {_COMMAND: commands, _SIGNAL: signals}.get(kind)
@@ -134,7 +137,7 @@ def _recording(table, schema, head) -> Recording:
     return Recording(commands, signals, head["parameters"], head["metadata"])
 
 
-def _signal(field, column, times) -> Signal:
+def _signal(field: pa.Field, column: pa.ChunkedArray, times: np.ndarray) -> Signal:
     try:
         metadata = {key.decode(): value.decode() for key, value in (field.metadata or {}).items()}
         shape = check_shape(json.loads(metadata["shape"]))
@@ -147,7 +150,7 @@ def _signal(field, column, times) -> Signal:
         raise RecordingError(f"column {ascii(field.name)[:80]}: {error}") from error
 
 
-def _values(column, shape) -> np.ndarray:
+def _values(column: pa.ChunkedArray, shape: tuple[int, ...]) -> np.ndarray:
     """(T, *shape) the entries of a column without nulls."""
     kind, size = column.type, int(np.prod(shape))
     is_list = pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)

@@ -7,6 +7,7 @@ pyarrow for the footer's content would not do: it ends the process when statisti
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 from soro_bench.recording.recording import RecordingError
 
@@ -77,7 +78,7 @@ def decoded_bytes(data: bytes, column: Column) -> int:
     return total
 
 
-def _column(column, footer_start: int) -> Column:
+def _column(column: Any, footer_start: int) -> Column:
     about = column.get(_COLUMN_ABOUT) if isinstance(column, dict) else None
     if not isinstance(about, dict) or _COLUMN_FILE in column:
         raise RecordingError("a column lies in another file or is encrypted")
@@ -90,14 +91,14 @@ def _column(column, footer_start: int) -> Column:
     return Column(start, end, _size(about, _NUM_VALUES))
 
 
-def _size(struct, number: int) -> int:
+def _size(struct: object, number: int) -> int:
     size = struct.get(number) if isinstance(struct, dict) else None
     if type(size) is not int or not 0 <= size < _MAX_SIZE:
         raise _invalid()
     return size
 
 
-def _list(struct, number: int) -> list:
+def _list(struct: object, number: int) -> list:
     found = struct.get(number) if isinstance(struct, dict) else None
     if not isinstance(found, list):
         raise _invalid()
@@ -111,7 +112,7 @@ def _invalid() -> RecordingError:
 class _Thrift:
     """Reads one struct of Thrift's compact protocol: integers, lists and structs by field number."""
 
-    def __init__(self, data: bytes, position: int, end: int):
+    def __init__(self, data: bytes, position: int, end: int) -> None:
         self._data, self.position, self._end = data, position, end
 
     def struct(self, depth: int = 0) -> dict:
@@ -127,13 +128,15 @@ class _Thrift:
             fields[number] = None if head & 15 in (1, 2) else self._value(head & 15, depth)
         return fields
 
-    def _value(self, kind: int, depth: int):
+    def _value(self, kind: int, depth: int) -> int | list | dict | None:
         if kind in (1, 2, 3):
-            return self._skip(1)
+            self._skip(1)
+            return None
         if kind in (4, 5, 6):
             return self._integer()
         if kind in (7, 8):  # a double, or bytes behind their number
-            return self._skip(8 if kind == 7 else self._varint())
+            self._skip(8 if kind == 7 else self._varint())
+            return None
         if kind == 9:
             return self._list(depth)
         if kind == 12:

@@ -92,22 +92,22 @@ def fetch(source: Source, folder: Path) -> None:
     """Get the files that are not yet in a folder. ValueError: what is wrong with one, or how to get it by hand."""
     missing = []
     for file in source.files:
-        found = file.checksum(folder)
-        if found is None and file.conversion is None:
+        found, convert = file.checksum(folder), file.conversion
+        if found is None and convert is None:
             missing.append(file)
-        elif found is None:
-            _fetch_file(source, file, folder)
-        elif found != file.sha256:
+        elif found is None and convert is not None:
+            _fetch_file(source, file, convert, folder)
+        elif found is not None and found != file.sha256:
             raise ValueError(_wrong(folder / file.name, file, found) + "; move it away to get it again")
     if missing:
         raise ValueError(_by_hand(source, missing, folder))
 
 
-def _fetch_file(source, file, folder) -> None:
+def _fetch_file(source: Source, file: PublishedFile, convert: Callable[[bytes], bytes], folder: Path) -> None:
     address = source.address(file)
     original = _download(address)
     try:
-        data = file.conversion(original)
+        data = convert(original)
     except ValueError as error:
         raise ValueError(f"{address}: {error}") from error
     found = hashlib.sha256(data).hexdigest()
@@ -130,10 +130,10 @@ def _download(address: str) -> bytes:
     return data
 
 
-def _wrong(path, file, found) -> str:
+def _wrong(path: Path, file: PublishedFile, found: str) -> str:
     return f"{path}: SHA-256 is {found}, expected {file.sha256}"
 
 
-def _by_hand(source, files, folder) -> str:
+def _by_hand(source: Source, files: list[PublishedFile], folder: Path) -> str:
     lines = [f"these files have to be made by hand and put into {folder}; see {source.page}", source.by_hand]
     return "\n".join(lines + [f"{file.name}  {file.original and 'from ' + file.original}".rstrip() for file in files])

@@ -8,6 +8,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -48,7 +49,7 @@ class Signal:
     unit: str = "1"
     frame: str = ""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         # adding 0 turns -0 into 0, so that equal times have equal bits
         time, values = _floats("time", self.time) + 0.0, _floats("values", self.values)
         if time.ndim != 1 or len(time) == 0:
@@ -87,7 +88,7 @@ class Recording:
     parameters: dict[str, float] = field(default_factory=dict)
     metadata: dict[str, str] = field(default_factory=dict)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         count = len(self.commands) + len(self.signals)
         if not 1 <= count <= MAX_SIGNALS:
             raise RecordingError(f"{count} commands and signals; expected 1 to {MAX_SIGNALS}")
@@ -194,7 +195,7 @@ def check_name(name: str) -> str:
     return name
 
 
-def check_shape(shape) -> tuple[int, ...]:
+def check_shape(shape: Any) -> tuple[int, ...]:
     """Return the shape of a sample as a tuple; raise RecordingError if it is none or too large."""
     valid = isinstance(shape, (tuple, list)) and len(shape) <= MAX_DIMENSIONS
     valid = valid and all(type(n) is int and n >= 1 for n in shape)
@@ -222,12 +223,12 @@ def check_metadata(metadata: Mapping[str, str]) -> None:
             raise RecordingError(f"metadata {name} is {brief(value)}; it has to be a text of up to {MAX_TEXT} letters")
 
 
-def _check_mapping(label, mapping) -> None:
+def _check_mapping(label: str, mapping: object) -> None:
     if not isinstance(mapping, Mapping) or len(mapping) > MAX_ENTRIES:
         raise RecordingError(f"{label} {brief(mapping)} have to be a dict of at most {MAX_ENTRIES} entries")
 
 
-def _check_times(time) -> None:
+def _check_times(time: np.ndarray) -> None:
     if not np.isfinite(time).all():
         raise RecordingError("time is not finite")
     if time[0] < 0:
@@ -238,14 +239,14 @@ def _check_times(time) -> None:
         raise RecordingError(f"time has to increase strictly; {time[i + 1]} s follows {time[i]} s in row {i + 1}")
 
 
-def _floats(label, values) -> np.ndarray:
+def _floats(label: str, values: object) -> np.ndarray:
     values = np.asarray(values)
     if values.dtype.kind not in "fiub":
         raise RecordingError(f"{label} has type {values.dtype}; expected real numbers")
     return np.ascontiguousarray(values, float).reshape(values.shape)
 
 
-def _is_unicode(text) -> bool:
+def _is_unicode(text: str) -> bool:
     """Whether a text can be written, which one with half of a surrogate pair cannot."""
     try:
         text.encode()

@@ -1,5 +1,8 @@
 """What a rerun recording holds: one group of entities per episode. Time series go in as whole columns."""
 
+from collections.abc import Iterable, Sequence
+from typing import Literal
+
 import numpy as np
 import rerun as rr
 
@@ -24,7 +27,9 @@ def result(episode: Episode) -> str:
     return "solved" if episode.is_success else "not solved"
 
 
-def log_episodes(recording, episodes, drawings, title: str) -> None:
+def log_episodes(
+    recording: rr.RecordingStream, episodes: Sequence[Episode], drawings: Sequence[Drawing], title: str
+) -> None:
     """Send everything but the layout to a rerun stream."""
     log_static(recording, "/", view_coordinates(drawings[0]))
     log_static(recording, OVERVIEW, markdown(_overview(episodes, title)))
@@ -36,7 +41,7 @@ def log_episodes(recording, episodes, drawings, title: str) -> None:
         log_plots(recording, f"{root}/plots", episode, drawing)
 
 
-def _overview(episodes, title) -> str:
+def _overview(episodes: Sequence[Episode], title: str) -> str:
     rows = [
         (i + 1, _millimetres(e.goal), result(e), f"{1e3 * e.final_metric:.2f}", f"{e.total_reward:.2f}")
         for i, e in enumerate(episodes)
@@ -48,7 +53,7 @@ def _overview(episodes, title) -> str:
     return "\n".join([*head, table(names, rows)])
 
 
-def _summary(episode, note) -> str:
+def _summary(episode: Episode, note: str) -> str:
     rows = {
         "model": episode.model,
         "result": result(episode),
@@ -61,11 +66,11 @@ def _summary(episode, note) -> str:
     return "\n".join([f"# {episode.env_id}", "", table(("", ""), {**rows, **params}.items()), "", note])
 
 
-def _millimetres(position) -> str:
+def _millimetres(position: np.ndarray | None) -> str:
     return "none" if position is None else ", ".join(f"{1e3 * x:.4g}" for x in position)
 
 
-def log_drawing(recording, root: str, episode: Episode, drawing: Drawing) -> None:
+def log_drawing(recording: rr.RecordingStream, root: str, episode: Episode, drawing: Drawing) -> None:
     """Send the robot and its surroundings."""
     time = episode.time
     log_static(recording, root, view_coordinates(drawing))
@@ -84,43 +89,44 @@ def log_drawing(recording, root: str, episode: Episode, drawing: Drawing) -> Non
         log_static(recording, f"{root}/goal", goal)
 
 
-def view_coordinates(drawing: Drawing) -> rr.ViewCoordinates:
+def view_coordinates(drawing: Drawing) -> rr.AsComponents:
     """Which way is up."""
     return rr.ViewCoordinates.RIGHT_HAND_Y_UP if drawing.up[1] else rr.ViewCoordinates.RIGHT_HAND_Z_UP
 
 
-def _log_mesh(recording, path, time, mesh: Mesh):
-    surface = {
-        "vertex_positions": mesh.vertices.reshape(-1, 3).astype(np.float32),
-        "vertex_normals": mesh.normals.reshape(-1, 3).astype(np.float32),
-    }
-    fixed = {"triangle_indices": mesh.faces, "albedo_factor": mesh.color}
+def _log_mesh(recording: rr.RecordingStream, path: str, time: np.ndarray, mesh: Mesh) -> None:
+    vertices, normals = (each.reshape(-1, 3).astype(np.float32) for each in (mesh.vertices, mesh.normals))
+    surface = rr.Mesh3D.from_fields(triangle_indices=mesh.faces, albedo_factor=mesh.color)
     if mesh.vertices.ndim == 2:
-        log_static(recording, path, rr.Mesh3D.from_fields(**fixed, **surface))
-    else:
+        surface = rr.Mesh3D.from_fields(
+            vertex_positions=vertices, vertex_normals=normals, triangle_indices=mesh.faces, albedo_factor=mesh.color
+        )
+    log_static(recording, path, surface)
+    if mesh.vertices.ndim == 3:
         states, count, _ = mesh.vertices.shape
-        log_static(recording, path, rr.Mesh3D.from_fields(**fixed))
-        log_columns(recording, path, time, rr.Mesh3D.columns(**surface).partition([count] * states))
+        columns = rr.Mesh3D.columns(vertex_positions=vertices, vertex_normals=normals)
+        log_columns(recording, path, time, columns.partition([count] * states))
     if mesh.pose is not None:
         _log_pose(recording, path, time, mesh.pose)
 
 
-def _log_pose(recording, path, time, pose: Pose):
+def _log_pose(recording: rr.RecordingStream, path: str, time: np.ndarray, pose: Pose) -> None:
     if pose.position.ndim == 1:
-        log_static(recording, path, rr.Transform3D(translation=pose.position, quaternion=pose.quaternion))
+        turned = rr.Quaternion(xyzw=pose.quaternion)
+        log_static(recording, path, rr.Transform3D(translation=pose.position, quaternion=turned))
     else:
         columns = rr.Transform3D.columns(translation=pose.position, quaternion=pose.quaternion)
         log_columns(recording, path, time, columns)
 
 
-def _log_task(recording, root, episode):
+def _log_task(recording: rr.RecordingStream, root: str, episode: Episode) -> None:
     time = episode.time
     log_curves(recording, f"{root}/{episode.metric_name}", time, 1e3 * episode.metric, [episode.metric_name])
     for name, values in episode.rewards.items():  # a reward belongs to the state that its step leads to
         log_curves(recording, f"{root}/reward/{name}", time[1:], values, [name.removeprefix("reward_")])
 
 
-def log_plots(recording, root: str, episode: Episode, drawing: Drawing) -> None:
+def log_plots(recording: rr.RecordingStream, root: str, episode: Episode, drawing: Drawing) -> None:
     """Send the robot's own curves, and its actions."""
     time = episode.time
     for name, plot in drawing.plots.items():
@@ -131,7 +137,13 @@ def log_plots(recording, root: str, episode: Episode, drawing: Drawing) -> None:
 
 
 def log_curves(
-    recording, path: str, time: np.ndarray, values: np.ndarray, names, colors=None, interpolation=None
+    recording: rr.RecordingStream,
+    path: str,
+    time: np.ndarray,
+    values: np.ndarray,
+    names: Sequence[str],
+    colors: Sequence | np.ndarray | None = None,
+    interpolation: Literal["StepAfter"] | None = None,
 ) -> None:
     """k curves: ``values`` (n,) or (n, k) at ``time`` (n,) [s]."""
     log_static(recording, path, rr.SeriesLines(names=names, colors=colors, interpolation_mode=interpolation))
@@ -143,13 +155,15 @@ def markdown(text: str) -> rr.TextDocument:
     return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
 
 
-def log_static(recording, path: str, archetype) -> None:
+def log_static(recording: rr.RecordingStream, path: str, archetype: rr.AsComponents) -> None:
     """As ``recording.log(..., static=True)``, which however gathers rows in a thread and so mixes up their order."""
     columns = [batch.partition([len(batch.as_arrow_array())]) for batch in archetype.as_component_batches()]
     recording.send_columns(path, [], columns, strict=True)
 
 
-def log_columns(recording, path: str, time: np.ndarray, columns) -> None:
+def log_columns(
+    recording: rr.RecordingStream, path: str, time: np.ndarray, columns: Iterable[rr.ComponentColumn]
+) -> None:
     """One row of ``columns`` per ``time`` [s]."""
     nanoseconds = np.round(1e9 * time).astype("timedelta64[ns]")
     recording.send_columns(path, [rr.TimeColumn(TIMELINE, duration=nanoseconds)], columns, strict=True)

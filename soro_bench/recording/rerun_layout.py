@@ -1,8 +1,12 @@
 """How rerun's viewer arranges a recording: a tab for all episodes together and one for each."""
 
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
 import rerun as rr
 import rerun.blueprint as rrb
 
+from soro_bench.envs.episode import Episode
 from soro_bench.recording.drawing import Drawing
 from soro_bench.recording.rerun_entities import OVERVIEW, TIMELINE, episode_root, result
 
@@ -11,14 +15,14 @@ _RESULT_COLORS = {"solved": (34, 139, 34), "not solved": (90, 100, 115), "diverg
 OUTLINE_RADIUS = 0.0008  # m
 
 
-def layout(episodes, drawings) -> rrb.Blueprint:
+def layout(episodes: Sequence[Episode], drawings: Sequence[Drawing]) -> rrb.Blueprint:
     """The blueprint; it opens on the first episode and plays."""
     tabs = [_overview_tab(episodes, drawings)]
     tabs += [_episode_tab(i, *both) for i, both in enumerate(zip(episodes, drawings, strict=True))]
     return blueprint(tabs, active=1)
 
 
-def blueprint(tabs, active: int) -> rrb.Blueprint:
+def blueprint(tabs: Iterable[rrb.Container | rrb.View], active: int) -> rrb.Blueprint:
     """The tabs, without the viewer's own panels; it plays."""
     return rrb.Blueprint(
         rrb.Tabs(*tabs, active_tab=active),
@@ -28,7 +32,7 @@ def blueprint(tabs, active: int) -> rrb.Blueprint:
     )
 
 
-def _overview_tab(episodes, drawings):
+def _overview_tab(episodes: Sequence[Episode], drawings: Sequence[Drawing]) -> rrb.Horizontal:
     """The outlines of all robots, coloured by how the episode ended, and their objects beside the table of results."""
     contents, overrides = [], {}
     for i, (episode, drawing) in enumerate(zip(episodes, drawings, strict=True)):
@@ -41,7 +45,7 @@ def _overview_tab(episodes, drawings):
     return rrb.Horizontal(view, text, column_shares=[3, 2], name="all")
 
 
-def _episode_tab(i, episode, drawing):
+def _episode_tab(i: int, episode: Episode, drawing: Drawing) -> rrb.Horizontal:
     root, end = f"/{episode_root(i)}", result(episode)
     curves = [
         plot(f"{root}/plots/{episode.metric_name}", f"{episode.metric_name} [mm]", legend=False),
@@ -69,7 +73,9 @@ def plot(origin: str, title: str, legend: bool = True) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(origin=origin, name=title, plot_legend=rrb.PlotLegend(visible=legend))
 
 
-def view3d(origin: str, contents, drawing: Drawing, overrides=None) -> rrb.Spatial3DView:
+def view3d(
+    origin: str, contents: str | list[str], drawing: Drawing, overrides: Mapping[Any, Any] | None = None
+) -> rrb.Spatial3DView:
     """A view of the scene from where the robot's drawing is best looked at."""
     grid = rrb.LineGrid3D(visible=False)
     if drawing.floor is not None:

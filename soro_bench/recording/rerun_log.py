@@ -58,7 +58,7 @@ def recorded(path: str | Path, title: str, recording_id: str) -> Iterator["rerun
 
     # without properties, which hold the time of writing; in memory, so that a full disk raises below
     stream = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id, send_properties=False)
-    if not stream.is_enabled():
+    if not rr.is_enabled(stream):
         raise ValueError("rerun is switched off by the environment variable RERUN; unset it")
     memory = stream.memory_recording()
     stream.send_recording_name(title)

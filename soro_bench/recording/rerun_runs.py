@@ -4,7 +4,7 @@ Every run has its own entities (/before/world, /before/plots) and its own tab; t
 far each is from what was measured.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence, Sized
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from soro_bench.envs.episode import Episode
 from soro_bench.markdown import table
 from soro_bench.parameters import ALL_PARAMETERS
 from soro_bench.recording.distances import over_points
-from soro_bench.recording.drawing import Points
+from soro_bench.recording.drawing import Drawing, Points
 from soro_bench.recording.rerun_entities import (
     log_columns,
     log_curves,
@@ -64,14 +64,14 @@ def write_runs(
             _log_maps(recording, name, 1e3 * values, runs)
 
 
-def _log_points(recording, path, points):
+def _log_points(recording: rr.RecordingStream, path: str, points: Points) -> None:
     present = np.isfinite(points.positions).all(axis=-1)
     log_static(recording, path, rr.Points3D.from_fields(radii=points.radius, colors=points.color))
     columns = rr.Points3D.columns(positions=points.positions[present].astype(np.float32))
     log_columns(recording, path, points.time, columns.partition(present.sum(axis=1)))
 
 
-def _log_maps(recording, name, values, runs):
+def _log_maps(recording: rr.RecordingStream, name: str, values: np.ndarray, runs: Iterable[str]) -> None:
     """A picture for each run, points by times, in the same colours; black where there is nothing."""
     shown = np.where(np.isfinite(values), values, 0.0).astype(np.float32)
     for i, run in enumerate(runs):
@@ -79,16 +79,16 @@ def _log_maps(recording, name, values, runs):
         log_static(recording, f"map/{name}/{run}", tensor)
 
 
-def _brightest(values) -> float:
+def _brightest(values: np.ndarray) -> float:
     """What is white in a map of distances."""
     return float(np.max(values, initial=1e-6, where=np.isfinite(values)))
 
 
-def _colors(runs):
+def _colors(runs: Sized) -> Sequence[tuple[int, int, int]]:
     return _COLORS[-len(runs) :]
 
 
-def _summary(title, runs) -> str:
+def _summary(title: str, runs: Mapping[str, Episode]) -> str:
     lines = ", ".join(f"{name} {color}" for name, color in zip(runs, ("red", "blue")[-len(runs) :], strict=True))
     rows = [["model", *(run.model for run in runs.values())]]
     for name in next(iter(runs.values())).params:
@@ -97,7 +97,7 @@ def _summary(title, runs) -> str:
     return "\n".join([f"# {title}", "", f"Dots: measured. Lines: {lines}.", "", table(["", *runs], rows)])
 
 
-def _layout(drawings, away) -> rrb.Blueprint:
+def _layout(drawings: Mapping[str, Drawing], away: Mapping[str, np.ndarray]) -> rrb.Blueprint:
     """It opens on the tab of all runs, and plays."""
     first, colors = next(iter(drawings.values())), _colors(drawings)
     contents, overrides = [f"/{_MEASURED}/**"], {}
@@ -115,12 +115,12 @@ def _layout(drawings, away) -> rrb.Blueprint:
     return blueprint([overview, *tabs, *(_tab(name, drawing) for name, drawing in drawings.items())], active=0)
 
 
-def _map(name, run, values):
+def _map(name: str, run: str, values: np.ndarray) -> rrb.TensorView:
     title = f"{run}: distance from measured {name}, points by samples, up to {_brightest(values):.3g} mm (white)"
     colors = rrb.TensorScalarMapping(colormap="magma")
     return rrb.TensorView(origin=f"/map/{name}/{run}", name=title, scalar_mapping=colors, view_fit="fill")
 
 
-def _tab(name, drawing):
+def _tab(name: str, drawing: Drawing) -> rrb.Horizontal:
     view = view3d("/", [f"/{name}/world/**", f"/{_MEASURED}/**"], drawing)
     return rrb.Horizontal(view, rrb.Vertical(*plots(f"/{name}", drawing)), column_shares=[5, 4], name=name)

@@ -2,10 +2,14 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from soro_bench.recording.rerun_log import identity, recorded
+
+if TYPE_CHECKING:
+    import rerun
 
 
 def write_signals(path: str | Path, title: str, time: np.ndarray, runs: Mapping[str, np.ndarray]) -> None:
@@ -20,7 +24,7 @@ def write_signals(path: str | Path, title: str, time: np.ndarray, runs: Mapping[
             _log(recording, name, time, values)
 
 
-def _log(recording, name, time, values) -> None:
+def _log(recording: "rerun.RecordingStream", name: str, time: np.ndarray, values: np.ndarray) -> None:
     import rerun as rr
 
     from soro_bench.recording.rerun_entities import TIMELINE

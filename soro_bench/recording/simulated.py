@@ -85,7 +85,7 @@ def record(
     return _recording(episode, action, noise, seed, metadata)
 
 
-def replay(recording: Recording, model: str | None = None, **options) -> Episode:
+def replay(recording: Recording, model: str | None = None, **options: Any) -> Episode:
     """Simulate what a recording's actions do to a robot with its parameters.
 
     A recording of the same simulation without noise gives its signals again, bit for bit.
@@ -135,7 +135,7 @@ def recorded_actions(recording: Recording) -> tuple[str, np.ndarray]:
 
 def parse_params(pairs: Sequence[str]) -> dict[str, float]:
     """Numbers by name from texts such as "trunk_mass=0.3"; ValueError for anything else."""
-    params = {}
+    params: dict[str, float] = {}
     for pair in pairs:
         name, _, value = pair.partition("=")
         if name in params:
@@ -147,14 +147,24 @@ def parse_params(pairs: Sequence[str]) -> dict[str, float]:
     return params
 
 
-def _run(act, env_id, model, action, start, steps, seed=0, full_state=False, **options) -> Episode:
+def _run(
+    act: Callable[[np.ndarray], np.ndarray],
+    env_id: str,
+    model: str,
+    action: str,
+    start: Mapping[str, Any],
+    steps: int | None,
+    seed: int = 0,
+    full_state: bool = False,
+    **options: Any,
+) -> Episode:
     (episode,) = evaluate(
         act, env_id, model, action, [start], 1, steps, seed, stop_when_solved=False, full_state=full_state, **options
     )
     return episode
 
 
-def _recording(episode, action, noise, seed, metadata) -> Recording:
+def _recording(episode: Episode, action: str, noise: float, seed: int, metadata: dict[str, str]) -> Recording:
     rng, turns = np.random.default_rng((seed, 2)), np.random.default_rng((seed, 3))
     units, signals = task_type(episode.env_id).signal_units, {}
     for name, values in sorted(episode.signals.items()):
@@ -182,14 +192,14 @@ def _trained(path: str, env_id: str, action: str | None, load: Callable[[str], T
     return policy
 
 
-def _random(space, seed) -> Callable[[np.ndarray], np.ndarray]:
+def _random(space: spaces.Discrete | spaces.Box, seed: int) -> Callable[[np.ndarray], np.ndarray]:
     rng = np.random.default_rng((seed, 1))
     if isinstance(space, spaces.Discrete):
         return lambda observation: rng.integers(space.n, size=len(observation))
     return lambda observation: rng.uniform(space.low, space.high, (len(observation), *space.shape))
 
 
-def _in_turn(actions) -> Callable[[np.ndarray], np.ndarray]:
+def _in_turn(actions: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     rows: Iterator[np.ndarray] = iter(actions)
     return lambda observation: next(rows)[None]
 
@@ -208,7 +218,7 @@ def _held(command: Signal, times: np.ndarray, discrete: bool) -> np.ndarray:
     return actions.astype(int)
 
 
-def _goal(text) -> list[float]:
+def _goal(text: str) -> list[float]:
     try:
         goal = json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -1,5 +1,6 @@
 """The drawing of a trunk: skin, backbone, cables coloured by their tension, and the scene."""
 
+from collections.abc import Iterator, Mapping
 from functools import lru_cache
 
 import mujoco
@@ -72,12 +73,12 @@ def _scene_at_rest(scene: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
     return model, data
 
 
-def _links(model) -> np.ndarray:
+def _links(model: mujoco.MjModel) -> np.ndarray:
     """(11,) bodies of the base and the vertebrae, in the order of the signals."""
     return np.array([model.body("base").id, *(model.body(f"vertebra{k}").id for k in range(geo.NUM_NECKS))])
 
 
-def _skin(origins, signals, color) -> dict[str, Mesh]:
+def _skin(origins: np.ndarray, signals: Mapping[str, np.ndarray], color: np.ndarray) -> dict[str, Mesh]:
     """One rigid piece per link, whose frame rests at ``origins`` (11, 3) m; the backbone line draws the necks.
 
     Pieces with poses take a twentieth of the space of one mesh with vertices for each state.
@@ -93,11 +94,11 @@ def _skin(origins, signals, color) -> dict[str, Mesh]:
     return meshes
 
 
-def _backbone(keypoints) -> Line:
+def _backbone(keypoints: np.ndarray) -> Line:
     return Line(keypoints, geo.NECK_RADIUS, np.tile(_BACKBONE_COLOR, (len(keypoints), 1)))
 
 
-def _cables(model, links, signals) -> dict[str, Line]:
+def _cables(model: mujoco.MjModel, links: np.ndarray, signals: Mapping[str, np.ndarray]) -> dict[str, Line]:
     """A line through the eyelets of each cable, which follow their links."""
     link_of_body = np.zeros(model.nbody, int)
     link_of_body[links] = np.arange(len(links))
@@ -113,7 +114,7 @@ def _cables(model, links, signals) -> dict[str, Line]:
     return cables
 
 
-def _boxes(model, data, episode):
+def _boxes(model: mujoco.MjModel, data: mujoco.MjData, episode: Episode) -> Iterator[tuple[str, Box]]:
     """Name and box of the clamp and of what the scene has of object, floor and wall."""
     for i in range(model.ngeom):
         geom = model.geom(i)
@@ -135,7 +136,7 @@ def _boxes(model, data, episode):
         yield name, Box(size, color, pose)
 
 
-def _color(model, material: int, alpha: float | None = None) -> np.ndarray:
+def _color(model: mujoco.MjModel, material: int, alpha: float | None = None) -> np.ndarray:
     """(4,) uint8 colour of a material, with another opacity if given."""
     rgba = model.mat_rgba[material].copy()
     if alpha is not None:

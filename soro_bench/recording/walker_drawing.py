@@ -1,6 +1,7 @@
 """The drawing of the walker: its deforming surface, the line along its middle, and the floor."""
 
 from functools import lru_cache
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -58,8 +59,9 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     corners = vertices[:, faces]
     across = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
     normals = np.zeros_like(vertices)
-    for k in range(3):
-        np.add.at(normals, (slice(None), faces[:, k]), across)
+    for corner in faces.T:
+        index: Any = (slice(None), corner)  # numpy's types know no tuple here
+        np.add.at(normals, index, across)
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     return normals / np.where(length > 0, length, 1.0)
 

@@ -3,11 +3,12 @@
 import importlib.util
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from soro_bench.recording.recording import Recording, RecordingError
 
 
-def import_recording(path: str | Path, mapping: str | Path | Mapping | None = None, **selection) -> Recording:
+def import_recording(path: str | Path, mapping: str | Path | Mapping | None = None, **selection: Any) -> Recording:
     """Read a foreign recording: .csv, .tsv or .txt, .npz, .mcap, or the folder of a LeRobot dataset.
 
     Args:

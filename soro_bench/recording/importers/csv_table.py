@@ -4,12 +4,13 @@ import csv
 import io
 import math
 from array import array
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from soro_bench.recording.importers.mapping import Source, load_mapping, texts, typed
+from soro_bench.recording.importers.mapping import FileMapping, Source, load_mapping, texts, typed
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, MAX_COLUMNS, MAX_ROWS, named_errors, read_bytes
 
@@ -19,7 +20,7 @@ _MAX_CELLS = 50_000_000  # that a mapping asks for
 _MAX_ROW = 1_000_000  # letters, as every cell of a row is a text of its own before they are counted
 
 
-def import_csv(path: str | Path, mapping: str | Path | None, max_bytes: int = MAX_BYTES) -> Recording:
+def import_csv(path: str | Path, mapping: str | Path | Mapping | None, max_bytes: int = MAX_BYTES) -> Recording:
     """Read a CSV file with a mapping file; RecordingError says what is wrong with either."""
     if mapping is None:
         raise RecordingError(f"{path}: a CSV file needs a mapping file; docs/how_to/import_a_log.md has an example")
@@ -30,7 +31,8 @@ def import_csv(path: str | Path, mapping: str | Path | None, max_bytes: int = MA
         time_column = typed("[time]", spec.time, "column", "")
         to_seconds = spec.to_seconds()
 
-        def read(source: Source):
+        def read(source: Source) -> tuple[np.ndarray, np.ndarray]:
+            """(T,) times [s] and (T, k) numbers of a signal."""
             column = typed("it has", source.place, "time", time_column)
             cells, lines = table.numbers([*([column] if column else []), *table.names_of(source)])
             if not column:
@@ -41,7 +43,7 @@ def import_csv(path: str | Path, mapping: str | Path | None, max_bytes: int = MA
         return spec.recording(read, Path(path).name, EXPANSION * max_bytes)
 
 
-def _columns(table, spec, time_column) -> list[str]:
+def _columns(table: "_Table", spec: FileMapping, time_column: str) -> list[str]:
     """Every column that the mapping asks for."""
     names = [time_column] if time_column else []
     for source in (*spec.commands.values(), *spec.signals.values()):
@@ -49,7 +51,7 @@ def _columns(table, spec, time_column) -> list[str]:
     return names
 
 
-def _samples(cells, lines, to_seconds) -> tuple[np.ndarray, np.ndarray]:
+def _samples(cells: np.ndarray, lines: np.ndarray, to_seconds: float) -> tuple[np.ndarray, np.ndarray]:
     """(T,) times [s] and (T, k) numbers of the rows that have a time and at least one number.
 
     Args:
@@ -70,7 +72,7 @@ def _samples(cells, lines, to_seconds) -> tuple[np.ndarray, np.ndarray]:
 class _Table:
     """The columns of a CSV file that are asked for, as numbers."""
 
-    def __init__(self, text: str, options):
+    def __init__(self, text: str, options: Mapping[str, Any]) -> None:
         label = "[format]"
         self._decimal = typed(label, options, "decimal", ".")
         self._missing = {"", "nan", *(word.strip().lower() for word in _words(options, "missing"))}
@@ -134,7 +136,7 @@ class _Table:
     def _line(self) -> int:
         return self._skipped + self._rows.line_num
 
-    def _all_rows(self, start):
+    def _all_rows(self, start: list[list[str]]) -> Iterator[list[str]]:
         yield from start
         self._letters = 0
         for row in self._rows:
@@ -150,7 +152,7 @@ class _Table:
                 raise RecordingError(f"the row in line {self._line + 1} has more than {_MAX_ROW} letters")
             yield line
 
-    def _position(self, name) -> int:
+    def _position(self, name: Any) -> int:
         if not isinstance(name, str) or self.header.count(name) != 1:
             count = self.header.count(name)
             found = ", ".join(ascii(column)[1:-1] for column in self.header)[:200]
@@ -177,10 +179,10 @@ class _Table:
         return value
 
 
-def _are(names) -> str:
+def _are(names: Sequence[str]) -> str:
     return "is" if len(names) == 1 else "are"
 
 
-def _words(options, key) -> list[str]:
+def _words(options: Mapping[str, Any], key: str) -> list[str]:
     """The texts of an entry of [format], none if it is missing."""
     return texts(f"[format] {key}", options[key]) if key in options else []

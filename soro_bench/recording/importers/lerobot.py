@@ -2,9 +2,11 @@
 
 import json
 import re
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -24,7 +26,7 @@ _EPISODE, _TIME = "episode_index", "timestamp"
 
 
 def import_lerobot(
-    path: str | Path, mapping: str | Path | None = None, episode: int = 0, max_bytes: int = MAX_BYTES
+    path: str | Path, mapping: str | Path | Mapping | None = None, episode: int = 0, max_bytes: int = MAX_BYTES
 ) -> Recording:
     """Read one episode of a dataset folder; RecordingError says what is wrong with it.
 
@@ -72,7 +74,7 @@ def _data_files(folder: Path) -> list[Path]:
 
 def _everything(features: dict) -> FileMapping:
     """Commands and signals of all numeric features."""
-    groups = {"action": {}, "observation": {}}
+    groups: dict[str, dict[str, Source]] = {"action": {}, "observation": {}}
     for column, feature in features.items():
         kind, _, name = column.partition(".")
         if kind in groups and isinstance(feature, dict) and feature.get("dtype") in _NUMBERS:
@@ -123,7 +125,7 @@ def _numbers(column: pa.ChunkedArray, count: int) -> np.ndarray:
     return numbers.reshape(count, -1) if is_list else numbers
 
 
-def _indices(indices, numbers) -> list[int]:
+def _indices(indices: Any, numbers: np.ndarray) -> list[int]:
     size = numbers.shape[1] if numbers.ndim == 2 else 0
     if not isinstance(indices, list) or not indices or not all(type(i) is int and 0 <= i < size for i in indices):
         raise RecordingError(f"indices {ascii(indices)[:80]} have to be a list of integers from 0 to {size - 1}")

@@ -2,10 +2,10 @@
 
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -19,6 +19,9 @@ _ROUNDING = 1e-9  # s
 _REGULAR = 1.5  # times the median interval, up to which others are regular too
 _SECTIONS = ("format", "time", "commands", "signals", "parameters", "metadata")
 _VALUE_KEYS = ("unit", "scale", "offset", "frame", "shape", "shift", "leaves")
+
+T = TypeVar("T")
+Numbers = TypeVar("Numbers", np.ndarray, np.number)  # one or many
 
 
 @dataclass(frozen=True)
@@ -74,7 +77,9 @@ class FileMapping:
             raise RecordingError(f"[time] unit = {self.time['unit']!r} is no unit of time")
         return factor
 
-    def recording(self, read, file_name: str, most: int) -> Recording:
+    def recording(
+        self, read: Callable[[Source], tuple[np.ndarray, np.ndarray]], file_name: str, most: int
+    ) -> Recording:
         """The recording whose signals ``read(source)`` gives as (T,) times [s] and (T, ...) numbers.
 
         Time is counted from the first sample of all, or from [time] begin after it; the metadata keep where that was,
@@ -92,8 +97,8 @@ class FileMapping:
                 if not source.leaves:  # which shifts by itself
                     time = _shifted(time, source.shift)
                 found[group, name] = time, numbers
-        start = min((time[0] for time, _ in found.values() if len(time)), default=0)
-        groups = {"commands": {}, "signals": {}}
+        start = min((time[0] for time, _ in found.values() if len(time)), default=np.int64(0))
+        groups: dict[str, dict[str, Signal]] = {"commands": {}, "signals": {}}
         for (group, name), (time, numbers) in found.items():
             build, since = getattr(self, group)[name].signal, seconds(time - start) - begin
             kept = (since > -_ROUNDING) & (since < until - _ROUNDING)
@@ -113,7 +118,7 @@ class FileMapping:
         return _positive("[time] interval", self.time["interval"]) * np.arange(rows)
 
 
-def _check_order(time) -> None:
+def _check_order(time: np.ndarray) -> None:
     """Refuse what cannot be cut at a time."""
     if not np.isfinite(time).all():
         raise RecordingError("time is not finite")
@@ -122,26 +127,29 @@ def _check_order(time) -> None:
         raise RecordingError(f"time has to increase strictly; {time[i + 1]} follows {time[i]} in row {i + 1}")
 
 
-def _regular(since) -> bool:
+def _regular(since: np.ndarray) -> bool:
     """Whether a command comes at intervals; others come where they change."""
     intervals = np.diff(since)
     return len(intervals) > 0 and intervals.max() < _REGULAR * np.median(intervals)
 
 
-def _in_force(since) -> np.ndarray:
+def _in_force(since: np.ndarray) -> np.ndarray:
     """(T,) whether a command is the last one until the beginning, at zero."""
     found = np.zeros(len(since), bool)
     found[np.flatnonzero(since < _ROUNDING)[-1:]] = True
     return found
 
 
-def seconds(time):
+def seconds(time: Numbers) -> Numbers:
     """Times [s] as they are, or from whole nanoseconds, whose differences have to be taken before."""
     return time * 1e-9 if np.asarray(time).dtype.kind == "i" else time
 
 
 def load_mapping(
-    mapping: str | Path | Mapping, place_keys: tuple[str, ...], time_keys=(), format_keys=()
+    mapping: str | Path | Mapping,
+    place_keys: tuple[str, ...],
+    time_keys: tuple[str, ...] = (),
+    format_keys: tuple[str, ...] = (),
 ) -> FileMapping:
     """Read a mapping file.
 
@@ -186,7 +194,7 @@ def check_keys(label: str, table: Mapping, allowed: tuple[str, ...]) -> None:
             raise RecordingError(f"unknown entry {ascii(key)[:80]} in {label}; there are {', '.join(allowed)}")
 
 
-def texts(label: str, values) -> list[str]:
+def texts(label: str, values: object) -> list[str]:
     """Return a non-empty list of texts, each once; raise RecordingError for anything else."""
     if not isinstance(values, list) or not values or not all(isinstance(value, str) for value in values):
         raise RecordingError(f"{label} is {ascii(values)[:80]}; expected a list of texts")
@@ -195,7 +203,7 @@ def texts(label: str, values) -> list[str]:
     return values
 
 
-def typed(label: str, table: Mapping, key: str, default):
+def typed(label: str, table: Mapping[str, Any], key: str, default: T) -> T:
     """``table[key]`` of the type of the default; RecordingError for another type."""
     value = table.get(key, default)
     if type(value) is not type(default):
@@ -203,7 +211,7 @@ def typed(label: str, table: Mapping, key: str, default):
     return value
 
 
-def _source(entry, place_keys) -> Source:
+def _source(entry: object, place_keys: tuple[str, ...]) -> Source:
     if not isinstance(entry, dict):
         raise RecordingError(f"is {ascii(entry)[:80]}; expected a section")
     check_keys("it", entry, (*place_keys, *_VALUE_KEYS))
@@ -222,7 +230,7 @@ def _source(entry, place_keys) -> Source:
     return Source(unit, float(scale), offset, entry.get("frame", ""), shape, float(shift), leaves, place)
 
 
-def _staying(time, values, distance, shift) -> Signal:
+def _staying(time: np.ndarray, values: np.ndarray, distance: float, shift: float) -> Signal:
     """1 until the values (T, ...) are further than a distance from the first ones, a time [s] after that 0."""
     rows = values.reshape(len(values), -1)
     if np.isnan(rows[0]).any():
@@ -236,25 +244,25 @@ def _staying(time, values, distance, shift) -> Signal:
     return Signal(np.array([time[0], max(left, np.nextafter(time[0], np.inf))]), np.array([1.0, 0.0]), "1")
 
 
-def _shifted(time, shift):
+def _shifted(time: np.ndarray, shift: float) -> np.ndarray:
     """Times [s], or whole nanoseconds, some seconds later."""
     return time + (round(1e9 * shift) if np.asarray(time).dtype.kind == "i" else shift)
 
 
-def _positive(label, value) -> float:
+def _positive(label: str, value: Any) -> float:
     if type(value) not in (int, float) or not value > 0:
         raise RecordingError(f"{label} = {ascii(value)[:80]}; expected a positive number")
     return float(value)
 
 
-def _numbers(label, value) -> np.ndarray:
+def _numbers(label: str, value: object) -> np.ndarray:
     array = np.asarray(value)
     if array.dtype.kind not in "fi" or not np.isfinite(array).all():
         raise RecordingError(f"{label} = {ascii(value)[:80]}; expected finite numbers")
     return array.astype(float)
 
 
-def _named(label, function, *arguments):
+def _named(label: str, function: Callable[..., T], *arguments: Any) -> T:
     try:
         return function(*arguments)
     except RecordingError as error:

@@ -4,14 +4,18 @@ import io
 import json
 import re
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from soro_bench.recording.importers.mapping import FileMapping, Source, load_mapping, texts
 from soro_bench.recording.recording import MAX_SIZE, Recording, RecordingError
 from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, named_errors, read_bytes
+
+if TYPE_CHECKING:
+    from mcap.records import Channel, Chunk, Message
 
 _PLACE = ("topic", "fields", "time")
 _CLOCKS = ("log_time", "publish_time")
@@ -21,7 +25,7 @@ _MAX_MESSAGE = 5_000_000  # bytes
 _STEP = re.compile(r"([^.\[\]]+)|\[(\d{1,6})\]")
 
 
-def import_mcap(path: str | Path, mapping: str | Path | None, max_bytes: int = MAX_BYTES) -> Recording:
+def import_mcap(path: str | Path, mapping: str | Path | Mapping | None, max_bytes: int = MAX_BYTES) -> Recording:
     """Read an MCAP file with a mapping file; RecordingError says what is wrong with either."""
     if mapping is None:
         raise RecordingError(f"{path}: an MCAP file needs a mapping file; docs/how_to/import_a_log.md has an example")
@@ -42,7 +46,7 @@ def import_mcap(path: str | Path, mapping: str | Path | None, max_bytes: int = M
 class _Collector:
     """The samples of one command or signal."""
 
-    def __init__(self, source: Source, spec: FileMapping):
+    def __init__(self, source: Source, spec: FileMapping) -> None:
         self.topic = source.place.get("topic")
         if not isinstance(self.topic, str):
             raise RecordingError(f"topic is {ascii(self.topic)[:80]}; expected a text")
@@ -56,7 +60,7 @@ class _Collector:
         self._size = 0  # numbers in a sample
         self.count = 0
 
-    def add(self, channel, message) -> None:
+    def add(self, channel: "Channel", message: "Message") -> None:
         """Note a message of the topic."""
         if (encoding := channel.message_encoding) != "json":
             raise RecordingError(f"topic {self.topic} is encoded as {encoding[:40]!r}; only json is read")
@@ -81,7 +85,7 @@ class _Collector:
         times, rows = np.unique(np.array(self._times)[::-1], return_index=True)
         return times, np.array(self._numbers).reshape(len(self._times), -1)[::-1][rows]
 
-    def _nanoseconds(self, content, message) -> int:
+    def _nanoseconds(self, content: Any, message: "Message") -> int:
         if isinstance(self._clock, str):
             return getattr(message, self._clock)
         stamp = _follow(content, self._clock)
@@ -126,7 +130,7 @@ def _messages(data: bytes, budget: int) -> Iterator:
         raise RecordingError(f"no complete MCAP file: {type(error).__name__} {error}") from error
 
 
-def _decompress(chunk) -> None:
+def _decompress(chunk: "Chunk") -> None:
     """Decompress in place, to the size that the chunk declares and no further."""
     size = chunk.uncompressed_size
     if chunk.compression == "zstd":
@@ -158,7 +162,7 @@ def _steps(path: str) -> list[str | int]:
     return [key or int(index) for key, index in _STEP.findall(path)]
 
 
-def _follow(content, steps):
+def _follow(content: Any, steps: list[str | int]) -> Any:
     for step in steps:
         try:
             content = content[step]
@@ -167,7 +171,7 @@ def _follow(content, steps):
     return content
 
 
-def _flatten(value, numbers: list[float]) -> None:
+def _flatten(value: object, numbers: list[float]) -> None:
     """Append the numbers of a number or nested lists; null is a missing number."""
     if isinstance(value, list):
         for entry in value:

@@ -4,9 +4,11 @@ import io
 import math
 import zipfile
 import zlib
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from tokenize import TokenError
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +23,7 @@ _SUFFIX = ".npy"
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, SyntaxError, TokenError)
 
 
-def import_npz(path: str | Path, mapping: str | Path | None, max_bytes: int = MAX_BYTES) -> Recording:
+def import_npz(path: str | Path, mapping: str | Path | Mapping | None, max_bytes: int = MAX_BYTES) -> Recording:
     """Read an NPZ file with a mapping file; RecordingError says what is wrong with either."""
     if mapping is None:
         raise RecordingError(f"{path}: an NPZ file needs a mapping file; docs/how_to/import_a_log.md has an example")
@@ -37,7 +39,9 @@ def import_npz(path: str | Path, mapping: str | Path | None, max_bytes: int = MA
             raise RecordingError(f"is no NPZ file: {str(error)[:200]}") from error
 
 
-def _samples(archive: "_Archive", spec: FileMapping, to_seconds: float, source: Source):
+def _samples(
+    archive: "_Archive", spec: FileMapping, to_seconds: float, source: Source
+) -> tuple[np.ndarray, np.ndarray]:
     """(T,) times [s] and (T, k) numbers: rows of the arrays, one after the other."""
     arrays = archive.arrays(texts("arrays", source.place.get("arrays")))
     if len(rows := {len(array) for array in arrays}) > 1:
@@ -59,7 +63,7 @@ class _Archive:
         most: bytes of arrays that are read together.
     """
 
-    def __init__(self, data: bytes, most: int):
+    def __init__(self, data: bytes, most: int) -> None:
         self._zip, self._most = zipfile.ZipFile(io.BytesIO(data)), most
         self._names = [name.removesuffix(_SUFFIX) for name in self._zip.namelist() if name.endswith(_SUFFIX)]
 
@@ -73,7 +77,7 @@ class _Archive:
                 raise RecordingError(f"arrays {ascii(names)[1:80]} have more than {self._most} bytes")
         return found
 
-    def array(self, name) -> np.ndarray:
+    def array(self, name: Any) -> np.ndarray:
         """An array of at least one dimension, as floating-point numbers."""
         if not isinstance(name, str) or self._names.count(name) != 1:
             found = ", ".join(ascii(each)[1:-1] for each in self._names)[:200]
@@ -96,7 +100,7 @@ class _Archive:
         return np.lib.format.read_array(file, allow_pickle=False).astype(float)
 
 
-def _header(file):
+def _header(file: io.BytesIO) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Shape, order and type of the array in a .npy file, which is read up to its numbers."""
     version = np.lib.format.read_magic(file)
     if version == (1, 0):
