@@ -27,7 +27,8 @@ _TIME = (1980, 1, 1, 0, 0, 0)  # of all members, so that the same files give the
 
 def archive_of(folder: str | Path) -> Path:
     """The archive that may stand for a folder."""
-    return Path(folder).with_name(Path(folder).name + SUFFIX)
+    folder = Path(folder) if Path(folder).name else Path(folder).absolute()
+    return folder.parent / f"{folder.name}{SUFFIX}"
 
 
 def folder_of(archive: str | Path) -> Path:

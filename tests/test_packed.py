@@ -39,6 +39,12 @@ def test_a_file_is_read_from_its_folder_and_else_from_the_archive(folder):
             read(path, 100)
 
 
+def test_paths_without_a_folder_are_read_from_where_one_is(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    assert read("a.json", 100) == b"old a.json" and not is_there("c.json")
+    assert not is_there("/c.json")
+
+
 def test_what_is_packed_again_takes_the_place_of_what_was_there(folder):
     pack(folder, ["b.json"])
     assert read(folder / "b.json", 100) == b"new b.json" and read(folder / "a.json", 100) == b"old a.json"

@@ -82,7 +82,7 @@ def gather_control(results: str | Path) -> dict[str, list[Group]]:
 def _entries(results: Path) -> list[Path]:
     """Files of the control track, also those in archives, by their paths."""
     found = {path for path in results.rglob("*.json") if path.parent != results / DIAGNOSIS and not path.is_dir()}
-    archives = (path for path in results.rglob(f"*{SUFFIX}") if not path.is_dir())  # methods may be called so
+    archives = (path for path in results.rglob(f"?*{SUFFIX}") if not path.is_dir())  # methods may be called so
     return sorted(found.union(*(entries_of(folder_of(archive)) for archive in archives)))
 
 
