@@ -11,7 +11,8 @@ Nature 2021). The second half goes to CMA-ES over all knots of the best plan. Wh
 the last 0.5 s, and half as much the height of the object's lowest corner, both in the worse of two simulations: the
 nominal one and one with a 0.01 % heavier and less rough object.
 
-The archive (in --work) and the best sequence (in --out) are files; the same command goes on from them.
+The archive (in --work) and the best sequence (in --out) are files; the same command goes on from them. Sequences that
+are not in the folder lift_sequences are in lift_sequences.zip (soro_bench/packed.py).
 """
 
 import argparse
@@ -23,8 +24,10 @@ import numpy as np
 
 from soro_bench.cli import plain_errors
 from soro_bench.envs.trunk_lift import TrunkLiftTask
-from soro_bench.files import read_json, replacing, write_json
+from soro_bench.files import replacing, write_json
+from soro_bench.leaderboard.strict import read_strict
 from soro_bench.models import trunk_geometry as geo
+from soro_bench.packed import is_there
 from soro_bench.planning import actions_from_knots, antagonistic, roll_out
 
 KNOT_STEPS = 10  # steps from knot to knot, 0.5 s
@@ -264,8 +267,7 @@ def case_name(options) -> str:
 
 def plan_of(path: Path) -> np.ndarray:
     """(10, 4) knots [m] of a sequence file; ValueError if it has none."""
-    found = read_json(path)
-    knots = np.array(found.get("knots_m") if isinstance(found, dict) else None, dtype=object)
+    knots = np.array(read_strict(path).get("knots_m"), dtype=object)
     if knots.shape != (NUM_KNOTS, 4):
         raise ValueError(f"{path} holds no plan: knots_m of shape ({NUM_KNOTS}, 4) are needed")
     return knots.astype(float)
@@ -279,7 +281,7 @@ def search(options) -> None:
     archive = Archive.load(archive_file) if archive_file.exists() else Archive()
     explorer = Explorer(task, params, archive, np.random.default_rng([options.seed, len(archive)]))
     judge = Judge(task, params)
-    starts = [*([options.start] if options.start else []), *([sequence_file] if sequence_file.exists() else [])]
+    starts = [*([options.start] if options.start else []), *([sequence_file] if is_there(sequence_file) else [])]
     known = [plan_of(path) for path in starts]
     for plan in [*known, None]:
         explorer.restart(plan)
@@ -305,8 +307,8 @@ def search(options) -> None:
         return figures["elevation_held_mm"] >= options.enough
 
     stored = -np.inf
-    if sequence_file.exists():  # only a better one takes its place; its actions count, since its knots are rounded
-        before = read_json(sequence_file)
+    if is_there(sequence_file):  # only a better one takes its place; its actions count, since its knots are rounded
+        before = read_strict(sequence_file)
         if before["elevation_held_mm"] >= options.enough:
             return
         stored = judge.worth_of(np.array(before["actions"], np.float32)[None])[0]

@@ -12,10 +12,12 @@ import gymnasium
 import numpy as np
 from rich.progress import track
 
-from soro_bench.files import read_json
+from soro_bench.leaderboard.strict import read_strict
 from soro_bench.markdown import table
+from soro_bench.packed import names
 
-SEQUENCES = sorted((Path(__file__).parents[1] / "baselines" / "lift_sequences").glob("*.json"))
+FOLDER = Path(__file__).parents[1] / "baselines" / "lift_sequences"  # or the archive beside it
+SEQUENCES = [FOLDER / name for name in names(FOLDER)]
 RECORDED = "elevation_held_mm", "elevation_end_mm", "lowest_corner_held_mm"  # in the files
 TOLERANCE = 3.0  # mm
 HELD_STEPS = 10  # as in baselines/lift_search.py
@@ -43,7 +45,7 @@ def main():
     count = parser.parse_args().copies
     rows = []
     for path in track(SEQUENCES, "sequences"):
-        sequence = read_json(path)
+        sequence = read_strict(path)
         recorded, held = sequence[RECORDED[0]], copies(sequence, count)[:, 0]
         share = np.mean(np.abs(held - recorded) < TOLERANCE)
         figures = (f"{value:.1f}" for value in (recorded, np.median(held), held.min()))

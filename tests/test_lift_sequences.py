@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.lift_rounding import RECORDED, SEQUENCES, TOLERANCE, copies
-from soro_bench.files import read_json
+from soro_bench.leaderboard.strict import read_strict
 
 COPIES = 6  # contacts on `flex` amplify the last bit, so that another processor sees another course (docs/lift.md)
 
@@ -12,7 +12,7 @@ COPIES = 6  # contacts on `flex` amplify the last bit, so that another processor
 @pytest.mark.parametrize("path", SEQUENCES, ids=lambda path: path.stem)
 def test_sequence_holds_the_recorded_elevation(path):
     """Each copy of the object on `cable`, and one of them at least on `flex`."""
-    sequence = read_json(path)
+    sequence = read_strict(path)
     assert len(sequence["actions"]) == 100
     found, recorded = copies(sequence, COPIES), [sequence[key] for key in RECORDED]
     as_recorded = np.isclose(found, recorded, rtol=0, atol=TOLERANCE).all(axis=1)

@@ -11,8 +11,8 @@ from PIL import Image
 from trunk import HEIGHT, WIDTH, draw, state_of
 
 import soro_bench  # noqa: F401  registers the environments
-from soro_bench.files import read_json
 from soro_bench.leaderboard.entry import load_policy
+from soro_bench.leaderboard.strict import read_strict
 
 ROOT = Path(__file__).parents[2]
 MASS = 0.05  # kg
@@ -28,7 +28,7 @@ def by_policy(entry: str):
 
 def by_search():
     """What the search has found, whatever is observed."""
-    actions = np.array(read_json(SEARCHED)["actions"], np.float32)
+    actions = np.array(read_strict(SEARCHED)["actions"], np.float32)
     return lambda step, observation: actions[step]
 
 
