@@ -2,15 +2,17 @@
 
 import numpy as np
 
+from soro_bench.arrays import Floats
 
-def rotate_by_quaternion(vectors: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+
+def rotate_by_quaternion(vectors: Floats, quaternion: Floats) -> Floats:
     """(..., 3) vectors turned by unit quaternions (..., 4) w, x, y, z; leading axes broadcast."""
     w, axis = quaternion[..., :1], quaternion[..., 1:]
     twice = 2.0 * np.cross(axis, vectors)
     return vectors + w * twice + np.cross(axis, twice)
 
 
-def rotate_by_vector(vectors: np.ndarray, vector: np.ndarray) -> np.ndarray:
+def rotate_by_vector(vectors: Floats, vector: Floats) -> Floats:
     """(n, 3) vectors turned by rotation vectors (n, 3) [rad]; by nothing, they keep their bits (Rodrigues)."""
     angle = np.sqrt((vector * vector).sum(axis=1))[:, None]
     axis = vector / np.maximum(angle, 1e-300)

@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from soro_bench.effects.effect import Quantity
+from soro_bench.arrays import Bools
+from soro_bench.effects.effect import Port, Quantity
+from soro_bench.effects.elements import Elements
 from soro_bench.effects.law import Law
 from soro_bench.rotation import rotate_by_vector
 
@@ -14,7 +16,7 @@ class Payload(Law):
     quantities = (Quantity("mass", "kg", 0.015, (0.0, 1e4)),)
     fields = ("body_mass",)
 
-    def write(self, which):
+    def write(self, which: Bools) -> None:
         # of several at one body too
         np.add.at(self.field("body_mass"), (self.rows[which], self.ids[which]), self.values["mass"][which])
 
@@ -27,15 +29,15 @@ class BaseTilt(Law):
     fields = ("opt.gravity",)
 
     @classmethod
-    def idle(cls, elements, port):
+    def idle(cls, elements: Elements, port: Port) -> frozenset[str]:
         gravity = elements.model.opt.gravity
         along = np.abs(gravity) == np.linalg.norm(gravity)  # about which gravity does not turn
         return frozenset(f"about_{axis}" for axis, same in zip("xyz", along, strict=True) if same and gravity.any())
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         pass
 
-    def write(self, which):
+    def write(self, which: Bools) -> None:
         gravity, rows = self.field("opt.gravity"), self.rows[which]
         vector = np.stack([self.values[q.name][which] for q in self.quantities], axis=1)
         gravity[rows] = rotate_by_vector(gravity[rows], vector)
@@ -49,16 +51,16 @@ class FluidDrag(Law):
     quantities = (Quantity("drag", "N s^2/m^2", 0.1, (0.0, 1e6)),)
     outputs = ("xipos",)
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         self.before, self._pushed = np.zeros((2, len(self.rows), 3))
 
-    def reset(self, which):
+    def reset(self, which: Bools) -> None:
         self.before[which] = self.batch.xipos[self.rows[which], self.ids[which]]
         self._pushed[which] = 0.0
         self.batch.xfrc_applied[self.rows[which], self.ids[which], :3] = 0.0
 
-    def step(self, which):
+    def step(self, which: Bools) -> None:
         rows, ids = self.rows[which], self.ids[which]
         here = self.batch.xipos[rows, ids]
         velocity = (here - self.before[which]) / self.dt

@@ -4,9 +4,11 @@ from collections.abc import Sequence
 
 from soro_bench.effects import bodies, contacts, measurement, setpoints, springs, stiffness
 from soro_bench.effects.effect import Effect, Quantity
+from soro_bench.effects.law import Law
+from soro_bench.effects.measurement import Fault
 
 # in this order laws that change the same thing are applied
-PHYSICS = {
+PHYSICS: dict[str, type[Law]] = {
     law.name: law
     for law in (
         stiffness.LocalStiffness,
@@ -41,7 +43,7 @@ PHYSICS = {
         contacts.Adhesion,
     )
 }
-MEASUREMENT = {
+MEASUREMENT: dict[str, type[Fault]] = {
     fault.name: fault
     for fault in (
         measurement.SensorDelay,
@@ -52,7 +54,7 @@ MEASUREMENT = {
         measurement.Outliers,
     )
 }
-ALL = {**PHYSICS, **MEASUREMENT}
+ALL: dict[str, type[Law] | type[Fault]] = {**PHYSICS, **MEASUREMENT}
 QUANTITIES: dict[str, tuple[Quantity, ...]] = {name: law.quantities for name, law in ALL.items()}
 CATEGORIES: dict[str, str] = {name: law.category for name, law in ALL.items()}
 

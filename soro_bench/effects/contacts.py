@@ -4,7 +4,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from soro_bench.arrays import Bools, Floats
 from soro_bench.effects.effect import EffectError, Quantity
+from soro_bench.effects.elements import Elements
 from soro_bench.effects.law import Law
 
 _REACH = 1e-5  # m, beyond the micrometres by which a contact opens before it tears; it also cushions impacts
@@ -17,7 +19,7 @@ class _Sliding(Law):
     fields: ClassVar = ("geom_friction",)
     outputs = ("geom_xpos",)
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         for port, geom in zip(self.ports, self.ids, strict=True):
             if self.model.body_weldid[self.model.geom_bodyid[geom]] == 0:
@@ -25,17 +27,17 @@ class _Sliding(Law):
         self.before = np.zeros((len(self.rows), 3))
         self.run.scaled("geom_friction")
 
-    def reset(self, which):
+    def reset(self, which: Bools) -> None:
         self.before[which] = self.batch.geom_xpos[self.rows[which], self.ids[which]]
 
-    def step(self, which):
+    def step(self, which: Bools) -> None:
         rows, ids = self.rows[which], self.ids[which]
         here = self.batch.geom_xpos[rows, ids]
         factor = self.factor(which, (here - self.before[which]) / self.dt)
         self.before[which] = here
         self.field("geom_friction")[rows, ids, 0] *= factor
 
-    def factor(self, which, velocity):
+    def factor(self, which: Bools, velocity: Floats) -> Floats:
         """(n,) of the friction coefficient at velocities (n, 3) [m/s]."""
         raise NotImplementedError
 
@@ -46,7 +48,7 @@ class AnisotropicFriction(_Sliding):
     name = "anisotropic_friction"
     quantities = (Quantity("excess", "1", 0.5, (0.0, 100.0)),)
 
-    def factor(self, which, velocity):
+    def factor(self, which: Bools, velocity: Floats) -> Floats:
         return 1.0 + self.values["excess"][which] * (velocity[:, 0] < 0)
 
 
@@ -59,7 +61,7 @@ class Stiction(_Sliding):
         Quantity("velocity", "m/s", 0.005, (1e-6, 100.0)),
     )
 
-    def factor(self, which, velocity):
+    def factor(self, which: Bools, velocity: Floats) -> Floats:
         squared = (velocity * velocity).sum(axis=1) / self.values["velocity"][which] ** 2
         return 1.0 + self.values["excess"][which] * np.exp(-squared)
 
@@ -72,7 +74,7 @@ class Adhesion(Law):
     # MuJoCo drops a contact that opens, and its adhesion with it, unless the geoms have a gap
     fields: ClassVar = ("geom_adhesion", "geom_gap")
 
-    def write(self, which):
+    def write(self, which: Bools) -> None:
         at, force = (self.rows[which], self.ids[which]), self.values["force"][which]
         self.field("geom_adhesion")[at] += force
         gap = self.field("geom_gap")

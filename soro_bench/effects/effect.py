@@ -4,7 +4,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, ClassVar, Literal, Protocol
 
 from soro_bench.files import brief, read_json, write_json
 
@@ -26,11 +26,12 @@ class Port:
     name: str
     index: int | None = None
 
-    def __str__(self):
+    def __str__(self) -> str:
         place = "" if self.index is None else f"[{self.index}]"
         return f"every {self.kind}" if self.name == EVERY else f"{self.kind} {self.name}{place}"
 
-    def to_json(self) -> dict:
+    def to_json(self) -> dict[str, Any]:
+        """As effects files have it."""
         place = {} if self.index is None else {"index": self.index}
         return {"kind": self.kind, "name": self.name, **place}
 
@@ -62,15 +63,23 @@ class Effect:
     where: Port
     parameters: Mapping[str, float]
 
-    def to_json(self) -> dict:
+    def to_json(self) -> dict[str, Any]:
+        """As effects files have it."""
         return {"name": self.name, "where": self.where.to_json(), "parameters": dict(self.parameters)}
+
+
+class Acting(Protocol):
+    """What is asked of a law, physical or of measurement, when an effect is read."""
+
+    kinds: ClassVar[tuple[str, ...]]  # of KINDS, where it can act
+    quantities: ClassVar[tuple[Quantity, ...]]
 
 
 class EffectError(ValueError):
     """An effect is unknown, out of its bounds, or has no place in the model."""
 
 
-def effect_from(data, laws: Mapping) -> Effect:
+def effect_from(data: object, laws: Mapping[str, type[Acting]]) -> Effect:
     """The effect that a JSON object describes.
 
     Args:
@@ -120,7 +129,7 @@ def save_effects(effects: Sequence[Effect], path: str | Path) -> None:
     write_json(path, {"schema": SCHEMA, "effects": [effect.to_json() for effect in effects]})
 
 
-def load_effects(path: str | Path, laws: Mapping) -> tuple[Effect, ...]:
+def load_effects(path: str | Path, laws: Mapping[str, type[Acting]]) -> tuple[Effect, ...]:
     """Read an effects file with effects of some laws (as of ``effect_from``); EffectError says what is wrong."""
     try:
         data = read_json(path)

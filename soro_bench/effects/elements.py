@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
+from soro_bench.arrays import Floats, Ints
 from soro_bench.effects.effect import EVERY, EffectError, Port
 
 AUXILIARY = "auxiliary:"  # and a joint's name: a spring of the effects, beside the joint's own
@@ -32,7 +33,7 @@ def instrument(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     return spec
 
 
-def _do_nothing(spring) -> None:
+def _do_nothing(spring: mujoco.MjsTendon) -> None:
     """Whatever the model's defaults give its tendons."""
     spring.stiffness, spring.damping = np.zeros_like(spring.stiffness), np.zeros_like(spring.damping)
     spring.frictionloss = spring.armature = 0.0
@@ -54,7 +55,7 @@ def without_unused_springs(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     return spec
 
 
-def _free(spec, name: str) -> str:
+def _free(spec: mujoco.MjSpec, name: str) -> str:
     """The name, with a number where one of that name was found before."""
     taken = {tendon.name for tendon in spec.tendons}
     return next(one for one in (name, *(f"{name}_{k}" for k in range(2, len(taken) + 3))) if one not in taken)
@@ -65,7 +66,9 @@ class Elements:
     """Names and sizes in a compiled model, whose elements stay as they are."""
 
     model: mujoco.MjModel
-    _known: dict = field(default_factory=dict, repr=False, compare=False)  # what was asked for before
+    # what was asked for before
+    _ports: dict[tuple[Port, bool], list[Port]] = field(default_factory=dict, repr=False, compare=False)
+    _joint_ids: dict[tuple[int, bool], Ints] = field(default_factory=dict, repr=False, compare=False)
 
     def ports(self, kind: str) -> list[Port]:
         """All ports of a kind; for "model" there is one, "gravity"; sensors are the recording's."""
@@ -86,11 +89,11 @@ class Elements:
         Args:
             elastic: whether every body is every one that hangs on springs or a flex.
         """
-        if (port, elastic) not in self._known:
-            self._known[port, elastic] = self._expanded(port, elastic)
-        return self._known[port, elastic]
+        if (port, elastic) not in self._ports:
+            self._ports[port, elastic] = self._expanded(port, elastic)
+        return self._ports[port, elastic]
 
-    def _expanded(self, port, elastic) -> list[Port]:
+    def _expanded(self, port: Port, elastic: bool) -> list[Port]:
         ports = self.ports(port.kind)
         if elastic and port == Port("body", EVERY):
             ports = [p for p in ports if self._hangs(self.id(p))]
@@ -104,13 +107,13 @@ class Elements:
         """MuJoCo's number of an element."""
         return mujoco.mj_name2id(self.model, _OBJECTS[port.kind], port.name)
 
-    def joints_of(self, body: int, bending_only: bool = False) -> np.ndarray:
+    def joints_of(self, body: int, bending_only: bool = False) -> Ints:
         """Scalar joints of a body: its hinges only, where there are some and only bending counts."""
-        if (body, bending_only) not in self._known:
-            self._known[body, bending_only] = self._joints_of(body, bending_only)
-        return self._known[body, bending_only]
+        if (body, bending_only) not in self._joint_ids:
+            self._joint_ids[body, bending_only] = self._joints_of(body, bending_only)
+        return self._joint_ids[body, bending_only]
 
-    def _joints_of(self, body, bending_only) -> np.ndarray:
+    def _joints_of(self, body: int, bending_only: bool) -> Ints:
         model, start = self.model, self.model.body_jntadr[body]
         joints = np.arange(start, start + model.body_jntnum[body])
         hinges = joints[model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE]
@@ -133,7 +136,7 @@ class Elements:
             raise EffectError(f"joint {self.model.joint(joint).name} has no spring for effects; see instrument()")
         return spring
 
-    def actuators_on(self, port: Port) -> np.ndarray:
+    def actuators_on(self, port: Port) -> Ints:
         """Actuators that pull at a tendon or turn a joint."""
         kind = {"tendon": mujoco.mjtTrn.mjTRN_TENDON, "joint": mujoco.mjtTrn.mjTRN_JOINT}[port.kind]
         model = self.model
@@ -181,21 +184,21 @@ class Elements:
     def _hangs(self, body: int) -> bool:
         return len(self.joints_of(body)) > 0 or self.flex_before(body) is not None
 
-    def _tendons(self):
+    def _tendons(self) -> list[str]:
         names = _names(self.model, mujoco.mjtObj.mjOBJ_TENDON, self.model.ntendon)
         return [name for name in names if not name.startswith(AUXILIARY)]
 
-    def _joints(self):
+    def _joints(self) -> list[str]:
         model = self.model
         names = _names(model, mujoco.mjtObj.mjOBJ_JOINT, model.njnt)
         return [name for name in names if int(model.joint(name).type[0]) in _SCALARS]
 
-    def _bodies(self):
+    def _bodies(self) -> list[str]:
         model = self.model
         moving = [i for i in range(1, model.nbody) if model.body_jntnum[i] > 0]
         return [model.body(i).name for i in moving if model.body(i).name]
 
-    def _geoms(self):
+    def _geoms(self) -> list[str]:
         model = self.model
         touching = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
         return [model.geom(i).name for i in touching if model.geom(i).name]
@@ -211,11 +214,11 @@ _OBJECTS = {
 }
 
 
-def _names(model, kind, count) -> list[str]:
+def _names(model: mujoco.MjModel, kind: mujoco.mjtObj, count: int) -> list[str]:
     names = [mujoco.mj_id2name(model, kind, i) for i in range(count)]
     return [name for name in names if name]
 
 
-def _width(span, limited, otherwise) -> float:
+def _width(span: Floats, limited: bool, otherwise: float) -> float:
     width = float(np.abs(span).max())
     return width if limited and width > 0 else otherwise

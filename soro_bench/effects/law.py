@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from mujoco.batch import Batch
 
+from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.effects.effect import Effect, EffectError, Port, Quantity
 from soro_bench.effects.elements import Elements
 
@@ -56,20 +57,20 @@ class Law:
         """Look up what the ports are in the model."""
         self.ids = np.array([elements.id(port) for port in self.ports])
 
-    def write(self, which: np.ndarray) -> None:
+    def write(self, which: Bools) -> None:
         """Change model fields."""
 
-    def reset(self, which: np.ndarray) -> None:
+    def reset(self, which: Bools) -> None:
         """Begin an episode."""
 
-    def step(self, which: np.ndarray) -> None:
+    def step(self, which: Bools) -> None:
         """Before a time step."""
 
-    def field(self, name: str) -> np.ndarray:
+    def field(self, name: str) -> Floats:
         """The per-simulation values of a model field."""
         return self.batch.expand(name)
 
-    def time(self, which) -> np.ndarray:
+    def time(self, which: Bools) -> Floats:
         """(n,) s since the reset."""
         return self.batch.time[self.rows[which]]
 
@@ -77,10 +78,11 @@ class Law:
 class OnJoints(Law):
     """A law on the scalar joints of a body, or on one joint: entries are repeated for each of the joints."""
 
-    kinds, elastic = ("body", "joint"), True
+    kinds: ClassVar[tuple[str, ...]] = ("body", "joint")
+    elastic = True
     bending_only: ClassVar[bool] = False
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         joints = [self._joints(elements, port) for port in self.ports]
         counts = [len(each) for each in joints]
         self.place = np.repeat(np.arange(len(counts)), counts)
@@ -90,13 +92,13 @@ class OnJoints(Law):
         self.dofs = self.model.jnt_dofadr[self.joints]
         self.qpos = self.model.jnt_qposadr[self.joints]
 
-    def strain(self) -> np.ndarray:
+    def strain(self) -> Floats:
         """(n,) of each entry [rad, m], from where its spring is at rest: the joints of one body bend it together, in no
         preferred direction."""
         strained = self.batch.qpos[self.rows, self.qpos] - self.field("qpos_spring")[self.rows, self.qpos]
         return np.sqrt(np.bincount(self.place, strained * strained))[self.place]
 
-    def _joints(self, elements, port):
+    def _joints(self, elements: Elements, port: Port) -> Ints:
         if port.kind == "joint":
             return np.array([elements.id(port)])
         joints = elements.joints_of(elements.id(port), self.bending_only)
@@ -105,7 +107,7 @@ class OnJoints(Law):
         return joints
 
 
-def tension(batch: Batch, rows, actuators) -> np.ndarray:
+def tension(batch: Batch, rows: Ints, actuators: Ints) -> Floats:
     """(n,) force [N, N m] of the actuators (n, a; -1 is none) on a tendon or joint, in the last time step."""
     ids = np.maximum(actuators, 0)
     force = batch.model.actuator_gear[ids, 0] * batch.actuator_force[rows[:, None], ids]

@@ -4,11 +4,12 @@ A fault changes the samples of one signal, ``values`` (T, P, D): T times, P poin
 coordinates.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import ClassVar
 
 import numpy as np
 
+from soro_bench.arrays import Bools, Floats
 from soro_bench.effects.effect import Effect, EffectError, Quantity
 from soro_bench.rotation import rotate_by_vector
 
@@ -21,7 +22,7 @@ class Fault:
 
     name: ClassVar[str]
     category = "measurement"
-    kinds = ("sensor",)
+    kinds: ClassVar[tuple[str, ...]] = ("sensor",)
     quantities: ClassVar[tuple[Quantity, ...]]
     local: ClassVar[bool] = False  # concerns one point
 
@@ -31,7 +32,7 @@ class Fault:
         return frozenset()
 
     @staticmethod
-    def apply(time: np.ndarray, values: np.ndarray, p: Mapping[str, float], index: int) -> np.ndarray:
+    def apply(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
         """(T, P, D) what is recorded at ``time`` (T,) s of what happened."""
         raise NotImplementedError
 
@@ -43,7 +44,7 @@ class SensorDelay(Fault):
     quantities = (Quantity("delay", "s", 0.015, (-2.0, 2.0)),)
 
     @staticmethod
-    def apply(time, values, p, index):
+    def apply(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
         return _at(time - p["delay"], time, values)
 
 
@@ -54,7 +55,7 @@ class ClockSkew(Fault):
     quantities = (Quantity("rate", "1", 0.001, (-0.5, 0.5)),)
 
     @staticmethod
-    def apply(time, values, p, index):
+    def apply(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
         return _at(time[0] + (time - time[0]) * (1.0 - p["rate"]), time, values)
 
 
@@ -65,11 +66,11 @@ class SensorBias(Fault):
     quantities = tuple(Quantity(axis, "signal", 0.002, _ANY) for axis in "xyz")
 
     @classmethod
-    def idle(cls, coordinates):
+    def idle(cls, coordinates: int) -> frozenset[str]:
         return frozenset("xyz"[coordinates:])
 
     @staticmethod
-    def apply(time, values, p, index):
+    def apply(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
         return _shifted(values, p, index, np.ones(len(time), bool))
 
 
@@ -80,11 +81,11 @@ class MarkerSlip(Fault):
     quantities = (*SensorBias.quantities, Quantity("time", "s", 10.0, (0.0, 1e6)))
 
     @classmethod
-    def idle(cls, coordinates):
+    def idle(cls, coordinates: int) -> frozenset[str]:
         return SensorBias.idle(coordinates)
 
     @staticmethod
-    def apply(time, values, p, index):
+    def apply(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
         return _shifted(values, p, index, time - time[0] >= p["time"])
 
 
@@ -98,7 +99,7 @@ class FrameMisalignment(Fault):
     )
 
     @staticmethod
-    def apply(time, values, p, index):
+    def apply(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
         vector = np.array([p[f"about_{axis}"] for axis in "xyz"])
         flat = values.reshape(-1, 3)
         turned = rotate_by_vector(flat, np.broadcast_to(vector, flat.shape)).reshape(values.shape)
@@ -112,13 +113,15 @@ class Outliers(Fault):
     quantities = (Quantity("share", "1", 0.01, (0.0, 0.5)), Quantity("size", "signal", 0.02, (0.0, np.inf)))
 
     @staticmethod
-    def apply(time, values, p, index):
+    def apply(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
         rng = np.random.default_rng(0)
         hit = rng.random(values.shape[:2]) < p["share"]
         return values + p["size"] * hit[:, :, None] * rng.standard_normal(values.shape)
 
 
-def distorted(faults: Mapping[str, type[Fault]], effects, time, values, signal: str) -> np.ndarray:
+def distorted(
+    faults: Mapping[str, type[Fault]], effects: Iterable[Effect], time: Floats, values: Floats, signal: str
+) -> Floats:
     """(T, P, D) samples of a signal with the measurement faults among ``effects`` that concern it."""
     for effect in effects:
         if effect.where.kind == "sensor" and effect.where.name in ("*", signal):
@@ -132,7 +135,7 @@ def _point(effect: Effect) -> int:
     return 0 if effect.where.index is None else effect.where.index
 
 
-def _at(when, time, values) -> np.ndarray:
+def _at(when: Floats, time: Floats, values: Floats) -> Floats:
     """Values (T, ...) at other times, by a spline; beyond the ends those of the ends, and NaN from the first NaN on.
 
     Of a trunk at 20 Hz that is 5 ms late, straight lines leave 4,000 nats beyond 0.5 mm of noise, and this 360.
@@ -149,7 +152,7 @@ def _at(when, time, values) -> np.ndarray:
     return np.where(np.isin(when, time)[:, None, None], values[np.searchsorted(time, when)], found)
 
 
-def _shifted(values, p, index, when):
+def _shifted(values: Floats, p: Mapping[str, float], index: int, when: Bools) -> Floats:
     shifted = values.copy()
     shifted[when, index] += np.array([p[axis] for axis in "xyz"])[: values.shape[2]]
     return shifted

@@ -9,7 +9,9 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
+from soro_bench.arrays import Bools, Floats
 from soro_bench.effects.effect import EffectError
+from soro_bench.effects.elements import Elements
 from soro_bench.effects.law import Law
 from soro_bench.effects.springs import Hysteresis, PlasticSet, RestBend, ViscoelasticCreep
 from soro_bench.effects.stiffness import MullinsSoftening, Stiffening
@@ -28,17 +30,18 @@ class AcrossNeck(Law):
     twin: ClassVar[type[Law]]  # the law of joints that says the same
     kinds, stepped, outputs = ("body",), True, ("xquat",)
 
-    def __init_subclass__(cls):
+    def __init_subclass__(cls) -> None:
         cls.name, cls.category, cls.quantities = cls.twin.name, cls.twin.category, cls.twin.quantities
         cls.shared = cls.only_shared = True
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         model = self.model
         self.far = np.array([elements.id(port) for port in self.ports])
-        self.flexes = [elements.flex_before(body) for body in self.far]
-        for port, flex in zip(self.ports, self.flexes, strict=True):
-            if flex is None or model.flex_nodenum[flex] * 3 != _CELL:
+        self.flexes: list[int] = []
+        for port, body in zip(self.ports, self.far, strict=True):
+            if (flex := elements.flex_before(body)) is None or model.flex_nodenum[flex] * 3 != _CELL:
                 raise EffectError(f"{self.name} acts on scalar joints or a neck of flex; {port} has none")
+            self.flexes.append(flex)
         first = model.flex_nodeadr[self.flexes]
         self.near = np.array([model.flex_nodebodyid[a : a + _CELL // 3].min() for a in first])
         self._modes = [_Modes(model, flex) for flex in self.flexes]
@@ -46,7 +49,7 @@ class AcrossNeck(Law):
         self._pushed = np.zeros((len(self.rows), 3))
         self.memory = np.zeros((len(self.rows), 3))
 
-    def write(self, which):
+    def write(self, which: Bools) -> None:
         field = self.field("flex_stiffness")
         for i in np.flatnonzero(which):
             start = self.model.flex_stiffnessadr[self.flexes[i]]
@@ -54,13 +57,13 @@ class AcrossNeck(Law):
             cell = -field[self.rows[i], start : start + _CELL**2].reshape(_CELL, _CELL)
             self._stiffness[i] = _bending_stiffness(cell, self._modes[i])
 
-    def reset(self, which):
+    def reset(self, which: Bools) -> None:
         self._pushed[which] = 0.0
         self.memory[which] = 0.0
         for bodies in (self.near, self.far):
             self.batch.xfrc_applied[self.rows[which], bodies[which], 3:] = 0.0
 
-    def step(self, which):
+    def step(self, which: Bools) -> None:
         rows = self.rows[which]
         near, far = (self.batch.xquat[rows, bodies[which]] for bodies in (self.near, self.far))
         axes = np.stack([modes.axis for modes in self._modes])[which]
@@ -69,14 +72,16 @@ class AcrossNeck(Law):
         moment = self._stiffness[which, None] * self.strain(which, bend)
         push = rotate_by_quaternion(moment, near) - self._pushed[which]
         self._pushed[which] += push
-        np.add.at(self.batch.xfrc_applied, (rows, self.far[which], slice(3, None)), push)
-        np.subtract.at(self.batch.xfrc_applied, (rows, self.near[which], slice(3, None)), push)
+        moments = self.batch.xfrc_applied[:, :, 3:]
+        np.add.at(moments, (rows, self.far[which]), push)
+        np.subtract.at(moments, (rows, self.near[which]), push)
 
-    def strain(self, which, bend):
+    def strain(self, which: Bools, bend: Floats) -> Floats:
         """(n, 3) the moment over the neck's stiffness, at bends (n, 3)."""
         raise NotImplementedError
 
-    def value(self, name, which):
+    def value(self, name: str, which: Bools) -> Floats:
+        """(n, 1) of a quantity, in its unit."""
         return self.values[name][which, None]
 
 
@@ -85,7 +90,7 @@ class NeckStiffening(AcrossNeck):
 
     twin = Stiffening
 
-    def strain(self, which, bend):
+    def strain(self, which: Bools, bend: Floats) -> Floats:
         return -self.value("beta", which) * (bend * bend).sum(axis=1, keepdims=True) * bend
 
 
@@ -94,7 +99,7 @@ class NeckMullins(AcrossNeck):
 
     twin = MullinsSoftening
 
-    def strain(self, which, bend):
+    def strain(self, which: Bools, bend: Floats) -> Floats:
         size = _size(bend)
         largest = self.memory[which, :1] = np.maximum(self.memory[which, :1], size)
         lost = self.value("softening", which) * -np.expm1(-largest / self.value("strain", which))
@@ -106,7 +111,7 @@ class NeckHysteresis(AcrossNeck):
 
     twin = Hysteresis
 
-    def strain(self, which, bend):
+    def strain(self, which: Bools, bend: Floats) -> Floats:
         limit = self.value("yield_strain", which)
         stretch = bend - self.memory[which]
         stretch = stretch * np.minimum(1.0, limit / np.maximum(_size(stretch), 1e-12))
@@ -119,7 +124,7 @@ class NeckCreep(AcrossNeck):
 
     twin = ViscoelasticCreep
 
-    def strain(self, which, bend):
+    def strain(self, which: Bools, bend: Floats) -> Floats:
         share = -np.expm1(-self.dt / self.value("time_constant", which))
         self.memory[which] += share * (bend - self.memory[which])
         return self.value("ratio", which) * (self.memory[which] - bend)
@@ -130,7 +135,7 @@ class NeckPlasticSet(AcrossNeck):
 
     twin = PlasticSet
 
-    def strain(self, which, bend):
+    def strain(self, which: Bools, bend: Floats) -> Floats:
         softness = self.value("softness", which)
         excess = bend - self.memory[which]
         beyond = 1.0 - 1.0 / np.maximum(np.maximum(softness, 1e-12) * _size(excess), 1.0)
@@ -143,7 +148,7 @@ class NeckRestBend(AcrossNeck):
 
     twin = RestBend
 
-    def strain(self, which, bend):
+    def strain(self, which: Bools, bend: Floats) -> Floats:
         x, y = self.values["angle_x"][which], self.values["angle_y"][which]
         return np.stack([x, y, np.zeros(len(x))], axis=1)
 
@@ -156,7 +161,7 @@ NECKS = {
 class _Modes:
     """Rigid motions of the far end of a flex's cell: three turns about the middle of that end, three ways."""
 
-    def __init__(self, model, flex):
+    def __init__(self, model: mujoco.MjModel, flex: int):
         data = mujoco.MjData(model)
         mujoco.mj_kinematics(model, data)
         first = model.flex_nodeadr[flex]
@@ -176,7 +181,7 @@ class _Modes:
         mujoco.mju_rotVecQuat(self.axis, self.world_axis, inverse)
 
 
-def _bending_stiffness(cell: np.ndarray, modes: _Modes) -> float:
+def _bending_stiffness(cell: Floats, modes: _Modes) -> float:
     """N m/rad of a neck whose far end is free to move while it is turned; the mean of all directions."""
     matrix = modes.motions @ cell @ modes.motions.T
     turning, coupling, moving = matrix[:3, :3], matrix[:3, 3:], matrix[3:, 3:]
@@ -185,7 +190,7 @@ def _bending_stiffness(cell: np.ndarray, modes: _Modes) -> float:
     return float(np.trace(free) - axis @ free @ axis) / 2.0
 
 
-def _across(near: np.ndarray, far: np.ndarray) -> np.ndarray:
+def _across(near: Floats, far: Floats) -> Floats:
     """(n, 3) rotation vectors from orientations near to far (n, 4), in the frame of the near ones."""
     w, v = near[:, :1], near[:, 1:]
     real = w * far[:, :1] + (v * far[:, 1:]).sum(axis=1, keepdims=True)
@@ -195,5 +200,5 @@ def _across(near: np.ndarray, far: np.ndarray) -> np.ndarray:
     return vector * 2.0 * np.arctan2(sine, np.abs(real)) / np.maximum(sine, 1e-12)
 
 
-def _size(vectors: np.ndarray) -> np.ndarray:
+def _size(vectors: Floats) -> Floats:
     return np.sqrt((vectors * vectors).sum(axis=1, keepdims=True))

@@ -1,14 +1,17 @@
 """Effects at work in N simulations, each with its own."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
 from mujoco.batch import DATA_FIELDS, Batch
 
+from soro_bench.arrays import Floats, Ints
 from soro_bench.effects.catalogue import PHYSICS
 from soro_bench.effects.effect import Effect, EffectError, Port, checked
 from soro_bench.effects.elements import Elements
+from soro_bench.effects.law import Law
 from soro_bench.effects.necks import NECKS
 from soro_bench.effects.setpoints import SetpointLaw
 
@@ -60,18 +63,18 @@ class ActiveEffects:
         self.filters = [law for law in self._laws if isinstance(law, SetpointLaw)]
         self._stepped = [law for law in self._laws if law.stepped]
         self._prepare_setpoints()
-        self._ids: np.ndarray | None = None  # of the last step
+        self._ids: Ints | None = None  # of the last step
 
     @property
     def native(self) -> bool:
         """Whether everything that the effects do is in model fields."""
         return not (self.filters or self._stepped)
 
-    def _on_neck(self, port) -> bool:
+    def _on_neck(self, port: Port) -> bool:
         """Whether a body hangs on what precedes it by a flex, not by joints that could have springs."""
         return port.kind == "body" and not len(self.elements.joints_of(self.elements.id(port)))
 
-    def claim(self, law, rows, springs) -> None:
+    def claim(self, law: Law, rows: Ints, springs: Ints) -> None:
         """Note that a law uses springs; EffectError if another one does."""
         for key in zip(rows.tolist(), springs.tolist(), strict=True):
             if key in self._claimed:
@@ -93,25 +96,25 @@ class ActiveEffects:
         )
         law.values[quantity][i] = value
 
-    def restore(self, ids: np.ndarray) -> None:
+    def restore(self, ids: Ints) -> None:
         """Model fields that effects changed become nominal again."""
         for field in self._fields:
             nominal = getattr(self._nominal.opt, field[4:]) if field.startswith("opt.") else getattr(
                 self._nominal, field)  # fmt: skip
             self.batch.expand(field)[ids] = nominal
 
-    def write(self, ids: np.ndarray) -> None:
+    def write(self, ids: Ints) -> None:
         """Change model fields of simulations ``ids``, whose parameters have just been set."""
         for law in self._laws:
             law.write(np.isin(law.rows, ids))
-        for field in self._scaled.values():
-            field.keep(ids)
+        for scaled in self._scaled.values():
+            scaled.keep(ids)
         if self.filters:  # a setpoint may move faster and farther than commands may
             rows, actuators = self.touched_in(ids)
             for field in _RANGES:
                 self.batch.expand(field)[rows, actuators] = (-1e9, 1e9)
 
-    def reset(self, ids: np.ndarray) -> None:
+    def reset(self, ids: Ints) -> None:
         """Begin an episode in simulations ``ids``, whose state is complete."""
         # as after a reset of the simulation too, where an episode begins from a given state
         self.batch.time[ids], self.batch.plastic[ids] = 0.0, self._plastic
@@ -119,7 +122,7 @@ class ActiveEffects:
         for law in self._laws:
             law.reset(np.isin(law.rows, ids))
 
-    def step(self, ids: np.ndarray, nstep: int, stage: int) -> None:
+    def step(self, ids: Ints, nstep: int, stage: int) -> None:
         """Advance simulations ``ids`` as ``Batch.step`` does."""
         if self.native:
             self.batch.step(ids, nstep=nstep, stage=stage)
@@ -133,8 +136,8 @@ class ActiveEffects:
         for left in range(nstep - 1, -1, -1):
             if self.filters:
                 self._commands.step()
-            for field in self._scaled.values():
-                field.begin(ids)
+            for scaled in self._scaled.values():
+                scaled.begin(ids)
             for law in self._stepped:
                 law.step(self._which[law])
             # forward stages at the new state only where they are read: a persistent batch reuses them, but not
@@ -143,14 +146,14 @@ class ActiveEffects:
             self.batch.step(ids, stage=between if left or stage == nothing else stage)
         self.batch.ctrl[ids] = asked
 
-    def _choose(self, ids) -> None:
+    def _choose(self, ids: Ints) -> None:
         """Look up what acts in simulations ``ids``, which are mostly those of the last step."""
         if self._ids is None or not np.array_equal(ids, self._ids):
             self._ids = ids.copy()
             self._which = {law: np.isin(law.rows, ids) for law in self._stepped}
             self._commands = _Commands(self, ids)
 
-    def _start(self, ids) -> None:
+    def _start(self, ids: Ints) -> None:
         """The first setpoints of an episode: the activation, or where it is none the first control."""
         control = self.batch.ctrl[ids]
         activation = self.batch.act[ids][:, self.slot] if self.batch.model.na else control
@@ -159,7 +162,7 @@ class ActiveEffects:
             which = np.isin(law.rows, ids)
             law.start(which, self.setpoint[law.rows[which], law.ids[which]])
 
-    def _prepare_setpoints(self):
+    def _prepare_setpoints(self) -> None:
         model = self.batch.model
         self.integrates = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR
         # where the control is a rate, the setpoint is the activation; the slot of others is not used
@@ -176,7 +179,7 @@ class ActiveEffects:
         if self.filters:
             self._fields |= set(_RANGES)
 
-    def touched_in(self, ids) -> tuple[np.ndarray, np.ndarray]:
+    def touched_in(self, ids: Ints) -> tuple[Ints, Ints]:
         """Simulations among ``ids`` and actuators whose setpoints are changed."""
         rows, actuators = np.nonzero(self._touched)
         chosen = np.isin(rows, ids)
@@ -191,14 +194,14 @@ class Scaled:
         values: (N, ...) of the field.
     """
 
-    def __init__(self, values: np.ndarray):
+    def __init__(self, values: Floats):
         self.values, self._own = values, values.copy()
 
-    def keep(self, ids: np.ndarray) -> None:
+    def keep(self, ids: Ints) -> None:
         """Remember the values of simulations ``ids``."""
         self._own[ids] = self.values[ids]
 
-    def begin(self, ids: np.ndarray) -> None:
+    def begin(self, ids: Ints) -> None:
         """Begin a time step of simulations ``ids``."""
         self.values[ids] = self._own[ids]
 
@@ -209,7 +212,7 @@ class _Once:
     def __init__(self, batch: Batch):
         self._batch = batch
 
-    def __getattr__(self, name):
+    def __getattr__(self, name: str) -> Any:
         found = getattr(self._batch, name)
         if name in DATA_FIELDS:
             setattr(self, name, found)
@@ -219,7 +222,7 @@ class _Once:
 class _Commands:
     """The setpoints of some simulations on their way through the laws."""
 
-    def __init__(self, run: ActiveEffects, ids: np.ndarray):
+    def __init__(self, run: ActiveEffects, ids: Ints):
         self.run, model = run, run.batch.model
         self.rows, self.actuators = run.touched_in(ids)
         i = self.actuators

@@ -9,7 +9,9 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
+from soro_bench.arrays import Bools, Floats
 from soro_bench.effects.effect import EffectError, Quantity
+from soro_bench.effects.elements import Elements
 from soro_bench.effects.law import Law
 
 
@@ -18,10 +20,10 @@ class SetpointLaw(Law):
 
     kinds = ("actuator",)
 
-    def start(self, which: np.ndarray, setpoint: np.ndarray) -> None:
+    def start(self, which: Bools, setpoint: Floats) -> None:
         """Begin an episode at setpoints (n,)."""
 
-    def filter(self, which: np.ndarray, setpoint: np.ndarray) -> np.ndarray:
+    def filter(self, which: Bools, setpoint: Floats) -> Floats:
         """(n,) setpoints of the coming time step for those that were asked for."""
         raise NotImplementedError
 
@@ -29,11 +31,11 @@ class SetpointLaw(Law):
 class _Following(SetpointLaw):
     """A law whose output remembers where it was, ``output`` (n,)."""
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         self.output = np.zeros(len(self.rows))
 
-    def start(self, which, setpoint):
+    def start(self, which: Bools, setpoint: Floats) -> None:
         self.output[which] = setpoint
 
 
@@ -44,7 +46,7 @@ class ActuatorGain(SetpointLaw):
     quantities = (Quantity("gain", "1", 0.85, (0.0, 10.0), null=1.0),)
     shared = True
 
-    def filter(self, which, setpoint):
+    def filter(self, which: Bools, setpoint: Floats) -> Floats:
         return self.values["gain"][which] * setpoint
 
 
@@ -54,7 +56,7 @@ class Pretension(SetpointLaw):
     name, category = "pretension", "static_one_sided"
     quantities = (Quantity("offset", "setpoint", 1.0, (-np.inf, np.inf), of="length"),)
 
-    def filter(self, which, setpoint):
+    def filter(self, which: Bools, setpoint: Floats) -> Floats:
         return setpoint + self.values["offset"][which]
 
 
@@ -65,7 +67,7 @@ class ActuatorDeadband(SetpointLaw):
     quantities = (Quantity("width", "setpoint", 1.0, (0.0, np.inf), of="length"),)
     shared = True
 
-    def filter(self, which, setpoint):
+    def filter(self, which: Bools, setpoint: Floats) -> Floats:
         return setpoint - np.clip(setpoint, -self.values["width"][which], self.values["width"][which])
 
 
@@ -76,7 +78,7 @@ class Backlash(_Following):
     quantities = (Quantity("width", "setpoint", 1.0, (0.0, np.inf), of="length"),)
     shared = True
 
-    def filter(self, which, setpoint):
+    def filter(self, which: Bools, setpoint: Floats) -> Floats:
         half = self.values["width"][which] / 2
         self.output[which] = np.clip(self.output[which], setpoint - half, setpoint + half)
         return self.output[which]
@@ -88,7 +90,7 @@ class ActuatorLag(_Following):
     name, category, shared = "actuator_lag", "timing", True
     quantities = (Quantity("time_constant", "s", 0.015, (0.0, 1e3)),)
 
-    def filter(self, which, setpoint):
+    def filter(self, which: Bools, setpoint: Floats) -> Floats:
         tau = self.values["time_constant"][which]
         share = np.where(tau > 0, -np.expm1(-self.dt / np.maximum(tau, 1e-9)), 1.0)
         moved = self.output[which] + share * (setpoint - self.output[which])
@@ -102,7 +104,7 @@ class ActuatorDelay(SetpointLaw):
     name, category, shared = "actuator_delay", "timing", True
     quantities = (Quantity("delay", "s", 0.015, (0.0, 2.0)),)
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         steps = self.values["delay"] / self.dt
         self.whole = np.floor(steps + 1e-9).astype(int)
@@ -110,10 +112,10 @@ class ActuatorDelay(SetpointLaw):
         self.buffer = np.zeros((len(self.rows), int(self.whole.max(initial=0)) + 2))
         self.next = np.zeros(len(self.rows), int)
 
-    def start(self, which, setpoint):
+    def start(self, which: Bools, setpoint: Floats) -> None:
         self.buffer[which] = setpoint[:, None]
 
-    def filter(self, which, setpoint):
+    def filter(self, which: Bools, setpoint: Floats) -> Floats:
         entries, size = np.flatnonzero(which), self.buffer.shape[1]
         now, part = self.next[entries], self.part[entries]
         self.buffer[entries, now] = setpoint
@@ -128,17 +130,17 @@ class _Pneumatic(_Following):
 
     shared = True
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         if (self.model.actuator_dyntype[self.ids] != mujoco.mjtDyn.mjDYN_INTEGRATOR).any():
             raise EffectError(f"{self.name} acts on actuators that integrate their control, such as chambers")
         self.asked = np.zeros(len(self.rows))
 
-    def start(self, which, setpoint):
+    def start(self, which: Bools, setpoint: Floats) -> None:
         super().start(which, setpoint)
         self.asked[which] = setpoint
 
-    def filter(self, which, setpoint):
+    def filter(self, which: Bools, setpoint: Floats) -> Floats:
         rows, ids = self.rows[which], self.ids[which]
         change, self.asked[which] = setpoint - self.asked[which], setpoint
         before = self.output[which]
@@ -150,7 +152,7 @@ class _Pneumatic(_Following):
         self.output[which] = np.where(magnitude > 0, np.clip(refilled, *self.run.limits[ids].T), setpoint)
         return self.output[which]
 
-    def pressure(self, which, before, change):
+    def pressure(self, which: Bools, before: Floats, change: Floats) -> Floats:
         """(n,) pressures after a time step in which ``change`` was asked for."""
         raise NotImplementedError
 
@@ -161,7 +163,7 @@ class PressureLeak(_Pneumatic):
     name, category = "pressure_leak", "slow_drift"
     quantities = (Quantity("rate", "1/s", 0.2, (0.0, 100.0)),)
 
-    def pressure(self, which, before, change):
+    def pressure(self, which: Bools, before: Floats, change: Floats) -> Floats:
         return np.exp(-self.values["rate"][which] * self.dt) * before + change
 
 
@@ -174,7 +176,7 @@ class PressureAsymmetry(_Pneumatic):
         Quantity("venting", "s", 1e-3, (1e-6, 100.0)),
     )
 
-    def pressure(self, which, before, change):
+    def pressure(self, which: Bools, before: Floats, change: Floats) -> Floats:
         error = self.asked[which] - before
         slower = np.where(error > 0, self.values["difference"][which], 0.0)
         return before - np.expm1(-self.dt / (slower + self.values["venting"][which])) * error
@@ -186,7 +188,7 @@ class SupplyCoupling(_Pneumatic):
     name, category = "supply_coupling", "amplitude"
     quantities = (Quantity("coupling", "1", 0.2, (0.0, 1.0)),)
 
-    def pressure(self, which, before, change):
+    def pressure(self, which: Bools, before: Floats, change: Floats) -> Floats:
         rows, filling = self.rows[which], (change > 0).astype(float)
         others = np.bincount(rows, filling, minlength=self.batch.nsim)[rows] - filling
         slower = np.maximum(1.0 - self.values["coupling"][which] * others, 0.0)
@@ -200,7 +202,7 @@ class Compliance(Law):
     quantities = (Quantity("compliance", "m/N or rad/(N m)", 1.0, (0.0, np.inf), of="compliance"),)
     fields: ClassVar = ("actuator_gainprm", "actuator_biasprm")
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         fixed = self.model.actuator_gaintype[self.ids] == mujoco.mjtGain.mjGAIN_FIXED
         affine = self.model.actuator_biastype[self.ids] == mujoco.mjtBias.mjBIAS_AFFINE
@@ -208,7 +210,7 @@ class Compliance(Law):
         if not (fixed & affine & ~((of_position == 0) & (of_velocity != 0))).all():
             raise EffectError(f"{self.name} acts on servos of positions: actuators of fixed gain and affine bias")
 
-    def write(self, which):
+    def write(self, which: Bools) -> None:
         at = self.rows[which], self.ids[which]
         gain, bias = self.field("actuator_gainprm"), self.field("actuator_biasprm")
         softer = (1.0 + gain[at][:, 0] * self.values["compliance"][which])[:, None]
@@ -223,10 +225,10 @@ class ActuatorSaturation(Law):
     quantities = (Quantity("loss", "1", 0.7, (0.0, 1.0), also=(0.4, 0.88)),)
     fields: ClassVar = ("actuator_forcerange",)
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         if not self.model.actuator_forcelimited[self.ids].all():
             raise EffectError(f"{self.name} acts on actuators with a limit of force")
 
-    def write(self, which):
+    def write(self, which: Bools) -> None:
         self.field("actuator_forcerange")[self.rows[which], self.ids[which]] *= 1.0 - self.values["loss"][which, None]

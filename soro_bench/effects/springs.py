@@ -15,8 +15,9 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from soro_bench.effects.effect import EffectError, Quantity
-from soro_bench.effects.elements import NEVER
+from soro_bench.arrays import Bools, Floats
+from soro_bench.effects.effect import EffectError, Port, Quantity
+from soro_bench.effects.elements import NEVER, Elements
 from soro_bench.effects.law import Law, OnJoints, tension
 
 _SOFTER = 100.0  # a spring that slides, than one that sticks, and than one that yields within a time step
@@ -32,13 +33,13 @@ class _Friction(Law):
     """Friction of a tendon or joint: a spring without rest length that yields."""
 
     category = "dry_loss"
-    kinds = ("tendon", "joint")
-    fields = ("tendon_stiffness", "tendon_springyield")
-    outputs = ("ten_length", "ten_velocity")
+    kinds: ClassVar[tuple[str, ...]] = ("tendon", "joint")
+    fields: ClassVar[tuple[str, ...]] = ("tendon_stiffness", "tendon_springyield")
+    outputs: ClassVar[tuple[str, ...]] = ("ten_length", "ten_velocity")
     stepped = True
     of_load: ClassVar[bool] = False  # what holds grows with the load at once, as the level does
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         # a tendon's own spring, a joint's second one
         on_joint = [port.kind == "joint" for port in self.ports]
@@ -57,15 +58,15 @@ class _Friction(Law):
         for i, each in enumerate(actuators):
             self.actuators[i, : len(each)] = each
 
-    def write(self, which):
+    def write(self, which: Bools) -> None:
         level = self.level(which)
         self._set(which, level, self._presliding(which, level))
 
-    def reset(self, which):
+    def reset(self, which: Bools) -> None:
         """An episode begins without friction, wherever the spring is then."""
         self._set_rest(which, self.batch.ten_length[self.rows[which], self.springs[which]])
 
-    def step(self, which):
+    def step(self, which: Bools) -> None:
         rows, springs = self.rows[which], self.springs[which]
         length, velocity = self.batch.ten_length[rows, springs], self.batch.ten_velocity[rows, springs]
         rest = self.batch.plastic[rows, self.model.tendon_plasticadr[springs]]
@@ -83,25 +84,25 @@ class _Friction(Law):
         self._set(which, level, reach)
         self._set_rest(which, length - reach * force / np.maximum(level, 1e-12))
 
-    def level(self, which):
+    def level(self, which: Bools) -> Floats:
         """(n,) the force at which it slips while it becomes shorter."""
         raise NotImplementedError
 
-    def levels(self, which):
+    def levels(self, which: Bools) -> tuple[Floats, Floats]:
         """The same, and (n,) the force at which it slips while it becomes longer."""
         level = self.level(which)
         return level, level
 
-    def _presliding(self, which, level, ratio=1.0):
+    def _presliding(self, which: Bools, level: Floats, ratio: Floats | float = 1.0) -> Floats:
         """(n,) how far it gives: ``ratio`` times its presliding, more where a spring would be too stiff."""
         return np.maximum(self.values["presliding"][which] * ratio, level / self.stiffest[which])
 
-    def _set(self, which, level, reach):
+    def _set(self, which: Bools, level: Floats, reach: Floats) -> None:
         at = self.rows[which], self.springs[which]
         self.field("tendon_stiffness")[at] = level / reach
         self.field("tendon_springyield")[at] = reach
 
-    def _set_rest(self, which, rest):
+    def _set_rest(self, which: Bools, rest: Floats) -> None:
         rows, slots = self.rows[which], self.model.tendon_plasticadr[self.springs[which]]
         self.batch.plastic[rows, slots] = self.batch.plastic[rows, slots + 1] = rest
 
@@ -112,7 +113,7 @@ class CoulombFriction(_Friction):
     name = "coulomb_friction"
     quantities = (Quantity("friction", _FORCE, 1.0, INFINITE, of="force"), _PRESLIDING)
 
-    def level(self, which):
+    def level(self, which: Bools) -> Floats:
         return self.values["friction"][which]
 
 
@@ -127,7 +128,7 @@ class StribeckFriction(_Friction):
         _PRESLIDING,
     )
 
-    def level(self, which):
+    def level(self, which: Bools) -> Floats:
         velocity = self.batch.ten_velocity[self.rows[which], self.springs[which]]
         excess = (self.values["static_ratio"] - 1.0)[which]
         ratio = 1.0 + excess * np.exp(-((velocity / self.values["stribeck_velocity"][which]) ** 2))
@@ -146,7 +147,7 @@ class LoadFriction(_Friction):
     quantities = (Quantity("mu", "1", 0.1, (0.0, 10.0)), _PRESLIDING)
     outputs = ("ten_length", "ten_velocity", "actuator_force", "qfrc_actuator", "xmat")
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         self.on_joint = np.array([port.kind == "joint" for port in self.ports])
         self.dofs = np.where(self.on_joint, self.model.jnt_dofadr[np.where(self.on_joint, self.ids, 0)], 0)
@@ -159,10 +160,10 @@ class LoadFriction(_Friction):
             for k, (near, far, along, onward) in enumerate(path):
                 self.bodies[:, i, k], self.ways[:, i, k] = (near, far), (along, onward)
 
-    def level(self, which):
+    def level(self, which: Bools) -> Floats:
         return self.levels(which)[0]
 
-    def levels(self, which):
+    def levels(self, which: Bools) -> tuple[Floats, Floats]:
         rows, on_joint, mu = self.rows[which], self.on_joint[which], self.values["mu"][which]
         torque = np.abs(self.batch.qfrc_actuator[rows, self.dofs[which]]) * mu
         if on_joint.all():
@@ -171,7 +172,7 @@ class LoadFriction(_Friction):
         bend = np.minimum(mu * self._angle(which), _LARGEST_BEND)
         return np.where(on_joint, torque, -np.expm1(-bend) * load), np.where(on_joint, torque, np.expm1(bend) * load)
 
-    def _angle(self, which) -> np.ndarray:
+    def _angle(self, which: Bools) -> Floats:
         """(n,) sums of the angles [rad] by which tendons bend."""
         turns = self.batch.xmat[self.rows[which][:, None], self.bodies[:, which]]
         turns = turns.reshape(*turns.shape[:3], 3, 3)
@@ -202,11 +203,11 @@ class GearFriction(_Friction):
         "ten_length", "ten_velocity", "qfrc_actuator", "qfrc_passive", "qfrc_constraint", "qfrc_applied", "qfrc_bias",
     )  # fmt: skip
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         self.dofs = self.model.jnt_dofadr[self.ids]
 
-    def level(self, which):
+    def level(self, which: Bools) -> Floats:
         rows, dofs, springs = self.rows[which], self.dofs[which], self.springs[which]
         data, values = self.batch, {name: each[which] for name, each in self.values.items()}
         strain = data.ten_length[rows, springs] - data.plastic[rows, self.model.tendon_plasticadr[springs]]
@@ -224,13 +225,13 @@ class _SecondSpring(OnJoints):
 
     bending_only = True
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         self.springs = np.array([elements.spring_of(joint) for joint in self.joints], int)
         self.run.claim(self, self.rows, self.springs)
         self.slots = self.model.tendon_plasticadr[self.springs]
 
-    def reset(self, which):
+    def reset(self, which: Bools) -> None:
         """It begins at rest where the joint's own spring is."""
         rows, slots = self.rows[which], self.slots[which]
         rest = self.field("qpos_spring")[rows, self.qpos[which]]
@@ -247,7 +248,7 @@ class Hysteresis(_SecondSpring):
     )
     fields = ("tendon_stiffness", "tendon_springyield")
 
-    def write(self, which):
+    def write(self, which: Bools) -> None:
         rows, springs = self.rows[which], self.springs[which]
         own = self.field("jnt_stiffness")[rows, self.joints[which]]
         self.field("tendon_stiffness")[rows, springs] = self.values["ratio"][which] * own
@@ -266,12 +267,12 @@ class ViscoelasticCreep(_SecondSpring):
     fields = ("tendon_stiffness",)
     outputs = ("ten_length",)
 
-    def write(self, which):
+    def write(self, which: Bools) -> None:
         rows = self.rows[which]
         own = self.field("jnt_stiffness")[rows, self.joints[which]]
         self.field("tendon_stiffness")[rows, self.springs[which]] = self.values["ratio"][which] * own
 
-    def step(self, which):
+    def step(self, which: Bools) -> None:
         rows, slots = self.rows[which], self.slots[which]
         length = self.batch.ten_length[rows, self.springs[which]]
         share = -np.expm1(-self.dt / self.values["time_constant"][which])
@@ -294,7 +295,7 @@ class PlasticSet(_SecondSpring):
     )
     fields: ClassVar = ("jnt_stiffness", "tendon_stiffness", "tendon_springyield")
 
-    def write(self, which):
+    def write(self, which: Bools) -> None:
         rows, softness = self.rows[which], self.values["softness"][which]
         share = np.where(softness > 0, self.values["share"][which], 0.0)
         stiffness = self.field("jnt_stiffness")
@@ -305,7 +306,7 @@ class PlasticSet(_SecondSpring):
         stiffness[rows, self.joints[which]] *= 1.0 - share
 
 
-def _bends(model, tendon) -> list[tuple]:
+def _bends(model: mujoco.MjModel, tendon: int) -> list[tuple[int, int, Floats, Floats]]:
     """Where a spatial tendon goes from one body to another: both, and its direction there at rest in their frames."""
     wraps = np.arange(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
     kinds = model.wrap_type[wraps]
@@ -336,15 +337,15 @@ class RestBend(OnJoints):
     fields = ("qpos_spring",)
 
     @classmethod
-    def idle(cls, elements, port):
+    def idle(cls, elements: Elements, port: Port) -> frozenset[str]:
         joints = elements.joints_of(elements.id(port), bending_only=True) if port.kind == "body" else [port]
         return frozenset({"angle_y"} if len(joints) == 1 else ())
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         self.first = np.searchsorted(self.place, self.place)
 
-    def write(self, which):
+    def write(self, which: Bools) -> None:
         number = (np.arange(len(self.place)) - self.first)[which]
         angles = np.stack([self.values["angle_x"][which], self.values["angle_y"][which]])
         angle = np.where(number < 2, angles[np.minimum(number, 1), np.arange(len(number))], 0.0)

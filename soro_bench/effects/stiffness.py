@@ -1,8 +1,11 @@
 """Laws of what resists motion in proportion: stiffness and viscous friction."""
 
+import mujoco
 import numpy as np
 
-from soro_bench.effects.effect import EffectError, Quantity
+from soro_bench.arrays import Bools, Floats
+from soro_bench.effects.effect import EffectError, Port, Quantity
+from soro_bench.effects.elements import Elements
 from soro_bench.effects.law import Law, OnJoints
 
 _OF_FLEX = ("flex_stiffness", "flex_bending")
@@ -15,11 +18,11 @@ class ViscousFriction(Law):
     quantities = (Quantity("damping", "N s/m or N m s/rad", 1.0, (0.0, np.inf), of="damping"),)
     fields = ("tendon_damping", "dof_damping")
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         self.on_joint = np.array([port.kind == "joint" for port in self.ports])
 
-    def write(self, which):
+    def write(self, which: Bools) -> None:
         for field, chosen in (("tendon_damping", ~self.on_joint), ("dof_damping", self.on_joint)):
             i = np.flatnonzero(which & chosen)
             ids = self.ids[i] if field == "tendon_damping" else self.model.jnt_dofadr[self.ids[i]]
@@ -33,10 +36,10 @@ class LocalStiffness(OnJoints):
     quantities = (Quantity("factor", "1", 0.7, (0.02, 50.0), null=1.0),)
     fields = ("jnt_stiffness", "dof_damping", *_OF_FLEX)
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         self.springs = _Springs(self, elements)
 
-    def write(self, which):
+    def write(self, which: Bools) -> None:
         self.springs.scale(self.values["factor"], which)
 
 
@@ -49,11 +52,11 @@ class StiffnessDrift(OnJoints):
     fields = ("jnt_stiffness", "dof_damping", *_OF_FLEX)
     shared = True
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         self.springs = _Springs(self, elements)
-        self.springs.share(self.run)
+        self.springs.share()
 
-    def step(self, which):
+    def step(self, which: Bools) -> None:
         factor = np.ones(len(self.rows))
         factor[which] = np.maximum(1.0 + self.values["rate"][which] * self.time(which) / 60.0, 0.05)
         self.springs.scale(factor, which)
@@ -65,15 +68,15 @@ class _StrainDependent(OnJoints):
     category, bending_only, shared, only_shared, stepped = "amplitude", True, True, True, True
     fields = ("jnt_stiffness",)
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         self.run.scaled("jnt_stiffness")
 
-    def step(self, which):
+    def step(self, which: Bools) -> None:
         factor = self.factor(self.strain(), which)[which]
         np.multiply.at(self.field("jnt_stiffness"), (self.rows[which], self.joints[which]), factor)
 
-    def factor(self, strain, which):
+    def factor(self, strain: Floats, which: Bools) -> Floats:
         """(n,) of the stiffness at strains (n,)."""
         raise NotImplementedError
 
@@ -84,7 +87,7 @@ class Stiffening(_StrainDependent):
     name = "stiffening"
     quantities = (Quantity("beta", "1/rad^2 or 1/m^2", 2.0, (0.0, 1e6)),)
 
-    def factor(self, strain, which):
+    def factor(self, strain: Floats, which: Bools) -> Floats:
         return 1.0 + self.values["beta"] * strain**2
 
 
@@ -100,14 +103,14 @@ class MullinsSoftening(_StrainDependent):
         Quantity("strain", "rad or m", 0.05, (1e-4, 10.0), also=(0.2,)),
     )
 
-    def prepare(self, elements):
+    def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         self.largest = np.zeros(len(self.rows))
 
-    def reset(self, which):
+    def reset(self, which: Bools) -> None:
         self.largest[which] = 0.0
 
-    def factor(self, strain, which):
+    def factor(self, strain: Floats, which: Bools) -> Floats:
         self.largest[which] = np.maximum(self.largest, strain)[which]
         below = 1.0 - strain / np.maximum(self.largest, 1e-12)
         return 1.0 - self.values["softening"] * -np.expm1(-self.largest / self.values["strain"]) * below
@@ -116,7 +119,7 @@ class MullinsSoftening(_StrainDependent):
 class _Springs:
     """Springs and dampers of joints, or the stiffness of flexes, that are scaled together."""
 
-    def __init__(self, law, elements):
+    def __init__(self, law: OnJoints, elements: Elements):
         places = [self._places(law, elements, port) for port in law.ports]
         counts = [len(each) for each in places]
         law.rows = np.repeat(law.rows, counts)
@@ -126,9 +129,11 @@ class _Springs:
         self.fields = np.array([field for field, _ in flat])
         self.columns = np.array([column for _, column in flat], int)
 
-    def _places(self, law, elements, port):
+    def _places(self, law: OnJoints, elements: Elements, port: Port) -> list[tuple[str, int]]:
         model, i = law.model, elements.id(port)
-        joints = np.array([i]) if port.kind == "joint" else elements.joints_of(i) if port.kind == "body" else []
+        joints = np.zeros(0, int)
+        if port.kind in ("joint", "body"):
+            joints = np.array([i]) if port.kind == "joint" else elements.joints_of(i)
         if not len(joints):
             flex = i if port.kind == "flex" else elements.flex_before(i)
             if flex is None:
@@ -139,18 +144,19 @@ class _Springs:
             return found  # its damping is in proportion
         return [("jnt_stiffness", j) for j in joints] + [("dof_damping", model.jnt_dofadr[j]) for j in joints]
 
-    def share(self, run):
+    def share(self) -> None:
         """Let other laws scale the same ones in every time step."""
         for field in np.unique(self.fields):
-            run.scaled(str(field))
+            self.law.run.scaled(str(field))
 
-    def scale(self, factor, which):
+    def scale(self, factor: Floats, which: Bools) -> None:
+        """Multiply them by factors (n,) of the law's entries."""
         for field in np.unique(self.fields):
             i = np.flatnonzero(which & (self.fields == field))
             np.multiply.at(self.law.field(str(field)), (self.law.rows[i], self.columns[i]), factor[i])
 
 
-def _columns(model, field, flex) -> range:
+def _columns(model: mujoco.MjModel, field: str, flex: int) -> range:
     """Where the values of a flex are in a field; none where it has no such elasticity."""
     starts = getattr(model, field + "adr")
     if (start := starts[flex]) < 0:

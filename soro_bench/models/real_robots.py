@@ -57,7 +57,9 @@ class Chain:
             The bodies at the ends of the segments, whose frames are half a link before them; and the holes of each
             tendon, from the base on.
         """
-        ends, holes, body, ahead = [], {tendon.name: [] for tendon in self.tendons}, base, 0.0
+        ends: list[mujoco.MjsBody] = []
+        holes: dict[str, list[str]] = {tendon.name: [] for tendon in self.tendons}
+        body, ahead = base, 0.0
         self._add_rings(base, 0.0, 0, holes)
         for s, length in enumerate(self.lengths):
             link = length / self.links
@@ -81,7 +83,7 @@ class Chain:
         """m, from the frame of the body that ends a segment to that end."""
         return self.lengths[segment] / self.links / 2
 
-    def _add_joints(self, body, link):
+    def _add_joints(self, body: mujoco.MjsBody, link: float) -> None:
         """Two hinges that are as stiff as a link, and its inertia, that of a cylinder through the tendons."""
         stiffness = self.bending / link
         for axis, direction in (("x", [1, 0, 0]), ("y", [0, 1, 0])):
@@ -97,7 +99,7 @@ class Chain:
         body.explicitinertial = True
         body.mass, body.ipos, body.inertia = mass, [0, 0, 0], [across, across, mass * self.radius**2 / 2]
 
-    def _add_rings(self, body, z, first, holes):
+    def _add_rings(self, body: mujoco.MjsBody, z: float, first: int, holes: dict[str, list[str]]) -> None:
         """Holes of the tendons that are tied at the end of segment ``first`` or beyond."""
         for s in range(first, len(self.lengths)):
             ring = body.add_body(name=f"ring{s + 1}_{body.name}", pos=[0, 0, z])
@@ -147,7 +149,7 @@ OPENCR = Chain(
     # as many joints do so by as much in all as those of the authors' model, with holes in the middle between them.
     hole=0.0008,
 )
-_FINE = {"links": 10, "hole": 0.003}  # [authors]
+_FINE_LINKS, _FINE_HOLE = 10, 0.003  # of a segment; m [authors]
 
 
 def opencr_tdcr(fine: bool = False) -> mujoco.MjSpec:
@@ -157,7 +159,7 @@ def opencr_tdcr(fine: bool = False) -> mujoco.MjSpec:
     the springs are at rest. A step of the discrete integrator that is long against every period of the robot is one
     step of Newton's method for that.
     """
-    chain = replace(OPENCR, **_FINE) if fine else OPENCR
+    chain = replace(OPENCR, links=_FINE_LINKS, hole=_FINE_HOLE) if fine else OPENCR
     spec = _spec("opencr_tdcr", timestep=0.15, gravity=(0, 0, 0))
     base = spec.worldbody.add_body(name="base")
     ends, holes = chain.hang(base)
@@ -167,7 +169,7 @@ def opencr_tdcr(fine: bool = False) -> mujoco.MjSpec:
         for hole in holes[tendon.name]:
             added.wrap_site(hole)
         # tension = stiffness (displacement - (length at rest - length)) + pretension, never below zero
-        rest = sum(chain.lengths[: tendon.segment + 1]) - chain.end(tendon.segment) + chain.hole
+        rest = sum(chain.lengths[: tendon.segment + 1]) - chain.end(tendon.segment) + (chain.hole or 0.0)
         spec.add_actuator(
             name=tendon.name, trntype=mujoco.mjtTrn.mjTRN_TENDON, target=tendon.name,
             gear=[-1, 0, 0, 0, 0, 0],  # a positive force pulls
@@ -234,7 +236,8 @@ def asl_trunk(fine: bool = False) -> mujoco.MjSpec:
     return spec
 
 
-def _add_motor(spec, base, i, chain, holes):
+def _add_motor(spec: mujoco.MjSpec, base: mujoco.MjsBody, i: int, chain: Chain, holes: dict[str, list[str]]) -> None:
+    """Motor i: a drum, the two tendons that it winds up and lets go of, and the actuator that turns it."""
     drum_radius = _DRUMS[_MOTORS[i][0]]
     drum = base.add_body(name=f"drum{i + 1}", pos=[0, 0, -_REACH])
     drum.explicitinertial, drum.mass, drum.ipos, drum.inertia = True, _DRUM_MASS, [0, 0, 0], [1e-4] * 3

@@ -12,6 +12,7 @@ angular frequency times h / 2, at 1 ms half of what the recordings show, and cos
 (``benchmarks/beam_models.py``). Here springs are explicit and nothing is damped but by the model.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -72,7 +73,7 @@ def silicone_beam(slices: Slices = COARSE) -> mujoco.MjSpec:
     return spec
 
 
-def _add_slice(body, k, slices):
+def _add_slice(body: mujoco.MjsBody, k: int, slices: Slices) -> None:
     """A slice with joints in its middle that are as stiff as it is."""
     length, area = LENGTH / slices.count, SIDE**2
     bending, shear = YOUNG * SIDE**4 / 12 / length, SHEAR * area / length
@@ -89,13 +90,14 @@ def _add_slice(body, k, slices):
     )
 
 
-def _add_joint(body, name, kind, axis, stiffness):
+def _add_joint(body: mujoco.MjsBody, name: str, kind: mujoco.mjtJoint, axis: Sequence[float], stiffness: float) -> None:
+    """A joint with a spring [N/m, N m/rad] and the damping that goes with it."""
     body.add_joint(
         name=name, type=kind, axis=axis, stiffness=[stiffness, 0, 0], damping=[_RELAXATION * stiffness, 0, 0]
     )
 
 
-def _add_load(spec, edge):
+def _add_load(spec: mujoco.MjSpec, edge: mujoco.MjsSite) -> None:
     """A point that moves freely, under a string that is slack where it is shorter than at rest."""
     upper = np.add(_CLAMP, [SIDE / 2, 0, LENGTH])
     load = spec.worldbody.add_body(name="load", pos=upper - [_STRING, 0, 0])
@@ -116,7 +118,7 @@ def _add_load(spec, edge):
     string.wrap_site(load.add_site(name="hook").name)
 
 
-def _add_hand(spec):
+def _add_hand(spec: mujoco.MjSpec) -> None:
     """Servos that hold the first marker across the beam, at positions in the frame of the recordings."""
     spec.worldbody.add_site(name="origin")
     for axis, direction in (("x", [1, 0, 0]), ("y", [0, 1, 0])):

@@ -1,6 +1,6 @@
 """N simulations of one model, each with its own physical parameters, on ``mujoco.batch``."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
@@ -9,18 +9,19 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.effects.effect import Effect, EffectError, Port
 from soro_bench.effects.runtime import ActiveEffects
 from soro_bench.parameters import ParameterSet
 
-_BAD_STATE = [
+_BAD_STATE = np.array([
     int(warning)
     for warning in (
         mujoco.mjtWarning.mjWARN_BADQPOS,
         mujoco.mjtWarning.mjWARN_BADQVEL,
         mujoco.mjtWarning.mjWARN_BADQACC,
     )
-]
+])
 
 
 @contextmanager
@@ -39,14 +40,15 @@ class FieldWrite:
     """Values for some rows of one MjModel field: ``values`` is (N, len(rows), ...)."""
 
     field: str
-    rows: np.ndarray
-    values: np.ndarray
+    rows: Ints
+    values: Floats
 
 
 class ParameterMap(Protocol):
     """Turns physical parameters into model fields."""
 
-    def writes(self, params: dict[str, np.ndarray]) -> list[FieldWrite]: ...
+    def writes(self, params: Mapping[str, Floats]) -> list[FieldWrite]:
+        """What to write into N models; ``params`` holds one (N,) array per parameter, in SI units."""
 
 
 class Simulation:
@@ -85,20 +87,20 @@ class Simulation:
 
     def assign_effects(self, effects: Sequence[Sequence[Effect]]) -> None:
         """Give each of the N simulations its own effects, from its next reset on."""
-        self._effects.assign(effects)
+        self._instrumented.assign(effects)
         self.set_params(np.arange(len(effects)), self.params)
 
     def accepts(self, effects: Sequence[Effect]) -> bool:
         """Whether a simulation can have these effects at once; ``assign_effects`` has to follow before it goes on."""
         try:
-            self._effects.assign([effects] + [()] * (self.batch.nsim - 1))
+            self._instrumented.assign([effects] + [()] * (self.batch.nsim - 1))
         except EffectError:
             return False
         return True
 
     def change(self, name: str, row: int, port: Port, quantity: str, value: float) -> None:
         """Give an effect that acts in simulation ``row`` another value of a quantity, from the next time step on."""
-        self._effects.change(name, row, port, quantity, value)
+        self._instrumented.change(name, row, port, quantity, value)
 
     @property
     def native(self) -> bool:
@@ -106,11 +108,18 @@ class Simulation:
         return self._effects is None or self._effects.native
 
     @property
-    def setpoints(self) -> tuple[np.ndarray, np.ndarray]:
+    def setpoints(self) -> tuple[Floats, Floats]:
         """(N, nu) what actuators are asked for, where laws change it, and what they have added, summed over time."""
-        return self._effects.setpoint, self._effects.added
+        return self._instrumented.setpoint, self._instrumented.added
 
-    def set_params(self, ids: np.ndarray, params: np.ndarray) -> None:
+    @property
+    def _instrumented(self) -> ActiveEffects:
+        """The effects of a simulation whose model is prepared for them; RuntimeError for another."""
+        if self._effects is None:
+            raise RuntimeError("the model is not prepared for effects; see soro_bench.effects.elements.instrument")
+        return self._effects
+
+    def set_params(self, ids: Ints, params: Floats) -> None:
         """Give simulations ``ids`` the parameters ``params`` (len(ids), d); MuJoCo's derived constants follow."""
         self.params[ids] = params
         named = dict(zip(self.parameters.names, np.asarray(params, float).T, strict=True))
@@ -124,20 +133,22 @@ class Simulation:
             self._effects.write(ids)
         self.batch.set_const(ids)
 
-    def begin(self, ids: np.ndarray) -> None:
+    def begin(self, ids: Ints) -> None:
         """Compute what positions and velocities determine, at the start of an episode or after a change of state."""
         self.batch.forward(ids, stage=mujoco.mjtStage.mjSTAGE_VEL)
         if self._effects:
             self._effects.reset(ids)
 
-    def bad_states(self, ids: np.ndarray) -> np.ndarray:
+    def bad_states(self, ids: Ints) -> Bools:
         """(n,) whether MuJoCo has found a state to be NaN or huge, and reset it, since this was asked last."""
-        entries = np.ix_(ids, _BAD_STATE, [1])  # MuJoCo counts anew when it resets, so that one more is not seen
+        entries = np.ix_(
+            ids, _BAD_STATE, np.array([1])
+        )  # MuJoCo counts anew when it resets, so that one more is not seen
         found = self.batch.warning[entries].any(axis=(1, 2))
         self.batch.warning[entries] = 0
         return found
 
-    def step(self, ids: np.ndarray, nstep: int, stage: int = mujoco.mjtStage.mjSTAGE_VEL) -> None:
+    def step(self, ids: Ints, nstep: int, stage: int = mujoco.mjtStage.mjSTAGE_VEL) -> None:
         """Advance by ``nstep`` time steps and compute the stages up to ``stage`` at the new state, which a persistent
         batch reuses in its next step."""
         if self._effects:

@@ -13,12 +13,14 @@ stiffness * (commanded - actual displacement), damped, between 0 (slack) and ``M
 displacement is the servo's activation; the control is its rate [m/s]. docs/models.md has the reasons and figures.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from soro_bench import parameters as prm
+from soro_bench.arrays import Floats
 from soro_bench.assets import mjcf_path
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.simulation import FieldWrite
@@ -98,7 +100,7 @@ def _link_origin(k: int) -> float:
     return 0.0 if k == 0 else geo.NECK_MIDDLE[k - 1]
 
 
-def _add_vertebra(spec, parent, k, model):
+def _add_vertebra(spec: mujoco.MjSpec, parent: mujoco.MjsBody, k: int, model: str) -> mujoco.MjsBody:
     parent_z = 0.0 if parent is spec.worldbody else _link_origin(k)
     z = geo.NECK_MIDDLE[k]
     body = parent.add_body(name=f"vertebra{k}", pos=[0, 0, z - parent_z])
@@ -126,7 +128,7 @@ def _add_vertebra(spec, parent, k, model):
     return body
 
 
-def _add_inertia(body, k, added):
+def _add_inertia(body: mujoco.MjsBody, k: int, added: float) -> None:
     """Nominal mass and inertia of a uniform cylinder, and ``added``; all scale with trunk_mass at run time."""
     z = geo.NECK_MIDDLE[k]
     near, far = geo.NECK_END[k], geo.VERTEBRA_END[k]
@@ -139,7 +141,7 @@ def _add_inertia(body, k, added):
     body.inertia = np.array([across, across, mass * radius**2 / 2]) + added
 
 
-def _add_neck_flex(spec, k, near_link, far_link):
+def _add_neck_flex(spec: mujoco.MjSpec, k: int, near_link: mujoco.MjsBody, far_link: mujoco.MjsBody) -> None:
     a, half = NODE_OFFSET, geo.NECK_LENGTH / 2
     corners = np.array([(x, y, z) for x in (-a, a) for y in (-a, a) for z in (-half, half)])
     near_z = geo.NECK_MIDDLE[k] - _link_origin(k)  # the neck's middle in the near link's frame
@@ -171,14 +173,14 @@ def _link_of_face(face: int) -> int:
     return (face + 1) // 2
 
 
-def _add_keypoints(spec, links):
+def _add_keypoints(spec: mujoco.MjSpec, links: Sequence[mujoco.MjsBody]) -> None:
     default = spec.find_default("keypoint")
     for i, z in enumerate(geo.KEYPOINT_Z):
         k = 0 if i == 0 else _link_of_face(i - 1)
         links[k].add_site(default, name=f"keypoint{i}", pos=[0, 0, z - _link_origin(k)])
 
 
-def _add_cable(spec, c, links):
+def _add_cable(spec: mujoco.MjSpec, c: int, links: Sequence[mujoco.MjsBody]) -> None:
     name, direction = geo.CABLE_NAMES[c], geo.CABLE_DIRECTIONS[c]
     eyelets = geo.LONG_CABLE_EYELETS if c < 4 else geo.SHORT_CABLE_EYELETS
     tendon = spec.add_tendon(spec.find_default("cable"), name=name)
@@ -234,7 +236,7 @@ class TrunkParameters:
             }
             self._dofs = {kind: model.jnt_dofadr[joints] for kind, joints in self._joints.items()}
 
-    def writes(self, params: dict[str, np.ndarray]) -> list[FieldWrite]:
+    def writes(self, params: Mapping[str, Floats]) -> list[FieldWrite]:
         """What to write into N models; ``params`` holds one (N,) array per parameter."""
         scale = params["trunk_mass"] / prm.TRUNK_MASS.nominal
         stiffness = geo.neck_stiffness(params["young_modulus"], params["poisson_ratio"])
@@ -246,7 +248,7 @@ class TrunkParameters:
             *self._cable_writes(params["cable_stiffness"][:, None] * self._rest_length[0] / self._rest_length),
         ]
 
-    def _flex_writes(self, stiffness, damping):
+    def _flex_writes(self, stiffness: Mapping[str, Floats], damping: Floats) -> list[FieldWrite]:
         cells = np.stack([stiffness[kind] for kind in self._flex_kinds], axis=-1) @ self._flex_bases
         n = len(damping)
         return [
@@ -254,7 +256,7 @@ class TrunkParameters:
             FieldWrite("flex_damping", self._flexes, np.broadcast_to(damping, (n, geo.NUM_NECKS))),
         ]
 
-    def _joint_writes(self, stiffness, damping):
+    def _joint_writes(self, stiffness: Mapping[str, Floats], damping: Floats) -> list[FieldWrite]:
         writes = []
         for kind, joints in self._joints.items():
             values = stiffness[kind.removesuffix("_x").removesuffix("_y")]
@@ -262,7 +264,7 @@ class TrunkParameters:
             writes.append(FieldWrite("dof_damping", self._dofs[kind], damping * values))
         return writes
 
-    def _cable_writes(self, stiffness):
+    def _cable_writes(self, stiffness: Floats) -> list[FieldWrite]:
         gain = np.zeros((len(stiffness), len(self._cables), mujoco.mjNGAIN))
         bias = np.zeros((len(stiffness), len(self._cables), mujoco.mjNBIAS))
         # tension = stiffness * (commanded - (rest length - length)) + damping * lengthening rate; length = -actuator's
@@ -276,7 +278,7 @@ class TrunkParameters:
         ]
 
 
-def _neck_cell_bases() -> dict[str, np.ndarray]:
+def _neck_cell_bases() -> dict[str, Floats]:
     """(576,) stiffness matrices of a trilinear neck cell, one per kind of deformation, for unit stiffness.
 
     A neck deforms by the relative motion of its two faces, each a least-squares fit to its four nodes: p is the row
@@ -288,7 +290,7 @@ def _neck_cell_bases() -> dict[str, np.ndarray]:
     far = nodes[:, 2] > 0
     sign = np.where(far, 1.0, -1.0)[:, None]
 
-    def rotation(axis):
+    def rotation(axis: Floats) -> Floats:
         """(8, 3): the rotation of each node's own face about ``axis`` is the sum of this times displacement."""
         arm = np.cross(axis, nodes * [1, 1, 0])
         return arm / np.square(arm[far]).sum()
@@ -301,4 +303,4 @@ def _neck_cell_bases() -> dict[str, np.ndarray]:
         # sideways motion beyond what the mean rotation of the faces explains
         "shear": [sign / 4 * x - length / 2 * rotation(y), sign / 4 * y + length / 2 * rotation(x)],
     }
-    return {kind: -sum(np.outer(p, p) for p in ps).ravel() for kind, ps in rows.items()}
+    return {kind: -sum((np.outer(p, p) for p in ps), start=np.zeros((24, 24))).ravel() for kind, ps in rows.items()}

@@ -7,7 +7,12 @@ Frame: z along the undeformed trunk, y up, origin at the clamped end. SI units. 
   as the reference simulator uses them (linear tetrahedra, so it includes their locking near nu = 0.5).
 """
 
+from typing import overload
+
 import numpy as np
+from numpy.typing import ArrayLike
+
+from soro_bench.arrays import Floats
 
 NUM_NECKS = 10
 LENGTH = 0.195  # m [SofaGym]
@@ -60,7 +65,7 @@ TWIST = np.outer(1 / np.array([1.08, 1.00, 0.69]), _TWIST)
 AXIAL_PER_SHEAR = 3.5
 
 
-def _log_compressibility(poisson_ratio):
+def _log_compressibility(poisson_ratio: ArrayLike) -> Floats:
     return -np.log1p(-2 * np.asarray(poisson_ratio))
 
 
@@ -71,12 +76,16 @@ _PARABOLAS = {
 }
 
 
-def outer_radius(z):
+@overload
+def outer_radius(z: float) -> float: ...
+@overload
+def outer_radius(z: Floats) -> Floats: ...
+def outer_radius(z: Floats | float) -> Floats | float:
     """Outer radius [m] of the trunk at distance ``z`` [m] from the clamped end."""
     return np.interp(z, _OUTER_Z, _OUTER_RADIUS)
 
 
-def neck_stiffness(young_modulus, poisson_ratio):
+def neck_stiffness(young_modulus: ArrayLike, poisson_ratio: ArrayLike) -> dict[str, Floats]:
     """Stiffness of every neck for N materials.
 
     Between the tabulated Poisson's ratios the stiffness is the parabola in -ln(1 - 2 nu) through the three rows,

@@ -1,10 +1,12 @@
 """The trunk's skin: a surface of revolution that follows the vertebrae, drawn only."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
+from soro_bench.arrays import Floats, Ints
 from soro_bench.models import trunk_geometry as geo
 
 _SEGMENTS = 24  # vertices around the trunk
@@ -14,9 +16,9 @@ _SEGMENTS = 24  # vertices around the trunk
 class Skin:
     """Rest shape of the surface; every vertex follows one link rigidly (0 is the base, k + 1 vertebra k)."""
 
-    vertices: np.ndarray  # (V, 3) m, in the frame of the trunk at rest
-    faces: np.ndarray  # (F, 3)
-    link: np.ndarray  # (V,)
+    vertices: Floats  # (V, 3) m, in the frame of the trunk at rest
+    faces: Ints  # (F, 3)
+    link: Ints  # (V,)
 
 
 def build_skin() -> Skin:
@@ -39,7 +41,7 @@ def build_skin() -> Skin:
     return Skin(vertices, faces, np.repeat([link for *_, link in rings], _SEGMENTS))
 
 
-def add_skin(spec: mujoco.MjSpec, links: list) -> None:
+def add_skin(spec: mujoco.MjSpec, links: Sequence[mujoco.MjsBody]) -> None:
     """Add the skin to a spec whose links stand at rest."""
     skin = build_skin()
     bones = [np.flatnonzero(skin.link == k) for k in range(len(links))]

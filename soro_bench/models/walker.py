@@ -10,10 +10,14 @@ The inflation of a chamber, from 0 to 1, is the activation of an integrating act
 is the rate [1/s]. :class:`Inflation` turns activations into the plastic state.
 """
 
+from collections.abc import Mapping, Sequence
+from typing import TypeVar
+
 import mujoco
 import numpy as np
 
 from soro_bench import parameters as prm
+from soro_bench.arrays import Floats, Ints
 from soro_bench.assets import mjcf_path
 from soro_bench.models.simulation import FieldWrite
 from soro_bench.models.walker_mesh import CHAMBERS, RESOLUTIONS, Mesh, build_mesh, chamber_axes
@@ -40,6 +44,7 @@ GROWTH = {"coarse": (0.55, 0.55), "fine": (0.8526, 0.7271), "finest": (0.6235, 0
 MEMBRANE_THICKNESS = 0.001
 DAMPING = 0.01  # s, Rayleigh coefficient of the stiffness in the reference
 _NEVER = 1e9  # yield strain
+Value = TypeVar("Value", float, Floats)
 
 
 def build_spec(scene: str, mesh: str, poisson: float = 0.0) -> mujoco.MjSpec:
@@ -69,7 +74,7 @@ def build_spec(scene: str, mesh: str, poisson: float = 0.0) -> mujoco.MjSpec:
     return spec
 
 
-def _add_vertices(spec, mesh: Mesh) -> list[str]:
+def _add_vertices(spec: mujoco.MjSpec, mesh: Mesh) -> list[str]:
     """A body with three slides per node."""
     share = _mass_shares(mesh)
     names = [f"vertex{i}" for i in range(len(mesh.nodes))]
@@ -86,7 +91,7 @@ def _add_vertices(spec, mesh: Mesh) -> list[str]:
     return names
 
 
-def _mass_shares(mesh: Mesh) -> np.ndarray:
+def _mass_shares(mesh: Mesh) -> Floats:
     """(N,) each node's part of the mass: a quarter of each of its tetrahedra."""
     edges = mesh.nodes[mesh.tetrahedra[:, 1:]] - mesh.nodes[mesh.tetrahedra[:, :1]]
     volume = np.linalg.det(edges) / 6
@@ -94,7 +99,10 @@ def _mass_shares(mesh: Mesh) -> np.ndarray:
     return share / volume.sum()
 
 
-def _add_flex(spec, name, mesh: Mesh, elements, bodies, poisson):
+def _add_flex(
+    spec: mujoco.MjSpec, name: str, mesh: Mesh, elements: Ints, bodies: Sequence[str], poisson: float
+) -> None:
+    """A flex of some of the mesh's elements, tetrahedra (E, 4) or triangles (F, 3), on the nodes' bodies."""
     used = np.unique(elements)
     local = np.full(len(mesh.nodes), -1)
     local[used] = np.arange(len(used))
@@ -119,7 +127,7 @@ def _add_flex(spec, name, mesh: Mesh, elements, bodies, poisson):
         flex.contype = flex.conaffinity = 0  # the silicone's contacts do
 
 
-def _add_chambers(spec):
+def _add_chambers(spec: mujoco.MjSpec) -> None:
     for name in CHAMBERS:
         actuator = spec.add_actuator(
             name=name,
@@ -160,13 +168,13 @@ class Inflation:
         first = model.flex_plasticadr[ecoflex]
         self.columns = (first + 6 * inflated[:, None] + np.arange(6)).ravel()
 
-    def plastic(self, inflation: np.ndarray) -> np.ndarray:
+    def plastic(self, inflation: Floats) -> Floats:
         """(n, len(columns)) m^2, what belongs into ``columns`` of the plastic state; ``inflation`` is (n, 5)."""
         growth = (inflation * self._growth)[:, self._chamber]
         return growth * (self._linear + growth * self._quadratic)
 
 
-def _element_edges(model, flex, body):
+def _element_edges(model: mujoco.MjModel, flex: int, body: Mesh) -> Floats:
     """(E, 6, 3) m, the edge vectors of every tetrahedron in MuJoCo's order."""
     first, count = model.flex_edgeadr[flex], model.flex_elemnum[flex]
     start = model.flex_elemedgeadr[flex]
@@ -198,7 +206,7 @@ class WalkerParameters:
             self._shear[name] = 2 * sheared[entries]
             self._bulk[name] = (stretched[entries] - shear * self._shear[name]) / bulk
 
-    def writes(self, params: dict[str, np.ndarray]) -> list[FieldWrite]:
+    def writes(self, params: Mapping[str, Floats]) -> list[FieldWrite]:
         """What to write into N models; ``params`` holds one (N,) array per parameter."""
         scale = params["robot_mass"] / prm.ROBOT_MASS.nominal
         writes = [FieldWrite("body_mass", self._bodies, scale[:, None] * self._mass)]
@@ -212,12 +220,13 @@ class WalkerParameters:
 _PROBE = 0.25  # Poisson's ratio, any but 0
 
 
-def _lame_solid(young, poisson):
+def _lame_solid(young: Value, poisson: Value) -> tuple[Value, Value]:
+    """Lamé parameters lambda and mu [Pa] of a solid of Young's modulus [Pa] and Poisson's ratio."""
     return young * poisson / ((1 + poisson) * (1 - 2 * poisson)), young / (2 * (1 + poisson))
 
 
-def _lame_membrane(young, poisson):
-    """Plane stress."""
+def _lame_membrane(young: Value, poisson: Value) -> tuple[Value, Value]:
+    """The same of a membrane, in plane stress."""
     return young * poisson / (1 - poisson**2), young / (2 * (1 + poisson))
 
 

@@ -4,9 +4,13 @@ One quadrant is cut into two structured blocks, centre and leg; the other three 
 the body's fourfold symmetry. Frame: x forward, y to the left, z up, origin below the body's centre. SI units.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+from soro_bench.arrays import Floats, Ints
 
 # Corners of one quadrant's outline [m], from the mesh of Tiboni et al., IROS 2023 (docs/reference_tasks.md).
 NOTCH = np.array([0.02952, 0.0])
@@ -42,13 +46,13 @@ class Mesh:
     """Nodes (N, 3) m; tetrahedra (E, 4); triangles (F, 3) of the bottom face; chamber (E,) of each tetrahedron, -1
     for none."""
 
-    nodes: np.ndarray
-    tetrahedra: np.ndarray
-    bottom: np.ndarray
-    chamber: np.ndarray
+    nodes: Floats
+    tetrahedra: Ints
+    bottom: Ints
+    chamber: Ints
 
 
-def chamber_axes() -> np.ndarray:
+def chamber_axes() -> Floats:
     """(5, 3) unit vectors along which the chambers grow: x for the centre, the leg's axis for a leg."""
     legs = [[sx * _LEG_AXIS[0], sy * _LEG_AXIS[1], 0.0] for sx, sy in _LEG_SIGNS]
     return np.array([[1.0, 0.0, 0.0], *legs])
@@ -76,7 +80,7 @@ def build_mesh(resolution: Resolution) -> Mesh:
     return Mesh(nodes, tetrahedra, bottom, np.concatenate(mirrored_chamber))
 
 
-def _plan(resolution):
+def _plan(resolution: Resolution) -> tuple[Floats, Ints, Ints]:
     """One quadrant seen from above: vertices (V, 2), triangles (T, 3), whether each lies in the leg's chamber, the
     centre's chamber, or neither (1, 0, -1)."""
     centre = _block([(0, 0), NOTCH, (0, WAIST[1]), WAIST], resolution.along_centre, resolution.across)
@@ -90,7 +94,7 @@ def _plan(resolution):
     return vertices, triangles, chamber
 
 
-def _block(corners, along, across):
+def _block(corners: Sequence[ArrayLike], along: int, across: int) -> tuple[Floats, Ints]:
     """A bilinear grid of along x across quads, each cut in two: vertices (V, 2), triangles (T, 3).
 
     Corners: start and end at one side, start and end at the other. Triangles go column by column along the block.
@@ -104,7 +108,7 @@ def _block(corners, along, across):
     return vertices, triangles
 
 
-def _prisms(triangles, chamber, per_level, levels):
+def _prisms(triangles: Ints, chamber: Ints, per_level: int, levels: Floats) -> tuple[Ints, Ints]:
     """The prisms over the triangles, three tetrahedra each; neighbours agree on their faces' diagonals."""
     a, b, c = np.sort(triangles, axis=1).T
     tetrahedra, chambers = [], []
@@ -120,13 +124,13 @@ def _prisms(triangles, chamber, per_level, levels):
     return np.concatenate(tetrahedra), np.concatenate(chambers)
 
 
-def _merge(points):
+def _merge(points: Floats) -> tuple[Floats, Ints]:
     """Points without duplicates, and the index of each given point among them."""
     _, first, inverse = np.unique(np.round(points, 9) + 0.0, axis=0, return_index=True, return_inverse=True)
     return points[first], inverse.ravel()
 
 
-def _oriented(nodes, elements):
+def _oriented(nodes: Floats, elements: Ints) -> Ints:
     """Tetrahedra with positive volume, triangles that face up."""
     edges = nodes[elements[:, 1:]] - nodes[elements[:, :1]]
     if elements.shape[1] == 3:
