@@ -62,7 +62,7 @@ def environment(env_id: str) -> str:
     sections["Actions"] += "\n" + actions(envs)
     sections["Observations"] += "\n" + observations(envs["continuous"])
     sections["Parameters"] = parameter_table(task)
-    parts = [BEGIN, f"# {env_id}", summary, f"![{env_id} in motion](../../images/{env_id}.gif)"]
+    parts = [f"# {env_id}", BEGIN, summary, f"![{env_id} in motion](../../images/{env_id}.gif)"]
     parts += [overview(env_id, task, envs)]
     parts += [f"## {title}\n\n{body.strip()}" for title, body in sections.items()]
     parts += ["Arguments, reset options, info and randomisation that all environments share: [Environments](index.md)."]
@@ -87,7 +87,7 @@ def overview(env_id: str, task: type[Task], envs: dict[str, gymnasium.Env]) -> s
             ("Metric", f'`info["{task.metric}"]` [m] at the end of an episode; {better} is better'),
             ("Boards", ", ".join(f"`{name}`" for name in boards)),
         ]
-    return table(("", ""), rows)
+    return table(("property", "value"), rows)
 
 
 def actions(envs: dict[str, gymnasium.Env]) -> str:

@@ -13,6 +13,7 @@ from latex2mathml.converter import convert
 
 LOG = logging.getLogger("mkdocs.hooks.soro_bench")
 EQUATION = re.compile(r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL)
+ROLE = re.compile(r":(?:mod|class|func|meth|attr|data|exc):(?=<code>|<a)")  # of docstrings in reStructuredText
 LINK = re.compile(r"(?<!!)\[([^\]]+)\]\((?!\w+:|#|/)([^)#\s]+)(#[^)\s]*)?\)")
 
 
@@ -33,8 +34,8 @@ def on_page_markdown(markdown: str, page, config, files) -> str:
 
 
 def on_page_content(content: str, page, config, files) -> str:
-    """A page with its equations, LaTeX between dollar signs, as MathML."""
-    return EQUATION.sub(_mathml, content)
+    """A page with its equations, LaTeX between dollar signs, as MathML, and without the roles of cross references."""
+    return ROLE.sub("", EQUATION.sub(_mathml, content))
 
 
 def _mathml(match: re.Match) -> str:

@@ -36,22 +36,25 @@ _P = {"p": "pressure", "u": "pressure asked for"}
 _MU = {r"\mu": "friction coefficient of the model"}
 
 EQUATIONS: Mapping[str, Equation] = {
-    "coulomb_friction": Equation(r"F = -F_c \, \frac{z}{\delta}, \quad |z| \le \delta", _FRICTION, {**_F, **_Z}),
+    "coulomb_friction": Equation(
+        r"F = -F_c \, \frac{z}{\delta}, \quad \left| z \right| \le \delta", _FRICTION, {**_F, **_Z}
+    ),
     "stribeck_friction": Equation(
-        r"F = -F_c \left[ 1 + (\rho - 1) \, e^{-(v / v_s)^2} \right] \frac{z}{\delta}, \quad |z| \le \delta",
+        r"F = -F_c \left[ 1 + (\rho - 1) \, e^{-(v / v_s)^2} \right] \frac{z}{\delta}, "
+        r"\quad \left| z \right| \le \delta",
         {"friction": "F_c", **_STRIBECK},
         {**_F, **_V, **_Z},
     ),
     "load_friction": Equation(
         r"F = -F_{\max} \, \frac{z}{\delta}, \quad F_{\max} = (1 - e^{-\mu \theta}) \, T \text{ (pulled)}, "
         r"\quad (e^{\mu \theta} - 1) \, T \text{ (paid out)}, "
-        r"\quad \mu \, |\tau| \text{ (joint)}",
+        r"\quad \mu \, \left| \tau \right| \text{ (joint)}",
         {"mu": r"\mu", "presliding": r"\delta"},
         {**_F, **_Z, "T": "tension", r"\theta": "sum of the tendon's bends", r"\tau": "torque of the actuators"},
     ),
     "gear_friction": Equation(
-        r"F = -\mu \, (|T - b L| + P) \left[ 1 + (\rho - 1) \, e^{-(v / v_s)^2} \right] \frac{z}{\delta}, "
-        r"\quad |z| \le \delta",
+        r"F = -\mu \, (\left| T - b L \right| + P) \left[ 1 + (\rho - 1) \, e^{-(v / v_s)^2} \right] \frac{z}{\delta}, "
+        r"\quad \left| z \right| \le \delta",
         {"mu": r"\mu", "backdrive": "b", "preload": "P", **_STRIBECK},
         {**_F, **_Z, "T": "torque of the actuators", "L": "torque of the load", **_V},
     ),
@@ -63,7 +66,7 @@ EQUATIONS: Mapping[str, Equation] = {
     ),
     "actuator_deadband": Equation(r"y = u - \min(\max(u, -w), \, w)", {"width": "w"}, _UY),
     "hysteresis": Equation(
-        r"\tau = -k \, (q + \rho \, z), \quad |z| \le \epsilon",
+        r"\tau = -k \, (q + \rho \, z), \quad \left| z \right| \le \epsilon",
         {"ratio": r"\rho", "yield_strain": r"\epsilon"},
         {**_Q, **_Z},
     ),
@@ -79,16 +82,16 @@ EQUATIONS: Mapping[str, Equation] = {
     "actuator_delay": Equation(r"y(t) = u(t - \Delta)", {"delay": r"\Delta"}, _UY),
     "pressure_asymmetry": Equation(r"\dot p = \frac{u - p}{T + D \, [u > p]}", {"difference": "D", "venting": "T"}, _P),
     "actuator_saturation": Equation(
-        r"|F| \le (1 - \ell) \, F_{\max}", {"loss": r"\ell"}, {**_F, r"F_{\max}": "limit of the model"}
+        r"\left| F \right| \le (1 - \ell) \, F_{\max}", {"loss": r"\ell"}, {**_F, r"F_{\max}": "limit of the model"}
     ),
     "supply_coupling": Equation(
         r"\dot p = \max(0, \, 1 - c \, n) \, \dot u \quad \text{while } \dot u > 0",
         {"coupling": "c"},
         {**_P, "n": "other chambers that fill"},
     ),
-    "stiffening": Equation(r"\tau = -k \, q \, (1 + \beta \, |q|^2)", {"beta": r"\beta"}, _Q),
+    "stiffening": Equation(r"\tau = -k \, q \, (1 + \beta \, \left| q \right|^2)", {"beta": r"\beta"}, _Q),
     "mullins_softening": Equation(
-        r"\tau = -k \, q \left[ 1 - s \, (1 - e^{-m / \epsilon}) \left( 1 - \frac{|q|}{m} \right) \right]",
+        r"\tau = -k \, q \left[ 1 - s \, (1 - e^{-m / \epsilon}) \left( 1 - \frac{\left| q \right|}{m} \right) \right]",
         {"softening": "s", "strain": r"\epsilon"},
         {**_Q, "m": "largest strain so far"},
     ),
@@ -99,7 +102,7 @@ EQUATIONS: Mapping[str, Equation] = {
         {**_Q, "r": "rest of the second spring"},
     ),
     "plastic_set": Equation(
-        r"\tau = -k \, [(1 - \sigma) \, q + \sigma \, z], \quad |z| \le \frac{1}{s}",
+        r"\tau = -k \, [(1 - \sigma) \, q + \sigma \, z], \quad \left| z \right| \le \frac{1}{s}",
         {"softness": "s", "share": r"\sigma"},
         {**_Q, **_Z},
     ),
@@ -114,13 +117,15 @@ EQUATIONS: Mapping[str, Equation] = {
     ),
     "payload": Equation("m' = m + M", {"mass": "M"}, {"m": "mass of the body"}),
     "fluid_drag": Equation(
-        r"\mathbf{F} = -c \, |\mathbf{v}| \, \mathbf{v}", {"drag": "c"}, {r"\mathbf{v}": "velocity of the body"}
+        r"\mathbf{F} = -c \, \left| \mathbf{v} \right| \, \mathbf{v}",
+        {"drag": "c"},
+        {r"\mathbf{v}": "velocity of the body"},
     ),
     "anisotropic_friction": Equation(
         r"\mu' = \mu \, (1 + e \, [v_x < 0])", {"excess": "e"}, {**_MU, "v_x": "velocity along the world's x"}
     ),
     "stiction": Equation(
-        r"\mu' = \mu \left( 1 + e \, \exp(-|\mathbf{v}|^2 / v_s^2) \right)",
+        r"\mu' = \mu \left( 1 + e \, \exp(-\left| \mathbf{v} \right|^2 / v_s^2) \right)",
         {"excess": "e", "velocity": "v_s"},
         {**_MU, r"\mathbf{v}": "velocity of the geom"},
     ),
