@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 try:
     import tyro
-    from rich.table import Table
     from rich.text import Text
 
     from soro_bench.commands.blind_benchmark import Prove
@@ -15,7 +14,7 @@ try:
     from soro_bench.commands.recording import Data, Import, Record, View
     from soro_bench.commands.training import Train
     from soro_bench.diagnosis.commands import Diagnose, Excite, Study
-    from soro_bench.progress import console
+    from soro_bench.progress import console, table
 except ImportError as error:
     sys.exit(f"soro-bench needs more than the core install: pip install soro_bench[all] ({error})")
 
@@ -30,16 +29,14 @@ class List:
     def run(self) -> None:
         for env_id in ENV_IDS:
             task = task_type(env_id)
-            table = Table(
-                "parameter", "nominal", "unit", "bounds", "search box", "meaning",
-                title=Text.assemble((env_id, "bold"), f": {len(task.evaluation)} evaluation episodes"),
-                title_justify="left",
-            )  # fmt: skip
+            names = ("parameter", "nominal", "unit", "bounds", "search box", "meaning")
+            title = Text.assemble((env_id, "bold"), f": {len(task.evaluation)} evaluation episodes")
+            lines = table(*names, title=title, wraps="meaning")
             for p in task.parameters.parameters.values():
                 name = Text(f"{p.name} *", "bold") if p.name in {q.name for q in task.randomized} else p.name
                 bounds, search = ("{:g} .. {:g}".format(*pair) for pair in (p.bounds, p.search))
-                table.add_row(name, f"{p.nominal:g}", p.unit, bounds, search, p.meaning)
-            console.print(table)
+                lines.add_row(name, f"{p.nominal:g}", p.unit, bounds, search, p.meaning)
+            console.print(lines)
         console.print("* what the published study randomises")
 
 

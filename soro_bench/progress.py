@@ -2,6 +2,7 @@
 
 import time
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group
 from rich.live import Live
 from rich.progress import (
@@ -12,9 +13,25 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.table import Table
 from rich.text import Text
 
 console = Console(markup=False, highlight=False, emoji=False)  # names and paths are text, whatever is in them
+
+
+def table(*names: str, title: str | Text, wraps: str | None = None) -> Table:
+    """An empty table for the console, of which nothing is cut where it is narrow: long cells go on in the next line.
+
+    Args:
+        names: of the columns.
+        wraps: the one column whose cells go on in the next line; by default that of the longest cell, then others.
+    """
+    lines = Table(title=title, title_justify="left", box=SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=0)
+    for name in names:
+        lines.add_column(name, overflow="fold", no_wrap=wraps is not None and name != wraps)
+    return lines
+
+
 LOG_INTERVAL = 600.0  # s
 SLOW = 7200.0  # s, over which the speed of slow steps is estimated
 

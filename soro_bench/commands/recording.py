@@ -6,11 +6,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 import tyro
-from rich.table import Table
 
 from soro_bench.files import check_output
 from soro_bench.options import EnvId
-from soro_bench.progress import console
+from soro_bench.progress import console, table
 from soro_bench.recording.recording import Recording
 
 
@@ -140,13 +139,13 @@ class View:
 
 
 def _describe(recording: Recording, path: Path) -> None:
-    names = ("signal", "samples", "per s", "shape", "unit", "frame", "least", "largest", "with gaps")
-    table = Table(*names, title=f"{path}: {recording.duration:g} s")
+    names = ("signal", "samples", "per s", "shape", "unit", "frame", "least", "largest", "gaps")
+    lines = table(*names, title=f"{path}: {recording.duration:g} s")
     for name, signal in (*recording.commands.items(), *sorted(recording.signals.items())):
         count, shape = len(signal.time), " x ".join(map(str, signal.values.shape[1:]))
         rate = f"{1 / np.median(np.diff(signal.time)):.4g}" if count > 1 else ""
         gaps = int(np.isnan(signal.values.reshape(count, -1)).any(axis=1).sum())
         seen = signal.values[~np.isnan(signal.values)]
         ends = (f"{seen.min():.4g}", f"{seen.max():.4g}") if seen.size else ("", "")
-        table.add_row(name, str(count), rate, shape, signal.unit, signal.frame, *ends, str(gaps or ""))
-    console.print(table)
+        lines.add_row(name, str(count), rate, shape, signal.unit, signal.frame, *ends, str(gaps or ""))
+    console.print(lines)
