@@ -1,4 +1,4 @@
-"""How much the sequences of TrunkLift depend on the last bit (docs/lift.md).
+"""How much the sequences of TrunkLift depend on the last bit (docs/archive/tasks_and_models.md).
 
     python benchmarks/lift_rounding.py --copies 20
 

@@ -3,8 +3,8 @@
     python benchmarks/real_robots.py --data data/real [--only bam_servo ...] [--seeds 3]
 
 Every part of a study is a folder in --work, and the same command goes on with what is missing. Prints tables and writes
-docs/results/real_robots.json, whose numbers those of docs/real_robots.md are. What fails costs nothing else; then the
-exit status is 1.
+docs/results/real_robots.json, which has the numbers of docs/archive/real_robots.md. What fails costs nothing else; then
+the exit status is 1.
 """
 
 import argparse
@@ -40,7 +40,7 @@ def unnamed(summary: dict) -> str:
 
 
 def every_seed() -> str:
-    """Markdown: the answer of every seed and what it leaves, the second table of docs/real_robots.md."""
+    """Markdown: the answer of every seed and what it leaves, the table of docs/archive/real_robots.md."""
     rows = []
     for s in sorted(read_json(RESULTS), key=lambda s: (STUDIES.index(s["study"]), s["part"], s["seed"])):
         best = s["answers"][0]
@@ -53,7 +53,7 @@ def every_seed() -> str:
             f"{best['probability']:.2f}",
             unnamed(s),
         ))
-    names = ("robot, part", "seed", "parameters fitted", "patched", "likeliest with a name", "probability", "no name")
+    names = ("robot, part", "seed", "parameters", "patched", "likeliest in the catalogue", "probability", "outside")
     return table(names, rows)
 
 
@@ -84,7 +84,7 @@ def main() -> None:
 
 
 def first_seed() -> str:
-    """Markdown: what all studies have found with seed 0, the table of docs/real_robots.md."""
+    """Markdown: what all studies have found with seed 0."""
     return results([s for s in read_json(RESULTS) if s["seed"] == 0])
 
 

@@ -20,7 +20,7 @@ from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import ParameterSet
 
 # mm, tip after the action. Action 15 releases a slack cable: free fall. Recorded with the reference simulator by the
-# authors of the published study (docs/reference_tasks.md).
+# authors of the published study (docs/archive/tasks_and_models.md).
 REFERENCE_TIPS = {
     1: (-10.36, -16.37, 181.36),
     3: (10.12, -16.29, 181.40),

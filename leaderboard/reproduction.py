@@ -2,7 +2,8 @@
 
     python leaderboard/reproduction.py
 
-Reads the entries in leaderboard/results and writes the tables of docs/reproduction.md, in the paper's units.
+Reads the entries in leaderboard/results and writes tables of docs/explanation/reproduction.md and, a row per policy, of
+docs/archive/reproduction_tables.md, in the paper's units.
 """
 
 import argparse
@@ -22,7 +23,8 @@ from soro_bench.packed import is_there
 from soro_bench.parameters import ALL_PARAMETERS
 
 RESULTS = Path(__file__).parent / "results"
-PAGE = Path(__file__).parents[1] / "docs" / "reproduction.md"
+DOCS = Path(__file__).parents[1] / "docs"
+PAGES = (DOCS / "explanation" / "reproduction.md", DOCS / "archive" / "reproduction_tables.md")
 TABLE = re.compile(r"(<!-- (\w+): leaderboard/reproduction.py -->\n\n).*?(\n\n<!-- end -->)", re.DOTALL)
 UNITS = {"young_modulus": 1e3}  # kPa are kg/(mm s²); masses are in kg
 COLUMNS = ("cube_mass", "friction", "trunk_mass", "poisson_ratio", "young_modulus")
@@ -98,7 +100,7 @@ def lift_table(groups: dict[tuple[str, str], Group]) -> str:
 
 
 def tables() -> dict[str, str]:
-    """The tables of the page by their names, Markdown."""
+    """The tables of the pages by their names, Markdown."""
     found = gather_control(RESULTS)
     # ours alone: others may enter methods of the same names
     groups = {(board, g.name): g for board, members in found.items() for g in members if g.entry == ENTRY}
@@ -121,10 +123,11 @@ def filled(page: str) -> str:
 
 
 def main() -> None:
-    """Write the tables into the page."""
+    """Write the tables into the pages."""
     argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
-    with replacing(PAGE) as temporary:
-        temporary.write_text(filled(PAGE.read_text()))
+    for page in PAGES:
+        with replacing(page) as temporary:
+            temporary.write_text(filled(page.read_text()))
 
 
 if __name__ == "__main__":

@@ -84,7 +84,7 @@ def test_a_softer_neck_sags_more_on_either_model(model):
 
 
 def test_the_bending_stiffness_of_a_neck_is_that_of_its_flex():
-    """Of the finite-element table that the flexes are made from (docs/models.md)."""
+    """Of the finite-element table that the flexes are made from (docs/archive/tasks_and_models.md)."""
     task = make_task("TrunkReach-v0", 1, 1, "flex", effects=[Effect("stiffening", Port("body", "*"), {"beta": 1.0})])
     task.reset(np.arange(1), [np.random.default_rng(0)], [{}])
     (law,) = task.sim._effects._laws

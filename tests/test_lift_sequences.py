@@ -6,7 +6,9 @@ import pytest
 from benchmarks.lift_rounding import RECORDED, SEQUENCES, TOLERANCE, copies
 from soro_bench.leaderboard.strict import read_strict
 
-COPIES = 6  # contacts on `flex` amplify the last bit, so that another processor sees another course (docs/lift.md)
+# contacts on `flex` amplify the last bit, so that another processor sees another course
+# (docs/archive/tasks_and_models.md)
+COPIES = 6
 
 
 @pytest.mark.parametrize("path", SEQUENCES, ids=lambda path: path.stem)

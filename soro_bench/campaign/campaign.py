@@ -14,7 +14,7 @@ from soro_bench.parallel import Workers, each
 TRAINING = 0.95  # of a run; the rest is its evaluation
 POLL = 2.0  # s between looks at what the runs have written
 # Time of an environment step with the policy's share of an update, relative to TrunkReach's on the cheap model
-# (docs/archive/performance.md, docs/multigait.md); only what is shown of the time left depends on it
+# (docs/archive/tasks_and_models.md); only what is shown of the time left depends on it
 _COST = {"TrunkReach-v0": 1.0, "TrunkPush-v0": 1.3, "TrunkLift-v0": 1.5, "MultiGait-v0": 60.0}
 _ACCURATE = 10.0
 

@@ -10,7 +10,7 @@ Two models share keypoints, cables and parameters and differ in the necks:
 
 A cable is a spatial tendon through eyelets on the vertebrae, pulled by a servo on its displacement: its tension is
 stiffness * (commanded - actual displacement), damped, between 0 (slack) and ``MAX_TENSION``. The commanded
-displacement is the servo's activation; the control is its rate [m/s]. docs/models.md has the reasons and figures.
+displacement is the servo's activation; the control is its rate [m/s]. docs/explanation/models.md has the reasons.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,7 +52,7 @@ class TrunkVariant:
     iterations: int
     tolerance: float
     # kg m^2, on top of each vertebra's own 3e-7 to 4e-6: opposing taut cables buckle the necks to and fro, at a
-    # frequency that no affordable time step resolves (docs/models.md has the counts)
+    # frequency that no affordable time step resolves
     added_inertia: float
 
 

@@ -2,7 +2,7 @@
 
 Frame: z along the undeformed trunk, y up, origin at the clamped end. SI units. Sources:
 
-- [SofaGym] the reference trunk scene (lengths, cable points, masses, limits): docs/reference_tasks.md.
+- [SofaGym] the reference trunk scene (lengths, cable points, masses, limits): docs/archive/tasks_and_models.md.
 - [FEM] relative stiffness of every neck, from linear tetrahedral elements on the reference mesh at E = 4.5 MPa,
   as the reference simulator uses them (linear tetrahedra, so it includes their locking near nu = 0.5).
 """

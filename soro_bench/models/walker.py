@@ -29,7 +29,7 @@ PARAMETERS = (
     prm.ECOFLEX_POISSON_RATIO,
     prm.ECOFLEX_YOUNG_MODULUS,
 )
-TIMESTEP = 0.02  # s; what it costs in accuracy is in docs/multigait.md
+TIMESTEP = 0.02  # s
 # Newton needs 1 to 5. The cap also ends MuJoCo's own first solve without contacts, which would take 200 iterations and
 # half of the time and is only a second candidate to start Newton from; the warning that it was ended is not shown.
 ITERATIONS = 10
@@ -37,8 +37,8 @@ TOLERANCE = 1e-5
 # Feet carry the body's internal stress: with MuJoCo's default of 1 they creep, a fifth of the displacement of a gait
 FRICTION_IMPEDANCE_RATIO = 100
 UPWARD_GROWTH = 0.5  # of the growth along the chamber: assumed, the calibration of GROWTH goes with it
-# Growth of each mesh's chambers at full inflation, (centre, leg): of the coarse mesh chosen (docs/multigait.md), of the
-# others calibrated to bend as it does by benchmarks/walker_calibration.py
+# Growth of each mesh's chambers at full inflation, (centre, leg): of the coarse mesh chosen
+# (docs/archive/tasks_and_models.md), of the others calibrated to bend as it does by benchmarks/walker_calibration.py
 GROWTH = {"coarse": (0.55, 0.55), "fine": (0.8526, 0.7271), "finest": (0.6235, 0.4456)}
 # m. The reference gives none; its membrane elements have the thickness 1 in a scene in millimetres.
 MEMBRANE_THICKNESS = 0.001
@@ -86,7 +86,7 @@ def _add_vertices(spec: mujoco.MjSpec, mesh: Mesh) -> list[str]:
         for axis, direction in zip("xyz", np.eye(3), strict=True):
             body.add_joint(name=f"{name}_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=direction)
     # A row of constraint that is always there. Without any, Newton takes another path, which is not converged after
-    # ITERATIONS when the body is in the air (docs/multigait.md).
+    # ITERATIONS when the body is in the air (docs/archive/tasks_and_models.md).
     spec.joint("vertex0_x").frictionloss = 1e-9
     return names
 

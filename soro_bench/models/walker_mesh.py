@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from soro_bench.arrays import Floats, Ints
 
-# Corners of one quadrant's outline [m], from the mesh of Tiboni et al., IROS 2023 (docs/reference_tasks.md).
+# Corners of one quadrant's outline [m], from the mesh of Tiboni et al., IROS 2023 (docs/archive/tasks_and_models.md).
 NOTCH = np.array([0.02952, 0.0])
 TIP_INNER = np.array([0.06785, 0.01782])
 TIP_OUTER = np.array([0.0637, 0.02925])
