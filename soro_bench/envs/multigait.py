@@ -194,9 +194,9 @@ class MultiGaitEnv(SoftRobotEnv):
       ecoflex_poisson_ratio, ecoflex_young_modulus.
 
     ## Version history
-    * v0: after the paper. Steps of 0.6 s, as in SofaGym's multigaitrobot-v0; the paper's take 3 s (docs/multigait.md
-      compares). The published reward is clipped at zero, which also pays for rocking to and fro; this one is not. The
-      published observation averages points of the chambers; this is the centre of mass.
+    * v0: after the paper. Steps of 0.6 s, as in SofaGym's multigaitrobot-v0; the paper's take 3 s
+      (docs/archive/tasks_and_models.md). The published reward is clipped at zero, which also pays for rocking to and
+      fro; this one is not. The published observation averages points of the chambers; this is the centre of mass.
     """
 
     metadata: ClassVar[dict[str, Any]] = {**SoftRobotEnv.metadata, "render_fps": 1 / MultiGaitTask.control_timestep}
