@@ -316,8 +316,10 @@ def _option(action: argparse.Action) -> tuple[str, ...]:
     value = (action.metavar or "").replace("{None}|", "").replace("{None,", "{")
     if not action.option_strings and meaning.strip() == action.dest:
         meaning = ""
+    names = value[1:-1].split(",") if value.startswith("{") else [value]
+    value = ", ".join(f"`{name}`" for name in names if name)
     shown = "" if default in ("None", "") else default if default == "required" else f"`{default}`"
-    return (name, f"`{value}`" if value else "", shown, doc_links(meaning.strip().replace("<", "&lt;"), REFERENCE))
+    return (name, value, shown, doc_links(meaning.strip().replace("<", "&lt;"), REFERENCE))
 
 
 PARTS = {"effects.md": effects, "parameters.md": parameters, "command_line.md": command_line}

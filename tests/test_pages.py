@@ -93,3 +93,11 @@ def test_the_modules_of_the_python_reference_exist():
     modules = [name for page in pages for name in re.findall(r"(?m)^::: (\S+)", page.read_text())]
     assert modules
     assert [name for name in modules if importlib.util.find_spec(name) is None] == []
+
+
+@pytest.mark.parametrize("name", ["reference/effects.md", "reference/recordings.md"])
+def test_the_python_of_a_page_runs(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"(?ms)^```python\n(.*?)^```", PAGES[name].read_text())
+    assert blocks
+    exec("\n".join(blocks), {})

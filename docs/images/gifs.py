@@ -11,8 +11,8 @@ import gymnasium
 import numpy as np
 from PIL import Image
 
-from soro_bench.files import read_json
 from soro_bench.leaderboard.entry import policy_of, read_entry
+from soro_bench.leaderboard.strict import read_strict
 from soro_bench.registration import ENV_IDS, task_type
 
 FOLDER = Path(__file__).parent
@@ -35,7 +35,7 @@ FRAME = {"TrunkReach-v0": 80, "TrunkPush-v0": 100, "TrunkLift-v0": 100, "MultiGa
 def frames(env_id: str) -> Iterator[np.ndarray]:
     """Pictures of an environment in motion."""
     if env_id == "TrunkLift-v0":
-        actions = np.array(read_json(LIFT)["actions"], np.float32)
+        actions = np.array(read_strict(LIFT)["actions"], np.float32)
         yield from episodes(env_id, "cable", "continuous", lambda step, observation: actions[step])
     else:
         path = RESULTS / ENTRIES[env_id]
