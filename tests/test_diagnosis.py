@@ -20,7 +20,7 @@ def numerical_floor(given, refined, points):
 
 
 def test_a_fit_recovers_parameters_and_leaves_the_noise(robot, actions):
-    """Not within the linearised errors: in the weakest direction those are too small (docs/archive/inference.md)."""
+    """Not within the linearised errors: there those are too small (docs/explanation/inference.md)."""
     given = problem(robot, actions)
     (found,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1, 0.05), seed=0)
     assert np.abs(found.x - TRUTH).max() < 0.15  # of a prior standard deviation

@@ -138,7 +138,7 @@ def test_training_reads_a_posterior_as_a_distribution(reach, tmp_path):
 
 
 def test_least_squares_recovers_parameters_near_the_nominal_ones():
-    # from farther away it can end where a cable falls slack at the wrong moment (docs/archive/inference.md)
+    # from farther away it can end where a cable falls slack at the wrong moment (docs/explanation/inference.md)
     truth = {"trunk_mass": 0.41, "poisson_ratio": 0.448, "young_modulus": 4.45e6}
     recording = record("TrunkReach-v0", model="cable", params=truth, steps=STEPS)
     posterior = infer("sysid", Replay(recording, threads=1))

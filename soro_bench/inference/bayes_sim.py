@@ -2,7 +2,7 @@
 
 Ramos, Possas, Fox, "BayesSim: adaptive domain randomization via probabilistic inference for robotics simulators", RSS
 2019, by sbi's neural posterior estimation. What differs from the published study's implementation is in
-docs/archive/inference.md.
+docs/explanation/inference.md.
 """
 
 import contextlib

@@ -4,8 +4,8 @@ Tiboni, Protopapa, Tommasi, Averta, "Domain Randomization for Robust, Affordable
 Soft Robots", IROS 2023. The parameters are independent normals, truncated at two standard deviations; their means and
 the logarithms of their standard deviations maximise the likelihood of the recording (likelihood.py).
 
-Two ways to find them (docs/archive/inference.md compares), with the same objective but for the truncation, which the
-second one does not see: parameters that are drawn from what it finds vary by 12 % less than it took them to:
+Two ways to find them (docs/explanation/inference.md compares), with the same objective but for the truncation, which
+the second one does not see: parameters that are drawn from what it finds vary by 12 % less than it took them to:
 
 * :func:`sampled`, the published one: CMA-ES over all 2 d numbers, each candidate judged by K replays.
 * :func:`linearised`: as long as the standard deviations are small, each step's covariance is that of the linearised
