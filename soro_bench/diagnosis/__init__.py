@@ -1,1 +1,1 @@
-"""Why a simulation and a recording differ: docs/diagnosis.md."""
+"""Why a simulation and a recording differ: docs/explanation/method.md."""

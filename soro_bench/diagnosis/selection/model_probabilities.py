@@ -23,7 +23,7 @@ GUMBEL_LOCATION, GUMBEL_SCALE = 60.0, 60.0
 EFFECT, UNKNOWNS = 100.0, 50.0  # nats that a rugged fit gains by chance from one more effect, from each unknown of it
 # of what is explained, by which each unknown of an effect has to improve on laws with fewer: what a law has not quite
 # right, one that contains it can always take up (up to 0.9 per cent by two more; 2 to 8 where they are real:
-# docs/diagnosis_measured.md)
+# docs/archive/diagnosis_development.md)
 SPARE = 0.006
 TEMPER = (100.0, 0.1)  # nats, and share of the excess
 # share of the excess left where the physics is as likely unknown as not, width, and what nulls leave of what was fitted
@@ -36,8 +36,8 @@ STILL = (500.0, 0.006, 0.2)
 BLUNDER = 0.03  # of answers that seem certain, how many are wrong all the same (5 of 111)
 # what is left without any effect and still there LAG later [s], as noise is not: its variance, in units of that of the
 # rest, at which something is missing as likely as nothing, whatever promises to explain it; the same of few samples,
-# in standard deviations; and the power with which more gets rarer (docs/diagnosis_measured.md). No sample counts more
-# than FAR standard deviations of the noise, as it may be an outlier that has not been recognised
+# in standard deviations; and the power with which more gets rarer (docs/archive/diagnosis_development.md). No sample
+# counts more than FAR standard deviations of the noise, as it may be an outlier that has not been recognised
 SLOW, FEW, POWER, LAG, FAR = 0.12, 5.0, 5.0, 0.15, 4.0
 COMPARED = 6  # hypotheses that are simulated on held-out recordings
 
