@@ -9,6 +9,7 @@ import pytest
 
 from soro_bench.evaluation import evaluate
 from soro_bench.models import trunk
+from soro_bench.models import trunk_geometry as geo
 from soro_bench.recording import rerun_log
 from soro_bench.recording.drawing import Drawing, Mesh
 from soro_bench.recording.rerun_log import DRAWINGS, RERUN, viewer_environment, write_recording
@@ -239,6 +240,19 @@ def test_skin_pieces_stay_within_their_radius_of_the_backbone(reach):
         vertices = mesh.pose.position[:, None] + rotate_by_quaternion(mesh.vertices, quaternion)
         distance = np.linalg.norm(vertices[:, :, None] - reach.signals["keypoints"][:, None], axis=-1).min(axis=-1)
         assert distance.max() < 0.018  # a vertex is at most 12 mm from a keypoint along the axis
+
+
+def test_a_trunk_is_as_thick_as_its_model(reach):
+    """Discs of the mesh's outer radius, and necks of theirs from each disc to the next."""
+    drawing, heights = draw_trunk(reach), {}
+    for k, name in enumerate(drawing.body):
+        rest = drawing.meshes[name].vertices + np.array([0, 0, geo.NECK_MIDDLE[k - 1] if k else 0])
+        radii = np.linalg.norm(rest[:, :2], axis=1).round(7)
+        outer = geo.outer_radius(rest[:, 2]).round(7)
+        assert set(radii - outer * (radii > geo.NECK_RADIUS)) <= {0.0, geo.NECK_RADIUS}
+        heights[name] = set(rest[radii == geo.NECK_RADIUS, 2].round(9))
+    faces = np.sort(np.concatenate([geo.NECK_START, geo.NECK_END]).round(9))
+    assert set(faces) <= set().union(*heights.values()) and len(heights) == geo.NUM_NECKS + 1
 
 
 def test_objects_and_walls_stand_where_the_simulation_has_them(episodes):

@@ -70,7 +70,7 @@ class Drawing:
     boxes: dict[str, Box]
     lines: dict[str, Line]
     plots: dict[str, Plot]
-    outline: str  # the line that is enough to show many episodes at once
+    outline: str  # the line along the middle of the robot
     note: str  # what a reviewer has to know
     floor: float | None  # m, height of the floor
     up: tuple[int, int, int]  # the vertical: y or z
@@ -78,6 +78,7 @@ class Drawing:
     target: np.ndarray  # (3,) m, where to look at
     goal_radius: float = 0.004  # m
     goal_color: np.ndarray | None = None  # (4,) uint8
+    body: tuple[str, ...] = ()  # meshes that are the robot: with the outline, enough where several robots are shown
 
 
 def flat_shaded(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -47,7 +47,7 @@ def _overview(episodes: Sequence[Episode], title: str) -> str:
         for i, e in enumerate(episodes)
     ]
     solved = sum(e.is_success for e in episodes)
-    legend = "Lines: green solved, grey not solved, red diverged. Every episode has a tab above."
+    legend = "Robots: green solved, grey not solved, red diverged. Every episode has a tab above."
     head = [f"# {title}", "", f"{solved} of {len(episodes)} solved", "", legend, ""]
     names = ("episode", "goal [mm]", "result", f"final {episodes[0].metric_name} [mm]", "total reward")
     return "\n".join([*head, table(names, rows)])

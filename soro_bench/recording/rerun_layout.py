@@ -12,7 +12,7 @@ from soro_bench.recording.rerun_entities import OVERVIEW, TIMELINE, episode_root
 
 _BACKGROUND = (214, 219, 225)
 _RESULT_COLORS = {"solved": (34, 139, 34), "not solved": (90, 100, 115), "diverged": (200, 40, 40)}
-OUTLINE_RADIUS = 0.0008  # m
+_BODY_ALPHA = 90  # of 255: measured points and other robots show through
 
 
 def layout(episodes: Sequence[Episode], drawings: Sequence[Drawing]) -> rrb.Blueprint:
@@ -33,14 +33,14 @@ def blueprint(tabs: Iterable[rrb.Container | rrb.View], active: int) -> rrb.Blue
 
 
 def _overview_tab(episodes: Sequence[Episode], drawings: Sequence[Drawing]) -> rrb.Horizontal:
-    """The outlines of all robots, coloured by how the episode ended, and their objects beside the table of results."""
-    contents, overrides = [], {}
+    """All robots, coloured by how the episode ended, and their objects beside the table of results."""
+    contents: list[str] = []
+    overrides: dict[str, Any] = {}
     for i, (episode, drawing) in enumerate(zip(episodes, drawings, strict=True)):
         world = f"/{episode_root(i)}/world"
-        contents += [f"{world}/{name}" for name in (drawing.outline, "goal", *({"object"} & drawing.boxes.keys()))]
-        overrides[f"{world}/{drawing.outline}"] = rr.LineStrips3D.from_fields(
-            radii=OUTLINE_RADIUS, colors=_RESULT_COLORS[result(episode)]
-        )
+        contents += [f"{world}/{name}" for name in ("goal", *({"object"} & drawing.boxes.keys()))]
+        overrides |= painted(world, drawing, _RESULT_COLORS[result(episode)])
+    contents += overrides
     view, text = view3d("/", contents, drawings[0], overrides), rrb.TextDocumentView(origin=f"/{OVERVIEW}")
     return rrb.Horizontal(view, text, column_shares=[3, 2], name="all")
 
@@ -59,6 +59,23 @@ def _episode_tab(i: int, episode: Episode, drawing: Drawing) -> rrb.Horizontal:
         column_shares=[5, 4, 2],
         name=f"{i + 1}: " + (end if end != "not solved" else f"{1e3 * episode.final_metric:.0f} mm"),
     )
+
+
+def painted(world: str, drawing: Drawing, color: tuple[int, int, int]) -> dict[str, Any]:
+    """What a view changes to show a robot, as thick as it is, in one colour: its line opaque, its body transparent.
+
+    Args:
+        world: the entity path of the drawing.
+        color: red, green and blue, 0 to 255.
+
+    Returns:
+        rerun archetypes by entity path, of all entities that are to be seen.
+    """
+    body = rr.Mesh3D.from_fields(albedo_factor=(*color, _BODY_ALPHA))
+    return {
+        f"{world}/{drawing.outline}": rr.LineStrips3D.from_fields(colors=color),
+        **{f"{world}/{name}": body for name in drawing.body},
+    }
 
 
 def plots(root: str, drawing: Drawing) -> list[rrb.TimeSeriesView]:

@@ -7,6 +7,7 @@ far each is from what was measured.
 from collections.abc import Iterable, Mapping, Sequence, Sized
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -26,7 +27,7 @@ from soro_bench.recording.rerun_entities import (
     markdown,
     view_coordinates,
 )
-from soro_bench.recording.rerun_layout import OUTLINE_RADIUS, blueprint, plot, plots, view3d
+from soro_bench.recording.rerun_layout import blueprint, painted, plot, plots, view3d
 from soro_bench.recording.rerun_log import draw, identity, recorded
 
 _COLORS = ((214, 39, 40), (31, 119, 180))  # before and after, as in the report
@@ -94,17 +95,16 @@ def _summary(title: str, runs: Mapping[str, Episode]) -> str:
     for name in next(iter(runs.values())).params:
         values = (f"{run.params[name]:.4g}" for run in runs.values())
         rows.append([f"{name} [{ALL_PARAMETERS[name].unit}]", *values])
-    return "\n".join([f"# {title}", "", f"Dots: measured. Lines: {lines}.", "", table(["", *runs], rows)])
+    return "\n".join([f"# {title}", "", f"Dots: measured. Robots: {lines}.", "", table(["", *runs], rows)])
 
 
 def _layout(drawings: Mapping[str, Drawing], away: Mapping[str, np.ndarray]) -> rrb.Blueprint:
     """It opens on the tab of all runs, and plays."""
     first, colors = next(iter(drawings.values())), _colors(drawings)
-    contents, overrides = [f"/{_MEASURED}/**"], {}
+    contents, overrides = [f"/{_MEASURED}/**"], dict[str, Any]()
     for (name, drawing), color in zip(drawings.items(), colors, strict=True):
-        outline = f"/{name}/world/{drawing.outline}"
-        contents.append(outline)
-        overrides[outline] = rr.LineStrips3D.from_fields(radii=OUTLINE_RADIUS, colors=color)
+        overrides |= painted(f"/{name}/world", drawing, color)
+    contents += overrides
     curves = [plot("/distance/" + name, f"distance from measured {name} [mm]") for name in away]
     text = rrb.TextDocumentView(origin="/summary", name="parameters")
     overview = rrb.Horizontal(

@@ -17,6 +17,8 @@ from soro_bench.rotation import rotate_by_quaternion
 _BOXES = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_PLANE))
 # drawn only
 _CABLE_RADIUS = 0.0008  # m
+_BACKBONE_RADIUS = 0.0008  # m
+_NECK_SEGMENTS = 16  # around a neck
 _FLOOR_THICKNESS = 0.001  # m
 _NEARER = 0.6  # than the camera of the MJCF, as the view of a tab is small
 _SKIN_ALPHA = 0.35  # cables and backbone show through
@@ -38,8 +40,9 @@ def draw_trunk(episode: Episode) -> Drawing:
     links, signals = _links(model), episode.signals
     boxes = dict(_boxes(model, data, episode))
     goal = model.geom("goal")
+    skin = _skin(data.xpos[links], signals, _color(model, model.mat("silicone").id, _SKIN_ALPHA))
     return Drawing(
-        meshes=_skin(data.xpos[links], signals, _color(model, model.mat("silicone").id, _SKIN_ALPHA)),
+        meshes=skin,
         boxes=boxes,
         lines={"backbone": _backbone(signals["keypoints"]), **_cables(model, links, signals)},
         plots={
@@ -47,6 +50,7 @@ def draw_trunk(episode: Episode) -> Drawing:
             "commanded": Plot("commanded pull [mm]", 1e3 * signals["commanded"], geo.CABLE_NAMES, _CABLE_COLORS),
         },
         outline="backbone",
+        body=tuple(skin),
         note=f"Cables are coloured by their tension, from violet (0) to yellow ({trunk.MAX_TENSION:g} N).",
         goal_radius=float(goal.size[0]),
         goal_color=_color(model, goal.matid[0], 1.0),
@@ -79,7 +83,7 @@ def _links(model: mujoco.MjModel) -> np.ndarray:
 
 
 def _skin(origins: np.ndarray, signals: Mapping[str, np.ndarray], color: np.ndarray) -> dict[str, Mesh]:
-    """One rigid piece per link, whose frame rests at ``origins`` (11, 3) m; the backbone line draws the necks.
+    """One rigid piece per link, whose frame rests at ``origins`` (11, 3) m: its disc and half of each neck beside it.
 
     Pieces with poses take a twentieth of the space of one mesh with vertices for each state.
     """
@@ -89,13 +93,37 @@ def _skin(origins: np.ndarray, signals: Mapping[str, np.ndarray], color: np.ndar
     meshes = {}
     for k, origin in enumerate(origins):
         faces = skin.faces[(link_of_face == k).all(axis=1)]
+        surfaces = [(skin.vertices, faces), *(_tube(*ends) for ends in _half_necks(k))]
+        pieces = [flat_shaded(vertices - origin, corners) for vertices, corners in surfaces]
+        vertices, normals = (np.concatenate([piece[i] for piece in pieces]) for i in (0, 1))
         pose = Pose(signals["link_position"][:, k], quaternions[:, k])
-        meshes[f"skin/link{k:02d}"] = Mesh(*flat_shaded(skin.vertices - origin, faces), color, pose)
+        corners = np.arange(len(vertices)).reshape(-1, 3)  # flat faces share no vertex
+        meshes[f"skin/link{k:02d}"] = Mesh(vertices, normals, corners, color, pose)
     return meshes
 
 
+def _half_necks(link: int) -> list[tuple[float, float]]:
+    """Where the halves of necks [m] along the trunk begin and end that follow a link (0 is the base)."""
+    before = [(geo.NECK_MIDDLE[link - 1], geo.NECK_END[link - 1])] if link else []
+    after = [(geo.NECK_START[link], geo.NECK_MIDDLE[link])] if link < geo.NUM_NECKS else []
+    return before + after
+
+
+def _tube(begin: float, end: float) -> tuple[np.ndarray, np.ndarray]:
+    """(V, 3) vertices [m] and (F, 3) faces of a tube of a neck's radius along the trunk at rest, open at its ends."""
+    angle = np.arange(_NECK_SEGMENTS) * 2 * np.pi / _NECK_SEGMENTS
+    circle = geo.NECK_RADIUS * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(_NECK_SEGMENTS)])
+    i = np.arange(_NECK_SEGMENTS)
+    j = (i + 1) % _NECK_SEGMENTS
+    lower, upper = (
+        np.column_stack([i, j, i + _NECK_SEGMENTS]),
+        np.column_stack([j, j + _NECK_SEGMENTS, i + _NECK_SEGMENTS]),
+    )
+    return np.concatenate([circle + np.array([0, 0, z]) for z in (begin, end)]), np.concatenate([lower, upper])
+
+
 def _backbone(keypoints: np.ndarray) -> Line:
-    return Line(keypoints, geo.NECK_RADIUS, np.tile(_BACKBONE_COLOR, (len(keypoints), 1)))
+    return Line(keypoints, _BACKBONE_RADIUS, np.tile(_BACKBONE_COLOR, (len(keypoints), 1)))
 
 
 def _cables(model: mujoco.MjModel, links: np.ndarray, signals: Mapping[str, np.ndarray]) -> dict[str, Line]:

@@ -39,6 +39,7 @@ def draw_walker(episode: Episode) -> Drawing:
         lines={"spine": Line(vertices[:, spine], _SPINE_RADIUS, colors)},
         plots={"inflation": Plot("inflation", signals["inflation"], CHAMBERS, _CHAMBER_COLORS)},
         outline="spine",
+        body=("body",),
         note="x is forward. One state per action.",
         floor=_FLOOR_HEIGHT,
         up=(0, 0, 1),
