@@ -27,7 +27,7 @@ from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.pipeline import diagnose
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.version import method_version
-from soro_bench.effects.effect import EVERY, Effect, Port, save_effects
+from soro_bench.effects.effect import EVERY, Effect, Location, save_effects
 from soro_bench.envs.task import effects_of
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.leaderboard.statistics import interval
@@ -65,17 +65,17 @@ CONCEALED = {
     "delay": Concealed(
         {"trunk_mass": 1.2, "young_modulus": 0.85},
         lambda: command_laws.Delay(0.15),
-        Effect("actuator_delay", Port("actuator", EVERY), {"delay": 0.15}),
+        Effect("actuator_delay", Location("actuator", EVERY), {"delay": 0.15}),
     ),
     "weak_cable": Concealed(
         {"trunk_mass": 0.85, "young_modulus": 1.2},
         lambda: command_laws.Gain(0, 0.5),
-        Effect("actuator_gain", Port("actuator", geo.CABLE_NAMES[0]), {"gain": 0.5}),
+        Effect("actuator_gain", Location("actuator", geo.CABLE_NAMES[0]), {"gain": 0.5}),
     ),
     "payload": Concealed(
         {"trunk_mass": 1.1, "young_modulus": 0.8},
         lambda: body_laws.Payload(8, 0.1),
-        Effect("payload", Port("body", "vertebra8"), {"mass": 0.1}),
+        Effect("payload", Location("body", "vertebra8"), {"mass": 0.1}),
     ),
 }
 

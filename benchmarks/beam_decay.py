@@ -18,7 +18,6 @@ from soro_bench.assets import mjcf_path
 from soro_bench.diagnosis.estimation.data_quality import audit
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.pipeline import unexplained
-from soro_bench.diagnosis.report import earlier
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import FITTED
 from soro_bench.diagnosis.selection.forward_selection import nominal_fit

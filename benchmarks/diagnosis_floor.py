@@ -12,15 +12,15 @@ import argparse
 import numpy as np
 from gymnasium import spaces
 
-from soro_bench.diagnosis.candidates import suspect
-from soro_bench.diagnosis.estimation.discretisation import floor_and_residuals
+from soro_bench.diagnosis.candidates import term
+from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
 from soro_bench.diagnosis.estimation.fit import Guess, fitted
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import FITTED, Robot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
-from soro_bench.effects.effect import EVERY, Port
-from soro_bench.inference.clouds import LowRank
+from soro_bench.effects.effect import EVERY, Location
+from soro_bench.inference.statistical_linearisation import LowRank
 from soro_bench.markdown import header, row
 from soro_bench.recording.excitation import excitation
 
@@ -41,7 +41,7 @@ def problem(robot: Robot, recorded: Robot, effects=(), noise=0.0) -> Problem:
 def left(given: Problem) -> float:
     """mm, rms of a coordinate at the truth that the floor does not explain."""
     residual = given.residuals([(TRUTH, ())])[0]
-    return 1e3 * NOISE * float(np.sqrt((given.floor.without(residual) ** 2).mean()))
+    return 1e3 * NOISE * float(np.sqrt((given.discretisation.without(residual) ** 2).mean()))
 
 
 def time_steps() -> None:
@@ -58,7 +58,7 @@ def time_steps() -> None:
 
 def floor_at(given, refined, points):
     """(F, M) the numerical floor at points."""
-    return floor_and_residuals(given, refined, points, ())[0]
+    return discretisation_and_residuals(given, refined, points, ())[0]
 
 
 def main() -> None:
@@ -72,19 +72,19 @@ def main() -> None:
     print(row(("none", "", f"{left(given):.2f}")))
     for name, count, centre, spread in (("the prior", 5, np.zeros(5), FAR), ("around the truth", 3, TRUTH, NEAR)):
         points = [(centre + spread * rng.standard_normal(5), ()) for _ in range(count)]
-        floor = floor_at(given, [finer, accurate], points)
-        print(row((f"draws from {name}", count, f"{left(given.with_floor(floor)):.2f}")), flush=True)
+        discretisation = floor_at(given, [finer, accurate], points)
+        print(row((f"draws from {name}", count, f"{left(given.with_discretisation(discretisation)):.2f}")), flush=True)
 
     print("\n" + header(("hidden", "without", "with it")))
-    for name, port in (("actuator_delay", Port("actuator", EVERY)), ("stiffening", Port("body", EVERY))):
-        one = suspect(robot, name, port)
+    for name, location in (("actuator_delay", Location("actuator", EVERY)), ("stiffening", Location("body", EVERY))):
+        one = term(robot, name, location)
         x = np.append(TRUTH, 0.15)
         given = problem(robot, accurate, (one.effect(x[5:]),), NOISE)
         near = [(TRUTH + NEAR * rng.standard_normal(5), ()) for _ in range(3)]
-        plain = given.with_floor(floor_at(given, [finer, accurate], near))
-        both = plain.with_floor(floor_at(given, [finer, accurate], [(x, (one,))]))
+        plain = given.with_discretisation(floor_at(given, [finer, accurate], near))
+        both = plain.with_discretisation(floor_at(given, [finer, accurate], [(x, (one,))]))
         residual = given.residuals([(x, (one,))])[0]
-        print(row((name, f"{plain.excess(residual):.0f}", f"{both.excess(residual):.0f}")), flush=True)
+        print(row((name, f"{plain.misfit(residual):.0f}", f"{both.misfit(residual):.0f}")), flush=True)
 
     given = problem(robot, robot, noise=NOISE)
     print("\n" + header(("radii of the clouds", "chi2 per sample")))

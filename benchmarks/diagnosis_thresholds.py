@@ -38,11 +38,11 @@ def shares(report: dict) -> tuple[float, float, float]:
 
 def promises(cases) -> str:
     """How much the best lead promises: of nulls, a Gumbel distribution; of the others, the least."""
-    nulls = [report["promised"] for label, report in cases if label["group"] == "none"]
+    healthy = [report["promised"] for label, report in cases if label["group"] == "none"]
     others = sorted((report["promised"], label["id"]) for label, report in cases if label["group"] != "none")
-    lines = [f"nulls promise {', '.join(f'{p:.0f}' for p in sorted(nulls))} nats"]
-    if len(nulls) > 1:
-        location, scale = gumbel_r.fit(nulls)
+    lines = [f"healthy cases promise {', '.join(f'{p:.0f}' for p in sorted(healthy))} nats"]
+    if len(healthy) > 1:
+        location, scale = gumbel_r.fit(healthy)
         lines.append(f"their Gumbel distribution: location {location:.0f}, scale {scale:.0f}, "
                      f"99 % below {gumbel_r.ppf(0.99, location, scale):.0f}")  # fmt: skip
     lines.append("the others, the least first: " + ", ".join(f"{p:.0f} ({name})" for p, name in others[:6]))
@@ -75,8 +75,8 @@ def log_loss(cases, nats: float, share: float) -> float:
         right = np.array([set(h["names"]) <= truth for h in named])
         if right.any() and not right.all():
             evidence = np.array([h["evidence"] for h in named])
-            excess = min(h["excess_of_all"] for h in report["hypotheses"])
-            tempered = evidence / (nats + share * max(excess, 0.0))
+            misfit = min(h["excess_of_all"] for h in report["hypotheses"])
+            tempered = evidence / (nats + share * max(misfit, 0.0))
             chances = np.exp(tempered - tempered.max())
             found.append(-np.log(max(chances[right].sum() / chances.sum(), 1e-300)))
     return float(np.mean(found)) if found else np.nan

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from soro_bench.diagnosis.candidates import suspects, typical
+from soro_bench.diagnosis.candidates import terms, typical
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.markdown import header, row
 from soro_bench.registration import make_task
@@ -35,14 +35,14 @@ def main() -> None:
     robot = SuiteRobot("TrunkReach-v0", options.model, threads=1)
     task = make_task("TrunkReach-v0", SIMULATIONS, 1, options.model, action="continuous", effects=())
     actions = np.repeat(np.random.default_rng(0).uniform(-1, 1, (STEPS // 5, 8)), 5, axis=0).astype(np.float32)
-    first = {one.name: one for one in reversed(suspects(robot)) if one.where.kind != "sensor"}
+    first = {one.name: one for one in reversed(terms(robot)) if one.location.kind != "sensor"}
     timestep = task.model.opt.timestep
     print(header(("effect", "place", "cost / without", "more [us per time step]")))
     for name in sorted(first):
         effect = typical(first[name])
         pairs = [(seconds(task, (effect,), actions), seconds(task, (), actions)) for _ in range(options.repeats)]
         ratio, more = np.median([(a / b, 1e6 * timestep * (a - b)) for a, b in pairs], axis=0)
-        print(row((name, effect.where, f"{ratio:.2f}", f"{more:.0f}")), flush=True)
+        print(row((name, effect.location, f"{ratio:.2f}", f"{more:.0f}")), flush=True)
 
 
 if __name__ == "__main__":

@@ -13,14 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from soro_bench.diagnosis.candidates import suspects
-from soro_bench.diagnosis.estimation.data_quality import audit
+from soro_bench.diagnosis.candidates import terms
+from soro_bench.diagnosis.estimation.data_quality import data_quality
 from soro_bench.diagnosis.estimation.fit import Guess, fitted
 from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import FITTED
 from soro_bench.diagnosis.selection.forward_selection import nominal_fit
-from soro_bench.diagnosis.selection.moves import persevered
+from soro_bench.diagnosis.selection.moves import iterate_to_convergence
 from soro_bench.diagnosis.study import STUDIES, errors_of, load_study
 
 RADII = (0.7, 0.3)
@@ -44,7 +44,7 @@ def main() -> None:
     robot = ModelRobot(study.model, study.map, options.threads)
     fits = [[_suspect(parser, robot, text) for text in texts] for texts in options.fit]
     sets = {key: tuple(map(robot.measured, getattr(part, key))) for key in SETS if getattr(part, key)}
-    sigma = min(audit(each).sigma for each in sets["train"])
+    sigma = min(data_quality(each).sigma for each in sets["train"])
     cells = [f"{key}: {error}" for key in sets for error in ("mean absolute", "rms")]
     print("| laws | seed | " + " | ".join(cells) + " | excess [nats] | |\n|" + "---|" * (len(cells) + 4))
     for seed in options.seeds:
@@ -54,20 +54,20 @@ def main() -> None:
         _print_row(problem, sets, nominal, seed)
         for some in fits:
             guesses = [Guess(np.concatenate([nominal.x, *x]), tuple(some)) for x in product(*map(_starts, some))]
-            found = persevered(problem, fitted(problem, guesses, RADII, seed), seed)
+            found = iterate_to_convergence(problem, fitted(problem, guesses, RADII, seed), seed)
             _print_row(problem, sets, min(found, key=lambda h: h.cost), seed)
 
 
-def _starts(suspect) -> list[np.ndarray]:
+def _starts(term) -> list[np.ndarray]:
     """Typical magnitudes, and their opposites where the law has such: softer as well as stiffer."""
-    return [x for x in (suspect.simulated, -suspect.simulated) if (x >= suspect.bounds[0]).all()]
+    return [x for x in (term.simulated, -term.simulated) if (x >= term.bounds[0]).all()]
 
 
 def _suspect(parser, robot, text):
     known = {}
-    for one in suspects(robot):  # the first of the signatures that a law may have there
-        if one.where.index is None:
-            known.setdefault((one.name, one.where.kind, one.where.name), one)
+    for one in terms(robot):  # the first of the signatures that a law may have there
+        if one.location.index is None:
+            known.setdefault((one.name, one.location.kind, one.location.name), one)
     if (key := tuple(text.split(":"))) in known:
         return known[key]
     if len(key) != 3:
@@ -80,10 +80,10 @@ def _suspect(parser, robot, text):
 def _print_row(problem, sets, hypothesis, seed):
     errors = errors_of(problem.robot, sets, hypothesis)
     cells = [f"{errors[key][error]:.4g}" for key in sets for error in ("mean_absolute", "rms")]
-    laws = " + ".join(f"{s.name} at {s.where.name}" for s in hypothesis.suspects) or "parameters alone"
+    laws = " + ".join(f"{s.name} at {s.location.name}" for s in hypothesis.terms) or "parameters alone"
     values = "; ".join(str(dict(e.parameters)) for e in hypothesis.effects(problem.parameters))
     print(
-        f"| {laws} | {seed} | {' | '.join(cells)} | {problem.excess(hypothesis.residual):.0f} | {values} |", flush=True
+        f"| {laws} | {seed} | {' | '.join(cells)} | {problem.misfit(hypothesis.residual):.0f} | {values} |", flush=True
     )
 
 

@@ -16,7 +16,7 @@ from rich.progress import track
 from soro_bench.blind_benchmark.ablations import ENV_ID
 from soro_bench.blind_benchmark.score import opened_labels
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.effect import Effect, Location
 from soro_bench.files import read_json
 from soro_bench.markdown import table
 from soro_bench.recording.parquet import load
@@ -27,9 +27,9 @@ MODELS = ("cable", "flex")
 def found(report: dict) -> list[Effect]:
     """The effects of the most probable hypothesis."""
     best, effects = report["hypotheses"][0], []
-    for name, where in zip(best["names"], best["where"], strict=True):
-        values = next(e["parameters"] for e in report["effects"] if (e["name"], e["where"]) == (name, where))
-        effects.append(Effect(name, Port(**where), {key: each["value"] for key, each in values.items()}))
+    for name, location in zip(best["names"], best["where"], strict=True):
+        values = next(e["parameters"] for e in report["effects"] if (e["name"], e["where"]) == (name, location))
+        effects.append(Effect(name, Location(**location), {key: each["value"] for key, each in values.items()}))
     return effects
 
 

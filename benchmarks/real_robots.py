@@ -35,8 +35,8 @@ def left(summary: dict, fit: dict) -> str:
 def unnamed(summary: dict) -> str:
     """The probability of something without a name, and where it is, if that is the verdict."""
     first = summary["verdict"].splitlines()[0]
-    place = re.match(r"Something acts at (.+) that has no name", first)
-    return f"{summary['unknown']:.2f}" + (f", {place[1]}" if place else "")
+    site = re.match(r"Something acts at (.+) that has no name", first)
+    return f"{summary['unknown']:.2f}" + (f", {site[1]}" if site else "")
 
 
 def every_seed() -> str:

@@ -7,7 +7,7 @@ try:
     import tyro
     from rich.text import Text
 
-    from soro_bench.commands.blind_benchmark import Prove
+    from soro_bench.commands.blind_benchmark import BlindBenchmark
     from soro_bench.commands.campaign import RunPreset
     from soro_bench.commands.inference import Infer
     from soro_bench.commands.leaderboard import Evaluate, Leaderboard
@@ -53,15 +53,17 @@ COMMANDS = {
     "excite": Excite,
     "diagnose": Diagnose,
     "study": Study,
-    "prove": Prove,
+    "blind-benchmark": BlindBenchmark,
     "leaderboard": Leaderboard,
 }
+ALIASES = {"prove": "blind-benchmark"}  # names of the version before, which go with the next one
 
 
 def main() -> None:
     """Entry point."""
+    arguments = [ALIASES.get(each, each) if i == 0 else each for i, each in enumerate(sys.argv[1:])]
     with plain_errors("soro-bench"):
-        tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="soro-bench").run()
+        tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="soro-bench", args=arguments).run()
 
 
 if __name__ == "__main__":

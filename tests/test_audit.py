@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.estimation.data_quality import audit, noise, outliers
+from soro_bench.diagnosis.estimation.data_quality import data_quality, noise, outliers
 from soro_bench.diagnosis.localisation.residual_maps import intervals, regimes
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.recording.recording import RecordingError
@@ -15,7 +15,7 @@ def test_an_audit_finds_the_noise_beside_motion():
     time = 0.05 * np.arange(1, 301)
     motion = 0.05 * np.sin(2 * np.pi * np.maximum(time - 2.0, 0.0))[:, None, None] * np.ones((1, 21, 3))
     noise = 5e-4 * np.random.default_rng(0).standard_normal(motion.shape)
-    found = audit(Measured(np.zeros((300, 8)), time, motion + noise, "keypoints", "m"))
+    found = data_quality(Measured(np.zeros((300, 8)), time, motion + noise, "keypoints", "m"))
     assert found.sigma == pytest.approx(5e-4, rel=0.03)
     assert found.missing == 0
 
@@ -36,7 +36,7 @@ def test_an_audit_takes_the_rounding_of_a_quantised_signal_for_noise(resampled):
     angle = step * np.round(0.3 * np.sin(2 * np.pi * 0.2 * time) / step)
     if resampled:  # a few samples lie between the levels
         angle[7::40] += 0.3 * step
-    found = audit(Measured(np.zeros((400, 1)), time, angle[:, None, None], "angle", "rad"))
+    found = data_quality(Measured(np.zeros((400, 1)), time, angle[:, None, None], "angle", "rad"))
     assert found.least == pytest.approx(step / np.sqrt(12), rel=1e-3)
     assert found.sigma >= found.least
 
@@ -66,7 +66,7 @@ def test_an_audit_finds_what_is_alone_and_far_off():
 def test_what_is_no_recording_of_a_robot_is_refused_in_words(values, message):
     measured = Measured(np.zeros((len(values), 8)), 0.05 * np.arange(1, len(values) + 1), values, "keypoints", "m")
     with pytest.raises(RecordingError, match=message):
-        audit(measured)
+        data_quality(measured)
 
 
 def test_a_jump_of_all_points_together_is_motion_and_no_outlier():

@@ -189,7 +189,7 @@ def test_manoeuvre_keeps_the_limits():
 
 
 def test_mix():
-    drawn = draw.draw_cases(120, seed=3, nulls=40)
+    drawn = draw.draw_cases(120, seed=3, healthy=40)
     assert Counter(case.group for case in drawn) == {
         "none": 40, "one": 45, "two": 15, "measurement": 10, "unknown": 10
     }  # fmt: skip
@@ -211,7 +211,7 @@ def test_mix():
             else:
                 assert 1 / 1.3 <= value / p.nominal <= 1.3
     with pytest.raises(ValueError, match="nulls 5"):
-        draw.draw_cases(4, 0, nulls=5)
+        draw.draw_cases(4, 0, healthy=5)
 
 
 def files(folder):
@@ -220,24 +220,24 @@ def files(folder):
 
 def test_written_cases(tmp_path, short):
     first, second, told = tmp_path / "first", tmp_path / "second", []
-    cases.write_cases(first, 2, seed=5, nulls=1, durations=DURATIONS, progress=lambda *done: told.append(done))
-    cases.write_cases(second, 2, seed=5, nulls=1, durations=DURATIONS)
+    cases.write_cases(first, 2, seed=5, healthy=1, durations=DURATIONS, progress=lambda *done: told.append(done))
+    cases.write_cases(second, 2, seed=5, healthy=1, durations=DURATIONS)
     written = files(first)
     assert told == [(1, 2), (2, 2)]
     assert files(second) == written
 
     # goes on where it stopped, and mixes nothing
     (first / "case_001" / "train.parquet").unlink()
-    cases.write_cases(first, 2, seed=5, nulls=1, durations=DURATIONS)
+    cases.write_cases(first, 2, seed=5, healthy=1, durations=DURATIONS)
     assert files(first) == written
     with pytest.raises(ValueError, match="has the cases of"):
-        cases.write_cases(first, 2, seed=6, nulls=1, durations=DURATIONS)
+        cases.write_cases(first, 2, seed=6, healthy=1, durations=DURATIONS)
 
     # and what has been committed to stays
     path = second / "case_000" / "train.parquet"
     path.write_bytes((second / "case_001" / "train.parquet").read_bytes())
     with pytest.raises(ValueError, match="its label says"):
-        cases.write_cases(second, 2, seed=5, nulls=1, durations=DURATIONS)
+        cases.write_cases(second, 2, seed=5, healthy=1, durations=DURATIONS)
 
     labels = json.loads(written["sealed/labels.json"])
     assert written["commitment.txt"].decode().strip() == hashlib.sha256(written["sealed/labels.json"]).hexdigest()

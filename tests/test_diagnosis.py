@@ -3,20 +3,20 @@
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.candidates import Suspect, suspect, suspects, typical
-from soro_bench.diagnosis.estimation.discretisation import floor_and_residuals
-from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, bounds, fitted, fitted_under_floor
+from soro_bench.diagnosis.candidates import Term, term, terms, typical
+from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, bounds, fitted, fitted_under_discretisation
 from soro_bench.diagnosis.estimation.problem import SimulationError
 from soro_bench.diagnosis.localisation.residual_maps import windows
 from soro_bench.diagnosis.selection.screening import evidence, pairs, responses, singles
-from soro_bench.effects.effect import EVERY, Effect, Port
+from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.models.trunk_geometry import CABLE_NAMES
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from tests.trunk import SIGMA, TRUTH, problem
 
 
 def numerical_floor(given, refined, points):
-    return floor_and_residuals(given, refined, points, ())[0]
+    return discretisation_and_residuals(given, refined, points, ())[0]
 
 
 def test_a_fit_recovers_parameters_and_leaves_the_noise(robot, actions):
@@ -47,53 +47,56 @@ def test_half_the_time_step_leaves_half_the_error(robot, actions):
 
 
 @pytest.mark.parametrize(
-    ("name", "port", "coordinate"),
-    [("payload", Port("body", "vertebra7"), 0.2), ("actuator_gain", Port("actuator", "L0"), 0.3)],
+    ("name", "location", "coordinate"),
+    [("payload", Location("body", "vertebra7"), 0.2), ("actuator_gain", Location("actuator", "L0"), 0.3)],
 )
-def test_screening_puts_a_hidden_effect_first(robot, actions, name, port, coordinate):
-    hidden = suspect(robot, name, port)
+def test_screening_puts_a_hidden_effect_first(robot, actions, name, location, coordinate):
+    hidden = term(robot, name, location)
     given = problem(robot, actions, [hidden.effect(np.array([coordinate]))])
     (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
-    candidates = [one for one in suspects(robot) if one.where.kind in ("body", "actuator")]
+    candidates = [one for one in terms(robot) if one.location.kind in ("body", "actuator")]
     found = evidence(given, base, candidates, responses(given, base, candidates, robot))
-    (first,) = singles(found)[0].suspects
-    assert (first.name, first.where) == (name, port)
+    (first,) = singles(found)[0].terms
+    assert (first.name, first.location) == (name, location)
 
 
 def test_screening_finds_a_pair_of_hidden_effects(robot, actions):
-    hidden = [suspect(robot, "payload", Port("body", "vertebra8")), suspect(robot, "backlash", Port("actuator", "L2"))]
+    hidden = [
+        term(robot, "payload", Location("body", "vertebra8")),
+        term(robot, "backlash", Location("actuator", "L2")),
+    ]
     given = problem(robot, actions, [one.effect(np.array([0.2])) for one in hidden])
     (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
-    candidates = [one for one in suspects(robot) if one.name in ("payload", "backlash", "actuator_gain")]
-    lead = pairs(evidence(given, base, candidates, responses(given, base, candidates, robot)))[0]
-    assert {(s.name, s.where) for s in lead.suspects} == {(s.name, s.where) for s in hidden}
+    candidates = [one for one in terms(robot) if one.name in ("payload", "backlash", "actuator_gain")]
+    screened_candidate = pairs(evidence(given, base, candidates, responses(given, base, candidates, robot)))[0]
+    assert {(s.name, s.location) for s in screened_candidate.terms} == {(s.name, s.location) for s in hidden}
 
 
 def test_there_is_a_suspect_for_every_place(robot):
-    found = suspects(robot)
+    found = terms(robot)
     assert len(found) > 150
-    assert {s.where.name for s in found if s.name == "coulomb_friction"} == set(CABLE_NAMES)
-    assert {s.where.name for s in found if s.name == "viscoelastic_creep"} == {EVERY}
+    assert {s.location.name for s in found if s.name == "coulomb_friction"} == set(CABLE_NAMES)
+    assert {s.location.name for s in found if s.name == "viscoelastic_creep"} == {EVERY}
 
 
 def test_the_numerical_floor_is_the_difference_from_a_quarter_of_the_time_step(robot, actions):
     given = problem(robot, actions[:10])
-    floor = numerical_floor(given, robot.refined()[:1], [(np.zeros(5), ())])
+    discretisation = numerical_floor(given, robot.refined()[:1], [(np.zeros(5), ())])
     nominal = np.array([[prior.nominal for prior in robot.priors]])
     finer, plain = (each.simulate(actions[:10], nominal, [()]) for each in (robot.shortened(4), robot))
-    np.testing.assert_array_equal(floor, (finer - plain).reshape(1, -1))
-    assert np.abs(floor).max() > 1e-6
+    np.testing.assert_array_equal(discretisation, (finer - plain).reshape(1, -1))
+    assert np.abs(discretisation).max() > 1e-6
 
 
 def test_the_numerical_floor_has_the_effects_of_a_hypothesis(robot, actions):
     given, refined = problem(robot, actions[:10]), robot.refined()[1:]
     plain = numerical_floor(given, refined, [(np.zeros(5), ())])
-    gain = suspect(robot, "actuator_gain", Port("actuator", "L0"))
+    gain = term(robot, "actuator_gain", Location("actuator", "L0"))
     assert np.abs(numerical_floor(given, refined, [(np.append(np.zeros(5), 0.5), [gain])]) - plain).max() > 1e-6
 
 
 @pytest.mark.parametrize(
-    ("hook", "other"), [("accepts", lambda effects: False), ("ports", lambda kind: [Port(kind, "link")] * 20)]
+    ("hook", "other"), [("accepts", lambda effects: False), ("locations", lambda kind: [Location(kind, "link")] * 20)]
 )
 def test_the_numerical_floor_leaves_out_on_both_sides_what_a_finer_model_cannot_have(
     robot, actions, monkeypatch, hook, other
@@ -102,7 +105,7 @@ def test_the_numerical_floor_leaves_out_on_both_sides_what_a_finer_model_cannot_
     given, finer = problem(robot, actions[:10]), robot.refined()[0]
     plain = numerical_floor(given, [finer], [(np.zeros(5), ())])
     monkeypatch.setattr(finer, hook, other)
-    stiffer = suspect(robot, "stiffening", Port("body", EVERY))
+    stiffer = term(robot, "stiffening", Location("body", EVERY))
     assert np.array_equal(numerical_floor(given, [finer], [(np.append(np.zeros(5), 0.5), [stiffer])]), plain)
 
 
@@ -121,24 +124,24 @@ def test_a_refined_robot_that_diverges_without_any_effect_at_every_point_is_refu
         return [values]
 
     monkeypatch.setattr(finer, "simulate_all", diverging)
-    gain = (suspect(robot, "actuator_gain", Port("actuator", "L0")),) if effects else ()
+    gain = (term(robot, "actuator_gain", Location("actuator", "L0")),) if effects else ()
     points = [(np.full(5 + effects, at), gain) for at in (0.0, 0.1)]
     if lost == 2 and not effects:
         with pytest.raises(SimulationError, match=r"by cable diverges 0.2 s into recording 1"):
             numerical_floor(given, [finer], points)
     else:
-        floor = numerical_floor(given, [finer], points)
-        assert [not row.reshape(10, -1)[3:].any() for row in floor] == [True, lost == 2]
+        discretisation = numerical_floor(given, [finer], points)
+        assert [not row.reshape(10, -1)[3:].any() for row in discretisation] == [True, lost == 2]
 
 
 @pytest.mark.parametrize("refined", [0, 1])
 def test_a_fit_beside_its_numerical_floor_is_that_after_it(robot, actions, refined):
     given, finer, guesses = problem(robot, actions[:10]), robot.refined()[:refined], [Guess(np.full(5, 0.1))]
     points = [(np.zeros(5), ())]
-    beside, (one,) = fitted_under_floor(given, finer, points, guesses, (0.3, 0.1), seed=3)
-    after = given.with_floor(numerical_floor(given, finer, points))
+    beside, (one,) = fitted_under_discretisation(given, finer, points, guesses, (0.3, 0.1), seed=3)
+    after = given.with_discretisation(numerical_floor(given, finer, points))
     (other,) = fitted(after, guesses, (0.3, 0.1), seed=3)
-    assert np.array_equal(beside.floor.basis, after.floor.basis)
+    assert np.array_equal(beside.discretisation.basis, after.discretisation.basis)
     assert np.array_equal(one.x, other.x) and one.cost == other.cost
 
 
@@ -158,7 +161,7 @@ def test_a_recording_of_something_else_is_refused(robot):
 
 
 def test_a_suspect_without_magnitude_is_no_effect():
-    one = Suspect("actuator_gain", Port("actuator", "L0"), (0.85,), (True,))
+    one = Term("actuator_gain", Location("actuator", "L0"), (0.85,), (True,))
     assert one.effect(np.zeros(1)).parameters == {"gain": 1.0}
     assert one.effect(np.array([0.2])).parameters["gain"] == pytest.approx(0.85)
 
@@ -168,14 +171,14 @@ def test_what_is_far_larger_than_the_sensors_noise_becomes_the_noise_and_goes_ag
     given = problem(robot, actions)
     size = given.weight.size
     columns = SIGMA * np.array([0.2 * np.ones(size), 50 * np.ones(size)])
-    given = given.with_floor(columns)
-    assert not given.allowing(9 * SIGMA).rough
-    rough = given.allowing(20 * SIGMA)
-    assert rough.rough
-    assert (rough.sigma, rough.sensor) == (20 * SIGMA, SIGMA)
-    assert np.allclose(rough.floor.basis, [2.5 * np.ones(size)])
-    again = rough.allowing(2 * SIGMA)
-    assert not again.rough
+    given = given.with_discretisation(columns)
+    assert not given.allowing(9 * SIGMA).misfit_dominated
+    misfit_dominated = given.allowing(20 * SIGMA)
+    assert misfit_dominated.misfit_dominated
+    assert (misfit_dominated.sigma, misfit_dominated.sensor) == (20 * SIGMA, SIGMA)
+    assert np.allclose(misfit_dominated.discretisation.basis, [2.5 * np.ones(size)])
+    again = misfit_dominated.allowing(2 * SIGMA)
+    assert not again.misfit_dominated
     assert again.sigma == SIGMA
 
 
@@ -187,7 +190,7 @@ def test_windows_hold_as_many_samples_each(robot, actions, length):
 
 
 def test_a_late_sensor_shows_where_the_robot_was_before_it_moved(robot, actions):
-    late = Effect("sensor_delay", Port("sensor", robot.signal), {"delay": robot.control_timestep})
+    late = Effect("sensor_delay", Location("sensor", robot.signal), {"delay": robot.control_timestep})
     nominal = np.array([[prior.nominal for prior in robot.priors]] * 2)
     plain, delayed = robot.simulate(actions, nominal, [(), (late,)])
     robot._begin(nominal[:1], None)
@@ -195,28 +198,28 @@ def test_a_late_sensor_shows_where_the_robot_was_before_it_moved(robot, actions)
 
 
 def test_a_suspect_is_screened_with_what_is_typical_and_a_share_has_no_prior_beyond_one(robot):
-    for one in suspects(robot):
+    for one in terms(robot):
         assert [typical(one).parameters[q.name] for q in one.quantities] == pytest.approx(one.typical)
-    weak = suspect(robot, "actuator_saturation", Port("actuator", "L0"))
+    weak = term(robot, "actuator_saturation", Location("actuator", "L0"))
     assert weak.deviations[0] == 1.0
 
 
 def test_a_lead_promises_no_more_than_its_bounds_allow(robot, actions):
     given = problem(robot, actions)
-    slope, error = np.zeros((5, given.weight.size)), np.zeros((0, given.weight.size))
+    jacobian, error = np.zeros((5, given.weight.size)), np.zeros((0, given.weight.size))
     row = np.random.default_rng(0).standard_normal(given.weight.size)
-    weak = suspect(robot, "actuator_saturation", Port("actuator", "L0"))
+    weak = term(robot, "actuator_saturation", Location("actuator", "L0"))
     for size, expected in ((0.5, 0.5), (3.0, 1.0), (-1.0, 0.0)):
-        base = Hypothesis((), np.zeros(5), -size * row, 0.0, slope, error)
-        lead = evidence(given, base, [weak], [row[None]]).lead([0])
-        assert lead.x[-1] == pytest.approx(expected, rel=0.01)
-        attained = given.excess(base.residual) - given.excess(base.residual + lead.x[-1] * row)
-        assert lead.gain < attained
+        base = Hypothesis((), np.zeros(5), -size * row, 0.0, jacobian, error)
+        screened_candidate = evidence(given, base, [weak], [row[None]]).screened_candidate([0])
+        assert screened_candidate.x[-1] == pytest.approx(expected, rel=0.01)
+        attained = given.misfit(base.residual) - given.misfit(base.residual + screened_candidate.x[-1] * row)
+        assert screened_candidate.gain < attained
 
 
 def test_quantities_that_can_do_nothing_are_no_unknowns(robot):
-    (tilt,) = [one for one in suspects(robot) if one.name == "base_tilt"]
+    (tilt,) = [one for one in terms(robot) if one.name == "base_tilt"]
     assert {q.name for q in tilt.quantities} == {"about_x", "about_z"}  # the trunk hangs along -y
     assert typical(tilt).parameters["about_y"] == 0.0
-    (bias,) = [one for one in suspects(robot) if one.name == "sensor_bias" and one.where.index == 3]
+    (bias,) = [one for one in terms(robot) if one.name == "sensor_bias" and one.location.index == 3]
     assert {q.name for q in bias.quantities} == {"x", "y", "z"}

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.candidates import Suspect
+from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.pipeline import Diagnosis, Outliers
 from soro_bench.diagnosis.selection import model_probabilities as compare
 from soro_bench.diagnosis.selection.forward_selection import Explanation
-from soro_bench.effects.effect import Port
+from soro_bench.effects.effect import Location
 from tests.trunk import SIGMA, problem
 
 
@@ -46,16 +46,18 @@ def test_the_report_is_of_the_likeliest_effect_even_if_nothing_is_the_first_answ
 
 def _answer(chance, *names):
     names = tuple(name for name in names if name != "none")
-    places = [Port("sensor", "keypoints") if name == "sensor_delay" else Port("body", "vertebra4") for name in names]
-    suspects = tuple(Suspect(name, where, (0.1,), (True,)) for name, where in zip(names, places, strict=True))
-    return SimpleNamespace(probability=chance, names=names, hypothesis=SimpleNamespace(suspects=suspects))
+    ranked_locations = [
+        Location("sensor", "keypoints") if name == "sensor_delay" else Location("body", "vertebra4") for name in names
+    ]
+    terms = tuple(Term(name, location, (0.1,), (True,)) for name, location in zip(names, ranked_locations, strict=True))
+    return SimpleNamespace(probability=chance, names=names, hypothesis=SimpleNamespace(terms=terms))
 
 
 def test_what_nothing_explains_is_unknown_and_what_something_explains_is_not(robot, actions):
     given = problem(robot, actions)
     residual = np.random.default_rng(0).standard_normal(given.weight.size)
-    slope, error = np.zeros((5, residual.size)), np.zeros((0, residual.size))
-    poor, good = (Hypothesis((), np.zeros(5), scale * residual, 0.0, slope, error) for scale in (5.0, 1.0))
+    jacobian, error = np.zeros((5, residual.size)), np.zeros((0, residual.size))
+    poor, good = (Hypothesis((), np.zeros(5), scale * residual, 0.0, jacobian, error) for scale in (5.0, 1.0))
     assert compare._unknown(given, [poor, poor], 0.0) > 0.95
     assert compare._unknown(given, [poor, good], 0.0) < 0.05
     assert compare._unknown(given, [poor, good], 3000.0) > 0.95  # something else is there, which no law explains
@@ -66,11 +68,11 @@ def test_what_is_far_beyond_the_sensors_noise_and_not_explained_is_unknown_and_n
     """Even if no law promises anything."""
     given = problem(robot, actions).allowing(20 * SIGMA)
     residual = np.random.default_rng(0).standard_normal(given.weight.size)
-    slope, error = np.zeros((5, residual.size)), np.zeros((0, residual.size))
-    nominal = Hypothesis((), np.zeros(5), residual, 0.0, slope, error)
-    lead = Hypothesis((Suspect("actuator_gain", Port("actuator", "L0"), (0.85,), (True,)),), np.zeros(6),
+    jacobian, error = np.zeros((5, residual.size)), np.zeros((0, residual.size))
+    nominal = Hypothesis((), np.zeros(5), residual, 0.0, jacobian, error)
+    screened_candidate = Hypothesis((Term("actuator_gain", Location("actuator", "L0"), (0.85,), (True,)),), np.zeros(6),
                       0.99 * residual, 0.0, np.zeros((6, residual.size)), error)  # fmt: skip
-    found = compare.compared(Explanation(given, nominal, (lead,), 0.0, 0.0, 0.0, ()), None)
+    found = compare.compared(Explanation(given, nominal, (screened_candidate,), 0.0, 0.0, 0.0, ()), None)
     assert found.p_value is None
     assert found.unknown > 0.9
 
@@ -110,15 +112,15 @@ def test_a_law_with_more_unknowns_has_to_explain_more_than_what_no_law_has_quite
     noise = np.random.default_rng(0).standard_normal(given.weight.size)
     all_of_it = 100_000.0
 
-    def leaving(excess, *suspects):
-        residual = noise * np.sqrt((noise.size + 2.0 * excess) / (noise @ noise))
-        size = given.parameters + sum(s.size for s in suspects)
+    def leaving(misfit, *terms):
+        residual = noise * np.sqrt((noise.size + 2.0 * misfit) / (noise @ noise))
+        size = given.parameters + sum(s.size for s in terms)
         none = np.zeros((size, noise.size))
-        return Hypothesis(suspects, np.zeros(size), residual, excess, none, none[:0])
+        return Hypothesis(terms, np.zeros(size), residual, misfit, none, none[:0])
 
-    where = Port("tendon", "L0")
-    coulomb = Suspect("coulomb_friction", where, (1.0, 1e-3), (True, False))
-    stribeck = Suspect("stribeck_friction", where, (1.0, 1.5, 0.01, 1e-3), (True, False, False, False))
+    location = Location("tendon", "L0")
+    coulomb = Term("coulomb_friction", location, (1.0, 1e-3), (True, False))
+    stribeck = Term("stribeck_friction", location, (1.0, 1.5, 0.01, 1e-3), (True, False, False, False))
     found = (leaving(0.0, stribeck), leaving(share * all_of_it, coulomb))
     compared = compare.compared(Explanation(given, leaving(all_of_it), found, 0.0, all_of_it, 0.0, ()), None)
     assert compared.answers[0].names == (first,)
@@ -128,13 +130,13 @@ def test_what_is_compared_has_most_evidence_whatever_round_it_is_of():
     """The right law is of the first round, and in later ones there are more hypotheses than are compared that have one
     effect more: what they gain is no more than what a law with more unknowns always gains."""
 
-    def leaving(excess, size):
-        suspects = tuple(SimpleNamespace(size=1) for _ in range(size))
-        return SimpleNamespace(suspects=suspects, residual=excess, log_evidence=lambda _: -excess)
+    def leaving(misfit, size):
+        terms = tuple(SimpleNamespace(size=1) for _ in range(size))
+        return SimpleNamespace(terms=terms, residual=misfit, log_evidence=lambda _: -misfit)
 
     nominal, right = leaving(200_000.0, 0), leaving(2000.0, 1)
     later = [leaving(900.0 + k, 2) for k in range(compare.COMPARED)]
-    problem = SimpleNamespace(excess=float)
+    problem = SimpleNamespace(misfit=float)
     found = Explanation(problem, nominal, (*later, right), 0.0, 0.0, 0.0, ())
     assert compare.shortlist(found) == [nominal, right, *later[:-1]]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from soro_bench.diagnosis.candidates import Suspect, suspect
+from soro_bench.diagnosis.candidates import Term, term
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.measured import Measured
@@ -23,10 +23,10 @@ from soro_bench.diagnosis.selection.experiment_design import (
 )
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, Fit
 from soro_bench.diagnosis.verdict import _what_next
-from soro_bench.effects.effect import Port
-from soro_bench.inference.clouds import LowRank
+from soro_bench.effects.effect import Location
+from soro_bench.inference.statistical_linearisation import LowRank
 
-SIGMA, STEPS, L2 = 5e-4, 40, Port("tendon", "L2")
+SIGMA, STEPS, L2 = 5e-4, 40, Location("tendon", "L2")
 NAMES = [f"cable {i}" for i in range(8)]
 FIT = Fit(1.0, 1.0, 1.0)
 
@@ -40,10 +40,10 @@ def robot():
 def left(robot):
     """A recording of a trunk whose cable L2 has dry friction, and two answers: that, and viscous friction there."""
     actions = np.repeat(np.random.default_rng(0).uniform(-1, 1, (STEPS // 5, 8)), 5, axis=0)
-    suspects = [suspect(robot, name, L2) for name in ("coulomb_friction", "viscous_friction")]
-    guesses = [Guess(np.array([0.0] * 5 + [0.2] + [0.0] * (s.size - 1)), (s,)) for s in suspects]
+    terms = [term(robot, name, L2) for name in ("coulomb_friction", "viscous_friction")]
+    guesses = [Guess(np.array([0.0] * 5 + [0.2] + [0.0] * (s.size - 1)), (s,)) for s in terms]
     parameters = np.array([[prior.nominal for prior in robot.priors]])
-    (values,) = robot.simulate(actions, parameters, [[suspects[0].effect(guesses[0].x[5:])]])
+    (values,) = robot.simulate(actions, parameters, [[terms[0].effect(guesses[0].x[5:])]])
     values = values + SIGMA * np.random.default_rng(1).standard_normal(values.shape)
     measured = Measured(actions, 0.05 * np.arange(1, STEPS + 1), values, "keypoints", "m")
     problem = Problem(robot, (measured,), SIGMA, np.ones(values.size), LowRank(np.zeros((0, values.size))))
@@ -56,14 +56,14 @@ def answers(*probabilities, residual=(0.0, 0.0)):
     """Answers of one effect each, at cables L0, L1, ..."""
     found = []
     for i, p in enumerate(probabilities):
-        one = Suspect("coulomb_friction", Port("tendon", f"L{i}"), (1.0, 5e-4), (True, False))
+        one = Term("coulomb_friction", Location("tendon", f"L{i}"), (1.0, 5e-4), (True, False))
         residuals = i * np.array(residual)
         found.append(Answer(Hypothesis((one,), np.zeros(2), residuals, 0.0, None, None), p, 0.0, FIT, None, 0.0))
     return found
 
 
 def floorless(size=2):
-    return SimpleNamespace(floor=LowRank(np.zeros((0, size))))
+    return SimpleNamespace(discretisation=LowRank(np.zeros((0, size))))
 
 
 def test_viscous_and_dry_friction_of_a_cable_are_told_apart_by_moving_it(left, monkeypatch):
@@ -73,7 +73,7 @@ def test_viscous_and_dry_friction_of_a_cable_are_told_apart_by_moving_it(left, m
     assert found.motion.actions[:, 2].any()
     assert "cable L2" in found.motion.words
     assert found.separates == (("coulomb_friction", "viscous_friction"),)
-    points = [(a.hypothesis.x, a.hypothesis.suspects) for a in comparison.answers]
+    points = [(a.hypothesis.x, a.hypothesis.terms) for a in comparison.answers]
     (resting,) = separations(problem, comparison.answers, predictions(problem, np.zeros((80, 8)), points))
     assert found.evidence > 10 * resting
 
@@ -88,10 +88,10 @@ def test_the_same_seed_proposes_the_same_bytes(left, monkeypatch):
 def test_where_physics_has_no_name_the_channel_moves_at_the_place_where_it_acts(left, monkeypatch):
     monkeypatch.setattr(propose, "DURATION", 1.5)
     problem, comparison = left
-    found = proposed(problem, comparison, unknown=Port("tendon", "S1"))
+    found = proposed(problem, comparison, unknown=Location("tendon", "S1"))
     assert "cable S1" in found.motion.words
     alone = replace(comparison, answers=comparison.answers[:1])
-    assert proposed(problem, alone, unknown=Port("tendon", "S1")).separates == ()
+    assert proposed(problem, alone, unknown=Location("tendon", "S1")).separates == ()
 
 
 @pytest.mark.parametrize("channels", [(2,), (1, 6), tuple(range(8))])
@@ -133,7 +133,7 @@ def test_what_other_parameters_could_do_is_no_evidence():
 
 
 def test_numerical_error_takes_the_share_that_it_takes_in_the_recordings_at_hand():
-    problem = SimpleNamespace(floor=LowRank(np.array([[3.0, 0.0]])))
+    problem = SimpleNamespace(discretisation=LowRank(np.array([[3.0, 0.0]])))
     found = separations(problem, answers(0.5, 0.5, residual=(1.0, 0.0)), np.array([[0.0, 0.0], [3.0, 4.0]]))
     assert found == pytest.approx([1.25])
 

@@ -14,16 +14,16 @@ pytest.importorskip("matplotlib")
 from soro_bench.blind_benchmark.unseen import unseen
 from soro_bench.diagnosis import page, pipeline
 from soro_bench.diagnosis.assembly.findings import NINETY, Finding, _condition, _lacking, findings
-from soro_bench.diagnosis.candidates import suspect, suspects
-from soro_bench.diagnosis.localisation.ranking import places
+from soro_bench.diagnosis.candidates import term, terms
+from soro_bench.diagnosis.localisation.ranking import ranked_locations
 from soro_bench.diagnosis.localisation.residual_maps import Regime, left_over, residual_map
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.report import report_of, write_json_report
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.selection.experiment_design import Proposal, motions
-from soro_bench.diagnosis.verdict import _twin, verdict
+from soro_bench.diagnosis.verdict import _indistinguishable, verdict
 from soro_bench.effects.catalogue import ALL
-from soro_bench.effects.effect import Effect, Port, load_effects
+from soro_bench.effects.effect import Effect, Location, load_effects
 from soro_bench.randomization import load
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from soro_bench.recording.simulated import replay
@@ -67,7 +67,7 @@ def recording(robot, hidden, seed, strength=1.0):
 
 
 def diagnosed(robot, monkeypatch, hidden):
-    few = [one for one in suspects(robot) if one.name in FEW]
+    few = [one for one in terms(robot) if one.name in FEW]
     monkeypatch.setattr(pipeline, "suspects", lambda *_: few)
     finer = robot.refined()[:1]
     monkeypatch.setattr(robot, "refined", lambda: finer)
@@ -78,7 +78,7 @@ def diagnosed(robot, monkeypatch, hidden):
 @pytest.fixture(scope="module")
 def payload(robot):
     """A diagnosis of a trunk that carries something, and its recording."""
-    hidden = [Effect("payload", Port("body", "vertebra7"), {"mass": 0.04})]
+    hidden = [Effect("payload", Location("body", "vertebra7"), {"mass": 0.04})]
     with pytest.MonkeyPatch.context() as patch:
         return diagnosed(robot, patch, hidden), [recording(robot, hidden, 0)]
 
@@ -96,7 +96,7 @@ def test_a_hidden_payload_is_named_with_its_place_and_mass_and_the_held_out_fit_
     assert sum(e["probability"] for e in report["effects"]) >= 1 - 1e-9
     assert "payload at body vertebra7" in text
     assert found.explanation.minimum  # of what could come beside it, which another one there could not
-    assert not any(one.name == "payload" and one.where.name == "vertebra7" for one, _ in found.explanation.minimum)
+    assert not any(one.name == "payload" and one.location.name == "vertebra7" for one, _ in found.explanation.minimum)
     low, high = first["parameters"]["mass"]["ci90"]
     assert 0.5 * 0.04 < low < 0.04 < high < 2 * 0.04
     (effect,) = load_effects(tmp_path / "effects.json", ALL)
@@ -127,7 +127,7 @@ def test_a_hidden_payload_is_named_with_its_place_and_mass_and_the_held_out_fit_
 def test_the_comparison_is_by_the_closer_model_and_both_its_robots_have_what_is_known(payload, tmp_path, monkeypatch):
     """The recording is one of cable, with little of the delay."""
     found, given = payload
-    known, shown = Effect("actuator_delay", Port("actuator", "*"), {"delay": 1e-4}), []
+    known, shown = Effect("actuator_delay", Location("actuator", "*"), {"delay": 1e-4}), []
     monkeypatch.setattr(found.robot, "known", (known,))
 
     def replayed(*of, effects):
@@ -144,8 +144,8 @@ def test_the_comparison_is_by_the_closer_model_and_both_its_robots_have_what_is_
 
 def test_the_comparison_takes_samples_as_they_come_and_asks_for_no_goal(payload, tmp_path, monkeypatch):
     found, (given,) = payload
-    places, shown = given.signals["keypoints"], []
-    flat = replace(places, values=places.values.reshape(len(places.time), -1))
+    ranked_locations, shown = given.signals["keypoints"], []
+    flat = replace(ranked_locations, values=ranked_locations.values.reshape(len(ranked_locations.time), -1))
     metadata = {**given.metadata, "goal": "the one on the left"}
     monkeypatch.setattr(page, "write_comparison", lambda *of: shown.append(of[0].signals["keypoints"].values))
     for each in (given, replace(given, signals={"keypoints": flat}, metadata=metadata)):
@@ -178,14 +178,14 @@ def test_parameters_far_from_their_nominal_values_are_pointed_out(payload):
     assert f"of their priors: {prior.name} from {prior.nominal:.3g} to {prior.value(-4.0):.3g} (-4.0);" in text
 
 
-@pytest.mark.parametrize("name, where, said", [
-    ("sensor_delay", Port("sensor", "keypoints"), "tells it from actuator_delay at every actuator; clocks do"),
-    ("actuator_delay", Port("actuator", "*"), "tells it from sensor_delay; clocks do"),
-    ("actuator_delay", Port("actuator", "L0"), ""),
-    ("payload", Port("body", "vertebra7"), ""),
+@pytest.mark.parametrize("name, location, said", [
+    ("sensor_delay", Location("sensor", "keypoints"), "tells it from actuator_delay at every actuator; clocks do"),
+    ("actuator_delay", Location("actuator", "*"), "tells it from sensor_delay; clocks do"),
+    ("actuator_delay", Location("actuator", "L0"), ""),
+    ("payload", Location("body", "vertebra7"), ""),
 ])  # fmt: skip
-def test_a_delay_of_everything_measured_is_no_other_than_one_of_everything_commanded(robot, name, where, said):
-    found = _twin(robot, Effect(name, where, {}))
+def test_a_delay_of_everything_measured_is_no_other_than_one_of_everything_commanded(robot, name, location, said):
+    found = _indistinguishable(robot, Effect(name, location, {}))
     assert said in found
     assert bool(said) == bool(found)
 
@@ -193,9 +193,9 @@ def test_a_delay_of_everything_measured_is_no_other_than_one_of_everything_comma
 def test_what_has_no_name_gets_a_place_and_a_force_over_time(robot, payload, tmp_path):
     found, given = payload
     explanation = found.explanation
-    probed = tuple(places(explanation.problem, robot, explanation.nominal))
+    probed = tuple(ranked_locations(explanation.problem, robot, explanation.nominal))
     comparison = replace(found.comparison, unknown=0.9)
-    text = write_reports(replace(found, comparison=comparison, places=probed), given, tmp_path)
+    text = write_reports(replace(found, comparison=comparison, ranked_locations=probed), given, tmp_path)
     report = json.loads((tmp_path / "report.json").read_text())
     force = report["residual_force"]
     assert report["verdict"] == "unknown_physics"
@@ -208,18 +208,18 @@ def test_what_has_no_name_gets_a_place_and_a_force_over_time(robot, payload, tmp
 
 def test_places_that_explain_nearly_as_much_are_told_too(robot, payload):
     found, _ = payload
-    first, *_ = places(found.explanation.problem, robot, found.explanation.nominal)
-    others = [replace(first, where=Port("body", f"vertebra{k}"), gain=share * first.gain)
+    first, *_ = ranked_locations(found.explanation.problem, robot, found.explanation.nominal)
+    others = [replace(first, location=Location("body", f"vertebra{k}"), gain=share * first.gain)
               for k, share in enumerate((0.99, 0.98, 0.97, 0.96, 0.5))]  # fmt: skip
-    unknown = replace(found, comparison=replace(found.comparison, unknown=0.9), places=(first, *others))
+    unknown = replace(found, comparison=replace(found.comparison, unknown=0.9), ranked_locations=(first, *others))
     named = "body vertebra0, body vertebra1, body vertebra2, 1 other place"
     assert f"So it may be elsewhere: forces at {named} explain nearly as much." in verdict(unknown)
-    assert "elsewhere" not in verdict(replace(unknown, places=(first, others[-1])))
+    assert "elsewhere" not in verdict(replace(unknown, ranked_locations=(first, others[-1])))
 
 
 def test_what_acts_at_no_single_place_is_still_called_unknown(payload):
     found, _ = payload
-    text = verdict(replace(found, comparison=replace(found.comparison, unknown=0.9), places=()))
+    text = verdict(replace(found, comparison=replace(found.comparison, unknown=0.9), ranked_locations=()))
     assert "Something acts that has no name in the catalogue" in text
     assert "No force at a single place explains any of it" in text
     assert "Without a law" not in text
@@ -270,18 +270,18 @@ def test_recordings_that_are_too_long_are_refused(robot, monkeypatch):
 
 def test_motion_that_was_not_seen_is_explained_by_the_patch(robot, payload):
     found, _ = payload
-    hidden = [Effect("payload", Port("body", "vertebra7"), {"mass": 0.04})]
+    hidden = [Effect("payload", Location("body", "vertebra7"), {"mass": 0.04})]
     after = unseen(found, recording(robot, hidden, 2))
     assert after["rmse_after"] < 0.8 * after["rmse_before"]  # numerical error and all
     assert after["fve"] > 0.5  # 3 s leave the parameters open
 
 
 def test_names_of_a_strangers_model_are_shown_and_not_executed():
-    where = {"kind": "body", "name": "<script>alert(1)</script>"}
+    location = {"kind": "body", "name": "<script>alert(1)</script>"}
     effect = {
         "probability": 1.0,
         "name": "payload",
-        "where": where,
+        "where": location,
         "parameters": {},
         "evidence": ["<b>"],
         "against": [],
@@ -308,14 +308,14 @@ def test_outliers_alone_are_a_fault_of_the_measurement(robot, monkeypatch):
 
 
 def test_the_same_seed_gives_the_same_report_with_one_thread_or_two(robot, monkeypatch):
-    hidden = [suspect(robot, "backlash", Port("actuator", "L2")).effect(np.array([0.3]))]
+    hidden = [term(robot, "backlash", Location("actuator", "L2")).effect(np.array([0.3]))]
     robots = (robot, SuiteRobot("TrunkReach-v0", threads=2))
     first, second = (report_of(diagnosed(each, monkeypatch, hidden)) for each in robots)
     assert {**first, "seconds": 0} == {**second, "seconds": 0}
 
 
 def test_a_condition_that_fills_nearly_all_the_time_is_not_given_as_when_an_effect_acts():
-    effect = Effect("coulomb_friction", Port("tendon", "L0"), {"force": 1.0})
+    effect = Effect("coulomb_friction", Location("tendon", "L0"), {"force": 1.0})
     told = [Regime("just after reversals", 0.2, 0.9), Regime("while it moves on, fast", 0.8, 0.1)]
     assert (
         _condition(effect, told, True)
@@ -330,9 +330,9 @@ def test_a_condition_that_fills_nearly_all_the_time_is_not_given_as_when_an_effe
 def test_when_an_effect_of_several_acts_is_what_its_answer_loses_without_it(robot, payload):
     found, _ = payload
     problem, best = found.explanation.problem, found.best.hypothesis
-    other = suspect(robot, "backlash", Port("actuator", "L2"))
-    x, both = np.append(best.x, other.simulated), (*best.suspects, other)
-    whole = replace(best, x=x, suspects=both, residual=problem.residuals([(x, both)])[0])
+    other = term(robot, "backlash", Location("actuator", "L2"))
+    x, both = np.append(best.x, other.simulated), (*best.terms, other)
+    whole = replace(best, x=x, terms=both, residual=problem.residuals([(x, both)])[0])
     answer = replace(found.best, hypothesis=whole)
     lacking = _lacking(found, Finding(other, other.effect(other.simulated), answer, 1.0))
     np.testing.assert_array_equal(lacking.residual, best.residual)

@@ -9,7 +9,7 @@ from soro_bench.blind_benchmark.robot import simulate
 from soro_bench.diagnosis.candidates import suspects, typical
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.effects.catalogue import MEASUREMENT
-from soro_bench.effects.effect import Effect, EffectError, Port
+from soro_bench.effects.effect import Effect, EffectError, Location
 from soro_bench.effects.elements import Elements, instrument
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
@@ -23,7 +23,7 @@ def test_drag_slows_a_fall_as_it_should_whatever_is_computed_after_a_step(stage)
     """m v' = m g - c v^2 from rest: v = vt tanh(g t / vt), with vt^2 = m g / c."""
     ball = """<mujoco><option timestep="0.001"/><worldbody><body name="ball"><joint type="slide" axis="0 0 1"/>
     <geom size="0.01" mass="0.1"/></body></worldbody></mujoco>"""
-    drag = [Effect("fluid_drag", Port("body", "ball"), {"drag": 0.2})]
+    drag = [Effect("fluid_drag", Location("body", "ball"), {"drag": 0.2})]
     sim = Simulation(instrument(mujoco.MjSpec.from_string(ball)).compile(), ParameterSet(), (), 1, 1, drag)
     sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
     sim.begin(np.arange(1))
@@ -79,13 +79,15 @@ def sag(effects, model):
 
 @pytest.mark.parametrize("model", ["cable", "flex"])
 def test_a_softer_neck_sags_more_on_either_model(model):
-    softer = [Effect("local_stiffness", Port("body", "vertebra2"), {"factor": 0.5})]
+    softer = [Effect("local_stiffness", Location("body", "vertebra2"), {"factor": 0.5})]
     assert sag(softer, model) < 1.05 * sag((), model) < 0
 
 
 def test_the_bending_stiffness_of_a_neck_is_that_of_its_flex():
     """Of the finite-element table that the flexes are made from (docs/archive/tasks_and_models.md)."""
-    task = make_task("TrunkReach-v0", 1, 1, "flex", effects=[Effect("stiffening", Port("body", "*"), {"beta": 1.0})])
+    task = make_task(
+        "TrunkReach-v0", 1, 1, "flex", effects=[Effect("stiffening", Location("body", "*"), {"beta": 1.0})]
+    )
     task.reset(np.arange(1), [np.random.default_rng(0)], [{}])
     (law,) = task.sim._effects._laws
     assert law._stiffness == pytest.approx(geo.BEND[1], rel=0.01)
@@ -125,7 +127,7 @@ def test_a_law_of_the_material_does_what_it_does_in_another_code(name, model, ki
     parameters, laws = MATERIAL[name]
     actions = np.zeros((60, 8), np.float32)
     actions[:15, [0, 4]], actions[15:30, [0, 4]], actions[35:45, [1, 5]] = 1.0, -1.0, 1.0
-    hidden = Effect(name, Port("body", "*"), parameters)
+    hidden = Effect(name, Location("body", "*"), parameters)
     ours = np.subtract(*(moved(model, effects, actions) for effects in ([hidden], ())))
     nominal = {p.name: p.nominal for p in trunk.PARAMETERS}
     times = 0.05 * np.arange(1, 61)
@@ -140,7 +142,7 @@ def test_friction_of_a_cable_does_what_it_does_in_another_code(force):
     """Pulled, held and released; the other code's time step is an eighth of ours."""
     actions = np.zeros((45, 8), np.float32)
     actions[:6, 4], actions[20:26, 4] = 1.0, -1.0
-    friction = Effect("coulomb_friction", Port("tendon", "S0"), {"friction": force, "presliding": force / 3000})
+    friction = Effect("coulomb_friction", Location("tendon", "S0"), {"friction": force, "presliding": force / 3000})
     ours = np.subtract(*(moved("cable", effects, actions) for effects in ([friction], ())))
     nominal, times = {p.name: p.nominal for p in trunk.PARAMETERS}, 0.05 * np.arange(1, 46)
     laws = ([cable_laws.Friction(4, force)], [])
@@ -153,7 +155,7 @@ def test_friction_of_a_cable_does_what_it_does_in_another_code(force):
 def test_a_material_without_magnitude_moves_the_flex_model_bit_for_bit_as_before(name):
     parameters, _ = MATERIAL[name]
     none = {**parameters, next(iter(parameters)): 0.0}
-    assert sag([Effect(name, Port("body", "*"), none)], "flex") == sag((), "flex")
+    assert sag([Effect(name, Location("body", "*"), none)], "flex") == sag((), "flex")
 
 
 SHEET = """<mujoco><worldbody><flexcomp name="sheet" type="grid" count="4 3 1" spacing="0.02 0.02 0.1" dim="2"
@@ -163,7 +165,7 @@ radius="0.001" mass="0.05">{elasticity}<contact selfcollide="none"/></flexcomp><
 def test_a_softer_sheet_stretches_and_bends_more_easily():
     elasticity = '<elasticity young="3e6" poisson="0.2" thickness="0.003" elastic2d="both"/>'
     model = instrument(mujoco.MjSpec.from_string(SHEET.format(elasticity=elasticity))).compile()
-    softer = [Effect("local_stiffness", Port("flex", "sheet"), {"factor": 0.5})]
+    softer = [Effect("local_stiffness", Location("flex", "sheet"), {"factor": 0.5})]
     batch = Simulation(model, ParameterSet(), (), 1, 1, softer).batch
     for field in ("flex_stiffness", "flex_bending"):
         assert np.any(getattr(model, field))
@@ -173,7 +175,9 @@ def test_a_softer_sheet_stretches_and_bends_more_easily():
 def test_a_flex_without_elasticity_has_none_to_change():
     model = instrument(mujoco.MjSpec.from_string(SHEET.format(elasticity='<edge equality="true"/>'))).compile()
     with pytest.raises(EffectError, match="needs elasticity of the flex; that of flex sheet has none"):
-        Simulation(model, ParameterSet(), (), 1, 1, [Effect("local_stiffness", Port("flex", "sheet"), {"factor": 0.5})])
+        Simulation(
+            model, ParameterSet(), (), 1, 1, [Effect("local_stiffness", Location("flex", "sheet"), {"factor": 0.5})]
+        )
 
 
 @pytest.mark.parametrize(
@@ -182,11 +186,11 @@ def test_a_flex_without_elasticity_has_none_to_change():
 def test_a_law_at_a_flex_changes_that_flex_and_no_other(name, parameters):
     """And not at all without magnitude."""
     model = make_task("TrunkReach-v0", 1, 1, "flex", effects=()).model
-    port = Elements(model).ports("flex")[3]
+    location = Elements(model).locations("flex")[3]
     null = {"factor": 1.0} if "factor" in parameters else {"rate": 0.0}
-    assert sag([Effect(name, port, null)], "flex") == sag((), "flex")
+    assert sag([Effect(name, location, null)], "flex") == sag((), "flex")
     stiffness = []
-    for effects in ([Effect(name, port, null)], [Effect(name, port, parameters)]):
+    for effects in ([Effect(name, location, null)], [Effect(name, location, parameters)]):
         task = make_task("TrunkReach-v0", 1, 1, "flex", action="continuous", effects=effects)
         task.reset(np.arange(1), [np.random.default_rng(0)], [{}])
         task.step(np.arange(1), np.zeros((1, 8), np.float32))
@@ -201,7 +205,7 @@ def test_a_neck_at_rest_elsewhere_bends_by_that_angle_on_either_model():
     ends = []
     for model in ("cable", "flex"):
         task = make_task("TrunkReach-v0", 1, 1, model, action="continuous", effects=())
-        turned = Effect("rest_bend", Port("body", "vertebra4"), {"angle_x": 0.0, "angle_y": 0.1})
+        turned = Effect("rest_bend", Location("body", "vertebra4"), {"angle_x": 0.0, "angle_y": 0.1})
         task.sim.assign_effects([[turned]])
         task.reset(np.arange(1), [np.random.default_rng(0)], [{}])
         task.sim.batch.expand("opt.gravity")[:] = 0
@@ -222,7 +226,7 @@ def test_a_gear_holds_a_load_longer_than_it_lifts_it(torque, holds):
     """An arm of weight moment L rests between L (1 - mu b) / (1 + mu) and L (1 + mu b) / (1 - mu) of torque."""
     free = PENDULUM.replace(' stiffness="0.2"', "")
     values = {"mu": 0.1, "backdrive": 2.0, "preload": 0.0, "static_ratio": 1.0, "presliding": 1e-4}
-    effect = Effect("gear_friction", Port("joint", "hinge"), values)
+    effect = Effect("gear_friction", Location("joint", "hinge"), values)
     model = instrument(mujoco.MjSpec.from_string(free)).compile()
     load = 9.81 * model.body("arm").mass[0] * model.body("arm").ipos[0]
     assert 0.0713 < load * 0.8 / 1.1 < 0.0714
@@ -256,7 +260,7 @@ def test_a_rope_round_a_bend_pulls_less_while_it_is_pulled_and_more_while_it_is_
     bent, pulled, released, integrator, gear
 ):
     """A spring at its end has what the hand pulls with times exp(-mu angle), and then exp(mu angle)."""
-    effect = Effect("load_friction", Port("tendon", "rope"), {"mu": MU, "presliding": 1e-4})
+    effect = Effect("load_friction", Location("tendon", "rope"), {"mu": MU, "presliding": 1e-4})
     xml = ROPE.replace("discrete", integrator).replace("<motor ", f'<motor gear="{gear}" ')
     model = instrument(mujoco.MjSpec.from_string(xml)).compile()
     model.qpos_spring[model.joint("hinge").qposadr] = bent
@@ -274,7 +278,7 @@ def test_a_rope_round_a_bend_pulls_less_while_it_is_pulled_and_more_while_it_is_
 
 def test_a_rope_whose_sites_coincide_or_that_cannot_slip_stays_finite():
     """With its two last sites at one place there is no direction between them; exp(mu angle) would be infinite."""
-    effect = Effect("load_friction", Port("tendon", "rope"), {"mu": 10.0})
+    effect = Effect("load_friction", Location("tendon", "rope"), {"mu": 10.0})
     xml = ROPE.replace('<site name="eyelet"/>', '<site name="eyelet" pos="0.2 0 0"/>')
     sim = Simulation(instrument(mujoco.MjSpec.from_string(xml)).compile(), ParameterSet(), (), 1, 1, [effect])
     sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
@@ -305,7 +309,7 @@ DISSIPATIVE = {
 @pytest.mark.parametrize("name", DISSIPATIVE)
 def test_a_lossy_law_makes_every_swing_of_a_pendulum_smaller(name):
     """Under a constant torque, from a start away from where its springs are at rest."""
-    effects = [Effect(name, Port("joint", "hinge"), DISSIPATIVE[name])]
+    effects = [Effect(name, Location("joint", "hinge"), DISSIPATIVE[name])]
     model = instrument(mujoco.MjSpec.from_string(PENDULUM)).compile()
     sim = Simulation(model, ParameterSet(), (), 1, 1, effects)
     sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
@@ -339,7 +343,7 @@ def test_a_trunk_with_a_lossy_law_only_calms_down_once_its_commands_rest(name, r
     """The fastest that its keypoints are in each half of a second, after two cables were pulled and let go."""
     actions = np.zeros((70, 8), np.float32)
     actions[:10, :2], actions[10:20, :2] = 1.0, -1.0
-    law = next(one for one in suspects(robot) if one.name == name and one.where.kind != "sensor")
+    law = next(one for one in suspects(robot) if one.name == name and one.location.kind != "sensor")
     nominal = np.array([[prior.nominal for prior in robot.priors]] * 2)
     points, without = robot.simulate(actions, nominal, [[typical(law)], []])
     assert np.abs(points - without).max() > 1e-4

@@ -12,7 +12,7 @@ from mujoco.batch import Batch
 import soro_bench  # noqa: F401
 from soro_bench.effects import springs
 from soro_bench.effects.catalogue import ALL, CATEGORIES, MEASUREMENT, PHYSICS, QUANTITIES
-from soro_bench.effects.effect import Effect, EffectError, Port, load_effects, save_effects
+from soro_bench.effects.effect import Effect, EffectError, Location, load_effects, save_effects
 from soro_bench.effects.elements import Elements, instrument
 from soro_bench.effects.equations import EQUATIONS
 from soro_bench.effects.runtime import ActiveEffects
@@ -45,12 +45,12 @@ def effect(elements, name, kind, share=1.0, place=None):
     """An effect of a share of its typical magnitude."""
     values = {}
     for i, q in enumerate(QUANTITIES[name]):
-        port = Port(kind, place or PLACES[kind])
-        typical = q.typical * elements.scale(port, q.of)
+        location = Location(kind, place or PLACES[kind])
+        typical = q.typical * elements.scale(location, q.of)
         if i == 0 or name in SEVERAL:
             typical = float(np.clip(q.null + share * (typical - q.null), *q.bounds))
         values[q.name] = typical
-    return Effect(name, Port(kind, place or PLACES[kind]), values)
+    return Effect(name, Location(kind, place or PLACES[kind]), values)
 
 
 def trunk(effects, nsim=1):
@@ -101,8 +101,8 @@ def test_a_signature_changes_by_less_than_a_twentieth_with_half_the_time_step(na
     responses = []
     for timestep in (0.002, 0.001):
         places = Elements(instrument(mujoco.MjSpec.from_string(FINGER)).compile())
-        where = {"tendon": "cable", "actuator": "cable", "joint": "far", "body": "far", "model": "gravity"}[kind]
-        effects = [effect(places, name, kind, place=where)]
+        location = {"tendon": "cable", "actuator": "cable", "joint": "far", "body": "far", "model": "gravity"}[kind]
+        effects = [effect(places, name, kind, place=location)]
         responses.append(bend(effects, timestep) - bend((), timestep))
     assert np.abs(responses[0]).max() > 1e-6 or name == "supply_coupling"  # of a single chamber
     assert np.linalg.norm(responses[1] - responses[0]) <= 0.05 * np.linalg.norm(responses[0]) + 1e-9
@@ -186,7 +186,7 @@ def test_every_law_has_an_equation_with_a_symbol_for_each_of_its_parameters():
 def test_an_environment_with_an_effects_file_differs_and_without_effects_does_not(tmp_path):
     path = tmp_path / "effects.json"
     moved = []
-    for effects in ([], [Effect("payload", Port("body", "vertebra9"), {"mass": 0.05})]):
+    for effects in ([], [Effect("payload", Location("body", "vertebra9"), {"mass": 0.05})]):
         save_effects(effects, path)
         env = gymnasium.make("TrunkReach-v0", model="cable", effects=path)
         env.reset(seed=0)
@@ -200,39 +200,39 @@ def test_an_environment_with_an_effects_file_differs_and_without_effects_does_no
 
 def test_an_environment_leaves_out_faults_of_measurement_and_says_so(tmp_path):
     save_effects(
-        [Effect("sensor_delay", Port("sensor", "keypoints"), {"delay": 0.1})], path := tmp_path / "effects.json"
+        [Effect("sensor_delay", Location("sensor", "keypoints"), {"delay": 0.1})], path := tmp_path / "effects.json"
     )
     with pytest.warns(UserWarning, match="do nothing here: sensor_delay"):
         gymnasium.make("TrunkReach-v0", model="cable", effects=path).close()
 
 
 def test_an_effects_file_is_read_as_it_was_written(tmp_path):
-    effects = (Effect("backlash", Port("actuator", "*"), {"width": 0.001}),
-               Effect("sensor_bias", Port("sensor", "keypoints", 3), {"x": 0.1, "y": 0.0, "z": 0.0}))  # fmt: skip
+    effects = (Effect("backlash", Location("actuator", "*"), {"width": 0.001}),
+               Effect("sensor_bias", Location("sensor", "keypoints", 3), {"x": 0.1, "y": 0.0, "z": 0.0}))  # fmt: skip
     save_effects(effects, tmp_path / "effects.json")
     assert load_effects(tmp_path / "effects.json", ALL) == effects
 
 
-GOOD = {"name": "backlash", "where": {"kind": "actuator", "name": "L0"}, "parameters": {"width": 0.001}}
+GOOD = {"name": "backlash", "location": {"kind": "actuator", "name": "L0"}, "parameters": {"width": 0.001}}
 
 
 @pytest.mark.parametrize(
     ("data", "message"),
     [
         ([], "schema"),
-        ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "name": "magic"}]}, "unknown effect"),
-        ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "name": []}]}, "unknown effect"),
-        ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "where": "L0"}]}, "where"),
-        ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "parameters": {"width": -1}}]}, "allowed is"),
-        ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "parameters": {}}]}, "needs its width"),
-        ({"schema": "soro-bench/effects/1", "effects": [{**GOOD, "parameters": {"wide": 1}}]}, "has no"),
-        ({"schema": "soro-bench/effects/1", "effects": [GOOD] * 101}, "at most 100"),
+        ({"schema": "soro-bench/effects/2", "effects": [{**GOOD, "name": "magic"}]}, "unknown effect"),
+        ({"schema": "soro-bench/effects/2", "effects": [{**GOOD, "name": []}]}, "unknown effect"),
+        ({"schema": "soro-bench/effects/2", "effects": [{**GOOD, "location": "L0"}]}, "location"),
+        ({"schema": "soro-bench/effects/2", "effects": [{**GOOD, "parameters": {"width": -1}}]}, "allowed is"),
+        ({"schema": "soro-bench/effects/2", "effects": [{**GOOD, "parameters": {}}]}, "needs its width"),
+        ({"schema": "soro-bench/effects/2", "effects": [{**GOOD, "parameters": {"wide": 1}}]}, "has no"),
+        ({"schema": "soro-bench/effects/2", "effects": [GOOD] * 101}, "at most 100"),
         (
-            {"schema": "soro-bench/effects/1", "effects": [{**GOOD, "parameters": {"width": 10**400}}]},
+            {"schema": "soro-bench/effects/2", "effects": [{**GOOD, "parameters": {"width": 10**400}}]},
             "at most 300 digits",
         ),
         (
-            {"schema": "soro-bench/effects/1", "effects": [{**GOOD, "where": {"kind": "sensor", "name": "tip"}}]},
+            {"schema": "soro-bench/effects/2", "effects": [{**GOOD, "location": {"kind": "sensor", "name": "tip"}}]},
             "acts on",
         ),
     ],
@@ -247,13 +247,13 @@ def test_a_bad_effects_file_is_refused_in_words(tmp_path, data, message):
 @pytest.mark.parametrize(
     ("effects", "message"),
     [
-        ([Effect("payload", Port("body", "nose"), {"mass": 0.1})], "no body 'nose'"),
-        ([Effect("payload", Port("tendon", "L0"), {"mass": 0.1})], "acts on body"),
-        ([Effect("sensor_delay", Port("sensor", "keypoints"), {"delay": 0.1})], "no physics"),
-        ([Effect("coulomb_friction", Port("tendon", "L0"), {"friction": 1.0}),
-          Effect("load_friction", Port("tendon", "L0"), {"mu": 0.1})], "same spring"),
-        ([Effect("actuator_gain", Port("actuator", "*"), {"gain": 0.9}),
-          Effect("actuator_gain", Port("actuator", "L0"), {"gain": 0.9})], "acts twice at actuator L0"),
+        ([Effect("payload", Location("body", "nose"), {"mass": 0.1})], "no body 'nose'"),
+        ([Effect("payload", Location("tendon", "L0"), {"mass": 0.1})], "acts on body"),
+        ([Effect("sensor_delay", Location("sensor", "keypoints"), {"delay": 0.1})], "no physics"),
+        ([Effect("coulomb_friction", Location("tendon", "L0"), {"friction": 1.0}),
+          Effect("load_friction", Location("tendon", "L0"), {"mu": 0.1})], "same spring"),
+        ([Effect("actuator_gain", Location("actuator", "*"), {"gain": 0.9}),
+          Effect("actuator_gain", Location("actuator", "L0"), {"gain": 0.9})], "acts twice at actuator L0"),
     ],
 )  # fmt: skip
 def test_effects_that_have_no_place_are_refused_in_words(effects, message):
@@ -269,7 +269,7 @@ def test_friction_needs_a_tendon_without_a_spring_of_its_own_that_yields():
     assert model.tendon_plasticadr[0] >= 0
     run = ActiveEffects(Batch(model, 1, 1, persistent=True))
     with pytest.raises(EffectError, match="without a spring of their own"):
-        run.assign([[Effect("coulomb_friction", Port("tendon", "t"), {"friction": 0.0})]])
+        run.assign([[Effect("coulomb_friction", Location("tendon", "t"), {"friction": 0.0})]])
 
 
 def test_load_friction_needs_a_tendon_that_goes_through_sites_and_takes_its_branches_apart():
@@ -283,7 +283,7 @@ def test_load_friction_needs_a_tendon_that_goes_through_sites_and_takes_its_bran
         tendons = f'<tendon><spatial name="t">{path}</spatial></tendon>'
         spec = mujoco.MjSpec.from_string(f"<mujoco><worldbody>{bodies}</worldbody>{tendons}</mujoco>")
         model = instrument(spec).compile()
-        law = [Effect("load_friction", Port("tendon", "t"), {"mu": 0.1})]
+        law = [Effect("load_friction", Location("tendon", "t"), {"mu": 0.1})]
         assert Simulation(model, ParameterSet(), (), 1, 1, ()).accepts(law) != refused
         assert refused or springs._bends(model, 0) == []
 

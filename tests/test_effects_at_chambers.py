@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from soro_bench.effects.catalogue import PHYSICS, QUANTITIES
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.effect import Effect, Location
 from soro_bench.effects.elements import instrument
 from soro_bench.effects.setpoints import SetpointLaw
 from soro_bench.models.simulation import Simulation
@@ -37,7 +37,7 @@ def pressures(effects, rates, chambers=CHAMBERS):
 
 def test_chambers_on_one_supply_fill_more_slowly_together_and_vent_as_alone():
     rates = np.repeat([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [-1.0, -1.0, 0.0]], 100, axis=0)
-    found = pressures([Effect("supply_coupling", Port("actuator", "*"), {"coupling": 0.25})], rates)
+    found = pressures([Effect("supply_coupling", Location("actuator", "*"), {"coupling": 0.25})], rates)
     assert found[99] == pytest.approx([0.1, 0, 0], abs=0.002)
     assert found[199] == pytest.approx([0.1, 0.075, 0.075], abs=0.002)
     assert found[299] == pytest.approx([0.0, -0.025, 0.075], abs=0.002)
@@ -45,7 +45,7 @@ def test_chambers_on_one_supply_fill_more_slowly_together_and_vent_as_alone():
 
 def test_a_leak_loses_pressure_with_its_rate():
     rates = np.repeat([[1.0, 1.0, 0.0], [0.0, 0.0, 0.0]], [100, 900], axis=0)
-    found = pressures([Effect("pressure_leak", Port("actuator", "a"), {"rate": 2.0})], rates)
+    found = pressures([Effect("pressure_leak", Location("actuator", "a"), {"rate": 2.0})], rates)
     assert found[-1] == pytest.approx([0.1 * np.exp(-2.0 * 0.95), 0.1, 0.0], rel=0.01, abs=1e-12)
 
 
@@ -55,8 +55,8 @@ CLOSED = CHAMBERS.replace('ctrllimited="true"/>', 'ctrllimited="true" actlimited
 @pytest.mark.parametrize(
     ("effect", "held"),
     [
-        (Effect("pressure_leak", Port("actuator", "a"), {"rate": 0.5}), np.exp(-0.5)),
-        (Effect("supply_coupling", Port("actuator", "*"), {"coupling": 0.25}), 1.0),
+        (Effect("pressure_leak", Location("actuator", "a"), {"rate": 0.5}), np.exp(-0.5)),
+        (Effect("supply_coupling", Location("actuator", "*"), {"coupling": 0.25}), 1.0),
     ],
 )
 def test_a_chamber_is_filled_again_and_never_below_nothing(effect, held):
@@ -73,7 +73,7 @@ def test_a_chamber_is_filled_again_and_never_below_nothing(effect, held):
 
 def test_filling_lags_and_venting_does_not():
     rates = np.repeat([[5.0, 0.0, 0.0], [0.0, 0.0, 0.0], [-5.0, 0.0, 0.0]], [20, 480, 40], axis=0)
-    asymmetry = [Effect("pressure_asymmetry", Port("actuator", "a"), {"difference": 0.1, "venting": 0.001})]
+    asymmetry = [Effect("pressure_asymmetry", Location("actuator", "a"), {"difference": 0.1, "venting": 0.001})]
     found = pressures(asymmetry, rates)[:, 0]
     assert found[120] == pytest.approx(0.1 * (1 - np.exp(-1.1)), rel=0.05)
     assert found[499] == pytest.approx(0.1, rel=0.02)
@@ -89,18 +89,18 @@ def test_filling_lags_and_venting_does_not():
 )
 def test_a_weak_supply_leaves_what_laws_before_it_have_done(name, parameters):
     """A chamber that is filled half as far as it is told, or that leaks, long after it was told to be full."""
-    rates, where = np.repeat([[2.0, 0.0, 0.0]], 2000, axis=0), Port("actuator", "a")
-    before = [Effect("actuator_gain", where, {"gain": 0.5})]
+    rates, location = np.repeat([[2.0, 0.0, 0.0]], 2000, axis=0), Location("actuator", "a")
+    before = [Effect("actuator_gain", location, {"gain": 0.5})]
     if name == "supply_coupling":
-        before = [Effect("pressure_leak", where, {"rate": 5.0})]
-    found = pressures([*before, Effect(name, where, parameters)], rates, CLOSED)
+        before = [Effect("pressure_leak", location, {"rate": 5.0})]
+    found = pressures([*before, Effect(name, location, parameters)], rates, CLOSED)
     assert found[:, 0] == pytest.approx(pressures(before, rates, CLOSED)[:, 0], abs=1e-5)
 
 
 @pytest.mark.parametrize("name", [name for name, law in PHYSICS.items() if issubclass(law, SetpointLaw)])
 def test_a_law_of_the_chambers_without_magnitude_moves_the_walker_bit_for_bit_as_before(name):
     null = {q.name: q.null if i == 0 else q.typical for i, q in enumerate(QUANTITIES[name])}
-    assert np.array_equal(walk([Effect(name, Port("actuator", "*"), null)]), walk(None))
+    assert np.array_equal(walk([Effect(name, Location("actuator", "*"), null)]), walk(None))
 
 
 def walk(effects):
@@ -123,7 +123,7 @@ WEAK = {
 @pytest.mark.parametrize("name", WEAK)
 def test_a_walker_whose_supply_is_weak_is_inflated_less(name):
     inflation = []
-    for effects in ((), [Effect(name, Port("actuator", "*"), WEAK[name])]):
+    for effects in ((), [Effect(name, Location("actuator", "*"), WEAK[name])]):
         task = make_task("MultiGait-v0", 1, 1, "coarse", action="continuous", effects=effects)
         task.reset(np.arange(1), [np.random.default_rng(0)], [{}])
         task.step(np.arange(1), np.ones((1, 3), np.float32))

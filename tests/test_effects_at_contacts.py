@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from soro_bench.effects.effect import Effect, EffectError, Port
+from soro_bench.effects.effect import Effect, EffectError, Location
 from soro_bench.effects.elements import instrument
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import ParameterSet
@@ -33,7 +33,7 @@ def slide(effects, velocity=0.0, tilt=0.0, gravity=GRAVITY, duration=1.0, height
 
 
 def on_block(name, **values):
-    return [Effect(name, Port("geom", "block"), values)]
+    return [Effect(name, Location("geom", "block"), values)]
 
 
 @pytest.mark.parametrize(("slope", "factor"), [(0.8, 1.0), (-0.8, 2.0)])
@@ -56,7 +56,7 @@ def test_stiction_holds_what_rests_and_not_what_slides(excess, velocity, rests):
 @pytest.mark.parametrize("name", ["anisotropic_friction", "stiction"])
 def test_friction_that_depends_on_a_velocity_needs_a_geom_that_moves(name):
     with pytest.raises(EffectError, match="geom ground never moves"):
-        slide([Effect(name, Port("geom", "ground"), {})])
+        slide([Effect(name, Location("geom", "ground"), {})])
 
 
 @pytest.mark.parametrize(("pull", "holds"), [(0.8, True), (1.2, False)])

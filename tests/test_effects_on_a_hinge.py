@@ -6,7 +6,7 @@ import pytest
 
 from soro_bench.assets import mjcf_path
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.effect import Effect, Location
 from soro_bench.effects.elements import instrument
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import ParameterSet
@@ -45,7 +45,7 @@ def turn(sim, torque=0.0, angle=None, steps=500, velocity=0.0):
 
 
 def on_hinge(name, **values):
-    return Effect(name, Port("joint", "hinge"), values)
+    return Effect(name, Location("joint", "hinge"), values)
 
 
 def flat(sim):
@@ -125,7 +125,7 @@ def test_stribeck_friction_breaks_away_at_its_static_level(torque, slips):
 
 def test_a_lag_is_behind_a_ramp_by_its_time_constant():
     ramp = 0.001 * np.arange(1500)  # 0.5 rad/s
-    late = flat(servo([Effect("actuator_lag", Port("actuator", "servo"), {"time_constant": 0.05})]))
+    late = flat(servo([Effect("actuator_lag", Location("actuator", "servo"), {"time_constant": 0.05})]))
     way = turn(late, angle=lambda step: ramp[step], steps=1500)
     expected = turn(flat(servo(())), angle=lambda step: ramp[step] - 0.025, steps=1500)
     assert way[-500:] == pytest.approx(expected[-500:], abs=1e-3)
@@ -160,13 +160,13 @@ def test_viscous_friction_is_a_damper():
 def test_a_command_law_gives_what_other_commands_would(name, values, expected):
     commands = 0.8 * np.sin(2 * np.pi * 0.002 * np.arange(1000))
     changed = expected(commands)
-    faulty = flat(servo([Effect(name, Port("actuator", "servo"), values)]))
+    faulty = flat(servo([Effect(name, Location("actuator", "servo"), values)]))
     way = turn(faulty, angle=lambda step: commands[step], steps=1000)
     assert way == pytest.approx(turn(flat(servo(())), angle=lambda step: changed[step], steps=1000), abs=1e-12)
 
 
 def test_backlash_waits_for_its_width_after_a_reversal():
-    sim = flat(servo([Effect("backlash", Port("actuator", "servo"), {"width": 0.2})]))
+    sim = flat(servo([Effect("backlash", Location("actuator", "servo"), {"width": 0.2})]))
     ramp = np.concatenate([np.linspace(0, 1, 2000), np.linspace(1, 0, 2000)])
     way = turn(sim, angle=lambda step: ramp[step], steps=4000)
     assert way[1999] == pytest.approx(0.9, abs=0.02)
@@ -175,7 +175,7 @@ def test_backlash_waits_for_its_width_after_a_reversal():
 
 
 def on_servo(name, **values):
-    return Effect(name, Port("actuator", "servo"), values)
+    return Effect(name, Location("actuator", "servo"), values)
 
 
 def test_a_compliant_servo_gives_way_by_its_compliance_more():
@@ -194,7 +194,7 @@ def test_a_saturated_servo_holds_what_is_left_of_its_force(torque, holds):
 
 @pytest.mark.parametrize("angle", [0.1, -0.1])
 def test_on_a_tilted_base_the_arm_hangs_that_much_to_the_side(angle):
-    tilt = Effect("base_tilt", Port("model", "gravity"), {"about_x": 0.0, "about_y": angle, "about_z": 0.0})
+    tilt = Effect("base_tilt", Location("model", "gravity"), {"about_x": 0.0, "about_y": angle, "about_z": 0.0})
     ends = [turn(servo(effects), steps=6000)[-1] for effects in ((), [tilt])]
     assert ends[0] == pytest.approx(np.pi / 2, abs=1e-3)  # straight down
     assert ends[1] - ends[0] == pytest.approx(angle, abs=1e-3)
@@ -211,7 +211,7 @@ def test_a_joint_that_drags_with_its_load_loses_a_share_of_the_torque(torque, li
 def test_what_falls_through_a_fluid_ends_at_the_speed_at_which_drag_is_its_weight():
     xml = """<mujoco><option timestep="0.002"/><worldbody><body name="ball"><freejoint/><geom size="0.01" mass="0.1"/>
     </body></worldbody></mujoco>"""
-    drag = Effect("fluid_drag", Port("body", "ball"), {"drag": 0.05})
+    drag = Effect("fluid_drag", Location("body", "ball"), {"drag": 0.05})
     sim = Simulation(instrument(mujoco.MjSpec.from_string(xml)).compile(), ParameterSet(), (), 1, 1, [drag])
     sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
     sim.begin(np.arange(1))

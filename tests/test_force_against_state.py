@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 
 from soro_bench.diagnosis.assembly.force_against_state import force_against_state
-from soro_bench.diagnosis.candidates import suspect
+from soro_bench.diagnosis.candidates import term
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
-from soro_bench.effects.effect import EVERY, Effect, Port
-from soro_bench.inference.clouds import LowRank
+from soro_bench.effects.effect import EVERY, Effect, Location
+from soro_bench.inference.statistical_linearisation import LowRank
 from tests.test_model_robot import ARM, MAP
 
 NOISE = 2e-4
-CABLE, CHANNEL = Port("tendon", "L1"), 1
+CABLE, CHANNEL = Location("tendon", "L1"), 1
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +68,7 @@ def curve(robot, actions, fitted, coordinates, hidden=None):
     return force_against_state(diagnosis(robot, actions, hidden, fitted, coordinates))
 
 
-def slopes(found, force):
+def jacobians(found, force):
     """Of straight lines through the origin, for falling and for rising states."""
     known = np.isfinite(force)
     return [(s[k] @ f[k]) / (s[k] @ s[k]) for s, f, k in zip(found.state, force, known, strict=True)]
@@ -83,36 +83,36 @@ def assert_agrees(found):
 
 
 def test_viscous_friction_shows_as_a_force_against_the_speed(trunk):
-    found = curve(trunk, strokes(), suspect(trunk, "viscous_friction", CABLE), [0.4])
+    found = curve(trunk, strokes(), term(trunk, "viscous_friction", CABLE), [0.4])
     assert found.labels == ("rate of the length pulled in [mm/s]", "force in the tendon [N]")
-    assert slopes(found, found.law) == pytest.approx([-1e-3 * found.effect.parameters["damping"]] * 2, rel=0.15)
+    assert jacobians(found, found.law) == pytest.approx([-1e-3 * found.effect.parameters["damping"]] * 2, rel=0.15)
     assert_agrees(found)
 
 
 def test_the_recording_shows_how_strong_the_friction_of_a_cable_is_beside_a_fit_that_is_too_weak(trunk):
-    fitted, hidden = suspect(trunk, "viscous_friction", CABLE), Effect("viscous_friction", CABLE, {"damping": 30.0})
+    fitted, hidden = term(trunk, "viscous_friction", CABLE), Effect("viscous_friction", CABLE, {"damping": 30.0})
     found = curve(trunk, strokes((1, 2, 3, 4)), fitted, [0.25], hidden)
-    assert slopes(found, found.law) == pytest.approx([-0.0225, -0.0225], rel=0.15)
-    assert slopes(found, found.measured) == pytest.approx([-0.03, -0.03], rel=0.15)
+    assert jacobians(found, found.law) == pytest.approx([-0.0225, -0.0225], rel=0.15)
+    assert jacobians(found, found.measured) == pytest.approx([-0.03, -0.03], rel=0.15)
 
 
 def test_the_recording_shows_the_hidden_law_beside_a_wrong_one(arm):
-    hinge = Port("joint", "hinge")
+    hinge = Location("joint", "hinge")
     hidden = Effect("viscous_friction", hinge, {"damping": 0.01})
-    found = curve(arm, swings(arm), suspect(arm, "coulomb_friction", hinge), [0.15, 0.0], hidden)
-    assert slopes(found, found.measured) == pytest.approx([-0.01, -0.01], rel=0.1)
+    found = curve(arm, swings(arm), term(arm, "coulomb_friction", hinge), [0.15, 0.0], hidden)
+    assert jacobians(found, found.measured) == pytest.approx([-0.01, -0.01], rel=0.1)
     assert found.law == pytest.approx(-0.0225 * np.sign(found.state), rel=0.05)
 
 
 def test_a_delay_shows_as_a_cable_that_lags_behind_its_command(trunk):
-    found = curve(trunk, strokes(), suspect(trunk, "actuator_delay", Port("actuator", EVERY)), [0.2])
+    found = curve(trunk, strokes(), term(trunk, "actuator_delay", Location("actuator", EVERY)), [0.2])
     assert found.labels == ("rate of the command [mm/s]", "beside the command by [mm]")
-    assert slopes(found, found.law) == pytest.approx([-0.015, -0.015], rel=0.05)
+    assert jacobians(found, found.law) == pytest.approx([-0.015, -0.015], rel=0.05)
     assert_agrees(found)
 
 
 def test_stiffening_shows_as_a_moment_that_grows_with_the_cube_of_the_bend(trunk):
-    found = curve(trunk, strokes(), suspect(trunk, "stiffening", Port("body", "vertebra3")), [0.6])
+    found = curve(trunk, strokes(), term(trunk, "stiffening", Location("body", "vertebra3")), [0.6])
     assert found.labels == ("bend [rad]", "moment [N m]")
     model = trunk.model({prior.name: prior.nominal for prior in trunk.priors}, [])
     hinge = trunk.elements.joints_of(model.body("vertebra3").id, bending_only=True)[0]
@@ -122,46 +122,46 @@ def test_stiffening_shows_as_a_moment_that_grows_with_the_cube_of_the_bend(trunk
 
 
 def test_friction_in_a_joint_of_any_model_is_a_constant_moment_against_its_motion(arm):
-    fitted = suspect(arm, "coulomb_friction", Port("joint", "hinge"))
+    fitted = term(arm, "coulomb_friction", Location("joint", "hinge"))
     found = curve(arm, swings(arm), fitted, [0.3, 0.0])
     assert found.law == pytest.approx(-found.effect.parameters["friction"] * np.sign(found.state), rel=0.05)
     assert_agrees(found)
 
 
 def test_a_delay_of_a_servo_of_any_model_shows_against_the_speed_of_its_command(arm):
-    found = curve(arm, swings(arm), suspect(arm, "actuator_delay", Port("actuator", "motor")), [0.4])
-    assert slopes(found, found.law) == pytest.approx([-found.effect.parameters["delay"]] * 2, rel=0.15)
+    found = curve(arm, swings(arm), term(arm, "actuator_delay", Location("actuator", "motor")), [0.4])
+    assert jacobians(found, found.law) == pytest.approx([-found.effect.parameters["delay"]] * 2, rel=0.15)
     assert_agrees(found)
 
 
 @pytest.mark.parametrize(
-    ("name", "where"),
+    ("name", "location"),
     [
-        ("payload", Port("body", "vertebra7")),
-        ("base_tilt", Port("model", "gravity")),
+        ("payload", Location("body", "vertebra7")),
+        ("base_tilt", Location("model", "gravity")),
     ],
 )
-def test_what_has_no_force_at_a_place_has_no_curve(trunk, name, where):
-    fitted = suspect(trunk, name, where)
+def test_what_has_no_force_at_a_place_has_no_curve(trunk, name, location):
+    fitted = term(trunk, name, location)
     assert curve(trunk, strokes((2,)), fitted, [0.2, *[0.0] * (fitted.size - 1)]) is None
 
 
 def test_what_depends_on_the_past_has_no_curve(trunk):
-    fitted, actions = suspect(trunk, "viscoelastic_creep", Port("body", EVERY)), np.zeros((70, 8), np.float32)
+    fitted, actions = term(trunk, "viscoelastic_creep", Location("body", EVERY)), np.zeros((70, 8), np.float32)
     actions[:5, CHANNEL], actions[35:40, CHANNEL] = 1.0, -1.0  # held between
     assert curve(trunk, actions, fitted, [0.2, -2.0]) is None
 
 
 def test_a_neck_of_flex_has_no_curve_and_its_cables_have_one():
     robot = SuiteRobot("TrunkReach-v0", "flex", threads=1)
-    assert curve(robot, strokes((1,)), suspect(robot, "stiffening", Port("body", EVERY)), [0.2]) is None
-    found = curve(robot, strokes((1,)), suspect(robot, "viscous_friction", CABLE), [0.4])
-    assert slopes(found, found.law) == pytest.approx([-1e-3 * found.effect.parameters["damping"]] * 2, rel=0.15)
+    assert curve(robot, strokes((1,)), term(robot, "stiffening", Location("body", EVERY)), [0.2]) is None
+    found = curve(robot, strokes((1,)), term(robot, "viscous_friction", CABLE), [0.4])
+    assert jacobians(found, found.law) == pytest.approx([-1e-3 * found.effect.parameters["damping"]] * 2, rel=0.15)
 
 
 def test_a_curve_is_the_same_again_and_later_replays_are_as_before(trunk):
-    for name, where in ("viscous_friction", CABLE), ("actuator_delay", Port("actuator", "L1")):
-        fitted = suspect(trunk, name, where)
+    for name, location in ("viscous_friction", CABLE), ("actuator_delay", Location("actuator", "L1")):
+        fitted = term(trunk, name, location)
         given = diagnosis(trunk, strokes((1,)), fitted.effect(np.array([0.3])), fitted, [0.3])
         problem = given.explanation.problem
         first, before = force_against_state(given), problem.residuals([(np.zeros(6), ())])

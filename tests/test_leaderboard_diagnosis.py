@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("jsonschema", reason="needs the board extra")
 
 from soro_bench.blind_benchmark import score
-from soro_bench.commands.blind_benchmark import Prove
+from soro_bench.commands.blind_benchmark import BlindBenchmark
 from soro_bench.files import write_json
 from soro_bench.leaderboard import diagnosis_entry
 from soro_bench.leaderboard.release import Release
@@ -94,8 +94,8 @@ def test_the_command_prove_writes_an_entry_that_verifies(tmp_path, monkeypatch):
         write_json(folder / "scorecard.json", score.scored(labels, reports) | {"ablations": []})
         return "scorecard"
 
-    monkeypatch.setattr("soro_bench.blind_benchmark.prove.prove", prove)
-    Prove(tmp_path).run()
+    monkeypatch.setattr("soro_bench.blind_benchmark.run.run_blind_benchmark", prove)
+    BlindBenchmark(tmp_path).run()
     found = verify_diagnosis(tmp_path / "entry.json", tmp_path / "cases", tmp_path / "reports")
     assert set(found.values()) == {"same"}
 

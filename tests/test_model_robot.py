@@ -11,18 +11,18 @@ import pytest
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
 from soro_bench.diagnosis.assembly.findings import unit_at
-from soro_bench.diagnosis.candidates import suspects
+from soro_bench.diagnosis.candidates import terms
 from soro_bench.diagnosis.estimation.fit import Guess, fitted
 from soro_bench.diagnosis.estimation.problem import SimulationError
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.pipeline import diagnose, unexplained
-from soro_bench.diagnosis.report import earlier
+from soro_bench.diagnosis.report import baseline
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
-from soro_bench.diagnosis.robots.priors import Earlier
-from soro_bench.diagnosis.selection.moves import plainer
+from soro_bench.diagnosis.robots.priors import Baseline
+from soro_bench.diagnosis.selection.moves import simplify
 from soro_bench.diagnosis.verdict import _far, verdict
 from soro_bench.effects.catalogue import QUANTITIES
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.effect import Effect, Location
 from soro_bench.recording.parquet import save
 from soro_bench.recording.recording import RecordingError, Signal
 from tests.arm import ARM, MAP, TRUTH, recording
@@ -35,29 +35,29 @@ SURE = {"inertia": 0.0, "damping": 0.0, "zero": 0.0}  # standard deviations of w
     [("coulomb_friction", {"friction": 0.05}), ("actuator_delay", {"delay": 0.03})],
 )
 def test_a_hidden_effect_of_any_model_is_named_at_its_place(paths, tmp_path, name, parameters):
-    where = Port("joint", "hinge") if name == "coulomb_friction" else Port("actuator", "motor")
-    hidden = [Effect(name, where, parameters)]
+    location = Location("joint", "hinge") if name == "coulomb_friction" else Location("actuator", "motor")
+    hidden = [Effect(name, location, parameters)]
     given = [recording(paths, hidden, 0)]
     found = diagnose(ModelRobot(*paths, threads=1), given, [recording(paths, hidden, 1)])
     write_reports(found, given, tmp_path / "report")
     report = json.loads((tmp_path / "report" / "report.json").read_text())
     assert report["verdict"] == "missing_physics"
     first, (quantity, truth) = report["effects"][0], next(iter(parameters.items()))
-    assert (first["name"], first["where"]) == (name, {"kind": where.kind, "name": where.name})
+    assert (first["name"], first["where"]) == (name, {"kind": location.kind, "name": location.name})
     assert first["parameters"][quantity]["value"] == pytest.approx(truth, rel=0.1)
     assert report["fit"]["fve_heldout"] > 0.9
     assert (tmp_path / "report" / "comparison.rrd").stat().st_size > 0
     assert f"What {name} does" in (tmp_path / "report" / "report.html").read_text()
-    known = earlier(tmp_path / "report")
-    assert [(e.name, e.where) for e in known.effects] == [(name, where)]
+    known = baseline(tmp_path / "report")
+    assert [(e.name, e.location) for e in known.effects] == [(name, location)]
     assert known.parameters == {key: each["value"] for key, each in report["parameters"].items()}
 
 
 def test_what_is_known_of_a_robot_stays_and_what_has_changed_is_named(paths):
-    friction = Effect("coulomb_friction", Port("joint", "hinge"), {"friction": 0.05, "presliding": 5e-4})
-    delay = Effect("actuator_delay", Port("actuator", "motor"), {"delay": 0.03})
-    known = Earlier(dict(zip(SURE, TRUTH[0].tolist(), strict=True)), SURE, (friction,))
-    found = diagnose(ModelRobot(*paths, threads=1, earlier=known), [recording(paths, [friction, delay], 0)])
+    friction = Effect("coulomb_friction", Location("joint", "hinge"), {"friction": 0.05, "presliding": 5e-4})
+    delay = Effect("actuator_delay", Location("actuator", "motor"), {"delay": 0.03})
+    known = Baseline(dict(zip(SURE, TRUTH[0].tolist(), strict=True)), SURE, (friction,))
+    found = diagnose(ModelRobot(*paths, threads=1, baseline=known), [recording(paths, [friction, delay], 0)])
     assert found.comparison.answers[0].names == ("actuator_delay",)
     values = found.robot.parameters(found.comparison.answers[0].hypothesis.x)
     assert list(values.values()) == pytest.approx(TRUTH[0], rel=0.05)
@@ -66,16 +66,16 @@ def test_what_is_known_of_a_robot_stays_and_what_has_changed_is_named(paths):
 def test_what_was_hardly_known_before_is_hardly_known_now(paths):
     values = {"inertia": 1.1, "damping": 1.0, "zero": 0.0}
     first = ModelRobot(*paths, threads=1).priors
-    again = ModelRobot(*paths, threads=1, earlier=Earlier(values, {"inertia": 1e-4, "damping": 0.1, "zero": 9.0}, ()))
+    again = ModelRobot(*paths, threads=1, baseline=Baseline(values, {"inertia": 1e-4, "damping": 0.1, "zero": 9.0}, ()))
     deviations = [prior.deviation for prior in again.priors]
     assert [prior.nominal for prior in again.priors] == [1.1, 1.0, 0.0]
     assert deviations == pytest.approx([0.1 * first[0].deviation, np.hypot(0.1, 0.03), first[2].deviation], rel=1e-3)
 
 
 def test_a_known_effect_is_simulated_and_not_possible_twice(paths):
-    friction = Effect("coulomb_friction", Port("joint", "hinge"), {"friction": 0.05})
+    friction = Effect("coulomb_friction", Location("joint", "hinge"), {"friction": 0.05})
     knows = ModelRobot(
-        *paths, threads=1, earlier=Earlier({"inertia": 1.0, "damping": 1.0, "zero": 0.0}, SURE, (friction,))
+        *paths, threads=1, baseline=Baseline({"inertia": 1.0, "damping": 1.0, "zero": 0.0}, SURE, (friction,))
     )
     goals = np.repeat([[0.5], [-0.5]], 10, axis=0)
     nominal = np.array([[1.0, 1.0, 0.0]])
@@ -90,23 +90,25 @@ def test_a_finer_model_without_a_place_for_what_is_known_is_left_out(paths):
     model.with_name("finer.xml").write_text(ARM)
     model.write_text(ARM.replace("<actuator>", f"{string}<actuator>"))
     mapping.write_text(MAP.replace("[robot]", '[robot]\naccurate = "finer.xml"'))
-    friction = Effect("coulomb_friction", Port("tendon", "string"), {"friction": 0.1, "presliding": 1e-3})
+    friction = Effect("coulomb_friction", Location("tendon", "string"), {"friction": 0.1, "presliding": 1e-3})
     values = {"inertia": 1.0, "damping": 1.0, "zero": 0.0}
-    plain, knows = (ModelRobot(*paths, threads=1, earlier=Earlier(values, SURE, known)) for known in ((), (friction,)))
+    plain, knows = (
+        ModelRobot(*paths, threads=1, baseline=Baseline(values, SURE, known)) for known in ((), (friction,))
+    )
     assert [len(robot.refined()) for robot in (plain, knows)] == [2, 1]
 
 
 @pytest.mark.parametrize(
     ("known", "message"),
     [
-        (Earlier({"inertia": 1.0}, SURE, ()), "the earlier diagnosis has"),
-        (Earlier({"inertia": -1.0, "damping": 1.0, "zero": 0.0}, SURE, ()), "inertia = -1.0 was found earlier"),
-        (Earlier({"inertia": np.nan, "damping": 1.0, "zero": 0.0}, SURE, ()), "inertia = nan was found earlier"),
+        (Baseline({"inertia": 1.0}, SURE, ()), "the earlier diagnosis has"),
+        (Baseline({"inertia": -1.0, "damping": 1.0, "zero": 0.0}, SURE, ()), "inertia = -1.0 was found earlier"),
+        (Baseline({"inertia": np.nan, "damping": 1.0, "zero": 0.0}, SURE, ()), "inertia = nan was found earlier"),
         (
-            Earlier(
+            Baseline(
                 {"inertia": 1.0, "damping": 1.0, "zero": 0.0},
                 SURE,
-                (Effect("coulomb_friction", Port("joint", "elbow"), {"friction": 1.0}),),
+                (Effect("coulomb_friction", Location("joint", "elbow"), {"friction": 1.0}),),
             ),
             "effects that this robot cannot have",
         ),
@@ -114,7 +116,7 @@ def test_a_finer_model_without_a_place_for_what_is_known_is_left_out(paths):
 )
 def test_what_was_found_of_another_robot_is_refused(paths, known, message):
     with pytest.raises(ValueError, match=message):
-        ModelRobot(*paths, threads=1, earlier=known)
+        ModelRobot(*paths, threads=1, baseline=known)
 
 
 REPORT = '{"schema": "soro-bench/diagnosis/1", "parameters": {"a": {"value": %s, "ci90": [0, 1]}}}'
@@ -126,7 +128,7 @@ REPORT = '{"schema": "soro-bench/diagnosis/1", "parameters": {"a": {"value": %s,
 def test_a_file_that_is_no_report_is_refused(tmp_path, text):
     (tmp_path / "report.json").write_text(text)
     with pytest.raises(ValueError, match=r"report\.json"):
-        earlier(tmp_path)
+        baseline(tmp_path)
 
 
 GAIN = """
@@ -215,11 +217,11 @@ def test_a_star_in_a_name_stands_for_any_text(paths):
 def test_only_effects_that_a_model_can_have_are_suspects(paths):
     """Not an actuator without a limit of force that saturates, nor friction of a tendon with a spring of its own."""
     model, mapping = paths
-    names = {(one.name, one.where.kind) for one in suspects(ModelRobot(model, mapping, threads=1))}
+    names = {(one.name, one.location.kind) for one in terms(ModelRobot(model, mapping, threads=1))}
     assert {("actuator_saturation", "actuator"), ("coulomb_friction", "joint")} <= names
     tendon = '<tendon><fixed name="belt" stiffness="1"><joint joint="hinge" coef="1"/></fixed></tendon></mujoco>'
     model.write_text(ARM.replace(' forcerange="-1 1"', "").replace("</mujoco>", tendon))
-    names = {(one.name, one.where.kind) for one in suspects(ModelRobot(model, mapping, threads=1))}
+    names = {(one.name, one.location.kind) for one in terms(ModelRobot(model, mapping, threads=1))}
     assert ("actuator_saturation", "actuator") not in names
     assert ("coulomb_friction", "tendon") not in names
     assert {("coulomb_friction", "joint"), ("viscous_friction", "tendon")} <= names
@@ -231,9 +233,9 @@ def test_what_touches_and_flexes_of_any_model_are_places(paths):
     sheet = '<flexcomp name="sheet" type="grid" count="3 3 1" spacing="0.02 0.02 0.1" dim="2" mass="0.01" radius="1e-3"'
     sheet += '><elasticity young="1e5" thickness="1e-3" elastic2d="both"/><pin id="0"/></flexcomp>'
     touching = ARM.replace('contype="0" conaffinity="0"', 'name="skin"').replace("implicitfast", "Euler")
-    floor = f'<worldbody><geom name="floor" type="plane" size="1 1 1" pos="0 0 -0.1"/>{sheet}'
-    model.write_text(touching.replace("<worldbody>", floor))
-    found = {(one.name, one.where.kind, one.where.name) for one in suspects(ModelRobot(model, mapping, threads=1))}
+    discretisation = f'<worldbody><geom name="floor" type="plane" size="1 1 1" pos="0 0 -0.1"/>{sheet}'
+    model.write_text(touching.replace("<worldbody>", discretisation))
+    found = {(one.name, one.location.kind, one.location.name) for one in terms(ModelRobot(model, mapping, threads=1))}
     assert {("stiction", "geom", "skin"), ("adhesion", "geom", "floor"), ("local_stiffness", "flex", "sheet")} <= found
     assert {name for _, kind, name in found if kind == "joint"} == {"hinge"}
     assert ("stiction", "geom", "floor") not in found
@@ -244,12 +246,12 @@ def test_what_has_no_name_is_a_place_too(paths):
     model, mapping = paths
     finger = '<body pos="0.2 0 0"><joint axis="0 1 0"/><geom size="0.01" mass="0.01"/></body></body></worldbody>'
     model.write_text(ARM.replace("</body></worldbody>", finger))
-    found = {(one.name, str(one.where)) for one in suspects(ModelRobot(model, mapping, threads=1))}
+    found = {(one.name, str(one.location)) for one in terms(ModelRobot(model, mapping, threads=1))}
     assert {("coulomb_friction", "joint 1 of arm"), ("payload", "body 2 of arm")} <= found
 
 
 def test_laws_of_all_bodies_together_are_tried_at_a_single_one(paths):
-    found = {(one.name, str(one.where)) for one in suspects(ModelRobot(*paths, threads=1))}
+    found = {(one.name, str(one.location)) for one in terms(ModelRobot(*paths, threads=1))}
     assert ("fluid_drag", "body arm") in found
 
 
@@ -292,7 +294,7 @@ def test_sensors_can_be_what_is_explained(paths, sensor, shape):
                        + "[parameters" + MAP.split("[parameters", 1)[1])  # fmt: skip
     robot = ModelRobot(model, mapping, threads=1)
     assert robot.shape == shape
-    bias = next(one for one in suspects(robot) if one.name == "sensor_bias")
+    bias = next(one for one in terms(robot) if one.name == "sensor_bias")
     assert bias.size == shape[1]
     goals = np.full((20, 1), 0.4)
     (values,) = robot.simulate(goals, np.array([[1.0, 1.0, 0.0]]), [()])
@@ -307,8 +309,13 @@ def test_channels_are_those_of_all_actuators(paths):
     model.write_text(ARM.replace("<actuator>", string + more))
     robot = ModelRobot(model, mapping, threads=1)
     assert robot.channels == ["actuator 0 of arm", "actuator pull", "actuator motor"]
-    places = [Port("actuator", "motor"), Port("tendon", "string"), Port("actuator", "*"), Port("joint", "hinge")]
-    assert [robot.channel(where) for where in places] == [2, 1, None, None]
+    places = [
+        Location("actuator", "motor"),
+        Location("tendon", "string"),
+        Location("actuator", "*"),
+        Location("joint", "hinge"),
+    ]
+    assert [robot.channel(location) for location in places] == [2, 1, None, None]
     assert robot.commanded(np.eye(3), np.ones((1, 3))).shape == (3, 3)
 
 
@@ -339,7 +346,7 @@ def test_a_proposed_motion_of_an_actuator_without_a_range_is_within_what_was_rec
 def test_a_delayed_servo_stays_where_its_first_command_holds_it(paths):
     model, mapping = paths
     mapping.write_text(MAP.replace("control_timestep = 0.02", "control_timestep = 0.02\nsettle = 5.0"))
-    delay = Effect("actuator_delay", Port("actuator", "motor"), {"delay": 0.1})
+    delay = Effect("actuator_delay", Location("actuator", "motor"), {"delay": 0.1})
     robot, parameters = ModelRobot(model, mapping, threads=1), np.array([[1.0, 1.0, 0.0]])
     mapping.write_text(MAP)
     begun = ModelRobot(model, mapping, threads=1)
@@ -359,18 +366,18 @@ def test_a_delayed_servo_stays_where_its_first_command_holds_it(paths):
     ],
 )
 def test_units_are_those_of_what_turns(paths, name, kind, place, unit):
-    assert unit_at(ModelRobot(*paths, threads=1), QUANTITIES[name][0].unit, Port(kind, place)) == unit
+    assert unit_at(ModelRobot(*paths, threads=1), QUANTITIES[name][0].unit, Location(kind, place)) == unit
 
 
-@pytest.mark.parametrize("since", [False, True])
-def test_parameters_that_went_far_are_told_with_their_values(paths, since):
+@pytest.mark.parametrize("from_baseline", [False, True])
+def test_parameters_that_went_far_are_told_with_their_values(paths, from_baseline):
     """From where the model had them, or where the earlier diagnosis had found them."""
-    known = Earlier({"inertia": 1.0, "damping": 1.0, "zero": 0.0}, SURE, ()) if since else None
-    robot = ModelRobot(*paths, threads=1, earlier=known)
+    known = Baseline({"inertia": 1.0, "damping": 1.0, "zero": 0.0}, SURE, ()) if from_baseline else None
+    robot = ModelRobot(*paths, threads=1, baseline=known)
     nominal = SimpleNamespace(x=np.array([0.5, 3.5, -1.0]))
     found = SimpleNamespace(robot=robot, verdict="none_detected", explanation=SimpleNamespace(nominal=nominal))
     found.best = SimpleNamespace(heldout=None)
-    begin, value = ("what the earlier diagnosis found", 1.11) if since else ("their nominal values", 2.86)
+    begin, value = ("what the earlier diagnosis found", 1.11) if from_baseline else ("their nominal values", 2.86)
     assert _far(found).startswith(
         f"Far from {begin}, in standard deviations of their priors: damping from 1 to {value} (+3.5);"
     )
@@ -393,7 +400,7 @@ def test_a_simulation_that_diverges_is_no_physics(paths, stiffness, tmp_path, mo
 
 def test_a_delay_of_everything_measured_is_compared_with_one_of_everything_commanded(paths):
     """Whichever the search meets first, and on whatever else."""
-    hidden = [Effect("actuator_delay", Port("actuator", "motor"), {"delay": 0.16})]
+    hidden = [Effect("actuator_delay", Location("actuator", "motor"), {"delay": 0.16})]
     found = diagnose(ModelRobot(*paths, threads=1), [recording(paths, hidden, 2)])
     names = [answer.names for answer in found.comparison.answers]
     assert ("actuator_delay",) in names
@@ -403,13 +410,13 @@ def test_a_delay_of_everything_measured_is_compared_with_one_of_everything_comma
 
 def test_a_plainer_law_than_that_of_the_best_hypothesis_is_tried_where_that_ended(paths):
     """Dry friction, where friction of a loaded gear, which has it too, leads."""
-    hidden = [Effect("coulomb_friction", Port("joint", "hinge"), {"friction": 0.05, "presliding": 0.0005})]
+    hidden = [Effect("coulomb_friction", Location("joint", "hinge"), {"friction": 0.05, "presliding": 0.0005})]
     robot = ModelRobot(*paths, threads=1)
     problem = unexplained(robot, (robot.measured(recording(paths, hidden, 0)),), 5e-4)
-    candidates = suspects(robot)
+    candidates = terms(robot)
     gear = next(s for s in candidates if s.name == "gear_friction")
     (best,) = fitted(problem, [Guess(np.concatenate([np.zeros(3), gear.simulated]), (gear,))], (0.3,), 0)
-    found = {h.suspects[-1].name: h for h in plainer(problem, best, [best], candidates, 0)}
+    found = {h.terms[-1].name: h for h in simplify(problem, best, [best], candidates, 0)}
     assert {"coulomb_friction", "stribeck_friction"} <= found.keys() and "gear_friction" not in found
     assert found["coulomb_friction"].cost < best.cost
     assert found["coulomb_friction"].effects(3)[0].parameters["friction"] == pytest.approx(0.05, rel=0.2)

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
-from soro_bench.diagnosis.estimation.data_quality import audit
+from soro_bench.diagnosis.estimation.data_quality import data_quality
 from soro_bench.diagnosis.estimation.unit_check import check_scale
 from soro_bench.diagnosis.pipeline import diagnose, unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
@@ -24,7 +24,9 @@ def test_what_lies_between_two_samples_is_not_measured(paths):
     measured = ModelRobot(*paths, threads=1).measured(sparse)
     assert np.isfinite(measured.values[1::2]).all() and np.isnan(measured.values[::2]).all()
     assert measured.values[1::2].ravel() == pytest.approx(signal.values[2::2])
-    assert audit(measured) == audit(replace(measured, values=measured.values[1::2], time=measured.time[1::2]))
+    assert data_quality(measured) == data_quality(
+        replace(measured, values=measured.values[1::2], time=measured.time[1::2])
+    )
 
 
 def test_a_recording_that_does_not_say_where_it_begins_is_refused(paths):

@@ -22,24 +22,24 @@ from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.selection.model_probabilities import Fit
 from soro_bench.effects.catalogue import ALL, QUANTITIES
-from soro_bench.effects.effect import EVERY, Effect, Port, load_effects
+from soro_bench.effects.effect import EVERY, Effect, Location, load_effects
 from soro_bench.effects.elements import AUXILIARY, FOUND, instrument, without_unused_springs
 from soro_bench.envs.trunk import NUM_KEYPOINTS
 from soro_bench.models.trunk_geometry import CABLE_RATE
 from tests.arm import ARM, MAP
 
 X = np.array([0.3, -0.4, 0.2, 0.3, 0.1])  # fitted parameters, in standard deviations of their priors
-PAYLOAD = Effect("payload", Port("body", "vertebra7"), {"mass": 0.04})
-DELAY = Effect("actuator_delay", Port("actuator", EVERY), {"delay": 0.01})
+PAYLOAD = Effect("payload", Location("body", "vertebra7"), {"mass": 0.04})
+DELAY = Effect("actuator_delay", Location("actuator", EVERY), {"delay": 0.01})
 NATIVE = [
     PAYLOAD,
-    Effect("local_stiffness", Port("body", "vertebra3"), {"factor": 0.6}),
-    Effect("hysteresis", Port("body", "vertebra5"), {"ratio": 0.5, "yield_strain": 0.03}),
-    Effect("plastic_set", Port("body", "vertebra6"), {"softness": 5.0, "share": 0.5}),
-    Effect("viscous_friction", Port("tendon", "L1"), {"damping": 2.6}),
-    Effect("compliance", Port("actuator", "L2"), {"compliance": 1e-4}),
-    Effect("actuator_saturation", Port("actuator", "S2"), {"loss": 0.5}),
-    Effect("base_tilt", Port("model", "gravity"), {"about_x": 0.02, "about_y": 0.01, "about_z": -0.03}),
+    Effect("local_stiffness", Location("body", "vertebra3"), {"factor": 0.6}),
+    Effect("hysteresis", Location("body", "vertebra5"), {"ratio": 0.5, "yield_strain": 0.03}),
+    Effect("plastic_set", Location("body", "vertebra6"), {"softness": 5.0, "share": 0.5}),
+    Effect("viscous_friction", Location("tendon", "L1"), {"damping": 2.6}),
+    Effect("compliance", Location("actuator", "L2"), {"compliance": 1e-4}),
+    Effect("actuator_saturation", Location("actuator", "S2"), {"loss": 0.5}),
+    Effect("base_tilt", Location("model", "gravity"), {"about_x": 0.02, "about_y": 0.01, "about_z": -0.03}),
 ]
 
 
@@ -208,14 +208,14 @@ def test_a_flex_has_no_patched_model_and_the_reason_is_given(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "where", "native"),
+    ("name", "location", "native"),
     [
-        ("hysteresis", Port("body", "vertebra4"), True),
-        ("actuator_gain", Port("actuator", "L1"), False),
-        ("coulomb_friction", Port("tendon", "L1"), False),
-        ("sensor_bias", Port("sensor", "keypoints", 3), False),
+        ("hysteresis", Location("body", "vertebra4"), True),
+        ("actuator_gain", Location("actuator", "L1"), False),
+        ("coulomb_friction", Location("tendon", "L1"), False),
+        ("sensor_bias", Location("sensor", "keypoints", 3), False),
     ],
 )
-def test_an_effect_is_native_if_the_fields_of_a_model_can_hold_it(robot, name, where, native):
+def test_an_effect_is_native_if_the_fields_of_a_model_can_hold_it(robot, name, location, native):
     parameters = {q.name: q.bounds[1] if np.isfinite(q.bounds[1]) else q.typical for q in QUANTITIES[name]}
-    assert robot.native(Effect(name, where, parameters)) is native
+    assert robot.native(Effect(name, location, parameters)) is native

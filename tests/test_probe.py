@@ -6,31 +6,31 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.candidates import suspect
+from soro_bench.diagnosis.candidates import term
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.estimation.problem import Problem
-from soro_bench.diagnosis.localisation.ranking import _raced, places
+from soro_bench.diagnosis.localisation.ranking import _raced, ranked_locations
 from soro_bench.diagnosis.localisation.test_inputs import Source, replayed, setpoints, sources
 from soro_bench.diagnosis.localisation.unknown_inputs import Driven
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
-from soro_bench.effects.effect import EVERY, Effect, Port
-from soro_bench.inference.clouds import LowRank
+from soro_bench.effects.effect import EVERY, Effect, Location
+from soro_bench.inference.statistical_linearisation import LowRank
 from tests.arm import ARM, MAP
 from tests.trunk import SIGMA, problem
 
 
-@pytest.mark.parametrize("where", [Port("tendon", "L2"), Port("body", "vertebra5")])
-def test_a_force_without_a_name_is_found_at_its_place(robot, actions, where):
+@pytest.mark.parametrize("location", [Location("tendon", "L2"), Location("body", "vertebra5")])
+def test_a_force_without_a_name_is_found_at_its_place(robot, actions, location):
     """A force that comes and goes, which no law of the catalogue exerts."""
-    batch, model, i = robot.simulation.batch, robot.simulation.model, robot.elements.id(where)
+    batch, model, i = robot.simulation.batch, robot.simulation.model, robot.elements.id(location)
     for name in ("ten_J", "xfrc_applied", "qfrc_applied"):
         batch.bind(name)
 
     def pull(step):
         force = 1.0 + np.sin(step / 5)
-        if where.kind == "body":
+        if location.kind == "body":
             batch.xfrc_applied[0, i, 0] = 0.1 * force
         else:
             entries = model.ten_J_rowadr[i] + np.arange(model.ten_J_rownnz[i])
@@ -39,11 +39,11 @@ def test_a_force_without_a_name_is_found_at_its_place(robot, actions, where):
     given = problem(robot, actions, before_step=pull)
     batch.xfrc_applied[:] = batch.qfrc_applied[:] = 0.0
     (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1, 0.05), seed=0)
-    best = places(given, robot, base)[0]
-    assert best.where == where
-    component = best.force.components.index("x" if where.kind == "body" else "pull")
+    best = ranked_locations(given, robot, base)[0]
+    assert best.location == location
+    component = best.force.components.index("x" if location.kind == "body" else "pull")
     steps = best.force.start / 0.05
-    truth = (0.1 if where.kind == "body" else 1.0) * (1.0 + np.sin(steps / 5))
+    truth = (0.1 if location.kind == "body" else 1.0) * (1.0 + np.sin(steps / 5))
     truth, force = truth[:-2], best.force.values[:-2, component]  # little is seen of what acts at the very end
     assert force.mean() == pytest.approx(truth.mean(), rel=0.2)
     assert np.corrcoef(force, truth)[0, 1] > 0.5
@@ -53,7 +53,7 @@ def test_a_force_without_a_name_is_found_at_its_place(robot, actions, where):
 
 def test_a_setpoint_that_wanders_is_found_at_its_actuator(robot, actions):
     """A servo gives way to no force, so that a pull along its cable could not stand for it."""
-    batch, i = robot.simulation.batch, robot.elements.id(Port("actuator", "L2"))
+    batch, i = robot.simulation.batch, robot.elements.id(Location("actuator", "L2"))
     slot = robot.simulation.model.actuator_actadr[i]
 
     def move(step):
@@ -61,8 +61,8 @@ def test_a_setpoint_that_wanders_is_found_at_its_actuator(robot, actions):
 
     given = problem(robot, actions, before_step=move)
     (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1, 0.05), seed=0)
-    best = places(given, robot, base)[0]
-    assert best.where == Port("actuator", "L2")
+    best = ranked_locations(given, robot, base)[0]
+    assert best.location == Location("actuator", "L2")
     assert best.force.components == ("offset",)
 
 
@@ -78,30 +78,36 @@ def test_places_beside_the_best_are_tried_as_long_as_one_of_them_is_better(robot
             return [Driven(one, SimpleNamespace(linear=linear), *5 * [None]) for one in some]
 
         def better(self, driven):
-            return [replace(one, gain=0.5 * (one.gain + most[one.where.name])) for one in driven]
+            return [replace(one, gain=0.5 * (one.gain + most[one.location.name])) for one in driven]
 
     search = Known(robot=robot)
-    chosen = [one for one in everything if one.where.name in ("vertebra5", "gravity") and one.pushes[0].kind == "world"]
+    chosen = [
+        one
+        for one in everything
+        if one.location.name in ("vertebra5", "gravity") and one.unit_inputs[0].kind == "world"
+    ]
     race = _raced(search, search.begin(chosen, False), everything)
-    assert sorted(one.where.name for one in race.driven) == sorted(most)
-    assert race.best.where.name == "vertebra4"
+    assert sorted(one.location.name for one in race.driven) == sorted(most)
+    assert race.best.location.name == "vertebra4"
 
 
 def test_where_nothing_acts_there_is_no_place(robot, actions):
     """Any force explains a little noise."""
     given = problem(robot, actions)
     (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1, 0.05), seed=0)
-    assert places(given, robot, base) == []
+    assert ranked_locations(given, robot, base) == []
 
 
 def test_what_pushes_a_body_and_a_law_that_does_so_too_add_up(robot, actions):
     """Drag that is known, or in a hypothesis, takes nothing from the pushes of the probes."""
     given = problem(robot, actions)
-    drag, x = suspect(robot, "fluid_drag", Port("body", EVERY)), np.append(np.zeros(5), 1e-6)
-    where, ones = Port("body", "vertebra5"), [np.ones((len(actions), 3))]
+    drag, x = term(robot, "fluid_drag", Location("body", EVERY)), np.append(np.zeros(5), 1e-6)
+    location, ones = Location("body", "vertebra5"), [np.ones((len(actions), 3))]
     bases = [Hypothesis(tuple(laws), x[: 5 + len(laws)], None, 0.0, None, None) for laws in ([], [drag])]
     (source,) = [
-        each for each in sources(given, robot, bases[0]) if each.where == where and each.pushes[0].kind == "world"
+        each
+        for each in sources(given, robot, bases[0])
+        if each.location == location and each.unit_inputs[0].kind == "world"
     ]
     at = np.zeros(5)
     acting = [(at, source, ones), (at, Source(()), [np.zeros((len(actions), 0))])]
@@ -112,10 +118,10 @@ def test_what_pushes_a_body_and_a_law_that_does_so_too_add_up(robot, actions):
 
 def test_a_walkers_chamber_that_is_filled_too_much_is_found():
     """It has neither tendons nor bodies with names: actuators, gravity and measured points are left."""
-    robot, where = SuiteRobot("MultiGait-v0", threads=1), Port("actuator", "front_left")
+    robot, location = SuiteRobot("MultiGait-v0", threads=1), Location("actuator", "front_left")
     nominal = np.array([[prior.nominal for prior in robot.priors]])
     actions = np.array([[1.0, -1.0, 1.0], [-1.0, 1.0, -1.0]], np.float32)
-    more = Effect("pretension", where, {"offset": 0.1})
+    more = Effect("pretension", location, {"offset": 0.1})
     values = robot.simulate(actions, nominal, [[more]])[0]
     values = values + SIGMA * np.random.default_rng(0).standard_normal(values.shape)
     measured = Measured(
@@ -127,8 +133,8 @@ def test_a_walkers_chamber_that_is_filled_too_much_is_found():
     base = Hypothesis(
         (), x, residual, given.cost(residual, x), np.zeros((n, residual.size)), np.zeros((0, residual.size))
     )
-    best = places(given, robot, base)[0]
-    assert best.where == where
+    best = ranked_locations(given, robot, base)[0]
+    assert best.location == location
 
 
 def test_forces_are_found_on_a_robot_whose_actuators_have_no_state(tmp_path):
@@ -138,15 +144,15 @@ def test_forces_are_found_on_a_robot_whose_actuators_have_no_state(tmp_path):
     paths[0].write_text(ARM.replace("</body></worldbody>", f"{link}</body></body></worldbody>"))
     paths[1].write_text(MAP)
     robot = ModelRobot(*paths, threads=1)
-    batch, i = robot.simulation.batch, robot.elements.id(Port("body", "link"))
+    batch, i = robot.simulation.batch, robot.elements.id(Location("body", "link"))
     batch.bind("xfrc_applied")
 
-    def push(step):
+    def apply_input(step):
         batch.xfrc_applied[0, i, 2] = 0.2 * (1.0 + np.sin(step / 7))
 
     goals = np.repeat([0.3, -0.2, 0.4, 0.0], 40)[:, None]
     start = np.zeros((1, 1))
-    (values,) = robot.simulate(goals, np.array([[1.0, 1.0, 0.0]]), [()], start, push)
+    (values,) = robot.simulate(goals, np.array([[1.0, 1.0, 0.0]]), [()], start, apply_input)
     batch.xfrc_applied[:] = 0.0
     values = values + SIGMA * np.random.default_rng(0).standard_normal(values.shape)
     time = 0.02 * np.arange(1, len(goals) + 1)
@@ -155,8 +161,8 @@ def test_forces_are_found_on_a_robot_whose_actuators_have_no_state(tmp_path):
         LowRank(np.zeros((0, values.size))),
     )  # fmt: skip
     (base,) = fitted(given, [Guess(np.zeros(3))], (0.7, 0.3, 0.1), seed=0)
-    turned = {source.where.name for source in sources(given, robot, base) if source.pushes[0].kind == "joint"}
+    turned = {source.location.name for source in sources(given, robot, base) if source.unit_inputs[0].kind == "joint"}
     assert turned == {"arm", "link"}
     np.testing.assert_array_equal(setpoints(given, robot, base)[0], goals)
-    found = {place.where: place for place in places(given, robot, base)}
-    assert found[Port("body", "link")].force.left < 0.2 * given.left(base.residual)
+    found = {site.location: site for site in ranked_locations(given, robot, base)}
+    assert found[Location("body", "link")].force.left < 0.2 * given.left(base.residual)

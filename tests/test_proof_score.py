@@ -4,7 +4,7 @@ import hashlib
 
 import pytest
 
-from soro_bench.blind_benchmark import prove
+from soro_bench.blind_benchmark import run as module
 from soro_bench.blind_benchmark.ablation_score import ablation_rows, by_bic
 from soro_bench.blind_benchmark.magnitude import magnitude_errors
 from soro_bench.blind_benchmark.score import opened_labels, scored
@@ -12,28 +12,28 @@ from soro_bench.blind_benchmark.scorecard import markdown
 from soro_bench.files import write_json
 
 
-def label(number, group="one", name="payload", category="inertia", kind="body", place="vertebra4", index=None):
-    where = {"kind": kind, "name": place, **({} if index is None else {"index": index})}
+def label(number, group="one", name="payload", category="inertia", kind="body", site="vertebra4", index=None):
+    location = {"kind": kind, "name": site, **({} if index is None else {"index": index})}
     mass = {"mass": {"value": 0.1, "unit": "kg"}}
-    effects = [] if group == "none" else [{"name": name, "class": category, "where": where, "parameters": mass}]
+    effects = [] if group == "none" else [{"name": name, "class": category, "where": location, "parameters": mass}]
     change = {"train": 0.0 if group == "none" else 2.0, "task": 0.0 if group == "none" else 1.0}
     return {"id": f"case_{number:03d}", "group": group, "robot": "fine", "effects": effects, "change_mm": change,
             "noise": {"value": 5e-4, "unit": "m"}}  # fmt: skip
 
 
-def hypothesis(names, where, excess, unknowns):
-    return {"names": names, "where": [where] * len(names), "excess": excess, "unknowns": unknowns, "samples": 1000}
+def hypothesis(names, location, misfit, unknowns):
+    return {"names": names, "where": [location] * len(names), "excess": misfit, "unknowns": unknowns, "samples": 1000}
 
 
-def report(name="payload", category="inertia", kind="body", place="vertebra4", chance=0.9, verdict="missing_physics"):
-    where = None if name == "none" else {"kind": kind, "name": place}
+def report(name="payload", category="inertia", kind="body", site="vertebra4", chance=0.9, verdict="missing_physics"):
+    location = None if name == "none" else {"kind": kind, "name": site}
     mass = {"mass": {"value": 0.11, "unit": "kg", "ci90": [0.09, 0.13]}}
-    first = {"name": name, "class": category, "probability": chance, "where": where, "parameters": mass}
+    first = {"name": name, "class": category, "probability": chance, "where": location, "parameters": mass}
     rest = {"name": "unknown", "class": "unknown", "probability": 1 - chance, "where": None}
     fit = {"rmse_before": 6e-4, "rmse_after": 5e-4, "noise_floor": 5e-4}
     return {"effects": [first, rest], "verdict": verdict, "credible_set": [name],
             "classes": [{"class": category, "probability": chance}, {"class": "unknown", "probability": 1 - chance}],
-            "hypotheses": [hypothesis([name] if where else [], where, 10.0, 6), hypothesis([], None, 100.0, 5)],
+            "hypotheses": [hypothesis([name] if location else [], location, 10.0, 6), hypothesis([], None, 100.0, 5)],
             "fit": {"train": fit, "parameters_only": 6e-4}, "unseen": fit | {"fve": 0.95}, "seconds": 50.0}  # fmt: skip
 
 
@@ -84,10 +84,10 @@ def test_the_answer_of_a_report_that_detects_nothing_is_nothing():
 
 
 def test_places_of_cables_and_segments_are_counted_apart_from_those_that_cannot_be_wrong():
-    labels = [label(0), label(1, name="actuator_saturation", kind="actuator", place="L2"),
-              label(2, name="base_tilt", kind="model", place="gravity")]  # fmt: skip
-    reports = [report(), report("actuator_saturation", kind="actuator", place="L1"),
-               report("base_tilt", kind="model", place="gravity")]  # fmt: skip
+    labels = [label(0), label(1, name="actuator_saturation", kind="actuator", site="L2"),
+              label(2, name="base_tilt", kind="model", site="gravity")]  # fmt: skip
+    reports = [report(), report("actuator_saturation", kind="actuator", site="L1"),
+               report("base_tilt", kind="model", site="gravity")]  # fmt: skip
     found, card = values(labels, reports)
     assert found["of right names: segment or keypoint within one"] == 1.0
     assert found["of right names: cable right"] == 0.0
@@ -206,23 +206,23 @@ def test_labels_are_opened_only_when_every_case_has_its_report(tmp_path, monkeyp
         for i in (0, 1):
             (folder / f"case_{i:03d}").mkdir(parents=True, exist_ok=True)
 
-    monkeypatch.setattr(prove, "write_cases", write_cases)
-    monkeypatch.setattr(prove, "SuiteRobot", lambda env_id, threads: None)
-    monkeypatch.setattr(prove, "load", lambda path: path)
-    monkeypatch.setattr(prove, "diagnose", lambda robot, train, heldout: done.append(train[0].parent.name))
-    monkeypatch.setattr(prove, "report_of", lambda found: report())
-    monkeypatch.setattr(prove, "unseen", lambda found, recording: report()["unseen"])
-    monkeypatch.setattr(prove, "opened_labels", lambda folder: [label(i) for i in range(len(done))])
+    monkeypatch.setattr(module, "write_cases", write_cases)
+    monkeypatch.setattr(module, "SuiteRobot", lambda env_id, threads: None)
+    monkeypatch.setattr(module, "load", lambda path: path)
+    monkeypatch.setattr(module, "diagnose", lambda robot, train, heldout: done.append(train[0].parent.name))
+    monkeypatch.setattr(module, "report_of", lambda found: report())
+    monkeypatch.setattr(module, "unseen", lambda found, recording: report()["unseen"])
+    monkeypatch.setattr(module, "opened_labels", lambda folder: [label(i) for i in range(len(done))])
     (tmp_path / "reports").mkdir()
-    text = prove.prove(tmp_path, 2, 0)
+    text = module.run_blind_benchmark(tmp_path, 2, 0)
     assert done == ["case_000", "case_001"]
     assert "| first answer right | 2 | 1 |" in text
     (tmp_path / "reports" / "case_000.json").unlink()
-    prove.prove(tmp_path, 2, 0)
+    module.run_blind_benchmark(tmp_path, 2, 0)
     assert done == ["case_000", "case_001", "case_000"]
     (tmp_path / "reports" / "method.txt").write_text("of another version\n")
     with pytest.raises(ValueError, match="another version"):
-        prove.prove(tmp_path, 2, 0)
+        module.run_blind_benchmark(tmp_path, 2, 0)
 
 
 def test_ablations_are_scored_on_the_cases_that_all_have():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
 
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.effect import Effect, Location
 from soro_bench.envs.wrappers import DomainRandomization, VectorDomainRandomization
 from soro_bench.parameters import ALL_PARAMETERS, FRICTION, POISSON_RATIO, TRUNK_MASS, YOUNG_MODULUS
 from soro_bench.randomization import Gaussian, TruncatedNormal, Uniform, from_dict, load, random_box, search_box
@@ -241,7 +241,7 @@ def test_an_environment_is_randomised_by_one_distribution():
 
 def test_a_randomised_environment_is_made_again_from_the_json_of_its_spec():
     """With the same draws, and an equal spec."""
-    effect = Effect("actuator_gain", Port("actuator", "L2"), {"gain": 0.7})
+    effect = Effect("actuator_gain", Location("actuator", "L2"), {"gain": 0.7})
     env = DomainRandomization(gymnasium.make("TrunkReach-v0", model="cable", effects=[effect]), SEARCH)
     spec = EnvSpec.from_json(env.spec.to_json())
     again = gymnasium.make(spec)

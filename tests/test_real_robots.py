@@ -9,7 +9,7 @@ import pytest
 
 from soro_bench.assets import mjcf_path
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.effect import Effect, Location
 from soro_bench.models.real_robots import ASL, OPENCR, ROBOTS
 
 FILES = [f"{name}{fine}.xml" for name in ROBOTS for fine in ("", "_fine")]
@@ -133,6 +133,6 @@ def test_the_model_is_near_the_recording_of_opencr_tdcr():
 
 
 def test_the_model_is_near_the_recording_of_the_asl_trunk_if_commands_come_late():
-    late = [Effect("actuator_delay", Port("actuator", "*"), {"delay": 0.22})]
+    late = [Effect("actuator_delay", Location("actuator", "*"), {"delay": 0.22})]
     assert missed("asl_trunk", "servo_random1_0g.npz", 500, late) < 13.0
     assert missed("asl_trunk", "servo_random1_0g.npz", 500, []) > 25.0

@@ -9,7 +9,7 @@ import pytest
 
 from soro_bench.assets import mjcf_path
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.effect import Effect, Location
 from soro_bench.models import silicone_beam as beam
 
 BENDING = beam.YOUNG * beam.SIDE**4 / 12  # N m^2
@@ -81,11 +81,11 @@ def test_nothing_is_damped_but_by_the_model():
 @pytest.mark.parametrize(
     ("name", "port", "parameters", "last_over_first"),
     [
-        ("coulomb_friction", Port("joint", "bend_y1of4"), {"friction": 1e-3, "presliding": 1e-3}, (1.4, 2.5)),
-        ("fluid_drag", Port("body", "*"), {"drag": 0.5}, (0.2, 0.6)),
-        ("hysteresis", Port("body", "*"), {"ratio": 0.1, "yield_strain": 0.02}, (0.1, 0.6)),
-        ("viscoelastic_creep", Port("body", "*"), {"ratio": 0.2, "time_constant": 0.05}, (0.85, 1.15)),
-        ("viscous_friction", Port("joint", "bend_y1of4"), {"damping": 2e-3}, (0.85, 1.15)),
+        ("coulomb_friction", Location("joint", "bend_y1of4"), {"friction": 1e-3, "presliding": 1e-3}, (1.4, 2.5)),
+        ("fluid_drag", Location("body", "*"), {"drag": 0.5}, (0.2, 0.6)),
+        ("hysteresis", Location("body", "*"), {"ratio": 0.1, "yield_strain": 0.02}, (0.1, 0.6)),
+        ("viscoelastic_creep", Location("body", "*"), {"ratio": 0.2, "time_constant": 0.05}, (0.85, 1.15)),
+        ("viscous_friction", Location("joint", "bend_y1of4"), {"damping": 2e-3}, (0.85, 1.15)),
     ],
 )
 def test_damping_laws_show_in_how_the_decrement_changes_as_the_swing_dies_down(name, port, parameters, last_over_first):

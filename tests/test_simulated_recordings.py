@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.effect import Effect, Location
 from soro_bench.policies.policy import Policy, PolicyCard
 from soro_bench.recording import comparison, rerun_runs
 from soro_bench.recording import distances as measured_distances
@@ -275,7 +275,7 @@ def test_times_of_a_long_table_increase_by_a_time_step_each(tmp_path):
 
 
 def test_a_robot_with_hidden_physics_is_recorded_and_a_replay_does_not_have_it():
-    delay = Effect("actuator_delay", Port("actuator", "*"), {"delay": 0.1})
+    delay = Effect("actuator_delay", Location("actuator", "*"), {"delay": 0.1})
     plain, hidden = (record("TrunkReach-v0", model="cable", steps=10, effects=some) for some in (None, [delay]))
     points = [one.signals["keypoints"].values for one in (plain, hidden)]
     assert np.abs(points[0] - points[1]).max() > 1e-3

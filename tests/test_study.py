@@ -80,13 +80,13 @@ def test_a_summary_begins_with_the_answer_that_its_report_is_of(study, monkeypat
     monkeypatch.setattr(module, "errors_of", lambda *_: {})
     monkeypatch.setattr(Hypothesis, "log_evidence", lambda *_: 0.0)
     monkeypatch.setattr(
-        Hypothesis, "effects", lambda h, _: [SimpleNamespace(to_json=lambda s=s: s.name) for s in h.suspects]
+        Hypothesis, "effects", lambda h, _: [SimpleNamespace(to_json=lambda s=s: s.name) for s in h.terms]
     )
     nominal = Hypothesis((), np.zeros(3), np.zeros(1), 0.0, np.zeros((3, 1)), np.zeros((0, 1)))
 
     def answer(probability, *names):
-        suspects = tuple(SimpleNamespace(name=name, where="hinge") for name in names)
-        return Answer(replace(nominal, suspects=suspects), probability, 0.0, None, None, 0.0)
+        terms = tuple(SimpleNamespace(name=name, location="hinge") for name in names)
+        return Answer(replace(nominal, terms=terms), probability, 0.0, None, None, 0.0)
 
     answers = (answer(0.4, "payload"), answer(0.3, "backlash", "compliance"), answer(0.27, "backlash"))
     robot = SimpleNamespace(measured=lambda _: None, priors=[None] * 3, unit="rad")
@@ -124,8 +124,8 @@ def test_files_of_a_study_are_there(name):
 def test_what_has_no_name_comes_first_in_the_table_only_where_no_effect_is_likelier():
     """Whatever comes with it: two answers share an effect here."""
     errors = {"train": {"mean_absolute": 1.0, "rms": 1.0, "rms_without_mean": 1.0}}
-    where = {"kind": "joint", "name": "hinge"}
-    common, other = ({"name": name, "where": where} for name in ("viscous_friction", "backlash"))
+    location = {"kind": "joint", "name": "hinge"}
+    common, other = ({"name": name, "where": location} for name in ("viscous_friction", "backlash"))
     answers = [{"effects": [common], "probability": 0.3, **errors},
                {"effects": [common, other], "probability": 0.25, **errors}]  # fmt: skip
     summary = {"study": "arm", "part": "first", "answers": answers, "nominal": errors, "parameters": errors,

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.candidates import suspects
+from soro_bench.diagnosis.candidates import terms
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
-from soro_bench.effects.effect import EVERY, Effect, Port
+from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.recording.simulated import record
 from soro_bench.registration import ENV_IDS
 
@@ -25,7 +25,7 @@ def test_it_moves_as_its_environment_does(robot):
 
 
 def test_every_kind_of_effect_that_it_can_have_is_suspected(robot):
-    found = {one.name for one in suspects(robot)}
+    found = {one.name for one in terms(robot)}
     assert {"actuator_delay", "actuator_gain", "local_stiffness", "base_tilt", "sensor_bias"} <= found
     assert ("pressure_leak" in found) == robot.pneumatic == (robot.env_id == "MultiGait-v0")
     assert ("coulomb_friction" in found) != robot.pneumatic
@@ -46,14 +46,14 @@ def test_a_number_of_an_action_may_move_several_actuators():
         "actuator rear_left and rear_right",
         "actuator front_left and front_right",
     ]
-    assert robot.channel(Port("actuator", "front_right")) == 2
-    assert robot.channel(Port("actuator", EVERY)) is None
+    assert robot.channel(Location("actuator", "front_right")) == 2
+    assert robot.channel(Location("actuator", EVERY)) is None
 
 
 def test_an_effect_of_the_material_at_every_body_leaves_out_a_free_object():
     robot = SuiteRobot("TrunkPush-v0", threads=1)
-    assert robot.accepts([Effect("stiffening", Port("body", EVERY), {"beta": 1.0})])
-    assert not robot.accepts([Effect("stiffening", Port("body", "object"), {"beta": 1.0})])
+    assert robot.accepts([Effect("stiffening", Location("body", EVERY), {"beta": 1.0})])
+    assert not robot.accepts([Effect("stiffening", Location("body", "object"), {"beta": 1.0})])
 
 
 def test_what_has_no_robot_is_refused():
@@ -64,8 +64,8 @@ def test_what_has_no_robot_is_refused():
 def test_laws_that_work_between_time_steps_are_replayed_beside_others_with_the_same_bytes():
     """On two threads, each kind by simulations of its own."""
     actions = np.random.default_rng(0).uniform(-1, 1, (8, 8)).astype(np.float32)
-    payload = Effect("payload", Port("body", "vertebra7"), {"mass": 0.04})
-    friction = Effect("coulomb_friction", Port("tendon", "L1"), {"friction": 1.0})
+    payload = Effect("payload", Location("body", "vertebra7"), {"mass": 0.04})
+    friction = Effect("coulomb_friction", Location("tendon", "L1"), {"friction": 1.0})
     effects = [(), (payload,), (friction,), (payload, friction)]
     found = []
     for threads in (1, 2):

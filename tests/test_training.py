@@ -16,7 +16,7 @@ pytest.importorskip("stable_baselines3", reason="needs the train extra")
 
 from safetensors.numpy import load_file, save_file
 
-from soro_bench.effects.effect import Effect, Port, save_effects
+from soro_bench.effects.effect import Effect, Location, save_effects
 from soro_bench.evaluation import evaluate
 from soro_bench.files import read_json, write_json
 from soro_bench.policies.policy import Policy
@@ -90,7 +90,7 @@ def test_two_threads_train_the_same_policy(trained, tmp_path):
 
 def test_a_policy_is_trained_with_the_physics_of_an_effects_file(trained, tmp_path):
     path = tmp_path / "effects.json"
-    save_effects([Effect("actuator_delay", Port("actuator", "*"), {"delay": 0.1})], path)
+    save_effects([Effect("actuator_delay", Location("actuator", "*"), {"delay": 0.1})], path)
     train(PPOConfig(**{**CONFIG.__dict__, "effects": str(path)}), tmp_path / "run")
     assert _bytes(tmp_path / "run") != _bytes(trained)
     config = json.loads((tmp_path / "run" / "config.json").read_text())

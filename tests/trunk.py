@@ -4,7 +4,7 @@ import numpy as np
 
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.measured import Measured
-from soro_bench.inference.clouds import LowRank
+from soro_bench.inference.statistical_linearisation import LowRank
 
 SIGMA = 5e-4
 TRUTH = np.array([0.5, -0.4, -0.6, 0.3, 0.2])

@@ -8,7 +8,7 @@ import numpy as np
 
 from soro_bench.blind_benchmark.residual_network import residual_rms
 from soro_bench.blind_benchmark.unseen import unseen
-from soro_bench.diagnosis.estimation.data_quality import audit
+from soro_bench.diagnosis.estimation.data_quality import data_quality
 from soro_bench.diagnosis.pipeline import diagnose, unexplained
 from soro_bench.diagnosis.report import report_of
 from soro_bench.diagnosis.robots.robot import FITTED, Robot
@@ -58,7 +58,7 @@ class Calibrated(SuiteRobot):
         return robot
 
 
-def without_floor(robot: SuiteRobot, case: Path) -> dict:
+def without_discretisation(robot: SuiteRobot, case: Path) -> dict:
     """No numerical floor."""
     return _report(Unrefined(robot.env_id, threads=robot.threads), case)
 
@@ -66,7 +66,7 @@ def without_floor(robot: SuiteRobot, case: Path) -> dict:
 def without_joint_fit(robot: SuiteRobot, case: Path) -> dict:
     """Parameters fitted first, effects looked for in what that leaves."""
     measured = robot.measured(load(case / "train.parquet"))
-    problem = unexplained(robot.shortened(FITTED), (measured,), audit(measured).sigma)
+    problem = unexplained(robot.shortened(FITTED), (measured,), data_quality(measured).sigma)
     _, nominal = nominal_fit(problem, robot.refined(), 0)
     return _report(Calibrated(robot.env_id, nominal.x, robot.threads), case)
 
@@ -81,7 +81,7 @@ def on_task_motion(robot: SuiteRobot, case: Path) -> dict:
 def network_only(robot: SuiteRobot, case: Path) -> dict:
     """Parameters fitted, and a network for what they leave; it names nothing."""
     train, unseen_motion = (robot.measured(load(case / f"{role}.parquet")) for role in ("train", "task"))
-    problem = unexplained(robot.shortened(FITTED), (train,), audit(train).sigma)
+    problem = unexplained(robot.shortened(FITTED), (train,), data_quality(train).sigma)
     _, nominal = nominal_fit(problem, robot.refined(), 0)
     before, after = residual_rms(problem.robot, nominal.x, train, unseen_motion)
     return {"unseen": {"rmse_before": before, "rmse_after": after, "noise_floor": problem.sigma}}
@@ -99,11 +99,13 @@ def parameters_only(robot: SuiteRobot, case: Path) -> dict:
     rows = np.array([[prior.nominal for prior in robot.priors], [found.estimate[name] for name in names]])
     simulated = robot.simulate(other.actions, rows, [(), ()])
     before, after = np.sqrt(np.nanmean((other.values - simulated) ** 2, axis=(1, 2, 3)))
-    return {"unseen": {"rmse_before": float(before), "rmse_after": float(after), "noise_floor": audit(other).sigma}}
+    return {
+        "unseen": {"rmse_before": float(before), "rmse_after": float(after), "noise_floor": data_quality(other).sigma}
+    }
 
 
 ABLATIONS: dict[str, Callable[[SuiteRobot, Path], dict]] = {
-    "no_floor": without_floor,
+    "no_floor": without_discretisation,
     "no_joint_fit": without_joint_fit,
     "task_motion": on_task_motion,
     "parameters_only": parameters_only,

@@ -40,7 +40,7 @@ class Scaled:
         label = {
             "name": "unknown" if self.name in UNKNOWN else self.name,
             "class": ALL[self.name][0],
-            "where": self.hidden.where,
+            "where": self.hidden.location,
             "parameters": {name: {"value": float(value), "unit": unit} for name, (value, unit) in parameters.items()},
             "target_mm": self.target,
             "change_mm": self.change,

@@ -34,8 +34,8 @@ class Friction(Law):
     def push(self, robot):
         place = robot.data.actuator_length[robot.cables[self.cable]]
         moved, self._place = place - self._place, place
-        excess = (self.breakaway - 1) * math.exp(-((moved / robot.timestep / self.speed) ** 2))
-        limit = self.level * (1 + excess)
+        misfit = (self.breakaway - 1) * math.exp(-((moved / robot.timestep / self.speed) ** 2))
+        limit = self.level * (1 + misfit)
         self.force = min(max(self.force - _BRISTLE_STIFFNESS * moved, -limit), limit)
         robot.push_cable(self.cable, self.force)
 

@@ -66,7 +66,7 @@ def write_cases(
     folder: str | Path,
     count: int,
     seed: int,
-    nulls: int | None = None,
+    healthy: int | None = None,
     workers: Workers = HERE,
     progress: Callable[[int, int], None] = lambda done, count: None,
     durations: dict[str, float] = DURATIONS,
@@ -85,8 +85,8 @@ def write_cases(
         ValueError: the folder has other cases, or recordings that are not those of the labels.
     """
     folder = Path(folder).resolve()  # workers of a cluster start elsewhere
-    cases = draw_cases(count, seed, nulls)
-    _check_plan(folder, {"count": count, "seed": seed, "nulls": nulls, "durations": durations})
+    cases = draw_cases(count, seed, healthy)
+    _check_plan(folder, {"count": count, "seed": seed, "nulls": healthy, "durations": durations})
     for i, _ in enumerate(each(_write_case, [(folder, case, durations) for case in cases], workers)):
         progress(i + 1, count)
     if (folder / "commitment.txt").exists():

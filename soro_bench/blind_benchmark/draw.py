@@ -38,18 +38,18 @@ class Case:
     seed: tuple[int, int]
 
 
-def draw_cases(count: int, seed: int, nulls: int | None = None) -> list[Case]:
+def draw_cases(count: int, seed: int, healthy: int | None = None) -> list[Case]:
     """``count`` cases in random order.
 
     Args:
         nulls: how many have no effect, a fifth by default; the rest is shared as in the design.
     """
-    nulls = round(_NULL_SHARE * count) if nulls is None else nulls
-    if count < 1 or seed < 0 or not 0 <= nulls <= count:
-        raise ValueError(f"count {count}, seed {seed}, nulls {nulls}: 1, 0 and 0 to count are needed")
+    healthy = round(_NULL_SHARE * count) if healthy is None else healthy
+    if count < 1 or seed < 0 or not 0 <= healthy <= count:
+        raise ValueError(f"count {count}, seed {seed}, nulls {healthy}: 1, 0 and 0 to count are needed")
     rng = np.random.default_rng(seed)
     drawn = []
-    for group, size in zip(GROUPS, [nulls, *_apportioned(count - nulls)], strict=True):
+    for group, size in zip(GROUPS, [healthy, *_apportioned(count - healthy)], strict=True):
         # half of each group on either robot, the odd one on a random one
         kinds = np.resize(rng.permutation(list(KINDS)), size)
         drawn += zip([group] * size, _effects(group, size, rng), map(str, kinds), strict=True)

@@ -35,65 +35,65 @@ _EXCITATION = 30.0  # s, over which a drift's magnitude is its change
 
 
 def _coulomb_friction(rng, base):
-    c, where = any_cable(rng, "tendon")
-    return Hidden(where, lambda m: cable.Friction(c, m), lambda m: {"friction": (m, "N")}, 0.4, 10.0)
+    c, location = any_cable(rng, "tendon")
+    return Hidden(location, lambda m: cable.Friction(c, m), lambda m: {"friction": (m, "N")}, 0.4, 10.0)
 
 
 def _load_friction(rng, base):
-    c, where = any_cable(rng, "tendon")
-    return Hidden(where, lambda m: cable.Capstan(c, m), lambda m: {"coefficient": (m, "1")}, 0.4, 1.0)
+    c, location = any_cable(rng, "tendon")
+    return Hidden(location, lambda m: cable.Capstan(c, m), lambda m: {"coefficient": (m, "1")}, 0.4, 1.0)
 
 
 def _stribeck_friction(rng, base):
-    c, where = any_cable(rng, "tendon")
+    c, location = any_cable(rng, "tendon")
     ratio, speed = rng.uniform(1.6, 3.0), log_uniform(rng, 0.002, 0.010)
 
     def parameters(m):
         return {"friction": (m, "N"), "breakaway_friction": (ratio * m, "N"), "stribeck_speed": (speed, "m/s")}
 
-    return Hidden(where, lambda m: cable.Friction(c, m, ratio, speed), parameters, 0.3, 10.0)
+    return Hidden(location, lambda m: cable.Friction(c, m, ratio, speed), parameters, 0.3, 10.0)
 
 
 def _viscous_friction(rng, base):
-    c, where = any_cable(rng, "tendon")
-    return Hidden(where, lambda m: cable.Viscous(c, m), lambda m: {"drag": (m, "N s/m")}, 15.0, 1000.0)
+    c, location = any_cable(rng, "tendon")
+    return Hidden(location, lambda m: cable.Viscous(c, m), lambda m: {"drag": (m, "N s/m")}, 15.0, 1000.0)
 
 
 def _backlash(rng, base):
-    c, where = any_cable(rng, "actuator")
-    return Hidden(where, lambda m: command.Backlash(c, m), lambda m: {"width": (m, "m")}, 0.0023, 0.02)
+    c, location = any_cable(rng, "actuator")
+    return Hidden(location, lambda m: command.Backlash(c, m), lambda m: {"width": (m, "m")}, 0.0023, 0.02)
 
 
 def _compliance(rng, base):
-    c, where = any_cable(rng, "actuator")
-    return Hidden(where, lambda m: cable.Compliance(c, m), lambda m: {"compliance": (m, "m/N")}, 2e-4, 1e-2)
+    c, location = any_cable(rng, "actuator")
+    return Hidden(location, lambda m: cable.Compliance(c, m), lambda m: {"compliance": (m, "m/N")}, 2e-4, 1e-2)
 
 
 def _actuator_gain(rng, base):
-    c, where = any_cable(rng, "actuator")
+    c, location = any_cable(rng, "actuator")
     sign = rng.choice([-1.0, 1.0], p=[0.7, 0.3])
-    return Hidden(where, lambda m: command.Gain(c, 1 + sign * m), lambda m: {"gain": (1 + sign * m, "1")}, 0.15, 0.9)
+    return Hidden(location, lambda m: command.Gain(c, 1 + sign * m), lambda m: {"gain": (1 + sign * m, "1")}, 0.15, 0.9)
 
 
 def _pretension(rng, base):
-    c, where = any_cable(rng, "actuator")
+    c, location = any_cable(rng, "actuator")
     sign = rng.choice([-1.0, 1.0])
-    return Hidden(where, lambda m: command.Offset(c, sign * m), lambda m: {"offset": (sign * m, "m")}, 0.0012, 0.02)
+    return Hidden(location, lambda m: command.Offset(c, sign * m), lambda m: {"offset": (sign * m, "m")}, 0.0012, 0.02)
 
 
 def _actuator_saturation(rng, base):
-    c, where = any_cable(rng, "actuator")
+    c, location = any_cable(rng, "actuator")
     highest = min(1.05 * base.tension[:, c].max(), trunk.MAX_TENSION)  # between samples there may be a little more
 
     def limit(m):
         return highest * (1 - m) if m > 0 else trunk.MAX_TENSION
 
-    return Hidden(where, lambda m: cable.TensionLimit(c, limit(m)), lambda m: {"limit": (limit(m), "N")}, 0.4, 0.95)
+    return Hidden(location, lambda m: cable.TensionLimit(c, limit(m)), lambda m: {"limit": (limit(m), "N")}, 0.4, 0.95)
 
 
 def _actuator_deadband(rng, base):
-    c, where = any_cable(rng, "actuator")
-    return Hidden(where, lambda m: command.Deadband(c, m), lambda m: {"width": (m, "m")}, 0.0016, 0.02)
+    c, location = any_cable(rng, "actuator")
+    return Hidden(location, lambda m: command.Deadband(c, m), lambda m: {"width": (m, "m")}, 0.0016, 0.02)
 
 
 def _actuator_delay(rng, base):
@@ -105,34 +105,36 @@ def _actuator_lag(rng, base):
 
 
 def _hysteresis(rng, base):
-    k, where = any_neck(rng)
+    k, location = any_neck(rng)
     angle = log_uniform(rng, 0.06, 0.2)
     highest = _STIFFEST * float(geo.BEND[1, k]) / neck.Hysteresis(k, 1.0, angle).stiffness
 
     def parameters(m):
         return {"moment": (m, "N m"), "yield_angle": (angle, "rad")}
 
-    return Hidden(where, lambda m: neck.Hysteresis(k, m, angle), parameters, 0.04, highest)
+    return Hidden(location, lambda m: neck.Hysteresis(k, m, angle), parameters, 0.04, highest)
 
 
 def _plastic_set(rng, base):
-    k, where = any_neck(rng)
+    k, location = any_neck(rng)
     angle = rng.uniform(0.25, 0.55) * base.bend[:, k].max()
 
     def parameters(m):
         return {"yield_angle": (angle, "rad"), "share": (m, "1")}
 
-    return Hidden(where, lambda m: neck.PlasticSet(k, angle, m), parameters, 0.5, 0.95)
+    return Hidden(location, lambda m: neck.PlasticSet(k, angle, m), parameters, 0.5, 0.95)
 
 
 def _local_stiffness(rng, base):
-    k, where = any_neck(rng)
+    k, location = any_neck(rng)
     sign = rng.choice([-1.0, 1.0], p=[0.6, 0.4])
 
     def factor(m):
         return math.exp(sign * m)
 
-    return Hidden(where, lambda m: neck.LocalStiffness(k, factor(m)), lambda m: {"factor": (factor(m), "1")}, 0.4, 1.6)
+    return Hidden(
+        location, lambda m: neck.LocalStiffness(k, factor(m)), lambda m: {"factor": (factor(m), "1")}, 0.4, 1.6
+    )
 
 
 def _viscoelastic_creep(rng, base):
@@ -167,8 +169,8 @@ def _stiffness_drift(rng, base):
 
 
 def _payload(rng, base):
-    k, where = any_neck(rng)
-    return Hidden(where, lambda m: body.Payload(k, m), lambda m: {"mass": (m, "kg")}, 0.015, 0.3)
+    k, location = any_neck(rng)
+    return Hidden(location, lambda m: body.Payload(k, m), lambda m: {"mass": (m, "kg")}, 0.015, 0.3)
 
 
 def _base_tilt(rng, base):
@@ -177,8 +179,8 @@ def _base_tilt(rng, base):
     def parameters(m):
         return {"angle": (m, "rad"), "axis_azimuth": (azimuth, "rad")}
 
-    where = {"kind": "model", "name": "gravity"}
-    return Hidden(where, lambda m: body.Tilt(m, azimuth), parameters, 0.05, 0.8)
+    location = {"kind": "model", "name": "gravity"}
+    return Hidden(location, lambda m: body.Tilt(m, azimuth), parameters, 0.05, 0.8)
 
 
 def _fluid_drag(rng, base):

@@ -56,10 +56,10 @@ class PlasticSet(Law):
     def push(self, robot):
         if self.share == 0:
             return
-        excess = robot.bend()[self.neck] - self.rest / self.share
-        size = np.sqrt(excess @ excess)
+        misfit = robot.bend()[self.neck] - self.rest / self.share
+        size = np.sqrt(misfit @ misfit)
         if size > self.angle:
-            self.rest = self.rest + self.share * (1 - self.angle / size) * excess
+            self.rest = self.rest + self.share * (1 - self.angle / size) * misfit
         robot.push_necks(_only(self.neck, robot.neck_stiffness[self.neck] * self.rest))
 
 

@@ -23,7 +23,7 @@ class Hidden:
         description: of what has no name in the catalogue.
     """
 
-    where: dict[str, str | int]
+    location: dict[str, str | int]
     law: Callable[[float], Law | SensorLaw]
     parameters: Callable[[float], dict[str, tuple[float, str]]]
     guess: float

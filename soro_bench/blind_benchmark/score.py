@@ -28,7 +28,7 @@ def opened_labels(folder: Path) -> list[dict]:
     path = folder / "sealed" / "labels.json"
     content = read_bytes(path, LABEL_BYTES, links=False)
     found = hashlib.sha256(content).hexdigest()
-    if (committed := commitment(folder)) != found:
+    if (committed := label_digest(folder)) != found:
         raise ValueError(f"{path} has the hash {found}, the commitment is {committed}")
     labels = parsed_json(content)["cases"]
     for label in labels:
@@ -39,7 +39,7 @@ def opened_labels(folder: Path) -> list[dict]:
     return labels
 
 
-def commitment(folder: Path) -> str:
+def label_digest(folder: Path) -> str:
     """The hash of sealed labels, in hexadecimal digits."""
     path = folder / "commitment.txt"
     text = read_bytes(path, 1000, links=False).decode(errors="replace").strip()
@@ -131,12 +131,12 @@ def _same_place(truth: dict, said: dict | None) -> bool:
     return truth["name"] == said["name"]
 
 
-def _part(where: dict) -> str:
+def _part(location: dict) -> str:
     """Of which kind a place is: one cable, one segment or keypoint, or the whole robot."""
-    if where.get("index") is not None:
+    if location.get("index") is not None:
         return "segment"
-    part = "cable" if where["kind"] in _SAME_PLACE else "segment" if where["kind"] == "body" else "whole"
-    return "whole" if where["name"] == "*" else part
+    part = "cable" if location["kind"] in _SAME_PLACE else "segment" if location["kind"] == "body" else "whole"
+    return "whole" if location["name"] == "*" else part
 
 
 def _raw_explained(unseen: dict) -> float:

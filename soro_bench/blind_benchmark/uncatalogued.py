@@ -22,11 +22,11 @@ def cross_talk(rng, base):
 
 
 def rubber_band(rng, base):
-    k, where = any_neck(rng, 3)
+    k, location = any_neck(rng, 3)
     offset = rng.uniform(0.08, 0.15) * random_direction(rng)
     length = rng.uniform(0.5, 0.9) * float(np.linalg.norm(offset))
     return Hidden(
-        where,
+        location,
         lambda m: body.RubberBand(k, m, offset, length),
         lambda m: {"stiffness": (m, "N/m"), "length": (length, "m"), **offset_values(offset)},
         1.0,
@@ -48,10 +48,10 @@ def vibrating_base(rng, base):
 
 
 def gusts(rng, base):
-    k, where = any_neck(rng, 3)
+    k, location = any_neck(rng, 3)
     direction, length = random_direction(rng), rng.uniform(0.3, 0.7)
     return Hidden(
-        where,
+        location,
         lambda m: body.Gusts(k, m, direction, length),
         lambda m: {"force": (m, "N"), "pulse": (length, "s")},
         0.15,
@@ -61,12 +61,12 @@ def gusts(rng, base):
 
 
 def hidden_obstacle(rng, base):
-    k, where = any_neck(rng, 4)
+    k, location = any_neck(rng, 4)
     angle = rng.uniform(0, 2 * np.pi)
     normal = np.array([np.cos(angle), np.sin(angle), 0.0])
     position = float(np.quantile(base.vertebrae[:, k] @ normal, rng.uniform(0.75, 0.92)))
     return Hidden(
-        where,
+        location,
         lambda m: body.Wall(k, m, normal, position),
         lambda m: {"stiffness": (m, "N/m"), "position": (position, "m"), "normal_azimuth": (angle, "rad")},
         30.0,

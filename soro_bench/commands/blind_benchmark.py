@@ -1,7 +1,10 @@
-"""``soro-bench prove``."""
+"""``soro-bench blind-benchmark``."""
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from soro_bench.options import Parallel
 from soro_bench.parallel import HERE
@@ -9,30 +12,30 @@ from soro_bench.progress import StageBars, console
 
 
 @dataclass
-class Prove:
-    """Test the diagnosis on robots with concealed physics; an interrupted proof goes on from its files."""
+class BlindBenchmark:
+    """Test the diagnosis on simulated robots with hidden physics; an interrupted run goes on from its files."""
 
     out: Path
     """Folder for cases, reports, scorecard, and entry.json, the same for the leaderboard."""
     count: int = 120
     seed: int | None = None
-    """Of the cases; drawn by default, and kept with the labels. What can be counted up to can be guessed from the
-    commands, and what has been used to develop the method proves nothing."""
-    nulls: int | None = None
-    """Cases without any effect; a fifth by default."""
+    """Of the cases; drawn by default, and kept with the labels. Small seeds can be guessed from the commands, and
+    cases that were used to develop the method say nothing about it."""
+    healthy: Annotated[int | None, tyro.conf.arg(aliases=["--nulls"])] = None
+    """Healthy (fault-free) cases; a fifth of all by default."""
     ablations: int = 0
     """Of so many cases, what each part of the method is worth: five more diagnoses each."""
     workers: Parallel = HERE
 
     def run(self) -> None:
-        from soro_bench.blind_benchmark.prove import prove
+        from soro_bench.blind_benchmark.run import run_blind_benchmark
         from soro_bench.files import read_json
         from soro_bench.leaderboard.diagnosis_entry import write_entry
         from soro_bench.leaderboard.strict import require_jsonschema
 
         require_jsonschema()  # before the work, not after it
         with StageBars() as bar:
-            text = prove(self.out, self.count, self.seed, self.nulls, self.ablations, self.workers, bar)
+            text = run_blind_benchmark(self.out, self.count, self.seed, self.healthy, self.ablations, self.workers, bar)
         card = read_json(self.out / "scorecard.json")
         write_entry(self.out / "entry.json", "soro_bench", "soro-bench diagnose", self.out / "cases", card)
         console.print(text, soft_wrap=True)

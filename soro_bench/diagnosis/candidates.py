@@ -9,14 +9,14 @@ import numpy as np
 from soro_bench.diagnosis.robots.priors import LIMIT
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.effects.catalogue import ALL, PHYSICS, QUANTITIES
-from soro_bench.effects.effect import EVERY, Effect, Port, Quantity
+from soro_bench.effects.effect import EVERY, Effect, Location, Quantity
 
 MAGNITUDE_DEVIATION, SECOND_DEVIATION = 5.0, 0.7  # of effects: in typical magnitudes at most, in logarithms
 PNEUMATIC = ("pressure_leak", "pressure_asymmetry", "supply_coupling")
 
 
 @dataclass(frozen=True)
-class Suspect:
+class Term:
     """An effect whose parameters are to be found: a law at a port.
 
     typical: of its quantities, at this port. magnitudes: which of them are null without the effect. idle: quantities of
@@ -24,7 +24,7 @@ class Suspect:
     """
 
     name: str
-    where: Port
+    location: Location
     typical: tuple[float, ...]
     magnitudes: tuple[bool, ...]
     idle: frozenset[str] = frozenset()
@@ -77,7 +77,7 @@ class Suspect:
         values, moved = {q.name: q.null for q in QUANTITIES[self.name]}, self.deviations * x
         for q, typical, magnitude, by in zip(self.quantities, self.typical, self.magnitudes, moved, strict=True):
             values[q.name] = float(np.clip(q.null + by if magnitude else typical * np.exp(by), *q.bounds))
-        return Effect(self.name, self.where, values)
+        return Effect(self.name, self.location, values)
 
     def coordinates(self, values: Mapping[str, float]) -> np.ndarray:
         """(size,) where ``effect`` has these values; zero for quantities without one."""
@@ -88,18 +88,18 @@ class Suspect:
         return np.array(found)
 
 
-def effects_at(x: np.ndarray, suspects: Sequence[Suspect]) -> list[Effect]:
+def effects_at(x: np.ndarray, terms: Sequence[Term]) -> list[Effect]:
     """The suspects with the parameters that the coordinates x stand for."""
-    return [suspect.effect(x[part]) for suspect, part in zip(suspects, slices(suspects), strict=True)]
+    return [term.effect(x[part]) for term, part in zip(terms, slices(terms), strict=True)]
 
 
-def slices(suspects: Sequence[Suspect], first: int = 0) -> list[slice]:
+def slices(terms: Sequence[Term], first: int = 0) -> list[slice]:
     """Where each has its coordinates among those of all, which begin at the first one."""
-    ends = np.cumsum([first, *(suspect.size for suspect in suspects)]).tolist()
+    ends = np.cumsum([first, *(term.size for term in terms)]).tolist()
     return [slice(*pair) for pair in pairwise(ends)]
 
 
-def suspects(robot: Robot) -> list[Suspect]:
+def terms(robot: Robot) -> list[Term]:
     """Every effect at every port of the robot that can have it, and every fault of its sensor."""
     points, coordinates = robot.shape
     found = []
@@ -107,52 +107,52 @@ def suspects(robot: Robot) -> list[Suspect]:
         if name in PNEUMATIC and not robot.pneumatic:
             continue
         for kind in law.kinds:
-            ports = [] if kind == "joint" and "body" in law.kinds else robot.ports(kind)
-            every = [Port(kind, EVERY)] if law.shared and len(ports) > 1 else []
-            for one in _possible(robot, name, every if every and law.only_shared else every + ports):
+            locations = [] if kind == "joint" and "body" in law.kinds else robot.locations(kind)
+            every = [Location(kind, EVERY)] if law.shared and len(locations) > 1 else []
+            for one in _possible(robot, name, every if every and law.only_shared else every + locations):
                 found += variants(one)
     for name, fault in ALL.items():
         if name not in PHYSICS and name != "outliers" and (coordinates == 3 or name != "frame_misalignment"):
             indices = range(points) if fault.local else [None]
-            found += [suspect(robot, name, Port("sensor", robot.signal, i)) for i in indices]
+            found += [term(robot, name, Location("sensor", robot.signal, i)) for i in indices]
     return found
 
 
-def _possible(robot, name, ports) -> list[Suspect]:
+def _possible(robot, name, locations) -> list[Term]:
     """A law at those of the ports that can have it; all of them are tried at once first, which takes less time."""
-    at = [suspect(robot, name, port) for port in ports]
-    single = [one for one in at if one.where.name != EVERY] or at
+    at = [term(robot, name, location) for location in locations]
+    single = [one for one in at if one.location.name != EVERY] or at
     if robot.accepts([one.effect(np.zeros(one.size)) for one in single]):
         return at
     return [one for one in at if robot.accepts([one.effect(np.zeros(one.size))])]
 
 
-def late(robot: Robot, name: str, where: Port) -> bool:
+def late(robot: Robot, name: str, location: Location) -> bool:
     """Whether an effect delays all commands or all measurements: either way what follows from a command is measured
     late by as much."""
-    all_actuators = where.name == EVERY or robot.ports("actuator") == [where]
+    all_actuators = location.name == EVERY or robot.locations("actuator") == [location]
     return name == "sensor_delay" or (name == "actuator_delay" and all_actuators)
 
 
-def suspect(robot: Robot, name: str, where: Port) -> Suspect:
-    """An effect at a port, with what is typical there."""
-    port = robot.ports(where.kind)[0] if where.name == EVERY else where
+def term(robot: Robot, name: str, location: Location) -> Term:
+    """The candidate term of a law at a location, with the magnitudes that are typical there."""
+    one = robot.locations(location.kind)[0] if location.name == EVERY else location
     physics, elements = name in PHYSICS, robot.elements
-    idle = ALL[name].idle(elements, port) if physics else ALL[name].idle(robot.shape[1])
+    idle = ALL[name].idle(elements, one) if physics else ALL[name].idle(robot.shape[1])
     typical, magnitudes = [], []
     for i, q in enumerate(ALL[name].quantities):
         if q.name not in idle:
             magnitudes.append(i == 0 or (q.null == 0.0 and q.bounds[0] < 0))
-            typical.append(q.typical * (elements.scale(port, q.of) if physics else 1.0))
-    return Suspect(name, where, tuple(typical), tuple(magnitudes), idle)
+            typical.append(q.typical * (elements.scale(one, q.of) if physics else 1.0))
+    return Term(name, location, tuple(typical), tuple(magnitudes), idle)
 
 
-def typical(one: Suspect) -> Effect:
+def typical(one: Term) -> Effect:
     """The effect of typical magnitudes."""
     return one.effect(one.simulated)
 
 
-def variants(one: Suspect) -> list[Suspect]:
+def variants(one: Term) -> list[Term]:
     """A suspect, and those that begin at other values of what shapes the signature."""
     found = [one]
     for i, q in enumerate(one.quantities):

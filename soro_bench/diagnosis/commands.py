@@ -51,8 +51,9 @@ class Diagnose:
     """TOML file that says how recordings and parameters belong to the MJCF file; docs/reference/robot_map.md."""
     heldout: tuple[Path, ...] = ()
     """Recordings of another motion, to test what is found."""
-    since: Path | None = None
-    """Folder of an earlier diagnosis of the same robot: what it found is known, and what has changed is looked for."""
+    baseline: Annotated[Path | None, tyro.conf.arg(aliases=["--since"])] = None
+    """Folder of an earlier diagnosis of the same robot: its findings are known, and changes since then are looked
+    for."""
     seed: int = 0
 
     def run(self) -> None:
@@ -72,15 +73,15 @@ class Diagnose:
         console.print(f"{self.out / 'report.html'}, {self.out / 'report.json'}; {found.seconds:.0f} s", soft_wrap=True)
 
     def _robot(self):
-        from soro_bench.diagnosis.report import earlier
+        from soro_bench.diagnosis.report import baseline
         from soro_bench.diagnosis.robots.model_robot import ModelRobot
         from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 
-        known = earlier(self.since) if self.since else None
+        known = baseline(self.baseline) if self.baseline else None
         if self.env and not self.map:
-            return SuiteRobot(self.env, self.model, earlier=known)
+            return SuiteRobot(self.env, self.model, baseline=known)
         if self.model and self.map and not self.env:
-            return ModelRobot(self.model, self.map, earlier=known)
+            return ModelRobot(self.model, self.map, baseline=known)
         raise ValueError("say which robot was recorded: --env ENV, or --model ROBOT.xml --map MAP.toml")
 
 

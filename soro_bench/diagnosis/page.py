@@ -59,9 +59,9 @@ def _write_comparison(diagnosis, recording, path) -> None:
         return
     effects, robot = patch(diagnosis), diagnosis.robot
     signal = recording.signals[robot.signal]  # the samples of which may be flat
-    places = replace(signal, values=signal.values.reshape(-1, *robot.shape))
+    ranked_locations = replace(signal, values=signal.values.reshape(-1, *robot.shape))
     aimless = {name: text for name, text in recording.metadata.items() if name != "goal"}  # nothing is said of goals
-    recording = replace(recording, signals={**recording.signals, robot.signal: places}, metadata=aimless)
+    recording = replace(recording, signals={**recording.signals, robot.signal: ranked_locations}, metadata=aimless)
     models = dict.fromkeys(each.model_name for each in (robot, *robot.refined()) if each.accepts(effects))
     runs = min(
         (_runs(diagnosis, recording, model, effects) for model in models), key=lambda r: _away(recording, robot, r)
@@ -72,7 +72,7 @@ def _write_comparison(diagnosis, recording, path) -> None:
 def _runs(diagnosis, recording, model, effects):
     runs, given = {}, {"before": (diagnosis.explanation.nominal, []), "after": (kept(diagnosis), effects)}
     for name, (hypothesis, some) in given.items():
-        physics = [each for each in (*diagnosis.robot.known, *some) if each.where.kind != "sensor"]
+        physics = [each for each in (*diagnosis.robot.known, *some) if each.location.kind != "sensor"]
         fitted = replace(recording, parameters=diagnosis.robot.parameters(hypothesis.x))
         runs[name] = replay(fitted, model, effects=physics)
     return runs
@@ -106,13 +106,13 @@ def _page(diagnosis: Diagnosis, report: dict, text: str) -> str:
         caption = "Evidence gained by the best hypothesis in every second." + which
         plots.append(("When it is explained", caption, _gain(diagnosis)))
     if curve := force_against_state(diagnosis):
-        caption = _CURVE.format(curve.effect.where, 100 * curve.share)
+        caption = _CURVE.format(curve.effect.location, 100 * curve.share)
         plots.append((f"What {curve.effect.name} does", caption, _curve(curve)))
-    if diagnosis.places:
-        place = diagnosis.places[0]
-        form = "linear in what the robot is told and in its shape" if place.force.shares else "free in time"
-        caption = f"What would explain most of it at {place.where}, {form}.{which}"
-        plots.append(("What has no name", caption, _residual_force(place.force)))
+    if diagnosis.ranked_locations:
+        site = diagnosis.ranked_locations[0]
+        input_model = "linear in what the robot is told and in its shape" if site.force.shares else "free in time"
+        caption = f"What would explain most of it at {site.location}, {input_model}.{which}"
+        plots.append(("What has no name", caption, _residual_force(site.force)))
     figures = "".join(
         f"<h2>{title}</h2><figure><img alt='{html.escape(caption)}' src='data:image/png;base64,{image}'>"
         f"<figcaption>{html.escape(caption)}</figcaption></figure>"
@@ -135,11 +135,11 @@ def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> st
 def _effects_table(report) -> str:
     rows = []
     for effect in report["effects"][:_RANKED]:
-        where = effect["where"]
-        place = " ".join(str(where[key]) for key in ("kind", "name", "index") if key in where) if where else ""
+        location = effect["where"]
+        site = " ".join(str(location[key]) for key in ("kind", "name", "index") if key in location) if location else ""
         values = "; ".join(_value(name, q) for name, q in effect["parameters"].items())
         said = "; ".join([*effect["evidence"], *(f"but {each}" for each in effect["against"])])
-        rows.append([f"{effect['probability']:.2f}", effect["name"], place, values, said])
+        rows.append([f"{effect['probability']:.2f}", effect["name"], site, values, said])
     return _table("Effects", ["probability", "effect", "place", "parameters", "evidence"], rows)
 
 
@@ -178,9 +178,11 @@ def _parameters_table(report) -> str:
 def _rounds_table(report) -> str:
     rows = []
     for each in report["rounds"]:
-        promised = "; ".join(f"{_at(lead)} {lead['gain']:.0f}" for lead in each["promised"])
+        predicted_gain = "; ".join(
+            f"{_at(screened_candidate)} {screened_candidate['gain']:.0f}" for screened_candidate in each["promised"]
+        )
         fitted = "; ".join(f"{_together(one['effects'])} {one['excess']:.0f}" for one in each["fitted"])
-        rows.append([_together(each["on_top_of"]) or "nothing", promised, fitted])
+        rows.append([_together(each["on_top_of"]) or "nothing", predicted_gain, fitted])
     head = ["on top of", "one more effect promises [nats]", "what the fits leave above noise [nats]"]
     return _table("How it came about", head, rows) if rows else ""
 
@@ -190,8 +192,8 @@ def _together(effects) -> str:
 
 
 def _at(effect) -> str:
-    where = effect["where"]
-    return " ".join(str(part) for part in (effect["name"], where["name"], where.get("index")) if part is not None)
+    location = effect["where"]
+    return " ".join(str(part) for part in (effect["name"], location["name"], location.get("index")) if part is not None)
 
 
 def _detectable_table(report) -> str:
@@ -205,7 +207,7 @@ def _detectable_table(report) -> str:
 
 
 def _ranking(diagnosis) -> str:
-    shown = [(f"{f.effect.name} at {f.effect.where}", f.probability) for f in findings(diagnosis)][:_RANKED]
+    shown = [(f"{f.effect.name} at {f.effect.location}", f.probability) for f in findings(diagnosis)][:_RANKED]
     nothing = diagnosis.comparison.nothing
     no_more = "outliers only" if only_outliers(diagnosis) else "nothing missing"
     shown = sorted([*shown, (no_more, nothing), ("unknown", diagnosis.comparison.unknown)], key=lambda pair: pair[1])

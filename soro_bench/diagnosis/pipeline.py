@@ -7,20 +7,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soro_bench.diagnosis.candidates import suspects
-from soro_bench.diagnosis.estimation.data_quality import Audit, audit, noise, outliers
-from soro_bench.diagnosis.estimation.discretisation import floor_and_residuals
+from soro_bench.diagnosis.candidates import terms
+from soro_bench.diagnosis.estimation.data_quality import DataQuality, data_quality, noise, outliers
+from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.posterior_covariance import with_covariance
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.estimation.unit_check import check_scale
-from soro_bench.diagnosis.localisation.ranking import Place, places
+from soro_bench.diagnosis.localisation.ranking import RankedLocation, ranked_locations
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import FITTED, Robot
 from soro_bench.diagnosis.selection.experiment_design import Proposal, proposed
 from soro_bench.diagnosis.selection.forward_selection import Explanation, explained, nominal_fit
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, compared, shortlist
-from soro_bench.inference.clouds import LowRank
+from soro_bench.inference.statistical_linearisation import LowRank
 from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
 from soro_bench.recording.recording import Recording, RecordingError
@@ -48,11 +48,11 @@ class Diagnosis:
     """
 
     robot: Robot
-    audits: tuple[Audit, ...]
+    data_qualities: tuple[DataQuality, ...]
     outliers: Outliers
     explanation: Explanation
     comparison: Comparison
-    places: tuple[Place, ...]
+    ranked_locations: tuple[RankedLocation, ...]
     proposal: Proposal | None
     seconds: float
 
@@ -73,7 +73,7 @@ class Diagnosis:
             return "measurement_fault" if self.outliers.share else "none_detected"
         if self.comparison.unknown > self.comparison.likeliest:
             return "unknown_physics"
-        faults = all(s.where.kind == "sensor" for s in self.best.hypothesis.suspects)
+        faults = all(s.location.kind == "sensor" for s in self.best.hypothesis.terms)
         return "measurement_fault" if faults else "missing_physics"
 
 
@@ -101,30 +101,32 @@ def diagnose(
     progress("audit")
     fitted, refined = robot.shortened(FITTED), robot.refined()
     measured, tested = _measured(robot, recordings, heldout)
-    audits = tuple(audit(each) for each in (*measured, *tested))
+    data_qualities = tuple(data_quality(each) for each in (*measured, *tested))
     # of one sensor: motion only adds to it
-    sigma = max(min(a.sigma for a in audits), max(a.least for a in audits))
+    sigma = max(min(a.sigma for a in data_qualities), max(a.least for a in data_qualities))
     check_scale(unexplained(robot, measured, sigma))
     problem, nominal = nominal_fit(unexplained(fitted, measured, sigma), refined, seed, progress)
     for each in (robot, fitted):
         problem.check_finite(each, problem.simulated(each, [(nominal.x, ())]))
     problem, nominal, found_outliers = _without_outliers(problem, nominal)
-    if not problem.rough:
-        problem, nominal = _with_noise(problem, nominal, max(a.least for a in audits))
-    explanation = explained(problem, nominal, robot, refined, suspects(robot), seed, progress)
+    if not problem.misfit_dominated:
+        problem, nominal = _with_noise(problem, nominal, max(a.least for a in data_qualities))
+    explanation = explained(problem, nominal, robot, refined, terms(robot), seed, progress)
     progress("comparison")
     comparison = compared(explanation, tried_on(explanation, tested, refined, shortlist(explanation)))
-    explanation, comparison = _with_widths(explanation, comparison, seed)
-    found = Diagnosis(robot, audits, found_outliers, explanation, comparison, (), None, 0.0)
+    explanation, comparison = _with_covariances(explanation, comparison, seed)
+    found = Diagnosis(robot, data_qualities, found_outliers, explanation, comparison, (), None, 0.0)
     if comparison.detected and comparison.unknown > UNSURE:
         progress("place of what has no name")
-        found = replace(found, places=tuple(places(explanation.problem, robot, explanation.nominal, refined)))
+        found = replace(
+            found, ranked_locations=tuple(ranked_locations(explanation.problem, robot, explanation.nominal, refined))
+        )
     progress("next recording")
     proposal = _proposal(found, seed)
     return replace(found, proposal=proposal, seconds=time.perf_counter() - start)
 
 
-def _with_widths(explanation: Explanation, comparison: Comparison, seed: int) -> tuple[Explanation, Comparison]:
+def _with_covariances(explanation: Explanation, comparison: Comparison, seed: int) -> tuple[Explanation, Comparison]:
     """The same with the covariances of what a report has intervals of."""
     problem, nominal = explanation.problem, with_covariance(explanation.problem, explanation.nominal, seed)
     answers = [
@@ -169,7 +171,9 @@ def _same(robot: Robot, one: Recording, other: Recording) -> bool:
 def _proposal(found: Diagnosis, seed: int) -> Proposal | None:
     if not found.detected or not found.robot.channels:
         return None
-    unknown = found.places[0].where if found.verdict == "unknown_physics" and found.places else None
+    unknown = (
+        found.ranked_locations[0].location if found.verdict == "unknown_physics" and found.ranked_locations else None
+    )
     return proposed(found.explanation.problem, found.comparison, unknown, seed)
 
 
@@ -189,14 +193,14 @@ def tried_on(
     problem = found.problem
     tested = replace(unexplained(problem.robot, measured, problem.sigma), noise=problem.noise)
     tested = _masked(tested, _outliers(tested, tested.residuals([(found.nominal.x, ())])[0]))
-    points = [(h.x, h.suspects) for h in hypotheses]
-    floor, residuals = floor_and_residuals(tested, refined, points, points)
-    return tested.with_floor(floor), residuals
+    points = [(h.x, h.terms) for h in hypotheses]
+    discretisation, residuals = discretisation_and_residuals(tested, refined, points, points)
+    return tested.with_discretisation(discretisation), residuals
 
 
 def _outliers(problem: Problem, residual: np.ndarray) -> np.ndarray:
     """(M,) whether a sample belongs to a point that is alone and far off."""
-    left = np.where(problem.weight > 0, problem.floor.without(residual), np.nan)
+    left = np.where(problem.weight > 0, problem.discretisation.without(residual), np.nan)
     return np.concatenate([np.repeat(outliers(part).ravel(), part.shape[2]) for part in problem.split(left)])
 
 
@@ -206,20 +210,22 @@ def _without_outliers(problem, nominal):
     if not far.any():
         return problem, nominal, Outliers(0.0, 0.0)
     far &= problem.weight > 0
-    size = problem.sigma * float(np.sqrt((problem.floor.without(nominal.residual)[far] ** 2).mean()))
+    size = problem.sigma * float(np.sqrt((problem.discretisation.without(nominal.residual)[far] ** 2).mean()))
     share = float(far.sum() / problem.weight.sum())
     problem = _masked(problem, far)
     return problem, nominal.scaled(problem, ~far), Outliers(share, size)
 
 
 def _masked(problem: Problem, far: np.ndarray) -> Problem:
-    return replace(problem, weight=problem.weight * ~far, floor=LowRank(problem.floor.basis * ~far))
+    return replace(problem, weight=problem.weight * ~far, discretisation=LowRank(problem.discretisation.basis * ~far))
 
 
 def _with_noise(problem, nominal, least):
     """The same with the noise of what the nominal fit leaves: little of the motion is in it, so it shows better."""
-    left = problem.split(np.where(problem.weight > 0, problem.floor.without(nominal.residual), np.nan))
+    left = problem.split(np.where(problem.weight > 0, problem.discretisation.without(nominal.residual), np.nan))
     found = max(noise(part.reshape(len(part), -1)) for part in left)
     factor = 1.0 / min(1.0, max(least / problem.sigma, found))
-    problem = replace(problem, sigma=problem.sigma / factor, floor=LowRank(problem.floor.basis * factor))
+    problem = replace(
+        problem, sigma=problem.sigma / factor, discretisation=LowRank(problem.discretisation.basis * factor)
+    )
     return problem, nominal.scaled(problem, factor)

@@ -17,10 +17,10 @@ from soro_bench.diagnosis.assembly.findings import (
     unit_at,
 )
 from soro_bench.diagnosis.assembly.patch import MODEL, ModelPatch, kept, model_patch, patch, rejected, write_model_patch
-from soro_bench.diagnosis.candidates import Suspect
+from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.robots.priors import LIMIT, Earlier
+from soro_bench.diagnosis.robots.priors import LIMIT, Baseline
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.selection.experiment_design import DURATION, Proposal
 from soro_bench.diagnosis.selection.forward_selection import Round
@@ -65,7 +65,7 @@ def _model_patch(found: ModelPatch) -> dict:
     }
 
 
-def earlier(folder: str | Path) -> Earlier:
+def baseline(folder: str | Path) -> Baseline:
     """What the files of a report say of a robot; ValueError for other files."""
     path = Path(folder) / "report.json"
     report = read_json(path)
@@ -77,7 +77,7 @@ def earlier(folder: str | Path) -> Earlier:
         spread = {name: abs(_finite(each["ci90"][1]) - _finite(each["ci90"][0])) / (2 * NINETY) for name, each in found}
     except (AttributeError, LookupError, TypeError, ValueError) as error:
         raise ValueError(f"{path} has no parameters with values and intervals ({error!r})") from error
-    return Earlier(values, spread, load_effects(Path(folder) / "effects.json", ALL))
+    return Baseline(values, spread, load_effects(Path(folder) / "effects.json", ALL))
 
 
 def _finite(value) -> float:
@@ -111,7 +111,7 @@ def report_of(diagnosis: Diagnosis) -> dict:
         "verdict": diagnosis.verdict,
         "p_value": comparison.p_value,
         "alpha": ALPHA,
-        "promised": diagnosis.explanation.promised,
+        "promised": diagnosis.explanation.predicted_gain,
         "still_promised": diagnosis.explanation.left,
         "effects": ranked,
         "classes": _classes(diagnosis, ranked),
@@ -127,13 +127,13 @@ def report_of(diagnosis: Diagnosis) -> dict:
             "patch": _state_of_patch(diagnosis),
         },
         "parameters": _parameters(diagnosis, kept(diagnosis)),
-        "places": [{"where": p.where.to_json(), "gain": p.gain} for p in diagnosis.places[:10]],
+        "places": [{"where": p.location.to_json(), "gain": p.gain} for p in diagnosis.ranked_locations[:10]],
         "residual_force": _residual_force(diagnosis),
         "detectable": detectable(diagnosis),
         "invisible": invisible(diagnosis),
         "not_looked_for": not_looked_for(diagnosis),
         "next_recording": _next_recording(diagnosis.proposal),
-        "audit": [{"noise": a.sigma, "missing": a.missing} for a in diagnosis.audits],
+        "audit": [{"noise": a.sigma, "missing": a.missing} for a in diagnosis.data_qualities],
         "seconds": round(diagnosis.seconds, 1),
     }
 
@@ -154,11 +154,11 @@ def only_outliers(diagnosis: Diagnosis) -> bool:
 
 def _residual_force(diagnosis: Diagnosis) -> dict | None:
     """What acts at the best place of what has no name, over time."""
-    if not diagnosis.places:
+    if not diagnosis.ranked_locations:
         return None
-    best = diagnosis.places[0]
+    best = diagnosis.ranked_locations[0]
     return {
-        "where": best.where.to_json(),
+        "where": best.location.to_json(),
         "components": list(best.force.components),
         "units": list(best.force.units),
         "recording": best.force.recording.tolist(),
@@ -174,11 +174,11 @@ def _hypothesis(diagnosis: Diagnosis, answer: Answer) -> dict:
     problem, hypothesis = diagnosis.explanation.problem, answer.hypothesis
     return {
         "names": list(answer.names),
-        "where": [s.where.to_json() for s in hypothesis.suspects],
+        "where": [s.location.to_json() for s in hypothesis.terms],
         "probability": answer.probability,
         "unknowns": len(hypothesis.x),
-        "excess": problem.excess(hypothesis.residual),
-        "excess_of_all": answer.excess,
+        "excess": problem.misfit(hypothesis.residual),
+        "excess_of_all": answer.misfit,
         "log_evidence": hypothesis.log_evidence(problem),
         "evidence": answer.evidence,
         "samples": int(problem.weight.sum()),
@@ -189,18 +189,18 @@ def _round(found: Round) -> dict:
     """What was looked for on top of what, what it promised [nats], and what the fits of it leave [nats]."""
     return {
         "on_top_of": [_named(s) for s in found.on],
-        "promised": [_named(s) | {"gain": gain} for s, gain in found.promised],
-        "fitted": [{"effects": [_named(s) for s in suspects], "excess": left} for suspects, left in found.fitted],
+        "promised": [_named(s) | {"gain": gain} for s, gain in found.predicted_gain],
+        "fitted": [{"effects": [_named(s) for s in terms], "excess": left} for terms, left in found.fitted],
     }
 
 
-def _named(suspect: Suspect) -> dict:
-    return {"name": suspect.name, "where": suspect.where.to_json()}
+def _named(term: Term) -> dict:
+    return {"name": term.name, "where": term.location.to_json()}
 
 
 def _nameless(name: str, probability: float, diagnosis: Diagnosis | None = None) -> dict:
-    where = diagnosis.places[0].where.to_json() if diagnosis and diagnosis.places else None
-    return {"name": name, "class": name, "probability": probability, "where": where, "when": [], "condition": "",
+    location = diagnosis.ranked_locations[0].location.to_json() if diagnosis and diagnosis.ranked_locations else None
+    return {"name": name, "class": name, "probability": probability, "where": location, "when": [], "condition": "",
             "parameters": {}, "evidence": [], "against": [], "together_with": []}  # fmt: skip
 
 
@@ -269,24 +269,24 @@ def detectable(diagnosis: Diagnosis) -> dict:
     Those that a robot hardly has so much of that it would show are left out.
     """
     found: dict[str, dict] = {}
-    for suspect, x in diagnosis.explanation.minimum:
+    for term, x in diagnosis.explanation.minimum:
         if x > LIMIT:
             continue
-        q = suspect.quantities[0]
-        change = float(suspect.deviations[0]) * x
+        q = term.quantities[0]
+        change = float(term.deviations[0]) * x
         if not q.bounds[0] <= q.null + change <= q.bounds[1]:
             continue
         value = abs(change)
-        if suspect.name not in found or value < found[suspect.name]["minimum"]:
-            unit = unit_at(diagnosis.robot, q.unit, suspect.where)
-            found[suspect.name] = {"quantity": q.name, "minimum": value, "unit": unit, "null": q.null,
-                                   "where": suspect.where.to_json()}  # fmt: skip
+        if term.name not in found or value < found[term.name]["minimum"]:
+            unit = unit_at(diagnosis.robot, q.unit, term.location)
+            found[term.name] = {"quantity": q.name, "minimum": value, "unit": unit, "null": q.null,
+                                   "where": term.location.to_json()}  # fmt: skip
     return found
 
 
 def invisible(diagnosis: Diagnosis) -> list[str]:
     """Sorted names of the effects that would not have shown in these recordings."""
-    return sorted({suspect.name for suspect, _ in diagnosis.explanation.minimum} - set(detectable(diagnosis)))
+    return sorted({term.name for term, _ in diagnosis.explanation.minimum} - set(detectable(diagnosis)))
 
 
 def not_looked_for(diagnosis: Diagnosis) -> list[str]:

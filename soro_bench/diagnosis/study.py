@@ -17,7 +17,7 @@ from soro_bench.assets import asset_path
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.page import write_reports
 from soro_bench.diagnosis.pipeline import Diagnosis, diagnose, unexplained
-from soro_bench.diagnosis.report import earlier
+from soro_bench.diagnosis.report import baseline
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import Robot
@@ -104,8 +104,8 @@ def run_study(
     for part in study.parts:
         folder = Path(out) / part.name
         if not (folder / SUMMARY).exists():
-            known = earlier(Path(out) / part.after) if part.after else None
-            robot = ModelRobot(study.model, study.map, threads, earlier=known)
+            known = baseline(Path(out) / part.after) if part.after else None
+            robot = ModelRobot(study.model, study.map, threads, baseline=known)
             found = diagnose(
                 robot, part.train, part.heldout, seed, lambda stage, p=part: progress(f"{p.name}: {stage}")
             )
@@ -180,7 +180,7 @@ def errors_of(robot: Robot, measured: dict[str, tuple[Measured, ...]], hypothesi
     found = {}
     for key, some in measured.items():
         problem = unexplained(robot, some, 1.0)
-        residual = problem.residuals([(hypothesis.x, hypothesis.suspects)])[0]
+        residual = problem.residuals([(hypothesis.x, hypothesis.terms)])[0]
         found[key] = errors(residual.reshape(-1, *robot.shape), problem.weight.reshape(-1, *robot.shape) > 0)
     return found
 

@@ -59,6 +59,6 @@ def _known(summary: dict) -> str:
 
 def named(effect: dict) -> str:
     """An effect of a summary and its place, in words."""
-    where = effect["where"]
-    point = "" if where.get("index") is None else f"[{where['index']}]"
-    return f"{effect['name']} at {where['name']}{point}"
+    location = effect["where"]
+    point = "" if location.get("index") is None else f"[{location['index']}]"
+    return f"{effect['name']} at {location['name']}{point}"

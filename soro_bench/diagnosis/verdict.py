@@ -8,7 +8,7 @@ import numpy as np
 from soro_bench.diagnosis.assembly.findings import Finding, before_after, described, findings, length, percent, spaced
 from soro_bench.diagnosis.assembly.patch import kept, patch, rejected
 from soro_bench.diagnosis.candidates import late
-from soro_bench.diagnosis.localisation.ranking import Place
+from soro_bench.diagnosis.localisation.ranking import RankedLocation
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.report import NEXT_ACTIONS, detectable, invisible, not_looked_for
 from soro_bench.diagnosis.robots.priors import Prior
@@ -26,8 +26,8 @@ def verdict(diagnosis: Diagnosis) -> str:
     """What was found, in sentences."""
     best, unit = diagnosis.best, diagnosis.explanation.problem.recordings[0].unit
     said = []
-    suspects = best.hypothesis.suspects
-    if diagnosis.verdict == "measurement_fault" and not any(late(diagnosis.robot, s.name, s.where) for s in suspects):
+    terms = best.hypothesis.terms
+    if diagnosis.verdict == "measurement_fault" and not any(late(diagnosis.robot, s.name, s.location) for s in terms):
         said.append("This is a fault of the measurement, not of the robot.")
     if diagnosis.outliers.share:
         said.append(f"{100 * diagnosis.outliers.share:.2g} % of the points are outliers; they are left out.")
@@ -42,17 +42,17 @@ def verdict(diagnosis: Diagnosis) -> str:
             said.append(f"Not looked for (it has no place here, or none beside known effects): {', '.join(lacking)}.")
         return "\n".join(said)
     if diagnosis.verdict == "unknown_physics":
-        place = f" at {diagnosis.places[0].where}" if diagnosis.places else ""
+        site = f" at {diagnosis.ranked_locations[0].location}" if diagnosis.ranked_locations else ""
         nearest = " with ".join(best.names) or "nothing"
-        said.append(f"Something acts{place} that has no name in the catalogue "
+        said.append(f"Something acts{site} that has no name in the catalogue "
                     f"(probability {diagnosis.comparison.unknown:.2f}); nearest is {nearest}.")  # fmt: skip
-        if diagnosis.places:
-            said += [_force(diagnosis, unit), *_elsewhere(diagnosis.places)]
+        if diagnosis.ranked_locations:
+            said += [_force(diagnosis, unit), *_elsewhere(diagnosis.ranked_locations)]
         else:
             said.append("No force at a single place explains any of it.")
     else:
         found = [f for f in findings(diagnosis) if f.answer is best]
-        said += [_sentence(diagnosis, f) + _twin(diagnosis.robot, f.effect) for f in found]
+        said += [_sentence(diagnosis, f) + _indistinguishable(diagnosis.robot, f.effect) for f in found]
     if far := _far(diagnosis):
         said.append(far)
     said.append(f"Fit: {before_after(best.train, unit)}.")
@@ -98,19 +98,23 @@ def _least(seen: dict) -> str:
 
 def _force(diagnosis: Diagnosis, unit: str) -> str:
     """The force without a law that stands for what has no name."""
-    force, problem = diagnosis.places[0].force, diagnosis.explanation.problem
+    force, problem = diagnosis.ranked_locations[0].force, diagnosis.explanation.problem
     sizes = (f"{size:.2g} {u} ({name})" for size, u, name in
              zip(np.sqrt((force.values**2).mean(axis=0)), force.units, force.components, strict=True))  # fmt: skip
     before = problem.left(diagnosis.explanation.nominal.residual)
-    form = ", ".join(f"{name} {share:.2f}" for name, share in list(force.shares.items())[:3])
-    form = f"linear in what the robot is told and in its shape (mostly in: {form})" if force.shares else "free in time"
-    return (f"Without a law: what acts there is {', '.join(sizes)} rms; with it, {form}, "
+    input_model = ", ".join(f"{name} {share:.2f}" for name, share in list(force.shares.items())[:3])
+    input_model = (
+        f"linear in what the robot is told and in its shape (mostly in: {input_model})"
+        if force.shares
+        else "free in time"
+    )
+    return (f"Without a law: what acts there is {', '.join(sizes)} rms; with it, {input_model}, "
             f"{length(force.left, unit)} of {length(before, unit)} would be left.")  # fmt: skip
 
 
-def _elsewhere(places: Sequence[Place]) -> list[str]:
+def _elsewhere(ranked_locations: Sequence[RankedLocation]) -> list[str]:
     """Where forces explain nearly as much as at the first place, as a sentence; none if nowhere."""
-    near = [str(place.where) for place in places[1:] if place.gain >= NEARLY * places[0].gain]
+    near = [str(site.location) for site in ranked_locations[1:] if site.gain >= NEARLY * ranked_locations[0].gain]
     more = len(near) - NAMED
     names = near[:NAMED] + [f"{more} other place{'s' * (more > 1)}"] * (more > 0)
     return [f"So it may be elsewhere: forces at {', '.join(names)} explain nearly as much."] if near else []
@@ -119,19 +123,19 @@ def _elsewhere(places: Sequence[Place]) -> list[str]:
 def _far(diagnosis: Diagnosis) -> str:
     """Which parameters have gone where hardly anybody expected them, as a sentence; nothing if none has."""
     x, robot = kept(diagnosis).x, diagnosis.robot
-    far = [_moved(prior, x[i]) for i, prior in enumerate(robot.priors) if abs(x[i]) > FAR]
+    far = [_change(prior, x[i]) for i, prior in enumerate(robot.priors) if abs(x[i]) > FAR]
     if not far:
         return ""
     begin, why = (
         ("Far from what the earlier diagnosis found", "these have changed")
-        if robot.since
+        if robot.from_baseline
         else ("Far from their nominal values", "those are wrong")
     )
     return (f"{begin}, in standard deviations of their priors: {', '.join(far)}; either {why}, or what is missing "
             f"looks like these parameters.")  # fmt: skip
 
 
-def _moved(prior: Prior, x: float) -> str:
+def _change(prior: Prior, x: float) -> str:
     """How far a parameter has gone, in words."""
     return f"{prior.name} from {prior.nominal:.3g} to {prior.value(x):.3g}{spaced(prior.unit)} ({x:+.1f})"
 
@@ -159,13 +163,13 @@ def _sentence(diagnosis: Diagnosis, finding: Finding) -> str:
     when = ", ".join(f"{w['start_s']:.0f}-{w['end_s']:.0f} s" for w in shown["when"][:6])
     if len(diagnosis.explanation.problem.recordings) > 1:
         when = f"{when} of the first recording" if when else "no time of the first recording"
-    return (f"{finding.effect.name} at {finding.effect.where} (probability {finding.probability:.2f}): {values}; "
+    return (f"{finding.effect.name} at {finding.effect.location} (probability {finding.probability:.2f}): {values}; "
             f"visible at {when or 'no time'}; {shown['condition']}.")  # fmt: skip
 
 
-def _twin(robot: Robot, effect: Effect) -> str:
+def _indistinguishable(robot: Robot, effect: Effect) -> str:
     """What hardly any recording can tell from an effect, as a sentence; nothing if there is no such thing."""
-    if not late(robot, effect.name, effect.where):
+    if not late(robot, effect.name, effect.location):
         return ""
     twin = "actuator_delay at every actuator" if effect.name == "sensor_delay" else "sensor_delay"
     return f" Only motion that no command began tells it from {twin}; clocks do."

@@ -2,7 +2,7 @@
 
 from soro_bench.sources import SIMULATION, version_of
 
-PARTS = (*SIMULATION, "diagnosis/**/*.py", "recording/*.py", "inference/clouds.py")
+PARTS = (*SIMULATION, "diagnosis/**/*.py", "recording/*.py", "inference/statistical_linearisation.py")
 
 
 def method_version() -> str:

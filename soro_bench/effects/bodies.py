@@ -3,7 +3,7 @@
 import numpy as np
 
 from soro_bench.arrays import Bools
-from soro_bench.effects.effect import Port, Quantity
+from soro_bench.effects.effect import Location, Quantity
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.law import Law
 from soro_bench.rotation import rotate_by_vector
@@ -29,7 +29,7 @@ class BaseTilt(Law):
     fields = ("opt.gravity",)
 
     @classmethod
-    def idle(cls, elements: Elements, port: Port) -> frozenset[str]:
+    def idle(cls, elements: Elements, location: Location) -> frozenset[str]:
         gravity = elements.model.opt.gravity
         along = np.abs(gravity) == np.linalg.norm(gravity)  # about which gravity does not turn
         return frozenset(f"about_{axis}" for axis, same in zip("xyz", along, strict=True) if same and gravity.any())

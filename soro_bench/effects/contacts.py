@@ -21,9 +21,9 @@ class _Sliding(Law):
 
     def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
-        for port, geom in zip(self.ports, self.ids, strict=True):
+        for location, geom in zip(self.locations, self.ids, strict=True):
             if self.model.body_weldid[self.model.geom_bodyid[geom]] == 0:
-                raise EffectError(f"{self.name} depends on how fast a geom moves; {port} never moves")
+                raise EffectError(f"{self.name} depends on how fast a geom moves; {location} never moves")
         self.before = np.zeros((len(self.rows), 3))
         self.run.scaled("geom_friction")
 

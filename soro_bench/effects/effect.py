@@ -8,14 +8,15 @@ from typing import Any, ClassVar, Literal, Protocol
 
 from soro_bench.files import brief, read_json, write_json
 
-SCHEMA = "soro-bench/effects/1"
+SCHEMA = "soro-bench/effects/2"
+OLD_SCHEMA = "soro-bench/effects/1"  # its locations have the key "where"; it is still read
 KINDS = ("tendon", "joint", "actuator", "body", "flex", "geom", "model", "sensor")
 EVERY = "*"  # the name that means all ports of a kind
 MAX_EFFECTS = 100
 
 
 @dataclass(frozen=True)
-class Port:
+class Location:
     """Where an effect acts: a named element of a MuJoCo model, all of a kind ("*"), or an entry of a signal.
 
     ``kind`` is one of KINDS. For "model" the name says what of it, for "sensor" it is a signal's name, and ``index``
@@ -60,12 +61,12 @@ class Effect:
     """A law at a port with its parameters (SI units)."""
 
     name: str
-    where: Port
+    location: Location
     parameters: Mapping[str, float]
 
     def to_json(self) -> dict[str, Any]:
         """As effects files have it."""
-        return {"name": self.name, "where": self.where.to_json(), "parameters": dict(self.parameters)}
+        return {"name": self.name, "location": self.location.to_json(), "parameters": dict(self.parameters)}
 
 
 class Acting(Protocol):
@@ -83,25 +84,29 @@ def effect_from(data: object, laws: Mapping[str, type[Acting]]) -> Effect:
     """The effect that a JSON object describes.
 
     Args:
-        data: {"name", "where": {"kind", "name", "index"?}, "parameters": {name: number}}.
+        data: {"name", "location": {"kind", "name", "index"?}, "parameters": {name: number}}.
         laws: by name; classes with ``kinds`` and ``quantities``, such as catalogue.ALL.
 
     Raises:
         EffectError: says what is wrong.
     """
-    if not isinstance(data, dict) or data.keys() != {"name", "where", "parameters"}:
-        raise EffectError(f"an effect has name, where and parameters; this one is {brief(data)}")
-    name, where = data["name"], data["where"]
+    if isinstance(data, dict) and "where" in data and "location" not in data:  # as in the old schema
+        data = {"location" if key == "where" else key: value for key, value in data.items()}
+    if not isinstance(data, dict) or data.keys() != {"name", "location", "parameters"}:
+        raise EffectError(f"an effect has name, location and parameters; this one is {brief(data)}")
+    name, location = data["name"], data["location"]
     if not isinstance(name, str) or name not in laws:
         raise EffectError(f"unknown effect {brief(name)}; there are {', '.join(sorted(laws))}")
-    valid = isinstance(where, dict) and where.keys() - {"index"} == {"kind", "name"} and where["kind"] in KINDS
-    valid = valid and isinstance(where["name"], str)
-    valid = valid and ((index := where.get("index")) is None or (type(index) is int and index >= 0))
+    valid = isinstance(location, dict) and location.keys() - {"index"} == {"kind", "name"} and location["kind"] in KINDS
+    valid = valid and isinstance(location["name"], str)
+    valid = valid and ((index := location.get("index")) is None or (type(index) is int and index >= 0))
     if not valid:
-        raise EffectError(f"where of {name} is {brief(where)}; it has a kind ({', '.join(KINDS)}), a name, an index")
-    if where["kind"] not in laws[name].kinds:
-        raise EffectError(f"{name} acts on {', '.join(laws[name].kinds)}, not on {brief(where['kind'])}")
-    return checked(Effect(name, Port(**where), data["parameters"]), laws[name].quantities)
+        raise EffectError(
+            f"location of {name} is {brief(location)}; it has a kind ({', '.join(KINDS)}), a name, an index"
+        )
+    if location["kind"] not in laws[name].kinds:
+        raise EffectError(f"{name} acts on {', '.join(laws[name].kinds)}, not on {brief(location['kind'])}")
+    return checked(Effect(name, Location(**location), data["parameters"]), laws[name].quantities)
 
 
 def checked(effect: Effect, quantities: Sequence[Quantity]) -> Effect:
@@ -121,7 +126,7 @@ def checked(effect: Effect, quantities: Sequence[Quantity]) -> Effect:
             low, high = q.bounds
             raise EffectError(f"{q.name} of {effect.name} is {brief(value)}; allowed is {low:g} to {high:g} {q.unit}")
         values[q.name] = float(value)
-    return Effect(effect.name, effect.where, values)
+    return Effect(effect.name, effect.location, values)
 
 
 def save_effects(effects: Sequence[Effect], path: str | Path) -> None:
@@ -135,7 +140,8 @@ def load_effects(path: str | Path, laws: Mapping[str, type[Acting]]) -> tuple[Ef
         data = read_json(path)
     except (ValueError, RecursionError) as error:
         raise EffectError(f"{path} is no effects file: {error}") from error
-    if not isinstance(data, dict) or data.get("schema") != SCHEMA or not isinstance(data.get("effects"), list):
+    known = isinstance(data, dict) and data.get("schema") in (SCHEMA, OLD_SCHEMA)
+    if not known or not isinstance(data.get("effects"), list):
         raise EffectError(f"{path} is no effects file: its schema has to be {SCHEMA}, with a list of effects")
     if len(data["effects"]) > MAX_EFFECTS:
         raise EffectError(f"{path} has {len(data['effects'])} effects; at most {MAX_EFFECTS} are allowed")

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from soro_bench.arrays import Floats, Ints
-from soro_bench.effects.effect import EVERY, EffectError, Port
+from soro_bench.effects.effect import EVERY, EffectError, Location
 
 AUXILIARY = "auxiliary:"  # and a joint's name: a spring of the effects, beside the joint's own
 FOUND = "found_at_"  # the same in a patched model
@@ -67,10 +67,10 @@ class Elements:
 
     model: mujoco.MjModel
     # what was asked for before
-    _ports: dict[tuple[Port, bool], list[Port]] = field(default_factory=dict, repr=False, compare=False)
+    _ports: dict[tuple[Location, bool], list[Location]] = field(default_factory=dict, repr=False, compare=False)
     _joint_ids: dict[tuple[int, bool], Ints] = field(default_factory=dict, repr=False, compare=False)
 
-    def ports(self, kind: str) -> list[Port]:
+    def locations(self, kind: str) -> list[Location]:
         """All ports of a kind; for "model" there is one, "gravity"; sensors are the recording's."""
         names = {
             "tendon": self._tendons,
@@ -81,31 +81,33 @@ class Elements:
             "geom": self._geoms,
             "model": lambda: ["gravity"],
         }[kind]()
-        return [Port(kind, name) for name in names]
+        return [Location(kind, name) for name in names]
 
-    def expand(self, port: Port, elastic: bool = False) -> list[Port]:
+    def expand(self, location: Location, elastic: bool = False) -> list[Location]:
         """The ports that one stands for; EffectError if there is no such element.
 
         Args:
             elastic: whether every body is every one that hangs on springs or a flex.
         """
-        if (port, elastic) not in self._ports:
-            self._ports[port, elastic] = self._expanded(port, elastic)
-        return self._ports[port, elastic]
+        if (location, elastic) not in self._ports:
+            self._ports[location, elastic] = self._expanded(location, elastic)
+        return self._ports[location, elastic]
 
-    def _expanded(self, port: Port, elastic: bool) -> list[Port]:
-        ports = self.ports(port.kind)
-        if elastic and port == Port("body", EVERY):
-            ports = [p for p in ports if self._hangs(self.id(p))]
-        chosen = ports if port.name == EVERY else [p for p in ports if p.name == port.name]
+    def _expanded(self, location: Location, elastic: bool) -> list[Location]:
+        locations = self.locations(location.kind)
+        if elastic and location == Location("body", EVERY):
+            locations = [p for p in locations if self._hangs(self.id(p))]
+        chosen = locations if location.name == EVERY else [p for p in locations if p.name == location.name]
         if not chosen:
-            there_are = ", ".join(p.name for p in ports) or "none"
-            raise EffectError(f"the model has no {port.kind} {port.name!r} that an effect could act on ({there_are})")
+            there_are = ", ".join(p.name for p in locations) or "none"
+            raise EffectError(
+                f"the model has no {location.kind} {location.name!r} that an effect could act on ({there_are})"
+            )
         return chosen
 
-    def id(self, port: Port) -> int:
+    def id(self, location: Location) -> int:
         """MuJoCo's number of an element."""
-        return mujoco.mj_name2id(self.model, _OBJECTS[port.kind], port.name)
+        return mujoco.mj_name2id(self.model, _OBJECTS[location.kind], location.name)
 
     def joints_of(self, body: int, bending_only: bool = False) -> Ints:
         """Scalar joints of a body: its hinges only, where there are some and only bending counts."""
@@ -136,48 +138,48 @@ class Elements:
             raise EffectError(f"joint {self.model.joint(joint).name} has no spring for effects; see instrument()")
         return spring
 
-    def actuators_on(self, port: Port) -> Ints:
+    def actuators_on(self, location: Location) -> Ints:
         """Actuators that pull at a tendon or turn a joint."""
-        kind = {"tendon": mujoco.mjtTrn.mjTRN_TENDON, "joint": mujoco.mjtTrn.mjTRN_JOINT}[port.kind]
+        kind = {"tendon": mujoco.mjtTrn.mjTRN_TENDON, "joint": mujoco.mjtTrn.mjTRN_JOINT}[location.kind]
         model = self.model
-        return np.flatnonzero((model.actuator_trntype == kind) & (model.actuator_trnid[:, 0] == self.id(port)))
+        return np.flatnonzero((model.actuator_trntype == kind) & (model.actuator_trnid[:, 0] == self.id(location)))
 
-    def turns(self, port: Port) -> bool:
+    def turns(self, location: Location) -> bool:
         """Whether what moves at a port turns and does not slide: a hinge, what drives one, a body that bends."""
-        if port.kind not in ("joint", "actuator", "body"):
+        if location.kind not in ("joint", "actuator", "body"):
             return False
-        model, i = self.model, self.id(self.expand(port)[0])
-        if port.kind == "body":
+        model, i = self.model, self.id(self.expand(location)[0])
+        if location.kind == "body":
             joints = self.joints_of(i, bending_only=True)
             return not len(joints) or model.jnt_type[joints[0]] == mujoco.mjtJoint.mjJNT_HINGE
-        if port.kind == "actuator":
+        if location.kind == "actuator":
             if model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_JOINT:
                 return False
             i = model.actuator_trnid[i, 0]
         return model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE
 
-    def scale(self, port: Port, of: str | None) -> float:
+    def scale(self, location: Location, of: str | None) -> float:
         """What a typical force, damping or length is a multiple of: a share of the port's range, or 1; of compliances
         it is that of the servo itself."""
         if of is None:
             return 1.0
         if of == "compliance":
-            return 1.0 / max(abs(float(self.model.actuator_gainprm[self.id(port), 0])), 1e-6)
+            return 1.0 / max(abs(float(self.model.actuator_gainprm[self.id(location), 0])), 1e-6)
         if of == "damping":
-            return self.scale(port, "force") / (_TURN if self.turns(port) else _SPEED)
+            return self.scale(location, "force") / (_TURN if self.turns(location) else _SPEED)
         model = self.model
-        if port.kind == "actuator":
-            i = self.id(port)
+        if location.kind == "actuator":
+            i = self.id(location)
             if of == "force":
                 return _SHARE * _width(model.actuator_forcerange[i], model.actuator_forcelimited[i], 1.0)
             integrates = model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR
             span = (model.actuator_actrange if integrates else model.actuator_ctrlrange)[i]
             return _SHARE * _width(span, True, 1.0)
-        actuators = self.actuators_on(port)
+        actuators = self.actuators_on(location)
         spans = [_width(model.actuator_forcerange[i], model.actuator_forcelimited[i], 0.0) for i in actuators]
         if spans and max(spans) > 0:
             return _SHARE * max(spans)
-        if port.kind == "joint" and (stiffness := float(np.ravel(model.jnt_stiffness[self.id(port)])[0])) > 0:
+        if location.kind == "joint" and (stiffness := float(np.ravel(model.jnt_stiffness[self.id(location)])[0])) > 0:
             return _SHARE * stiffness
         return 1.0
 

@@ -7,7 +7,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from soro_bench.arrays import Bools, Floats, Ints
-from soro_bench.effects.effect import Effect, EffectError, Port, Quantity
+from soro_bench.effects.effect import Effect, EffectError, Location, Quantity
 from soro_bench.effects.elements import Elements
 
 if TYPE_CHECKING:
@@ -34,17 +34,17 @@ class Law:
     adds: ClassVar[bool] = False  # may come several times at one port
     elastic: ClassVar[bool] = False  # of the material: every body is then every one that hangs on springs or a flex
 
-    def __init__(self, run: "ActiveEffects", entries: Sequence[tuple[int, Port, Effect]]):
+    def __init__(self, run: "ActiveEffects", entries: Sequence[tuple[int, Location, Effect]]):
         self.run, self.batch, self.model = run, run.batch, run.batch.model
         self.rows = np.array([row for row, _, _ in entries])
-        self.ports = [port for _, port, _ in entries]
+        self.locations = [location for _, location, _ in entries]
         self.values = {q.name: np.array([e.parameters[q.name] for _, _, e in entries]) for q in self.quantities}
         for name in self.outputs:
             self.batch.bind(name)
         self.prepare(run.elements)
 
     @classmethod
-    def idle(cls, elements: Elements, port: Port) -> frozenset[str]:
+    def idle(cls, elements: Elements, location: Location) -> frozenset[str]:
         """Quantities that can do nothing at a port, as a second direction of bending where there is one hinge."""
         return frozenset()
 
@@ -55,7 +55,7 @@ class Law:
 
     def prepare(self, elements: Elements) -> None:
         """Look up what the ports are in the model."""
-        self.ids = np.array([elements.id(port) for port in self.ports])
+        self.ids = np.array([elements.id(location) for location in self.locations])
 
     def write(self, which: Bools) -> None:
         """Change model fields."""
@@ -83,7 +83,7 @@ class OnJoints(Law):
     bending_only: ClassVar[bool] = False
 
     def prepare(self, elements: Elements) -> None:
-        joints = [self._joints(elements, port) for port in self.ports]
+        joints = [self._joints(elements, location) for location in self.locations]
         counts = [len(each) for each in joints]
         self.place = np.repeat(np.arange(len(counts)), counts)
         self.rows = np.repeat(self.rows, counts)
@@ -98,12 +98,12 @@ class OnJoints(Law):
         strained = self.batch.qpos[self.rows, self.qpos] - self.field("qpos_spring")[self.rows, self.qpos]
         return np.sqrt(np.bincount(self.place, strained * strained))[self.place]
 
-    def _joints(self, elements: Elements, port: Port) -> Ints:
-        if port.kind == "joint":
-            return np.array([elements.id(port)])
-        joints = elements.joints_of(elements.id(port), self.bending_only)
+    def _joints(self, elements: Elements, location: Location) -> Ints:
+        if location.kind == "joint":
+            return np.array([elements.id(location)])
+        joints = elements.joints_of(elements.id(location), self.bending_only)
         if not len(joints):
-            raise EffectError(f"{self.name} acts on scalar joints; {port} has none")
+            raise EffectError(f"{self.name} acts on scalar joints; {location} has none")
         return joints
 
 

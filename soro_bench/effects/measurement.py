@@ -124,15 +124,15 @@ def distorted(
 ) -> Floats:
     """(T, P, D) samples of a signal with the measurement faults among ``effects`` that concern it."""
     for effect in effects:
-        if effect.where.kind == "sensor" and effect.where.name in ("*", signal):
+        if effect.location.kind == "sensor" and effect.location.name in ("*", signal):
             if _point(effect) >= values.shape[1]:
-                raise EffectError(f"{effect.name} is at {effect.where}; {signal} has {values.shape[1]} points")
+                raise EffectError(f"{effect.name} is at {effect.location}; {signal} has {values.shape[1]} points")
             values = faults[effect.name].apply(time, values, effect.parameters, _point(effect))
     return values
 
 
 def _point(effect: Effect) -> int:
-    return 0 if effect.where.index is None else effect.where.index
+    return 0 if effect.location.index is None else effect.location.index
 
 
 def _at(when: Floats, time: Floats, values: Floats) -> Floats:

@@ -36,11 +36,11 @@ class AcrossNeck(Law):
 
     def prepare(self, elements: Elements) -> None:
         model = self.model
-        self.far = np.array([elements.id(port) for port in self.ports])
+        self.far = np.array([elements.id(location) for location in self.locations])
         self.flexes: list[int] = []
-        for port, body in zip(self.ports, self.far, strict=True):
+        for location, body in zip(self.locations, self.far, strict=True):
             if (flex := elements.flex_before(body)) is None or model.flex_nodenum[flex] * 3 != _CELL:
-                raise EffectError(f"{self.name} acts on scalar joints or a neck of flex; {port} has none")
+                raise EffectError(f"{self.name} acts on scalar joints or a neck of flex; {location} has none")
             self.flexes.append(flex)
         first = model.flex_nodeadr[self.flexes]
         self.near = np.array([model.flex_nodebodyid[a : a + _CELL // 3].min() for a in first])

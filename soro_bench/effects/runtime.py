@@ -9,7 +9,7 @@ from mujoco.batch import DATA_FIELDS, Batch
 
 from soro_bench.arrays import Floats, Ints
 from soro_bench.effects.catalogue import PHYSICS
-from soro_bench.effects.effect import Effect, EffectError, Port, checked
+from soro_bench.effects.effect import Effect, EffectError, Location, checked
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.law import Law
 from soro_bench.effects.necks import NECKS
@@ -45,13 +45,13 @@ class ActiveEffects:
                     raise EffectError(f"{effect.name} is no physics of the robot; there are {', '.join(PHYSICS)}")
                 law = PHYSICS[effect.name]
                 complete = checked(effect, law.quantities)
-                if effect.where.kind not in law.kinds:
-                    raise EffectError(f"{effect.name} acts on {', '.join(law.kinds)}, not on {effect.where}")
-                for port in self.elements.expand(effect.where, law.elastic):
-                    if (row, law, port) in seen and not law.adds:
-                        raise EffectError(f"{effect.name} acts twice at {port}; once is allowed")
-                    seen.add((row, law, port))
-                    by_law.setdefault((effect.name, self._on_neck(port)), []).append((row, port, complete))
+                if effect.location.kind not in law.kinds:
+                    raise EffectError(f"{effect.name} acts on {', '.join(law.kinds)}, not on {effect.location}")
+                for location in self.elements.expand(effect.location, law.elastic):
+                    if (row, law, location) in seen and not law.adds:
+                        raise EffectError(f"{effect.name} acts twice at {location}; once is allowed")
+                    seen.add((row, law, location))
+                    by_law.setdefault((effect.name, self._on_neck(location)), []).append((row, location, complete))
         refined = self.batch.expanded("opt.timestep")  # the same in all simulations
         self.timestep = float(self._nominal.opt.timestep if refined is None else refined.flat[0])
         self._claimed: dict[tuple[int, int], str] = {}
@@ -70,9 +70,9 @@ class ActiveEffects:
         """Whether everything that the effects do is in model fields."""
         return not (self.filters or self._stepped)
 
-    def _on_neck(self, port: Port) -> bool:
+    def _on_neck(self, location: Location) -> bool:
         """Whether a body hangs on what precedes it by a flex, not by joints that could have springs."""
-        return port.kind == "body" and not len(self.elements.joints_of(self.elements.id(port)))
+        return location.kind == "body" and not len(self.elements.joints_of(self.elements.id(location)))
 
     def claim(self, law: Law, rows: Ints, springs: Ints) -> None:
         """Note that a law uses springs; EffectError if another one does."""
@@ -85,14 +85,14 @@ class ActiveEffects:
         """Note that a law multiplies a model field before every time step."""
         self._scaled.setdefault(name, Scaled(self.batch.expand(name)))
 
-    def change(self, name: str, row: int, port: Port, quantity: str, value: float) -> None:
+    def change(self, name: str, row: int, location: Location, quantity: str, value: float) -> None:
         """Give an effect that acts in a simulation another value of a quantity, from the next time step on."""
         law, i = next(
             (law, i)
             for law in self._laws
             if law.name == name
             for i in np.flatnonzero(law.rows == row)
-            if law.ports[i] == port
+            if law.locations[i] == location
         )
         law.values[quantity][i] = value
 

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from soro_bench.arrays import Bools, Floats
-from soro_bench.effects.effect import EffectError, Port, Quantity
+from soro_bench.effects.effect import EffectError, Location, Quantity
 from soro_bench.effects.elements import NEVER, Elements
 from soro_bench.effects.law import Law, OnJoints, tension
 
@@ -42,7 +42,7 @@ class _Friction(Law):
     def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         # a tendon's own spring, a joint's second one
-        on_joint = [port.kind == "joint" for port in self.ports]
+        on_joint = [location.kind == "joint" for location in self.locations]
         self.springs = np.array([elements.spring_of(i) if j else i for i, j in zip(self.ids, on_joint, strict=True)])
         taken = (self.model.tendon_plasticadr[self.springs] < 0) | (self.model.tendon_stiffness[self.springs] != 0)
         if taken.any():
@@ -53,7 +53,7 @@ class _Friction(Law):
         weight = self.model.tendon_invweight0[self.springs] * (0.0 if implicit else 1.0)
         with np.errstate(divide="ignore"):
             self.stiffest = _STABLE / (weight * self.dt**2)
-        actuators = [elements.actuators_on(port) for port in self.ports]
+        actuators = [elements.actuators_on(location) for location in self.locations]
         self.actuators = np.full((len(actuators), max(map(len, actuators), default=0)), -1)
         for i, each in enumerate(actuators):
             self.actuators[i, : len(each)] = each
@@ -149,7 +149,7 @@ class LoadFriction(_Friction):
 
     def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
-        self.on_joint = np.array([port.kind == "joint" for port in self.ports])
+        self.on_joint = np.array([location.kind == "joint" for location in self.locations])
         self.dofs = np.where(self.on_joint, self.model.jnt_dofadr[np.where(self.on_joint, self.ids, 0)], 0)
         paths = [[] if joint else _bends(self.model, i) for i, joint in zip(self.ids, self.on_joint, strict=True)]
         longest = max(1, *map(len, paths))
@@ -337,8 +337,8 @@ class RestBend(OnJoints):
     fields = ("qpos_spring",)
 
     @classmethod
-    def idle(cls, elements: Elements, port: Port) -> frozenset[str]:
-        joints = elements.joints_of(elements.id(port), bending_only=True) if port.kind == "body" else [port]
+    def idle(cls, elements: Elements, location: Location) -> frozenset[str]:
+        joints = elements.joints_of(elements.id(location), bending_only=True) if location.kind == "body" else [location]
         return frozenset({"angle_y"} if len(joints) == 1 else ())
 
     def prepare(self, elements: Elements) -> None:

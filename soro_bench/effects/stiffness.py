@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from soro_bench.arrays import Bools, Floats
-from soro_bench.effects.effect import EffectError, Port, Quantity
+from soro_bench.effects.effect import EffectError, Location, Quantity
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.law import Law, OnJoints
 
@@ -20,7 +20,7 @@ class ViscousFriction(Law):
 
     def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
-        self.on_joint = np.array([port.kind == "joint" for port in self.ports])
+        self.on_joint = np.array([location.kind == "joint" for location in self.locations])
 
     def write(self, which: Bools) -> None:
         for field, chosen in (("tendon_damping", ~self.on_joint), ("dof_damping", self.on_joint)):
@@ -120,7 +120,7 @@ class _Springs:
     """Springs and dampers of joints, or the stiffness of flexes, that are scaled together."""
 
     def __init__(self, law: OnJoints, elements: Elements):
-        places = [self._places(law, elements, port) for port in law.ports]
+        places = [self._places(law, elements, location) for location in law.locations]
         counts = [len(each) for each in places]
         law.rows = np.repeat(law.rows, counts)
         law.values = {name: np.repeat(values, counts) for name, values in law.values.items()}
@@ -129,18 +129,18 @@ class _Springs:
         self.fields = np.array([field for field, _ in flat])
         self.columns = np.array([column for _, column in flat], int)
 
-    def _places(self, law: OnJoints, elements: Elements, port: Port) -> list[tuple[str, int]]:
-        model, i = law.model, elements.id(port)
+    def _places(self, law: OnJoints, elements: Elements, location: Location) -> list[tuple[str, int]]:
+        model, i = law.model, elements.id(location)
         joints = np.zeros(0, int)
-        if port.kind in ("joint", "body"):
-            joints = np.array([i]) if port.kind == "joint" else elements.joints_of(i)
+        if location.kind in ("joint", "body"):
+            joints = np.array([i]) if location.kind == "joint" else elements.joints_of(i)
         if not len(joints):
-            flex = i if port.kind == "flex" else elements.flex_before(i)
+            flex = i if location.kind == "flex" else elements.flex_before(i)
             if flex is None:
-                raise EffectError(f"{law.name} needs joints or a flex; {port} has none")
+                raise EffectError(f"{law.name} needs joints or a flex; {location} has none")
             found = [(field, column) for field in _OF_FLEX for column in _columns(model, field, flex)]
             if not found:
-                raise EffectError(f"{law.name} needs elasticity of the flex; that of {port} has none")
+                raise EffectError(f"{law.name} needs elasticity of the flex; that of {location} has none")
             return found  # its damping is in proportion
         return [("jnt_stiffness", j) for j in joints] + [("dof_damping", model.jnt_dofadr[j]) for j in joints]
 

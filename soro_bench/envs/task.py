@@ -35,7 +35,7 @@ def effects_of(effects: Sequence[Effect | dict] | str | Path | None) -> tuple[Ef
     if not isinstance(effects, str | Path):
         return _checked_effects(effects)
     found = load_effects(effects, ALL)
-    physics = tuple(effect for effect in found if effect.where.kind != "sensor")
+    physics = tuple(effect for effect in found if effect.location.kind != "sensor")
     if faults := ", ".join(effect.name for effect in found if effect not in physics):
         logger.warn(f"{effects} has faults of measurement, which do nothing here: {faults}")
     return physics
@@ -197,8 +197,8 @@ class Task(ABC):
         if actions.dtype.kind not in kinds:
             raise ValueError(f"action {brief(actions.tolist())} is invalid; allowed are {allowed}")
         if not (valid := (actions >= low) & (actions <= high)).all():  # NaN is not
-            where = np.argwhere(~valid)[0].tolist()
-            value = f"{brief(actions.tolist())} is invalid: {actions[tuple(where)]} at {where}"
+            first = np.argwhere(~valid)[0].tolist()
+            value = f"{brief(actions.tolist())} is invalid: {actions[tuple(first)]} at {first}"
             raise ValueError(f"action {value}; allowed are {allowed}")
         return actions
 

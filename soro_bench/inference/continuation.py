@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import qmc
 
-from soro_bench.inference.clouds import LENGTHS, LowRank, cloud, linearised
+from soro_bench.inference.statistical_linearisation import LENGTHS, LowRank, linearised, sample_around
 
 DIFFERENCE = 1e-3  # of the search box, step of the finite differences
 HORIZONS, STEPS_PER_HORIZON = 20, 2
@@ -15,13 +15,13 @@ SHARES, DRAWS = (0.03, 0.3), 4  # of the misfit, and how many points each
 
 def best_track(residuals, deviation, groups, dimension, log, seed, starts, progress=lambda *_: None) -> np.ndarray:
     """(d,) the point of the unit cube that explains the recording best: :func:`track`, and where much is left
-    :func:`polished`, from other starting points until little is."""
+    :func:`refine`, from other starting points until little is."""
     enough = len(deviation) * len(groups) * np.log1p(EXPLAINED**2)
     best, lowest = None, np.inf
     for attempt in range(ATTEMPTS):
         found = track(residuals, deviation, groups, dimension, log, [seed, attempt], starts, progress)
         if found[1] >= enough:
-            found = polished(residuals, deviation, groups, *found, log, [seed, attempt])
+            found = refine(residuals, deviation, groups, *found, log, [seed, attempt])
         if found[1] < lowest:
             best, lowest = found
         if lowest < enough:
@@ -29,8 +29,8 @@ def best_track(residuals, deviation, groups, dimension, log, seed, starts, progr
     return best
 
 
-def polished(residuals, deviation, groups, point, cost, log, seed):
-    """A better point than one nearby, and its cost: steps on linear models over clouds that shrink (clouds.py).
+def refine(residuals, deviation, groups, point, cost, log, seed):
+    """A better point than one nearby, and its cost: steps on linear models over samples that shrink.
 
     Each round moves on to its best point even if that is worse: the way out of a local optimum leads uphill. Best is
     where most single numbers are explained.
@@ -38,12 +38,12 @@ def polished(residuals, deviation, groups, point, cost, log, seed):
     steps, dimension, best = len(deviation), len(point), (point, cost)
     single = [slice(i, i + 1) for i in range(deviation.shape[1])]
     for k, scale in enumerate(SCALES):
-        points = np.clip(cloud(point, scale, CLOUD, [*seed, k]), 0, 1)
+        points = np.clip(sample_around(point, scale, CLOUD, [*seed, k]), 0, 1)
         found = log(lambda x: residuals(x, steps), points, "cloud")
         line = linearised(point, points, np.stack([_whiten(each, deviation).ravel() for each in found]))
         covariance = LowRank(line.error)
-        hessian = covariance.product(line.slope, line.slope) + np.eye(dimension) / PRIOR**2
-        step = -np.linalg.solve(hessian, covariance.product(line.slope, line.residual[None])[:, 0])
+        hessian = covariance.product(line.jacobian, line.jacobian) + np.eye(dimension) / PRIOR**2
+        step = -np.linalg.solve(hessian, covariance.product(line.jacobian, line.residual[None])[:, 0])
         trials = np.clip([point + length * step for length in LENGTHS], 0, 1)
         tried = log(lambda x: residuals(x, steps), trials, "trial")
         tried = np.concatenate([tried, found]) / deviation

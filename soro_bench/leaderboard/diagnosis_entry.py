@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from soro_bench.blind_benchmark.score import GATES, LABEL_BYTES, case_row, commitment, is_met, opened_labels, scored
+from soro_bench.blind_benchmark.score import GATES, LABEL_BYTES, case_row, is_met, label_digest, opened_labels, scored
 from soro_bench.files import brief, write_json
 from soro_bench.leaderboard.strict import REPORT_BYTES, check, read_strict
 from soro_bench.results import versions
@@ -59,7 +59,7 @@ def opened(cases: Path) -> dict:
             "seed": read_strict(path, LABEL_BYTES)["seed"],
             "count": len(labels),
             "nulls": sum(label["group"] == "none" for label in labels),
-            "commitment": commitment(cases),
+            "commitment": label_digest(cases),
         }
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from soro_bench.arrays import Bools, Floats, Ints
-from soro_bench.effects.effect import Effect, EffectError, Port
+from soro_bench.effects.effect import Effect, EffectError, Location
 from soro_bench.effects.runtime import ActiveEffects
 from soro_bench.parameters import ParameterSet
 
@@ -98,9 +98,9 @@ class Simulation:
             return False
         return True
 
-    def change(self, name: str, row: int, port: Port, quantity: str, value: float) -> None:
+    def change(self, name: str, row: int, location: Location, quantity: str, value: float) -> None:
         """Give an effect that acts in simulation ``row`` another value of a quantity, from the next time step on."""
-        self._instrumented.change(name, row, port, quantity, value)
+        self._instrumented.change(name, row, location, quantity, value)
 
     @property
     def native(self) -> bool:

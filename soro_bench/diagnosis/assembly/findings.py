@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soro_bench.diagnosis.candidates import Suspect, slices
+from soro_bench.diagnosis.candidates import Term, slices
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.localisation.residual_maps import Regime, explained_over_time, intervals, regimes
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Fit, temperature
 from soro_bench.effects.catalogue import CATEGORIES
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.effect import Effect, Location
 
 NINETY = 1.645  # standard deviations on either side of the middle 90 %
 _TELLS = 1.2  # times more than its share of the time has to be explained for a condition to say when an effect acts
@@ -23,7 +23,7 @@ class Finding:
     """An effect at a place, in the answer that the report is of, or the most probable one that has it, and its
     probability in all of them."""
 
-    suspect: Suspect
+    term: Term
     effect: Effect
     answer: Answer
     probability: float
@@ -31,14 +31,14 @@ class Finding:
 
 def findings(diagnosis: Diagnosis) -> list[Finding]:
     """Every effect of any hypothesis, the most probable first; of those in one hypothesis that which gains most."""
-    best: dict[tuple[str, Port], Finding] = {}
+    best: dict[tuple[str, Location], Finding] = {}
     d = diagnosis.explanation.problem.parameters
     for answer in diagnosis.comparison.ranked:
-        for suspect, effect in zip(answer.hypothesis.suspects, answer.hypothesis.effects(d), strict=True):
-            key = (effect.name, effect.where)
+        for term, effect in zip(answer.hypothesis.terms, answer.hypothesis.effects(d), strict=True):
+            key = (effect.name, effect.location)
             first = best.get(key)
             chance = min(1.0, answer.probability + (first.probability if first else 0.0))  # but for rounding
-            best[key] = replace(first, probability=chance) if first else Finding(suspect, effect, answer, chance)
+            best[key] = replace(first, probability=chance) if first else Finding(term, effect, answer, chance)
     return sorted(best.values(), key=lambda f: -f.probability)
 
 
@@ -46,20 +46,20 @@ def described(diagnosis: Diagnosis, finding: Finding) -> dict:
     problem, hypothesis = diagnosis.explanation.problem, finding.answer.hypothesis
     gain = explained_over_time(problem, _lacking(diagnosis, finding), hypothesis)
     measured = problem.recordings[0]
-    channel = diagnosis.robot.channel(finding.effect.where)
+    channel = diagnosis.robot.channel(finding.effect.location)
     rates = diagnosis.robot.rates(measured.actions)
     shares = regimes(measured.time, rates if channel is None else rates[:, [channel]], gain)
     return {
         "name": finding.effect.name,
         "class": CATEGORIES[finding.effect.name],
         "probability": finding.probability,
-        "where": finding.effect.where.to_json(),
+        "where": finding.effect.location.to_json(),
         "when": [{"start_s": a, "end_s": b} for a, b in intervals(measured.time, gain)],
         "condition": _condition(finding.effect, shares, channel is not None),
         "parameters": _quantities(diagnosis, finding),
         "evidence": _evidence(diagnosis, finding.answer),
         "against": _against(diagnosis, finding.answer),
-        "together_with": [s.name for s in hypothesis.suspects if s is not finding.suspect],
+        "together_with": [s.name for s in hypothesis.terms if s is not finding.term],
     }
 
 
@@ -67,18 +67,18 @@ def _lacking(diagnosis: Diagnosis, finding: Finding) -> Hypothesis:
     """The answer without the effect: with parameters fitted anew where it is alone, and all else as it is where there
     are others."""
     problem, whole = diagnosis.explanation.problem, finding.answer.hypothesis
-    if len(whole.suspects) < 2:
+    if len(whole.terms) < 2:
         return diagnosis.explanation.nominal
-    which = next(i for i, suspect in enumerate(whole.suspects) if suspect is finding.suspect)
-    x = np.delete(whole.x, np.r_[slices(whole.suspects, problem.parameters)[which]])
-    others = whole.suspects[:which] + whole.suspects[which + 1 :]
-    return replace(whole, x=x, suspects=others, residual=problem.residuals([(x, others)])[0])
+    which = next(i for i, term in enumerate(whole.terms) if term is finding.term)
+    x = np.delete(whole.x, np.r_[slices(whole.terms, problem.parameters)[which]])
+    others = whole.terms[:which] + whole.terms[which + 1 :]
+    return replace(whole, x=x, terms=others, residual=problem.residuals([(x, others)])[0])
 
 
 def _condition(effect: Effect, shares: list[Regime], one: bool) -> str:
     """When most is explained; ``one``: whether a single channel moves where the effect acts."""
     most = max(shares, key=lambda r: r.explained / max(r.time, 0.02))
-    what, ending = (str(effect.where), "s") if one else ("the commands", "")
+    what, ending = (str(effect.location), "s") if one else ("the commands", "")
     when = {
         "just after reversals": f"just after reversals of {what}",
         "while it moves on, fast": f"while {what} move{ending} on, fast",
@@ -95,27 +95,27 @@ def _condition(effect: Effect, shares: list[Regime], one: bool) -> str:
 def _quantities(diagnosis: Diagnosis, finding: Finding) -> dict:
     hypothesis, first = finding.answer.hypothesis, diagnosis.explanation.problem.parameters
     x, spread = hypothesis.x, deviations(diagnosis, hypothesis)
-    which = next(i for i, suspect in enumerate(hypothesis.suspects) if suspect is finding.suspect)
-    part = slices(hypothesis.suspects, first)[which]
-    low, high = (finding.suspect.effect(x[part] + k * NINETY * spread[part]).parameters for k in (-1.0, 1.0))
+    which = next(i for i, term in enumerate(hypothesis.terms) if term is finding.term)
+    part = slices(hypothesis.terms, first)[which]
+    low, high = (finding.term.effect(x[part] + k * NINETY * spread[part]).parameters for k in (-1.0, 1.0))
     return {
         q.name: {
             "value": finding.effect.parameters[q.name],
-            "unit": unit_at(diagnosis.robot, q.unit, finding.effect.where),
+            "unit": unit_at(diagnosis.robot, q.unit, finding.effect.location),
             "ci90": sorted((low[q.name], high[q.name])),
         }
-        for q in finding.suspect.quantities
+        for q in finding.term.quantities
     }
 
 
-def unit_at(robot: Robot, unit: str, where: Port) -> str:
+def unit_at(robot: Robot, unit: str, location: Location) -> str:
     """What a quantity of an effect is in at a place: of "N or N m" and the like the one that fits what turns or slides
     there."""
     own = {"signal": robot.unit, "setpoint": robot.setpoint_unit}
     parts = own.get(unit, unit).split(" or ")
     turning = [part for part in parts if "rad" in part or "N m" in part]
     sliding = [part for part in parts if part not in turning]
-    return (turning if turning and robot.elements.turns(where) else sliding or parts)[0]
+    return (turning if turning and robot.elements.turns(location) else sliding or parts)[0]
 
 
 def deviations(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:
@@ -127,8 +127,8 @@ def tempered(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:
     """(n, n) covariance of x, under evidence tempered as in the comparison: a model that is wrong knows less than it
     seems. Priors are as they are."""
     problem = diagnosis.explanation.problem
-    heat, prior = temperature(problem.excess(hypothesis.residual)), np.eye(len(hypothesis.x))
-    return np.linalg.inv((np.linalg.inv(hypothesis.covariance(problem)) - prior) / heat + prior)
+    temper, prior = temperature(problem.misfit(hypothesis.residual)), np.eye(len(hypothesis.x))
+    return np.linalg.inv((np.linalg.inv(hypothesis.covariance(problem)) - prior) / temper + prior)
 
 
 def prior_values(priors, x) -> np.ndarray:

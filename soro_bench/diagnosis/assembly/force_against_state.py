@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soro_bench.diagnosis.assembly.law_evaluation import Servos, Springs, place_of
+from soro_bench.diagnosis.assembly.law_evaluation import Servos, Springs, law_site
 from soro_bench.diagnosis.candidates import slices
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Problem
@@ -57,17 +57,17 @@ class Curve:
 def force_against_state(diagnosis: Diagnosis) -> Curve | None:
     """Of the first effect of the best hypothesis whose law is a function of the state of a place; None without one."""
     problem, hypothesis = diagnosis.explanation.problem, diagnosis.best.hypothesis
-    for i, suspect in enumerate(hypothesis.suspects):
-        place = place_of(problem.robot, suspect)
-        if place and (curve := _curve(problem, hypothesis, i, place)):
+    for i, term in enumerate(hypothesis.terms):
+        site = law_site(problem.robot, term)
+        if site and (curve := _curve(problem, hypothesis, i, site)):
             return curve
     return None
 
 
-def _curve(problem: Problem, hypothesis: Hypothesis, i: int, place: Springs | Servos) -> Curve | None:
-    effects, of_rate = hypothesis.effects(problem.parameters), CATEGORIES[hypothesis.suspects[i].name] in _OF_RATE
+def _curve(problem: Problem, hypothesis: Hypothesis, i: int, site: Springs | Servos) -> Curve | None:
+    effects, of_rate = hypothesis.effects(problem.parameters), CATEGORIES[hypothesis.terms[i].name] in _OF_RATE
     others = effects[:i] + effects[i + 1 :]
-    states, forces = _observed(problem, hypothesis, [effects, others], place)
+    states, forces = _observed(problem, hypothesis, [effects, others], site)
     nodes, weights = _nodes(states, problem.robot.control_timestep, of_rate)
     flat = np.concatenate([each.reshape(len(each), -1) for each in weights], axis=1)
     force = np.concatenate([each.ravel() for each in forces]) * flat.any(axis=0)
@@ -77,14 +77,14 @@ def _curve(problem: Problem, hypothesis: Hypothesis, i: int, place: Springs | Se
         return None
     size = float(np.abs(law).max())
     more = _PUSH * size * np.eye(1 + len(law))[:, 1:]  # nothing first
-    replays = _pushed(problem, hypothesis, others, place, forces, more, weights)
+    replays = _with_inputs(problem, hypothesis, others, site, forces, more, weights)
     change, deviation = _corrections(problem, hypothesis, i, (replays[1:] - replays[0]) / _PUSH)
     law[flat.sum(axis=1) < 1.0] = np.nan
     known = np.where((deviation < _UNKNOWN) & np.isfinite(law), size, np.nan)
-    values = [(place.scale * each).reshape(2, -1) for each in (law, law + known * change, known * deviation)]
-    scale, unit = (1.0, "rad") if place.turns else (1e3, "mm")
-    label = f"rate of the {place.state} [{unit}/s]" if of_rate else f"{place.state} [{unit}]"
-    return Curve(effects[i], scale * nodes, *values, share, (label, place.force))
+    values = [(site.scale * each).reshape(2, -1) for each in (law, law + known * change, known * deviation)]
+    scale, unit = (1.0, "rad") if site.turns else (1e3, "mm")
+    label = f"rate of the {site.state} [{unit}/s]" if of_rate else f"{site.state} [{unit}]"
+    return Curve(effects[i], scale * nodes, *values, share, (label, site.force))
 
 
 def _nodes(tracks: Sequence[np.ndarray], timestep: float, of_rate: bool) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -119,10 +119,10 @@ def _corrections(problem, hypothesis, i, responses) -> tuple[np.ndarray, np.ndar
     What a function of the state cannot give is no white noise, so the deviations are what one second more or less
     changes (the jackknife: Tukey, 1958).
     """
-    others = np.delete(np.arange(len(hypothesis.x)), slices(hypothesis.suspects, problem.parameters)[i])
-    floor = hypothesis.floor(problem).basis
-    design = np.concatenate([-responses, hypothesis.slope[others], floor])
-    x = np.concatenate([np.zeros(len(responses)), hypothesis.x[others], np.zeros(len(floor))])
+    others = np.delete(np.arange(len(hypothesis.x)), slices(hypothesis.terms, problem.parameters)[i])
+    discretisation = hypothesis.discretisation(problem).basis
+    design = np.concatenate([-responses, hypothesis.jacobian[others], discretisation])
+    x = np.concatenate([np.zeros(len(responses)), hypothesis.x[others], np.zeros(len(discretisation))])
     seconds = min(WINDOW, sum(each.time[-1] for each in problem.recordings) / _LEAST_WINDOWS)
     parts = np.split(np.arange(design.shape[1]), np.flatnonzero(np.diff(windows(problem, seconds))) + 1)
     information = np.array([design[:, part] @ design[:, part].T for part in parts])
@@ -135,28 +135,28 @@ def _corrections(problem, hypothesis, i, responses) -> tuple[np.ndarray, np.ndar
     return -(inverse @ pull)[: len(responses)], np.sqrt(np.diag(covariance))[: len(responses)]
 
 
-def _observed(problem, hypothesis, effects, place) -> tuple[list[np.ndarray], list[np.ndarray]]:
+def _observed(problem, hypothesis, effects, site) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """States and what the law does there, (T, K) at the end of every step of every recording."""
     found: list[list[np.ndarray]] = []
 
     def watch(recording):
         found.append([])
-        return lambda step: found[recording].append(place.observed())
+        return lambda step: found[recording].append(site.observed())
 
     _replayed(problem, hypothesis, effects, watch)
     ends = [np.array([*track[1:], track[-1]]) for track in found]
     return [track[:, 0] for track in ends], [track[:, 1] for track in ends]
 
 
-def _pushed(problem, hypothesis, effects, place, forces, more, weights) -> np.ndarray:
+def _with_inputs(problem, hypothesis, effects, site, forces, more, weights) -> np.ndarray:
     """(N, M) replays with forces (T, K) of every recording, and more at the nodes (N, B)."""
 
-    def push(recording):
+    def apply_input(recording):
         acting = forces[recording] + np.tensordot(more, weights[recording], 1)
-        return lambda step: place.push(acting[:, step])
+        return lambda step: site.apply_input(acting[:, step])
 
-    simulated = _replayed(problem, hypothesis, [effects] * len(more), push)
-    place.push(np.zeros((len(more), forces[0].shape[1])))
+    simulated = _replayed(problem, hypothesis, [effects] * len(more), apply_input)
+    site.apply_input(np.zeros((len(more), forces[0].shape[1])))
     return simulated
 
 

@@ -5,25 +5,25 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
-from soro_bench.diagnosis.candidates import Suspect
+from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.effects.catalogue import PHYSICS
-from soro_bench.effects.effect import Port
+from soro_bench.effects.effect import Location
 from soro_bench.effects.setpoints import SetpointLaw
 
 
-def place_of(robot: Robot, suspect: Suspect) -> "Springs | Servos | None":
+def law_site(robot: Robot, term: Term) -> "Springs | Servos | None":
     """Where a suspect acts; None for what is no passive force and no law of setpoints, or has no place of its own."""
-    elements, model, where = robot.elements, robot.elements.model, suspect.where
-    if where.kind not in ("tendon", "joint", "body", "actuator"):
+    elements, model, location = robot.elements, robot.elements.model, term.location
+    if location.kind not in ("tendon", "joint", "body", "actuator"):
         return None
-    ports = elements.expand(where)
-    ids = [elements.id(port) for port in ports]
-    if where.kind == "actuator":
+    locations = elements.expand(location)
+    ids = [elements.id(each) for each in locations]
+    if location.kind == "actuator":
         servos = (model.actuator_biastype[ids] == mujoco.mjtBias.mjBIAS_AFFINE).all()
-        return Servos(robot, ports) if servos and issubclass(PHYSICS[suspect.name], SetpointLaw) else None
-    has_joints = where.kind != "body" or all(len(elements.joints_of(i)) for i in ids)
-    return Springs(robot, ports) if has_joints else None
+        return Servos(robot, locations) if servos and issubclass(PHYSICS[term.name], SetpointLaw) else None
+    has_joints = location.kind != "body" or all(len(elements.joints_of(i)) for i in ids)
+    return Springs(robot, locations) if has_joints else None
 
 
 class Springs:
@@ -37,11 +37,11 @@ class Springs:
 
     scale = 1.0
 
-    def __init__(self, robot: Robot, ports: Sequence[Port]):
+    def __init__(self, robot: Robot, locations: Sequence[Location]):
         self._batch, self._model, elements = robot.simulation.batch, robot.simulation.model, robot.elements
         for name in ("ten_J", "ten_length", "qfrc_passive"):
             self._batch.bind(name)
-        kind, self._ids = ports[0].kind, [elements.id(port) for port in ports]
+        kind, self._ids = locations[0].kind, [elements.id(each) for each in locations]
         if kind == "tendon":
             self._joints, self.turns = None, False
             self.state, self.force = "length pulled in", "force in the tendon [N]"
@@ -63,7 +63,7 @@ class Springs:
         along, extra = self._directions(1)[0], self._batch.qfrc_passive[0] - self._batch.qfrc_passive[1]
         return np.stack([self._states(), along @ extra / np.maximum((along**2).sum(axis=1), 1e-300)])
 
-    def push(self, forces: np.ndarray) -> None:
+    def apply_input(self, forces: np.ndarray) -> None:
         """Let forces (N, K) act in the first N simulations from now on."""
         acting = np.einsum("nk,nkv->nv", forces, self._directions(len(forces)))
         self._batch.qfrc_applied[: len(forces)] = acting
@@ -93,11 +93,11 @@ class Servos:
 
     state = "command"
 
-    def __init__(self, robot: Robot, ports: Sequence[Port]):
+    def __init__(self, robot: Robot, locations: Sequence[Location]):
         self._simulation, model = robot.simulation, robot.simulation.model
         self._bias, self._gain = (robot.simulation.batch.expand(f"actuator_{name}prm") for name in ("bias", "gain"))
-        self._ids, self._timestep = [robot.elements.id(port) for port in ports], robot.control_timestep
-        self._added = np.zeros(len(ports))
+        self._ids, self._timestep = [robot.elements.id(location) for location in locations], robot.control_timestep
+        self._added = np.zeros(len(locations))
         on_joint = model.actuator_trntype[self._ids[0]] == mujoco.mjtTrn.mjTRN_JOINT
         self.turns = bool(on_joint) and _turns(model, model.actuator_trnid[self._ids[0], 0])
         self.scale = 1.0 if self.turns else 1e3
@@ -109,7 +109,7 @@ class Servos:
         mean, self._added = (added - self._added) / self._timestep, added
         return np.stack([asked, mean])
 
-    def push(self, forces):
+    def apply_input(self, forces):
         count = len(forces)
         self._bias[:count, self._ids, 0] = self._own + self._gain[:count, self._ids, 0] * forces
 

@@ -165,4 +165,4 @@ def _comment(robot, parameters, native, remaining) -> str:
 
 
 def _listed(effects) -> str:
-    return ", ".join(f"{effect.name} at {effect.where}" for effect in effects) or "none"
+    return ", ".join(f"{effect.name} at {effect.location}" for effect in effects) or "none"

@@ -22,7 +22,7 @@ _BACK = 0.5  # of its distance, within which its place just before and just afte
 
 
 @dataclass(frozen=True)
-class Audit:
+class DataQuality:
     """What was found in a recording.
 
     sigma: standard deviation of the noise [signal's unit]. least: what it is at any rate, from rounding. missing: share
@@ -34,7 +34,7 @@ class Audit:
     missing: float
 
 
-def audit(measured: Measured) -> Audit:
+def data_quality(measured: Measured) -> DataQuality:
     """Noise and gaps of a recording."""
     values = _rows(measured.values.reshape(len(measured.values), -1))
     enough = np.isfinite(values).sum(axis=0) >= _PRESENT * len(values)
@@ -47,7 +47,7 @@ def audit(measured: Measured) -> Audit:
     if max(-low.min(), high.max()) > _FARTHEST or not (high > low).any():
         raise RecordingError(f"{measured.signal} is constant, or beyond {_FARTHEST:g} {measured.unit}: no moving robot")
     least = max(_LEAST_NOISE * float((high - low).max()), _step(present) / np.sqrt(12))
-    return Audit(max(noise(present), least), least, float(np.isnan(values).mean()))
+    return DataQuality(max(noise(present), least), least, float(np.isnan(values).mean()))
 
 
 def noise(values: np.ndarray) -> float:

@@ -11,16 +11,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from soro_bench.diagnosis.candidates import Suspect, slices
+from soro_bench.diagnosis.candidates import Term, slices
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.effects.effect import EVERY
 from soro_bench.parallel import side_by_side
 
-Points = Sequence[tuple[np.ndarray, Sequence[Suspect]]]  # unknowns, and the suspects that they belong to
+Points = Sequence[tuple[np.ndarray, Sequence[Term]]]  # unknowns, and the suspects that they belong to
 
 
-def floor_and_residuals(
+def discretisation_and_residuals(
     problem: Problem, refined: Sequence[Robot], points: Points, others: Points
 ) -> tuple[np.ndarray, np.ndarray]:
     """The numerical floor at points: (F, M) differences [signal's unit] of refined replays from plain ones; and the
@@ -39,22 +39,22 @@ def floor_and_residuals(
         return np.zeros((0, problem.weight.size)), np.zeros((0, problem.weight.size))
     *finer, found = side_by_side(problem.robot.simulation.batch.nthread, problem.simulated, robots, asked)
     count = len(plain) - len(others)
-    if not any(suspects for _, suspects in points):
+    if not any(terms for _, terms in points):
         for each, rows in zip(refined, finer, strict=True):
             problem.check_finite(each, rows)
     error = np.concatenate(finer) - found[:count] if finer else found[:0]
     return np.nan_to_num(error), problem.residuals_of(found[count:])
 
 
-def _common(problem, finer, x, suspects):
+def _common(problem, finer, x, terms):
     """A point without the suspects that the finer robot cannot have."""
     kept, parts = [], [x[: problem.parameters]]
-    for suspect, where in zip(suspects, slices(suspects, problem.parameters), strict=True):
-        part = x[where]
-        kind, everywhere = suspect.where.kind, suspect.where.name == EVERY
+    for term, location in zip(terms, slices(terms, problem.parameters), strict=True):
+        part = x[location]
+        kind, everywhere = term.location.kind, term.location.name == EVERY
         # a law at all joints is another law where there are more of them
-        other = everywhere and len(finer.ports(kind)) != len(problem.robot.ports(kind))
-        if not other and finer.accepts([suspect.effect(part)]):
-            kept.append(suspect)
+        other = everywhere and len(finer.locations(kind)) != len(problem.robot.locations(kind))
+        if not other and finer.accepts([term.effect(part)]):
+            kept.append(term)
             parts.append(part)
     return np.concatenate(parts), kept

@@ -23,7 +23,7 @@ def descended(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[Hypoth
     """The hypotheses, each led down to where its cost is least; never worse."""
     found, damping, going = list(hypotheses), np.ones(len(hypotheses)), list(range(len(hypotheses)))
     for _ in range(_STEPS):
-        lines = _with_slopes(problem, [found[i] for i in going])
+        lines = _with_jacobians(problem, [found[i] for i in going])
         trials = [_steps(problem, h, damping[i] * _FACTORS) for i, h in zip(going, lines, strict=True)]
         helped = []
         for i, h, rows, points in zip(going, lines, replayed(problem, lines, trials), trials, strict=True):
@@ -40,23 +40,23 @@ def descended(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[Hypoth
     return found
 
 
-def _with_slopes(problem, hypotheses):
+def _with_jacobians(problem, hypotheses):
     """The hypotheses with slopes where they are; what those do not explain is not known."""
     groups = []
     for h in hypotheses:
-        low, high = bounds(problem, h.suspects)
+        low, high = bounds(problem, h.terms)
         step = np.where(h.x + _DIFFERENCE <= high, _DIFFERENCE, -_DIFFERENCE)
         groups.append(np.clip(h.x + np.diag(step), low, high))
     found = []
     for h, rows, points in zip(hypotheses, replayed(problem, hypotheses, groups), groups, strict=True):
-        slope = (rows - h.residual) / np.diag(points - h.x)[:, None]
-        found.append(replace(h, slope=slope, error=np.zeros((0, len(h.residual)))))
+        jacobian = (rows - h.residual) / np.diag(points - h.x)[:, None]
+        found.append(replace(h, jacobian=jacobian, error=np.zeros((0, len(h.residual)))))
     return found
 
 
 def _steps(problem, h, dampings):
     """Points where the linearised cost, with some dampings of the diagonal, is least."""
-    low, high = bounds(problem, h.suspects)
-    hessian, gradient = normal_equations(problem.floor, h.slope, h.residual, h.x)
+    low, high = bounds(problem, h.terms)
+    hessian, gradient = normal_equations(problem.discretisation, h.jacobian, h.residual, h.x)
     steps = [np.linalg.solve(hessian + d * np.diag(np.diag(hessian)), gradient) for d in dampings]
     return [np.clip(h.x - step, low, high) for step in steps]

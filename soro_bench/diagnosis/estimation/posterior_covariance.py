@@ -13,7 +13,7 @@ import numpy as np
 
 from soro_bench.diagnosis.estimation.fit import Hypothesis, bounds
 from soro_bench.diagnosis.estimation.problem import Problem
-from soro_bench.inference.clouds import cloud, linearised
+from soro_bench.inference.statistical_linearisation import linearised, sample_around
 
 # standard deviations of the first cloud: in those of the priors, and a share of a magnitude, which is known to be there
 _WIDE, _SHARE = 0.3, 0.3
@@ -24,16 +24,16 @@ def with_covariance(problem: Problem, hypothesis: Hypothesis, seed: int) -> Hypo
     """The hypothesis with the covariance of its unknowns, if it has one of slopes at a point."""
     if len(hypothesis.error):
         return hypothesis
-    x, suspects, n = hypothesis.x, hypothesis.suspects, len(hypothesis.x)
-    low, high = bounds(problem, suspects)
+    x, terms, n = hypothesis.x, hypothesis.terms, len(hypothesis.x)
+    low, high = bounds(problem, terms)
     root = np.diag(_begin(problem, hypothesis))
     for k in range(_ROUNDS):
-        normal = cloud(np.zeros(n), 1.0, max(_POINTS, _EACH * n), [seed, k])
+        normal = sample_around(np.zeros(n), 1.0, max(_POINTS, _EACH * n), [seed, k])
         points = np.clip(x + normal @ root.T, low, high)
-        rows = problem.residuals([(point, suspects) for point in points])
+        rows = problem.residuals([(point, terms) for point in points])
         inverse = np.linalg.inv(root)
         line = linearised(np.zeros(n), (points - x) @ inverse.T, rows)
-        there = replace(hypothesis, slope=inverse.T @ line.slope, error=line.error)
+        there = replace(hypothesis, jacobian=inverse.T @ line.jacobian, error=line.error)
         covariance = there.covariance(problem)
         root = np.linalg.cholesky(covariance)
     return replace(hypothesis, known=covariance)
@@ -41,6 +41,6 @@ def with_covariance(problem: Problem, hypothesis: Hypothesis, seed: int) -> Hypo
 
 def _begin(problem, hypothesis) -> np.ndarray:
     """(n,) standard deviations of the first cloud."""
-    magnitudes = np.array([*[False] * problem.parameters, *(m for s in hypothesis.suspects for m in s.magnitudes)])
+    magnitudes = np.array([*[False] * problem.parameters, *(m for s in hypothesis.terms for m in s.magnitudes)])
     small = np.clip(_SHARE * np.abs(hypothesis.x), 1e-6, _WIDE)
     return np.where(magnitudes, small, _WIDE)

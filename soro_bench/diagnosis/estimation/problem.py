@@ -5,12 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soro_bench.diagnosis.candidates import Suspect, effects_at
+from soro_bench.diagnosis.candidates import Term, effects_at
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.inference.clouds import LowRank
+from soro_bench.inference.statistical_linearisation import LowRank
 
-ROUGH = 10.0  # standard deviations of the sensor's noise, rms, beyond which what a fit leaves is no noise of a sensor
+MISFIT_DOMINATED = (
+    10.0  # standard deviations of the sensor's noise, rms, beyond which what a fit leaves is no noise of a sensor
+)
 NEGLIGIBLE = 0.1  # of what is taken for noise then, numerical error that explains nothing of it
 DIVERGED = 1e3  # standard deviations of the noise, a residual where the simulation diverged
 
@@ -31,7 +33,7 @@ class Problem:
     recordings: tuple[Measured, ...]
     sigma: float
     weight: np.ndarray
-    floor: LowRank
+    discretisation: LowRank
     noise: float = 0.0
 
     @property
@@ -40,7 +42,7 @@ class Problem:
         return self.noise or self.sigma
 
     @property
-    def rough(self) -> bool:
+    def misfit_dominated(self) -> bool:
         """Whether more is taken for noise than the sensor's."""
         return self.noise > 0.0
 
@@ -54,12 +56,12 @@ class Problem:
         """(S, ...) the actions of all recordings."""
         return np.concatenate([each.actions for each in self.recordings])
 
-    def simulated(self, robot: Robot, points: Sequence[tuple[np.ndarray, Sequence[Suspect]]]) -> np.ndarray:
+    def simulated(self, robot: Robot, points: Sequence[tuple[np.ndarray, Sequence[Term]]]) -> np.ndarray:
         """(N, M) [signal's unit] by a robot, for N points: unknowns, and suspects they belong to."""
         d = self.parameters
         values = np.array([x[:d] for x, _ in points])
         parameters = np.stack([prior.value(values[:, i]) for i, prior in enumerate(self.robot.priors)], axis=1)
-        effects = [effects_at(x[d:], suspects) for x, suspects in points]
+        effects = [effects_at(x[d:], terms) for x, terms in points]
         parts = robot.simulate_all([each.drive for each in self.recordings], parameters, effects)
         return np.concatenate([part.reshape(len(points), -1) for part in parts], axis=1)
 
@@ -81,7 +83,7 @@ class Problem:
         parts = zip(np.split(samples, ends), self.recordings, strict=True)
         return [part.reshape(each.values.shape) for part, each in parts]
 
-    def residuals(self, points: Sequence[tuple[np.ndarray, Sequence[Suspect]]]) -> np.ndarray:
+    def residuals(self, points: Sequence[tuple[np.ndarray, Sequence[Term]]]) -> np.ndarray:
         """(N, M) measured less simulated, in units of sigma, of N points."""
         return self.residuals_of(self.simulated(self.robot, points))
 
@@ -91,23 +93,23 @@ class Problem:
         residual = (np.nan_to_num(measured) - simulated) / self.sigma
         return np.nan_to_num(residual, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED) * self.weight
 
-    def with_floor(self, columns: np.ndarray) -> "Problem":
+    def with_discretisation(self, columns: np.ndarray) -> "Problem":
         """The same with more numerical error: differences (F, M) [signal's unit]."""
-        return self._with_basis(np.concatenate([self.floor.basis, columns / self.sigma * self.weight]))
+        return self._with_basis(np.concatenate([self.discretisation.basis, columns / self.sigma * self.weight]))
 
     def _with_basis(self, basis: np.ndarray) -> "Problem":
-        if self.rough:
+        if self.misfit_dominated:
             basis = basis[(basis**2).sum(axis=1) > NEGLIGIBLE**2 * self.weight.sum()]
-        return replace(self, floor=LowRank(basis))
+        return replace(self, discretisation=LowRank(basis))
 
-    def excess(self, residual: np.ndarray) -> float:
+    def misfit(self, residual: np.ndarray) -> float:
         """How much less probable than white noise the residual (M,) is, as a logarithm; floor marginalised."""
-        squares = float(self.floor.product(residual[None], residual[None])[0, 0])
+        squares = float(self.discretisation.product(residual[None], residual[None])[0, 0])
         return 0.5 * (squares - float(self.weight.sum()))
 
     def left(self, residual: np.ndarray) -> float:
         """Standard deviation [signal's unit] of what numerical error does not explain of a residual (M,)."""
-        return self.sigma * float(np.sqrt((self.floor.without(residual) ** 2).sum() / self.weight.sum()))
+        return self.sigma * float(np.sqrt((self.discretisation.without(residual) ** 2).sum() / self.weight.sum()))
 
     def allowing(self, left: float) -> "Problem":
         """The same where a simulation leaves ``left`` [signal's unit]: if that is many times the sensor's noise, it is
@@ -117,11 +119,11 @@ class Problem:
         count, and small numerical errors, a hundred times enlarged, would explain what physics has to; so the floor
         loses those that are far smaller.
         """
-        rough = left > ROUGH * self.sensor
-        sigma = left if rough else self.sensor
-        same = replace(self, sigma=sigma, noise=self.sensor if rough else 0.0)
-        return same._with_basis(self.floor.basis * (self.sigma / sigma))
+        misfit_dominated = left > MISFIT_DOMINATED * self.sensor
+        sigma = left if misfit_dominated else self.sensor
+        same = replace(self, sigma=sigma, noise=self.sensor if misfit_dominated else 0.0)
+        return same._with_basis(self.discretisation.basis * (self.sigma / sigma))
 
     def cost(self, residual: np.ndarray, x: np.ndarray) -> float:
         """Minus the logarithm of likelihood times prior, but for a constant."""
-        return 0.5 * float(self.floor.product(residual[None], residual[None])[0, 0] + x @ x)
+        return 0.5 * float(self.discretisation.product(residual[None], residual[None])[0, 0] + x @ x)

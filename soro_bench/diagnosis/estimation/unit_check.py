@@ -13,7 +13,7 @@ def check_scale(problem: Problem) -> None:
     """RecordingError if the signal moves as the robot does as it was built, but as many times as far as another unit
     would make it, or the other way."""
     parts = problem.split(problem.simulated(problem.robot, [(np.zeros(problem.parameters), ())])[0])
-    pairs = [_moved(each.values, part) for each, part in zip(problem.recordings, parts, strict=True)]
+    pairs = [_motions(each.values, part) for each, part in zip(problem.recordings, parts, strict=True)]
     measured, simulated = (np.concatenate(one) for one in zip(*pairs, strict=True))
     product, squares = float(measured @ simulated), float(simulated @ simulated)
     if not abs(product) > ALIKE * np.sqrt(squares * float(measured @ measured)) > 0:
@@ -26,7 +26,7 @@ def check_scale(problem: Problem) -> None:
                                  f"it in {each.unit}, and the model the right way round?")  # fmt: skip
 
 
-def _moved(measured, simulated) -> tuple[np.ndarray, np.ndarray]:
+def _motions(measured, simulated) -> tuple[np.ndarray, np.ndarray]:
     """Samples (T, P, D) that both have, about their means, in a row."""
     seen = np.isfinite(measured) & np.isfinite(simulated)
     count = np.maximum(seen.sum(axis=0), 1)

@@ -28,7 +28,7 @@ from soro_bench.diagnosis.localisation.residual_maps import windows
 from soro_bench.diagnosis.localisation.test_inputs import Source, sources
 from soro_bench.diagnosis.localisation.unknown_inputs import SETTLED, Driven, Search
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.effects.effect import Port
+from soro_bench.effects.effect import Location
 
 WINDOW = 0.15  # s, times the number of directions
 FIRST, OF_A_KIND = 6, 2  # places that are looked at, and of every kind at least
@@ -55,15 +55,17 @@ class Force:
 
 
 @dataclass(frozen=True)
-class Place:
+class RankedLocation:
     """A place, the evidence (natural logarithm) that any force there gains, and that force."""
 
-    where: Port
+    location: Location
     gain: float
     force: Force
 
 
-def places(problem: Problem, robot: Robot, base: Hypothesis, refined: Sequence[Robot] = ()) -> list[Place]:
+def ranked_locations(
+    problem: Problem, robot: Robot, base: Hypothesis, refined: Sequence[Robot] = ()
+) -> list[RankedLocation]:
     """Where forces would explain most of what a hypothesis leaves, the best place first; none if no force gains more
     than the best of so many forms and places does by chance, or if forces leave more than nothing does.
 
@@ -73,31 +75,31 @@ def places(problem: Problem, robot: Robot, base: Hypothesis, refined: Sequence[R
     """
     search = Search(problem, robot, base, refined)
     everything, rows = search.sized(sources(problem, robot, base))
-    driven, forms = [], (False, True)
-    for linear in forms:
+    driven, input_models = [], (False, True)
+    for linear in input_models:
         gains = [_gain(problem, base, row, search.linear.features if linear else None) for row in rows]
-        driven += search.begin(_leads(robot, everything, gains), linear)
+        driven += search.begin(_screened_candidates(robot, everything, gains), linear)
     race = _raced(search, driven, everything)
-    best: dict[Port, Driven] = {}
-    chance = np.log(len(forms) * len(everything))
+    best: dict[Location, Driven] = {}
+    chance = np.log(len(input_models) * len(everything))
     for one in sorted(race.driven, key=lambda one: -one.gain):
         if one.gain > chance:
-            best.setdefault(one.where, one)
-    found = [Place(one.where, one.gain, _force(problem, search, one)) for one in best.values()]
+            best.setdefault(one.location, one)
+    found = [RankedLocation(one.location, one.gain, _force(problem, search, one)) for one in best.values()]
     # parameters make up for some forces to first order, which is far from what they do
-    return [place for place in found if place.force.left < problem.left(base.residual)]
+    return [site for site in found if site.force.left < problem.left(base.residual)]
 
 
-def _leads(robot: Robot, everything: Sequence[Source], gains: Sequence[float]) -> list[Source]:
+def _screened_candidates(robot: Robot, everything: Sequence[Source], gains: Sequence[float]) -> list[Source]:
     """What gains most, of every kind but faults of measured points a few, and what else may act on the same cables."""
     order, kinds, chosen = np.argsort(-np.asarray(gains), kind="stable").tolist(), Counter(), []
     for rank, i in enumerate(order):
         one = everything[i]
-        kinds[one.pushes[0].kind, one.where.kind] += 1
-        if rank < FIRST or (not one.measured and kinds[one.pushes[0].kind, one.where.kind] <= OF_A_KIND):
+        kinds[one.unit_inputs[0].kind, one.location.kind] += 1
+        if rank < FIRST or (not one.measured and kinds[one.unit_inputs[0].kind, one.location.kind] <= OF_A_KIND):
             chosen.append(one)
-    cables = {robot.channel(one.where) for one in chosen} - {None}
-    return [one for one in everything if one in chosen or robot.channel(one.where) in cables]
+    cables = {robot.channel(one.location) for one in chosen} - {None}
+    return [one for one in everything if one in chosen or robot.channel(one.location) in cables]
 
 
 class _Race:
@@ -137,7 +139,7 @@ def _raced(search: Search, driven: Sequence[Driven], everything: Sequence[Source
     race.enter(driven)
     race.run()
     while new := _beside(search.robot, race, everything):
-        race.enter(search.begin(new, race.best.form.linear))
+        race.enter(search.begin(new, race.best.input_model.linear))
         race.run()
     return race
 
@@ -146,22 +148,26 @@ def _beside(robot: Robot, race: _Race, everything: Sequence[Source]) -> list[Sou
     """Those beside the best that have not entered: the linear estimate, which chose where to look, is far from where
     large forces lead."""
     best = race.best
-    ports, kind = robot.beside(best.where), best.source.pushes[0].kind
-    entered = {(one.where, one.source.pushes[0].kind) for one in race.driven if one.form.linear == best.form.linear}
-    near = [one for one in everything if one.where in ports and one.pushes[0].kind == kind]
-    return [one for one in near if (one.where, kind) not in entered]
+    locations, kind = robot.beside(best.location), best.source.unit_inputs[0].kind
+    entered = {
+        (one.location, one.source.unit_inputs[0].kind)
+        for one in race.driven
+        if one.input_model.linear == best.input_model.linear
+    }
+    near = [one for one in everything if one.location in locations and one.unit_inputs[0].kind == kind]
+    return [one for one in near if (one.location, kind) not in entered]
 
 
 def _force(problem, search, one: Driven) -> Force:
-    pushes, nodes = one.source.pushes, Nodes(problem) if one.form.linear else one.form.nodes
+    unit_inputs, nodes = one.source.unit_inputs, Nodes(problem) if one.input_model.linear else one.input_model.nodes
     return Force(
-        tuple(push.component for push in pushes),
-        tuple(push.unit for push in pushes),
+        tuple(apply_input.component for apply_input in unit_inputs),
+        tuple(apply_input.unit for apply_input in unit_inputs),
         nodes.time,
         nodes.recording,
-        nodes.values(one.form.factors(one.values)) * [push.amount for push in pushes],
+        nodes.values(one.input_model.factors(one.values)) * [apply_input.amount for apply_input in unit_inputs],
         search.left(one),
-        one.form.shares(one.values) if one.form.linear else {},
+        one.input_model.shares(one.values) if one.input_model.linear else {},
     )
 
 
@@ -171,15 +177,18 @@ def _gain(problem, base, rows, features=None) -> float:
     duration = sum(each.time[-1] for each in problem.recordings)
     window = windows(problem, max(WINDOW * len(rows), duration * len(rows) / UNKNOWNS))
     free = _Windowed(rows, window)
-    floor = base.floor(problem)
-    hessian, gradient = normal_equations(floor, base.slope, base.residual, base.x)
-    explained, inner = free.times(floor.basis), np.eye(len(floor.basis)) + floor.basis @ floor.basis.T
+    discretisation = base.discretisation(problem)
+    hessian, gradient = normal_equations(discretisation, base.jacobian, base.residual, base.x)
+    explained, inner = (
+        free.times(discretisation.basis),
+        np.eye(len(discretisation.basis)) + discretisation.basis @ discretisation.basis.T,
+    )
 
     def product(other):
         """Of the free combinations with rows (C, M), the floor marginalised."""
-        return free.times(other) - explained @ np.linalg.solve(inner, floor.basis @ other.T)
+        return free.times(other) - explained @ np.linalg.solve(inner, discretisation.basis @ other.T)
 
-    cross = product(base.slope)
+    cross = product(base.jacobian)
     reduced = np.linalg.solve(hessian, cross.T)
     information = free.squares() - explained @ np.linalg.solve(inner, explained.T) - cross @ reduced
     pull = product(base.residual[None])[:, 0] - reduced.T @ gradient

@@ -49,12 +49,14 @@ def _spacing(problem) -> float:
 def left_over(problem: Problem, residual: np.ndarray) -> np.ndarray:
     """(T, P, D) [signal's unit] what the numerical floor does not explain, of the first recording; NaN where nothing
     was measured."""
-    return problem.split(np.where(problem.weight > 0, problem.sigma * problem.floor.without(residual), np.nan))[0]
+    return problem.split(
+        np.where(problem.weight > 0, problem.sigma * problem.discretisation.without(residual), np.nan)
+    )[0]
 
 
 def explained_over_time(problem: Problem, before: Hypothesis, after: Hypothesis) -> np.ndarray:
     """(T,) evidence gained in each sample of the first recording."""
-    squares = [problem.split(problem.floor.without(h.residual))[0] ** 2 for h in (before, after)]
+    squares = [problem.split(problem.discretisation.without(h.residual))[0] ** 2 for h in (before, after)]
     return 0.5 * (squares[0] - squares[1]).reshape(len(squares[0]), -1).sum(axis=1)
 
 

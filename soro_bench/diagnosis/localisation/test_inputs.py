@@ -8,11 +8,11 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from soro_bench.diagnosis.candidates import suspect, typical
+from soro_bench.diagnosis.candidates import term, typical
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import SIMULATIONS, Robot
-from soro_bench.effects.effect import Effect, Port
+from soro_bench.effects.effect import Effect, Location
 
 AXES = "xyz"
 _SHARE = 0.02  # of the robot's weight, a force on a body
@@ -21,14 +21,14 @@ _SETPOINT = "pretension", "offset"  # the law that moves a setpoint
 
 
 @dataclass(frozen=True)
-class Push:
+class UnitInput:
     """A force [N] or moment [N m] at a place: along a tendon, on a body or all of them in a direction of the world, on
     a joint of a body or where that has none about an axis of the neck before it. In all it is ``amount`` [unit].
 
     kind: "tendon", "world" or "joint". axis: of the world, or of the neck.
     """
 
-    where: Port
+    location: Location
     kind: str
     component: str
     unit: str
@@ -38,15 +38,17 @@ class Push:
     def on(self, robot: Robot) -> "Act | None":
         """What exerts it on a robot; None where that lacks the place."""
         elements = robot.elements
-        if self.where not in robot.ports(self.where.kind):
+        if self.location not in robot.locations(self.location.kind):
             return None
         if self.kind == "tendon":
-            return _pull(robot, elements.id(self.where), self.amount)
-        if self.where.kind == "model":
-            return _push(np.arange(1, elements.model.nbody), self.axis, self.amount * elements.model.body_mass[1:])
-        body = elements.id(self.where)
+            return _pull(robot, elements.id(self.location), self.amount)
+        if self.location.kind == "model":
+            return _apply_input(
+                np.arange(1, elements.model.nbody), self.axis, self.amount * elements.model.body_mass[1:]
+            )
+        body = elements.id(self.location)
         if self.kind == "world":
-            return _push(np.array([body]), self.axis, np.array([self.amount]))
+            return _apply_input(np.array([body]), self.axis, np.array([self.amount]))
         if self.component in [elements.model.joint(j).name for j in elements.joints_of(body)]:
             return _turn(elements.model.joint(self.component).dofadr, self.amount)
         flex = elements.flex_before(body)
@@ -57,7 +59,7 @@ class Push:
 Act = Callable[[int, float, np.ndarray, np.ndarray], None]
 
 
-def _push(bodies, axis, sizes) -> Act:
+def _apply_input(bodies, axis, sizes) -> Act:
     def act(row, factor, wrench, force):
         wrench[bodies, axis] += factor * sizes
 
@@ -104,7 +106,7 @@ class Offset:
     column: of the points' coordinates, of a measured point.
     """
 
-    where: Port
+    location: Location
     component: str
     unit: str
     amount: float
@@ -112,13 +114,13 @@ class Offset:
 
     @property
     def kind(self) -> str:
-        return self.where.kind
+        return self.location.kind
 
     def on(self, robot: Robot) -> "Act | None":
         """What moves a setpoint of a robot on which ``Source.effects`` are."""
 
         def act(row, factor, wrench, force):
-            robot.simulation.change(_SETPOINT[0], row, self.where, _SETPOINT[1], factor * self.amount)
+            robot.simulation.change(_SETPOINT[0], row, self.location, _SETPOINT[1], factor * self.amount)
 
         return act
 
@@ -127,41 +129,43 @@ class Offset:
 class Source:
     """What acts at a place in K directions at once."""
 
-    pushes: tuple[Push | Offset, ...]
+    unit_inputs: tuple[UnitInput | Offset, ...]
 
     @property
-    def where(self) -> Port:
-        return self.pushes[0].where
+    def location(self) -> Location:
+        return self.unit_inputs[0].location
 
     @property
     def measured(self) -> bool:
         """Whether it is a fault of a sensor, which needs no replay."""
-        return self.where.kind == "sensor"
+        return self.location.kind == "sensor"
 
     @cached_property
     def effects(self) -> list[Effect]:
         """What has to be among the effects of a robot on which it acts."""
-        moved = [push.where for push in self.pushes if push.where.kind == "actuator"]
-        return [Effect(_SETPOINT[0], where, {_SETPOINT[1]: 0.0}) for where in moved]
+        moved = [apply_input.location for apply_input in self.unit_inputs if apply_input.location.kind == "actuator"]
+        return [Effect(_SETPOINT[0], location, {_SETPOINT[1]: 0.0}) for location in moved]
 
     def times(self, factor: float) -> "Source":
         """The same, so many times as large."""
-        return Source(tuple(replace(push, amount=factor * push.amount) for push in self.pushes))
+        return Source(
+            tuple(replace(apply_input, amount=factor * apply_input.amount) for apply_input in self.unit_inputs)
+        )
 
     def rows(self, problem: Problem) -> np.ndarray:
         """(K, M) change of the residual under each offset of a measured point."""
-        one = np.zeros((len(self.pushes), int(np.prod(problem.robot.shape))))
-        for row, push in zip(one, self.pushes, strict=True):
-            row[push.column] = -push.amount / problem.sigma
+        one = np.zeros((len(self.unit_inputs), int(np.prod(problem.robot.shape))))
+        for row, apply_input in zip(one, self.unit_inputs, strict=True):
+            row[apply_input.column] = -apply_input.amount / problem.sigma
         return np.tile(one, sum(len(each.values) for each in problem.recordings)) * problem.weight
 
 
 def sources(problem: Problem, robot: Robot, base: Hypothesis) -> list[Source]:
     """Everything that may act on a robot with the effects of a hypothesis."""
     return [
-        *(Source((push,)) for push in _on_tendons(robot)),
+        *(Source((apply_input,)) for apply_input in _on_tendons(robot)),
         *_on_bodies(robot),
-        *(Source(pushes) for pushes in _on_everything(robot)),
+        *(Source(unit_inputs) for unit_inputs in _on_everything(robot)),
         *(Source((offset,)) for offset in _on_setpoints(problem, robot, base)),
         *(Source(offsets) for offsets in _measured(problem)),
     ]
@@ -177,40 +181,42 @@ def _gravity(robot) -> float:
 
 def _on_tendons(robot):
     elements = robot.elements
-    for port in robot.ports("tendon"):
-        yield Push(port, "tendon", "pull", "N", elements.scale(port, "force"))
+    for location in robot.locations("tendon"):
+        yield UnitInput(location, "tendon", "pull", "N", elements.scale(location, "force"))
 
 
 def _on_bodies(robot):
     """Forces on every body, and on those of its joints that have a name."""
     elements, size = robot.elements, _SHARE * _weight(robot)
-    for port in robot.ports("body"):
-        body = elements.id(port)
-        yield Source(tuple(Push(port, "world", axis, "N", size, i) for i, axis in enumerate(AXES)))
+    for location in robot.locations("body"):
+        body = elements.id(location)
+        yield Source(tuple(UnitInput(location, "world", axis, "N", size, i) for i, axis in enumerate(AXES)))
         joints = [j for j in elements.joints_of(body, bending_only=True) if elements.model.joint(j).name]
         if joints:
-            yield Source(tuple(_on_joint(elements, port, joint) for joint in joints))
+            yield Source(tuple(_on_joint(elements, location, joint) for joint in joints))
 
 
-def _on_joint(elements, port, joint) -> Push:
+def _on_joint(elements, location, joint) -> UnitInput:
     model = elements.model
     name, turns = model.joint(joint).name, model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
-    size = elements.scale(Port("joint", name), "force")
-    return Push(port, "joint", name, "N m" if turns else "N", size, int(np.abs(model.jnt_axis[joint]).argmax()))
+    size = elements.scale(Location("joint", name), "force")
+    return UnitInput(
+        location, "joint", name, "N m" if turns else "N", size, int(np.abs(model.jnt_axis[joint]).argmax())
+    )
 
 
 def _on_everything(robot):
     """Forces on all bodies by their mass, as gravity."""
-    for port in robot.ports("model"):
+    for location in robot.locations("model"):
         size = _SHARE * _gravity(robot)
-        yield tuple(Push(port, "world", axis, "m/s^2", size, i) for i, axis in enumerate(AXES))
+        yield tuple(UnitInput(location, "world", axis, "m/s^2", size, i) for i, axis in enumerate(AXES))
 
 
 def _on_setpoints(problem, robot, base):
-    for port in robot.ports("actuator"):
-        moved = suspect(robot, _SETPOINT[0], port)
+    for location in robot.locations("actuator"):
+        moved = term(robot, _SETPOINT[0], location)
         if robot.accepts([*base.effects(problem.parameters), typical(moved)]):
-            yield Offset(port, moved.quantities[0].name, robot.setpoint_unit, moved.typical[0])
+            yield Offset(location, moved.quantities[0].name, robot.setpoint_unit, moved.typical[0])
 
 
 def _measured(problem):
@@ -218,9 +224,10 @@ def _measured(problem):
     points, dimension = robot.shape
     names = AXES if dimension == len(AXES) else [str(k) for k in range(dimension)]
     for i in range(points):
-        where = Port("sensor", robot.signal, i)
+        location = Location("sensor", robot.signal, i)
         yield tuple(
-            Offset(where, name, robot.unit, _OFFSET * problem.sigma, i * dimension + k) for k, name in enumerate(names)
+            Offset(location, name, robot.unit, _OFFSET * problem.sigma, i * dimension + k)
+            for k, name in enumerate(names)
         )
 
 
@@ -236,7 +243,7 @@ def replayed(problem: Problem, robot: Robot, base: Hypothesis, acting: Sequence[
     parameters = np.array([list(robot.parameters(x[: problem.parameters]).values()) for x, _, _ in acting])
     effects = base.effects(problem.parameters)
     found = np.full((len(acting), problem.weight.size), np.nan)
-    acts = [[push.on(robot) for push in source.pushes] for _, source, _ in acting]
+    acts = [[apply_input.on(robot) for apply_input in source.unit_inputs] for _, source, _ in acting]
     possible = [i for i, some in enumerate(acts) if None not in some]
     for first in range(0, len(possible), SIMULATIONS):
         some = possible[first : first + SIMULATIONS]
@@ -251,18 +258,18 @@ def replayed(problem: Problem, robot: Robot, base: Hypothesis, acting: Sequence[
 def _simulated(robot, drive, parameters, effects, pushed) -> np.ndarray:
     """(N, M) while acts with factors (T, K) push each of N simulations."""
     batch = robot.simulation.batch
-    earlier = np.zeros((len(pushed), *batch.xfrc_applied.shape[1:]))
+    baseline = np.zeros((len(pushed), *batch.xfrc_applied.shape[1:]))
 
-    def push(step):
-        wrench, force = np.zeros_like(earlier), np.zeros((len(pushed), batch.qfrc_applied.shape[1]))
+    def apply_input(step):
+        wrench, force = np.zeros_like(baseline), np.zeros((len(pushed), batch.qfrc_applied.shape[1]))
         for row, (acts, factors) in enumerate(pushed):
             for act, factor in zip(acts, factors[step], strict=True):
                 act(row, factor, wrench[row], force[row])
-        batch.xfrc_applied[: len(pushed)] += wrench - earlier  # effects of the robot may push the same bodies
+        batch.xfrc_applied[: len(pushed)] += wrench - baseline  # effects of the robot may push the same bodies
         batch.qfrc_applied[: len(pushed)] = force
-        earlier[:] = wrench
+        baseline[:] = wrench
 
-    simulated = robot.simulate_all([drive], parameters, effects, push)[0]
+    simulated = robot.simulate_all([drive], parameters, effects, apply_input)[0]
     batch.xfrc_applied[:] = batch.qfrc_applied[:] = 0.0
     return simulated.reshape(len(pushed), -1)
 

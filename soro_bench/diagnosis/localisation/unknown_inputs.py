@@ -21,8 +21,8 @@ from soro_bench.diagnosis.estimation.problem import DIVERGED, Problem
 from soro_bench.diagnosis.localisation.input_models import Free, Linear
 from soro_bench.diagnosis.localisation.test_inputs import Acting, Source, replayed, setpoints
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.effects.effect import Port
-from soro_bench.inference.clouds import LowRank
+from soro_bench.effects.effect import Location
+from soro_bench.inference.statistical_linearisation import LowRank
 
 SCALES = np.geomspace(0.03, 1000.0, 14)  # standard deviations of a force in units of the pushes
 LENGTHS, SMALLER = (0.1, 0.4, 1.0), (1.0, 16.0)  # of a step, tried, and how many times smaller forces than promise most
@@ -62,23 +62,23 @@ class Driven:
     """
 
     source: Source
-    form: Free | Linear
+    input_model: Free | Linear
     x: np.ndarray
     values: np.ndarray
     simulated: np.ndarray
-    slope: np.ndarray
+    jacobian: np.ndarray
     error: np.ndarray
     root: np.ndarray | None = None
     occam: float = 0.0
     gain: float = 0.0
 
     @property
-    def where(self) -> Port:
-        return self.source.where
+    def location(self) -> Location:
+        return self.source.location
 
     @property
     def acting(self) -> Acting:
-        return self.x, self.source, self.form.factors(self.values)
+        return self.x, self.source, self.input_model.factors(self.values)
 
 
 class Search:
@@ -95,17 +95,17 @@ class Search:
         nothing = [np.zeros((len(each.values), 0)) for each in problem.recordings]
         self.linear = Linear(problem, setpoints(problem, robot, base), robot.actuator_names)
         (self._free,) = replayed(problem, robot, base, [(base.x, Source(()), nothing)])
-        self._x, self._slope = base.x[: self.d], base.slope[: self.d]
-        covariance = Covariance(np.concatenate([problem.floor.basis, self._slope]))
-        self._nothing = covariance.cost(base.residual - self._x @ self._slope)
+        self._x, self._jacobian = base.x[: self.d], base.jacobian[: self.d]
+        covariance = Covariance(np.concatenate([problem.discretisation.basis, self._jacobian]))
+        self._nothing = covariance.cost(base.residual - self._x @ self._jacobian)
 
     def begin(self, sources: Sequence[Source], linear: bool) -> list[Driven]:
         """Nothing acts yet."""
         found, none = [], np.zeros((0, self._free.size))
         for each in sources:
-            form = self.linear if linear else Free(self.problem, len(each.pushes))
-            values = np.zeros((form.size, len(each.pushes)))
-            found.append(Driven(each, form, self._x, values, self._free, self._slope, none))
+            input_model = self.linear if linear else Free(self.problem, len(each.unit_inputs))
+            values = np.zeros((input_model.size, len(each.unit_inputs)))
+            found.append(Driven(each, input_model, self._x, values, self._free, self._jacobian, none))
         return found
 
     def sized(self, sources: Sequence[Source]) -> tuple[list[Source], list[np.ndarray]]:
@@ -124,10 +124,12 @@ class Search:
         steps, acting = [len(each.values) for each in self.problem.recordings], []
         for each in sources:
             if not each.measured:
-                acting += [(self._x, each, [np.tile(unit, (n, 1)) for n in steps]) for unit in np.eye(len(each.pushes))]
-        rows = iter(np.nan_to_num(-self._moved(replayed(self.problem, self.robot, self.base, acting))))
+                acting += [
+                    (self._x, each, [np.tile(unit, (n, 1)) for n in steps]) for unit in np.eye(len(each.unit_inputs))
+                ]
+        rows = iter(np.nan_to_num(-self._added(replayed(self.problem, self.robot, self.base, acting))))
         return [
-            each.rows(self.problem) if each.measured else np.array([next(rows) for _ in each.pushes])
+            each.rows(self.problem) if each.measured else np.array([next(rows) for _ in each.unit_inputs])
             for each in sources
         ]
 
@@ -152,7 +154,7 @@ class Search:
 
     def _basis(self, one: Driven) -> np.ndarray:
         """Of the covariance: parameters are numerical error too, what their slopes make of a standard deviation."""
-        return np.concatenate([self.problem.floor.basis, one.error, one.slope])
+        return np.concatenate([self.problem.discretisation.basis, one.error, one.jacobian])
 
     def _with_own_error(self, driven: Sequence[Driven]) -> list[Driven]:
         """The same with the numerical error under what acts too, beside that of earlier steps: with one alone the way
@@ -180,37 +182,40 @@ class Search:
                 found[i] = self._free - problem.sigma * (all_factors * source.rows(problem).T).sum(axis=1)
         return found
 
-    def _moved(self, simulated: np.ndarray) -> np.ndarray:
+    def _added(self, simulated: np.ndarray) -> np.ndarray:
+        """(N, M) change that inputs make to the residual, in units of the noise, with its sign turned."""
         return (simulated - self._free) / self.problem.sigma * self.problem.weight
 
     def _beside(self, simulated: np.ndarray) -> np.ndarray:
         """(M,) the residual with the parameters of the hypothesis."""
-        return _finite(self.base.residual - self._moved(simulated))
+        return _finite(self.base.residual - self._added(simulated))
 
     def _residual(self, one: Driven) -> np.ndarray:
         """(M,) the residual with the parameters in the middle of their priors, to first order."""
-        return _finite(self._beside(one.simulated) - one.x @ one.slope)
+        return _finite(self._beside(one.simulated) - one.x @ one.jacobian)
 
     def _responses(self, one: Driven) -> tuple[np.ndarray, np.ndarray | sp.csr_array]:
         """(d, M) and (n K, M) change of the residual by the parameters, and by each value of the force."""
         x, source, factors = one.acting
-        pulses, size = one.form.pulses(), one.values.shape[1]
+        pulses, size = one.input_model.pulses(), one.values.shape[1]
         asked = [(x, source, [part + PULSE * more * unit for part, more in zip(factors, pulse, strict=True)])
                  for unit in np.eye(size) for pulse in pulses]  # fmt: skip
         # of the nominal robot the slopes are known, and what a sensor says does not change them
         shifts = np.zeros((0, self.d)) if one.root is None or source.measured else STEP * np.eye(self.d)
         asked += [(x + shift, source, factors) for shift in shifts]
-        moved = np.nan_to_num(self._moved(one.simulated) - self._moved(self._simulated(self.robot, asked)))
-        rows, slope = np.split(moved, [size * len(pulses)])
-        rows = one.form.parts(rows.reshape(size, len(pulses), -1) / PULSE)
-        return (slope / STEP if len(slope) else one.slope), rows
+        moved = np.nan_to_num(self._added(one.simulated) - self._added(self._simulated(self.robot, asked)))
+        rows, jacobian = np.split(moved, [size * len(pulses)])
+        rows = one.input_model.parts(rows.reshape(size, len(pulses), -1) / PULSE)
+        return (jacobian / STEP if len(jacobian) else one.jacobian), rows
 
     def _descended(self, driven: Sequence[Driven], finished: Callable) -> list[Driven]:
         """Steps towards the most probable forces, with the same responses as long as that helps."""
         here, rows = [], []
         for one in driven:
-            slope, response = self._responses(one)
-            here.append(replace(one, slope=slope) if one.root is None else self._weighed(replace(one, slope=slope)))
+            jacobian, response = self._responses(one)
+            here.append(
+                replace(one, jacobian=jacobian) if one.root is None else self._weighed(replace(one, jacobian=jacobian))
+            )
             rows.append(response)
         going = list(range(len(driven)))
         for _ in range(STEPS):
@@ -246,8 +251,8 @@ class Search:
         """(d,) the most probable ones, of the residual (M,) that is left in the middle of their priors."""
         if one.source.measured:
             return one.x
-        floor = LowRank(np.concatenate([self.problem.floor.basis, one.error]))
-        return -np.linalg.solve(*normal_equations(floor, one.slope, residual, np.zeros(self.d)))
+        discretisation = LowRank(np.concatenate([self.problem.discretisation.basis, one.error]))
+        return -np.linalg.solve(*normal_equations(discretisation, one.jacobian, residual, np.zeros(self.d)))
 
     def _weighed(self, one: Driven) -> Driven:
         """With the evidence of its replay."""
@@ -280,7 +285,7 @@ class _FirstOrder:
         self._shape = one.values.shape
         information = rows @ rows.T
         information = (information.toarray() if sp.issparse(information) else information) - self._white @ self._white.T
-        roots = [np.kron(np.linalg.cholesky(each), np.eye(self._shape[1])) for each in one.form.covariances()]
+        roots = [np.kron(np.linalg.cholesky(each), np.eye(self._shape[1])) for each in one.input_model.covariances()]
         self._systems = [(root, *np.linalg.eigh(root.T @ information @ root)) for root in roots]
 
     def changed(self, values: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 from mujoco.batch import MODEL_FIELDS
 
 from soro_bench.diagnosis.robots.measured import Measured
-from soro_bench.diagnosis.robots.priors import Earlier, Prior
+from soro_bench.diagnosis.robots.priors import Baseline, Prior
 from soro_bench.diagnosis.robots.robot import SIMULATIONS, Robot
 from soro_bench.diagnosis.robots.robot_map import (
     ModelError,
@@ -57,9 +57,14 @@ class ModelRobot(Robot):
     kinds = ("tendon", "joint", "actuator", "body", "flex", "geom", "model")
 
     def __init__(
-        self, model: str | Path, mapping: str | Path, threads: int = 0, shorter: int = 1, earlier: Earlier | None = None
+        self,
+        model: str | Path,
+        mapping: str | Path,
+        threads: int = 0,
+        shorter: int = 1,
+        baseline: Baseline | None = None,
     ):
-        self._paths, self.threads, self._earlier = (Path(model), Path(mapping)), threads, earlier
+        self._paths, self.threads, self._earlier = (Path(model), Path(mapping)), threads, baseline
         self.shorter = shorter
         table = read_mapping(mapping)
         self.name = self.model_name = Path(model).stem
@@ -85,7 +90,7 @@ class ModelRobot(Robot):
         parameters = [Parameter(p.name, p.unit, p.nominal, p.bounds, p.bounds, "") for p in (*self.priors, *known)]
         count = min(max(_FREEDOM // max(compiled.nv, 1), SIMULATIONS), _MOST_SIMULATIONS)
         self.simulation = Simulation(compiled, ParameterSet(*parameters), [fields], count, threads, ())
-        self._remember(earlier)
+        self._remember(baseline)
 
     def shortened(self, factor: int) -> Robot:
         """The same model with shorter time steps."""
@@ -95,7 +100,7 @@ class ModelRobot(Robot):
         """By the model that the mapping calls accurate, if it does."""
         if self._accurate is None:
             return None
-        return ModelRobot(self._accurate, self._paths[1], self.threads, earlier=self._earlier)
+        return ModelRobot(self._accurate, self._paths[1], self.threads, baseline=self._earlier)
 
     def spec(self) -> mujoco.MjSpec:
         """The model of the file, with what effects need."""

@@ -50,7 +50,7 @@ class Prior:
 
 
 @dataclass(frozen=True)
-class Earlier:
+class Baseline:
     """What an earlier diagnosis has found of the same robot: values of its parameters by name, their standard
     deviations, and effects."""
 

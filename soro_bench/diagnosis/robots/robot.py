@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 
 from soro_bench.diagnosis.robots.measured import Drive, Measured
-from soro_bench.diagnosis.robots.priors import CannotHave, Earlier, Prior
+from soro_bench.diagnosis.robots.priors import Baseline, CannotHave, Prior
 from soro_bench.effects.catalogue import ALL, MEASUREMENT, between_steps
-from soro_bench.effects.effect import EVERY, Effect, Port
+from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.measurement import distorted
 from soro_bench.models.simulation import Simulation
@@ -55,18 +55,18 @@ class Robot(ABC):
     priors: tuple[Prior, ...]
     pneumatic: bool = False
     known: tuple[Effect, ...] = ()
-    since: bool = False
+    from_baseline: bool = False
     shorter: int = 1
     settling: int = 0
 
-    def _remember(self, earlier: Earlier | None) -> None:
+    def _remember(self, baseline: Baseline | None) -> None:
         """Begin where an earlier diagnosis of the robot ended; ValueError if it was that of another one."""
-        if earlier:
+        if baseline:
             names = [prior.name for prior in self.priors]
-            if sorted(names) != sorted(earlier.parameters):
-                raise ValueError(f"the earlier diagnosis has {sorted(earlier.parameters)}; this robot has {names}")
-            self.known, self.since = earlier.effects, True
-            self.priors = tuple(p.about(earlier.parameters[p.name], earlier.spread[p.name]) for p in self.priors)
+            if sorted(names) != sorted(baseline.parameters):
+                raise ValueError(f"the earlier diagnosis has {sorted(baseline.parameters)}; this robot has {names}")
+            self.known, self.from_baseline = baseline.effects, True
+            self.priors = tuple(p.about(baseline.parameters[p.name], baseline.spread[p.name]) for p in self.priors)
             if not self.accepts([]):
                 raise CannotHave("the earlier diagnosis has effects that this robot cannot have")
 
@@ -134,19 +134,19 @@ class Robot(ABC):
         """Give simulations ``ids`` (n,) settings (n, S); for robots that have some."""
         raise NotImplementedError
 
-    def ports(self, kind: str) -> list[Port]:
+    def locations(self, kind: str) -> list[Location]:
         """The ports of a kind at which something may be missing."""
-        return self.elements.ports(kind) if kind in self.kinds else []
+        return self.elements.locations(kind) if kind in self.kinds else []
 
-    def beside(self, where: Port) -> list[Port]:
+    def beside(self, location: Location) -> list[Location]:
         """The ports before and after one that is a body or a measured point; of others, which have no order, none."""
-        if where.index is not None:
-            row = [replace(where, index=i) for i in range(self.shape[0])]
+        if location.index is not None:
+            row = [replace(location, index=i) for i in range(self.shape[0])]
         else:
-            row = self.ports("body") if where.kind == "body" else []
-        if where not in row:
+            row = self.locations("body") if location.kind == "body" else []
+        if location not in row:
             return []
-        i = row.index(where)
+        i = row.index(location)
         return row[max(i - 1, 0) : i] + row[i + 1 : i + 2]
 
     @property
@@ -178,11 +178,11 @@ class Robot(ABC):
         model = self.elements.model
         return [model.actuator(i).name for i in range(model.nu)]
 
-    def channel(self, where: Port) -> int | None:
+    def channel(self, location: Location) -> int | None:
         """The number of an action that moves a cable or actuator; None for what no single one moves."""
-        if where.kind not in ("tendon", "actuator") or where.name == EVERY:
+        if location.kind not in ("tendon", "actuator") or location.name == EVERY:
             return None
-        ids = self.elements.actuators_on(where) if where.kind == "tendon" else [self.elements.id(where)]
+        ids = self.elements.actuators_on(location) if location.kind == "tendon" else [self.elements.id(location)]
         channels = np.unique(self.moves[:, ids].argmax(axis=0)) if len(ids) else ()
         return int(channels[0]) if len(channels) == 1 else None
 
@@ -205,16 +205,16 @@ class Robot(ABC):
     def accepts(self, effects: Sequence[Effect]) -> bool:
         """Whether the robot can have these effects at once: none twice at a place, beside what is known only laws that
         add up, and no two on the same spring."""
-        found = [(e.name, e.where) for e in effects]
-        once = [(e.name, e.where) for e in self.known if not getattr(ALL[e.name], "adds", False)]
+        found = [(e.name, e.location) for e in effects]
+        once = [(e.name, e.location) for e in self.known if not getattr(ALL[e.name], "adds", False)]
         if len({*once, *found}) < len(once) + len(found):
             return False
         effects = [*self.known, *effects]
-        return self.simulation.accepts([e for e in effects if e.where.kind != "sensor"])
+        return self.simulation.accepts([e for e in effects if e.location.kind != "sensor"])
 
     def native(self, effect: Effect) -> bool:
         """Whether an effect is in the fields of the model, and nowhere else."""
-        if effect.where.kind == "sensor":
+        if effect.location.kind == "sensor":
             return False
         self.simulation.assign_effects([[effect]] * self._count)
         return self.simulation.native
@@ -287,7 +287,7 @@ class Robot(ABC):
         """The same under each of several drives, side by side: (N, T, P, D) of every drive."""
         effects = [(*self.known, *each) for each in effects]
         # what differs only in the sensor is simulated once
-        physics = [tuple(e for e in each if e.where.kind != "sensor") for each in effects]
+        physics = [tuple(e for e in each if e.location.kind != "sensor") for each in effects]
         keys = [(row.tobytes(), repr(each)) for row, each in zip(parameters, physics, strict=True)]
         first = range(len(keys)) if before_step else [keys.index(key) for key in keys]
         work = {i: 0 if before_step else between_steps(physics[i]) for i in sorted(set(first))}

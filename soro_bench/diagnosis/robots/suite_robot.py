@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from soro_bench.diagnosis.robots.priors import Earlier, Prior
+from soro_bench.diagnosis.robots.priors import Baseline, Prior
 from soro_bench.diagnosis.robots.robot import SIMULATIONS, Robot
 from soro_bench.effects.elements import instrument
 from soro_bench.recording.recording import Recording, RecordingError
@@ -39,13 +39,18 @@ class SuiteRobot(Robot):
     """
 
     def __init__(
-        self, env_id: str, model: str | None = None, threads: int = 0, shorter: int = 1, earlier: Earlier | None = None
+        self,
+        env_id: str,
+        model: str | None = None,
+        threads: int = 0,
+        shorter: int = 1,
+        baseline: Baseline | None = None,
     ):
         if env_id not in _KINDS:
             raise ValueError(f"{env_id!r} cannot be diagnosed; allowed are {', '.join(_KINDS)}")
         kind = task_type(env_id)
         self.name = self.env_id = env_id
-        self.threads, self.model_name, self._earlier = threads, model or kind.cheap, earlier
+        self.threads, self.model_name, self._earlier = threads, model or kind.cheap, baseline
         self.shorter = shorter
         self._task = make_task(env_id, SIMULATIONS, threads, self.model_name, action="continuous", effects=())
         self._task.refine(shorter)
@@ -56,7 +61,7 @@ class SuiteRobot(Robot):
         self.unit, self.frame = kind.signal_units[self.signal]
         self.shape = self._task.signals(np.arange(1))[self.signal].shape[1:]
         self.priors = tuple(_prior(p) for p in kind.parameters.parameters.values())
-        self._remember(earlier)
+        self._remember(baseline)
 
     def shortened(self, factor: int) -> Robot:
         """The same robot with shorter time steps."""
@@ -64,7 +69,7 @@ class SuiteRobot(Robot):
 
     def accurate(self) -> Robot | None:
         """By the accurate model of the suite, unless its signal has other points, as those of another mesh are."""
-        other = SuiteRobot(self.env_id, task_type(self.env_id).accurate, self.threads, earlier=self._earlier)
+        other = SuiteRobot(self.env_id, task_type(self.env_id).accurate, self.threads, baseline=self._earlier)
         return other if other.shape == self.shape else None
 
     def spec(self) -> mujoco.MjSpec:

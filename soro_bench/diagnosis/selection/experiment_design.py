@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soro_bench.diagnosis.candidates import Suspect
+from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.estimation.fit import Hypothesis, bounds
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, temperature
-from soro_bench.effects.effect import Port
-from soro_bench.inference.clouds import LowRank
+from soro_bench.effects.effect import Location
+from soro_bench.inference.statistical_linearisation import LowRank
 from soro_bench.recording.excitation import in_turn, loops, multisine, step_and_hold, triangles
 
 DURATION, HOLD = 10.0, 4.0  # s
@@ -52,7 +52,9 @@ class Proposal:
     evidence: float
 
 
-def proposed(problem: Problem, comparison: Comparison, unknown: Port | None = None, seed: int = 0) -> Proposal | None:
+def proposed(
+    problem: Problem, comparison: Comparison, unknown: Location | None = None, seed: int = 0
+) -> Proposal | None:
     """The motion that best tells the answers apart that are left; None where one stands alone.
 
     Args:
@@ -62,25 +64,25 @@ def proposed(problem: Problem, comparison: Comparison, unknown: Port | None = No
     rivals = competing(comparison)
     if len(rivals) < 2 and unknown is None:
         return None
-    robot, as_fitted = problem.robot, [(a.hypothesis.x, a.hypothesis.suspects) for a in rivals]
-    heat = temperature(min(problem.excess(a.hypothesis.residual) for a in comparison.answers))
-    tried = motions(_suspected(robot, rivals, unknown), robot.channels, robot.control_timestep, seed)
+    robot, as_fitted = problem.robot, [(a.hypothesis.x, a.hypothesis.terms) for a in rivals]
+    temper = temperature(min(problem.misfit(a.hypothesis.residual) for a in comparison.answers))
+    tried = motions(_candidates_at(robot, rivals, unknown), robot.channels, robot.control_timestep, seed)
     predicted = [predictions(problem, motion.actions, as_fitted) for motion in tried]
-    first = [_rated(rivals, separations(problem, rivals, rows), heat) for rows in predicted]
+    first = [_rated(rivals, separations(problem, rivals, rows), temper) for rows in predicted]
     finalists = sorted(range(len(tried)), key=lambda i: -first[i])[:FINALISTS]
     found = [separations(problem, rivals, predicted[i], _changes(problem, rivals, tried[i].actions, predicted[i]))
              for i in finalists]  # fmt: skip
-    best = max(range(len(found)), key=lambda i: _rated(rivals, found[i], heat))
-    return _proposal(tried[finalists[best]], rivals, found[best], heat)
+    best = max(range(len(found)), key=lambda i: _rated(rivals, found[i], temper))
+    return _proposal(tried[finalists[best]], rivals, found[best], temper)
 
 
 def competing(comparison: Comparison) -> list[Answer]:
     """The answers that are left, or the best of all improbable ones."""
     merged: dict[frozenset, Answer] = {}  # those that differ in where their fits began are one
     for answer in comparison.answers:
-        first = merged.get(_places(answer))
+        first = merged.get(_locations(answer))
         chance = answer.probability + (first.probability if first else 0.0)
-        merged[_places(answer)] = replace(first or answer, probability=chance)
+        merged[_locations(answer)] = replace(first or answer, probability=chance)
     answers = sorted(merged.values(), key=lambda a: -a.probability)
     return [a for a in answers if a.probability >= CLOSE][:RIVALS] or answers[:1]
 
@@ -114,15 +116,19 @@ def motions(channels: Sequence[int], names: Sequence[str], timestep: float, seed
     return [Motion(words.format(what), _padded(part, total)) for words, part in parts.items() if part.any()]
 
 
-def _suspected(robot: Robot, rivals, unknown) -> Sequence[int]:
+def _candidates_at(robot: Robot, rivals, unknown) -> Sequence[int]:
     """The channels at the places of effects that not all rivals have, or where unknown physics acts; all if none."""
-    places = [_places(answer) for answer in rivals]
-    where = [unknown] if unknown else [place for _, place in frozenset.union(*places) - frozenset.intersection(*places)]
-    return sorted({robot.channel(place) for place in where} - {None}) or range(len(robot.channels))
+    ranked_locations = [_locations(answer) for answer in rivals]
+    location = (
+        [unknown]
+        if unknown
+        else [site for _, site in frozenset.union(*ranked_locations) - frozenset.intersection(*ranked_locations)]
+    )
+    return sorted({robot.channel(site) for site in location} - {None}) or range(len(robot.channels))
 
 
 def predictions(
-    problem: Problem, actions: np.ndarray, points: Sequence[tuple[np.ndarray, Sequence[Suspect]]]
+    problem: Problem, actions: np.ndarray, points: Sequence[tuple[np.ndarray, Sequence[Term]]]
 ) -> np.ndarray:
     """(N, M) what the sensor would record under actions (T, nu), in units of its noise, less its mean over time.
 
@@ -168,8 +174,8 @@ def _changes(problem, rivals, actions, predicted) -> list[np.ndarray]:
     for hypothesis in (answer.hypothesis for answer in rivals):
         variances, combinations = np.linalg.eigh(hypothesis.covariance(problem))
         steps = (np.sqrt(variances) * combinations)[:, -DIRECTIONS:].T
-        allowed = bounds(problem, hypothesis.suspects)
-        points += [(np.clip(hypothesis.x + step, *allowed), hypothesis.suspects) for step in steps]
+        allowed = bounds(problem, hypothesis.terms)
+        points += [(np.clip(hypothesis.x + step, *allowed), hypothesis.terms) for step in steps]
         ends.append(len(points))
     rows = np.split(predictions(problem, actions, points), ends[:-1])
     return [np.nan_to_num(moved - own) for moved, own in zip(rows, predicted, strict=True)]
@@ -183,33 +189,33 @@ def _told(problem, a: Hypothesis, b: Hypothesis) -> float:
     """
     difference = (a.residual - b.residual)[None]
     squares = float((difference**2).sum())
-    return float(problem.floor.product(difference, difference)[0, 0]) / squares if squares else 1.0
+    return float(problem.discretisation.product(difference, difference)[0, 0]) / squares if squares else 1.0
 
 
-def _rated(rivals, evidence, heat) -> float:
+def _rated(rivals, evidence, temper) -> float:
     """Of the pair that is mistaken most easily: minus the logarithm of a bound (Bhattacharyya's) on the chance to take
     one for the other, which is smaller for answers that are improbable at any rate. Evidence is tempered."""
     chances = [a.probability * b.probability for a, b in itertools.combinations(rivals, 2)]
-    return min((e / (4.0 * heat) - 0.5 * math.log(max(c, 1e-300)) for e, c in zip(evidence, chances, strict=True)),
+    return min((e / (4.0 * temper) - 0.5 * math.log(max(c, 1e-300)) for e, c in zip(evidence, chances, strict=True)),
                default=0.0)  # fmt: skip
 
 
-def _proposal(motion, rivals, evidence, heat) -> Proposal:
+def _proposal(motion, rivals, evidence, temper) -> Proposal:
     names = labels(rivals)
-    apart = [pair for pair, e in zip(itertools.combinations(names, 2), evidence, strict=True) if e >= APART * heat]
-    enough = evidence[evidence >= APART * heat]
+    apart = [pair for pair, e in zip(itertools.combinations(names, 2), evidence, strict=True) if e >= APART * temper]
+    enough = evidence[evidence >= APART * temper]
     return Proposal(motion, tuple(names), tuple(apart), float(min(enough if len(enough) else evidence, default=0.0)))
 
 
 def labels(rivals: Sequence[Answer]) -> list[str]:
     """Names of the effects of every answer, with their places where the names do not tell them apart; "none"."""
     names = [" with ".join(a.names) or "none" for a in rivals]
-    places = [" with ".join(f"{s.name} at {s.where}" for s in a.hypothesis.suspects) for a in rivals]
-    return [place if names.count(name) > 1 else name for name, place in zip(names, places, strict=True)]
+    ranked_locations = [" with ".join(f"{s.name} at {s.location}" for s in a.hypothesis.terms) for a in rivals]
+    return [site if names.count(name) > 1 else name for name, site in zip(names, ranked_locations, strict=True)]
 
 
-def _places(answer):
-    return frozenset((s.name, s.where) for s in answer.hypothesis.suspects)
+def _locations(answer):
+    return frozenset((s.name, s.location) for s in answer.hypothesis.terms)
 
 
 def _slowed(rates, slowness, groups, room) -> np.ndarray:

@@ -10,22 +10,22 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from soro_bench.diagnosis.candidates import Suspect, typical
-from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, fitted_under_floor
+from soro_bench.diagnosis.candidates import Term, typical
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, fitted_under_discretisation
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.moves import (
     CLEAN,
     RIVAL,
-    continued,
     distinct,
-    exchanged,
+    indistinguishable,
+    iterate_to_convergence,
     laws,
-    persevered,
-    plainer,
-    polished,
+    refine,
     refitted,
-    twins,
+    revisit_rivals,
+    simplify,
+    swap_delays,
     unique,
     without_one,
 )
@@ -40,7 +40,7 @@ FAR_DRAWS, FAR = 3, 0.7  # replays of each refined robot at first, and their sta
 NEAR = (0.15, 0.05)  # of the one near each fit but the last
 # polishes at most, and the share that one more has to take off; and their radii: a cloud as wide as the nominal fit's
 # at first, as parameters that have absorbed an effect may be far from where they belong
-POLISHES, ENOUGH = 4, 0.1
+REFINEMENTS, ENOUGH = 4, 0.1
 # nats, and per sample of long recordings: an excess of the nominal robot far beyond that of nulls, so that polishing
 # supplies no physics
 LACKING = (10_000.0, 0.26)
@@ -48,7 +48,7 @@ WIDE, NARROW = (0.7, 0.15), (0.3, 0.1)
 MOST = 3  # effects
 # leads that are tried, the share of the best one's promise that they have to make, and hypotheses of a round with
 # floors of their own
-LEADS, PROMISING, FLOORS = 6, 0.3, 2
+LEADS, LEAST_SHARE_OF_GAIN, DISCRETISATIONS = 6, 0.3, 2
 # natural logarithm of the evidence that a lead has to promise (40 nulls promise 85 at most, but for one); the share of
 # what is left: where physics has no name in the catalogue, one effect after the other would explain a little of it; and
 # the share of what is explained: no law is quite right (what still promises 0.2 per cent is called unknown, compare.py)
@@ -63,9 +63,9 @@ class Round:
     promised. fitted: the suspects of every hypothesis that was kept, with the excess that it leaves.
     """
 
-    on: tuple[Suspect, ...]
-    promised: tuple[tuple[Suspect, float], ...]
-    fitted: tuple[tuple[tuple[Suspect, ...], float], ...]
+    on: tuple[Term, ...]
+    predicted_gain: tuple[tuple[Term, float], ...]
+    fitted: tuple[tuple[tuple[Term, ...], float], ...]
 
 
 @dataclass(frozen=True)
@@ -90,9 +90,9 @@ class Explanation:
     nominal: Hypothesis
     found: tuple[Hypothesis, ...]
     unpatched: float
-    promised: float
+    predicted_gain: float
     left: float
-    minimum: tuple[tuple[Suspect, float], ...]
+    minimum: tuple[tuple[Term, float], ...]
     rounds: tuple[Round, ...] = ()
     looked_for: frozenset[str] = frozenset()
 
@@ -108,17 +108,17 @@ def nominal_fit(problem: Problem, refined: Sequence[Robot], seed: int, progress=
         if k > 0:
             draws = np.clip(guess.x + NEAR[k - 1] * rng.standard_normal((1, d)), -2, 2)
         points = [(x, ()) for x in draws]
-        problem, (fit,) = fitted_under_floor(problem, refined, points, [guess], radii, SEEDS * seed + k)
+        problem, (fit,) = fitted_under_discretisation(problem, refined, points, [guess], radii, SEEDS * seed + k)
         problem, (fit,) = allowing(problem, fit, [fit])
-        guess = Guess(fit.x, slope=fit.slope)
-    if problem.rough:
-        (fit,) = persevered(problem, [fit], SEEDS * seed + len(RADII))
+        guess = Guess(fit.x, jacobian=fit.jacobian)
+    if problem.misfit_dominated:
+        (fit,) = iterate_to_convergence(problem, [fit], SEEDS * seed + len(RADII))
         problem, (fit,) = allowing(problem, fit, [fit])
     return problem, fit
 
 
 def explained(
-    problem: Problem, nominal: Hypothesis, robot: Robot, refined: Sequence[Robot], candidates: Sequence[Suspect],
+    problem: Problem, nominal: Hypothesis, robot: Robot, refined: Sequence[Robot], candidates: Sequence[Term],
     seed: int, progress=lambda *_: None,
 ) -> Explanation:  # fmt: skip
     """One effect further as long as a lead promises enough.
@@ -131,7 +131,7 @@ def explained(
     search.begin()
     while len(search.rounds) < MOST and search.is_worth_a_round():
         search.add_one_effect()
-        if search.misled:
+        if search.local_minimum:
             return explained(search.problem, search.nominal, robot, refined, candidates, seed + 1, progress)
     return search.explanation()
 
@@ -150,12 +150,12 @@ class _Search:
     nominal: Hypothesis
     robot: Robot
     refined: Sequence[Robot]
-    candidates: Sequence[Suspect]
+    candidates: Sequence[Term]
     seeds: Iterator[int]
     progress: Callable
     tried: list[Hypothesis] = field(default_factory=list)
     rounds: list[Round] = field(default_factory=list)
-    misled: bool = False
+    local_minimum: bool = False
 
     @property
     def worth(self) -> float:
@@ -164,22 +164,24 @@ class _Search:
     def begin(self) -> None:
         """The nominal robot, fitted and screened."""
         lacking = max(LACKING[0], LACKING[1] * self.problem.weight.sum())
-        far = self.problem.excess(self.nominal.residual) >= lacking
-        self._start(polished=not self.problem.rough and not far)
-        if not self.problem.rough and far and self.left < self.worth:  # no physics promises what seems to be lacking
-            self._start(polished=True)
-        self.first, self.promised = self.screened, self.left
+        far = self.problem.misfit(self.nominal.residual) >= lacking
+        self._start(refine=not self.problem.misfit_dominated and not far)
+        if (
+            not self.problem.misfit_dominated and far and self.left < self.worth
+        ):  # no physics promises what seems to be lacking
+            self._start(refine=True)
+        self.first, self.predicted_gain = self.screened, self.left
 
-    def _start(self, polished: bool) -> None:
-        if polished:
+    def _start(self, refine: bool) -> None:
+        if refine:
             self.progress("joint fit of the parameters")
-            self.problem, (self.nominal,) = _polished(self.problem, self.refined, [self.nominal], self.seeds)
+            self.problem, (self.nominal,) = _refined_in_turns(self.problem, self.refined, [self.nominal], self.seeds)
         self.unpatched = self.problem.left(self.nominal.residual)
         self.best, self.possible = self.nominal, self.candidates
         self._screen()
 
     def is_worth_a_round(self) -> bool:
-        if self.rounds and not self.problem.rough and self.left >= self.worth:
+        if self.rounds and not self.problem.misfit_dominated and self.left >= self.worth:
             self.possible = _compatible(self.robot, self.best, self.candidates)
             self._screen()  # anew, where the best hypothesis is
         return self.left >= self.worth
@@ -189,8 +191,8 @@ class _Search:
         base, offered, number = self.best, singles(self.screened), len(self.rounds) + 1
         self.progress(f"refits with {number} effect{'s' * (number > 1)}")
         new = self._fitted(offered)
-        if self.problem.rough:
-            self._keep_rough(new)
+        if self.problem.misfit_dominated:
+            self._keep_misfit_dominated(new)
         else:
             self._keep(new)
         self.best = self.tried[0]
@@ -200,16 +202,18 @@ class _Search:
         without = without_one(self.problem, self.best, self.nominal, next(self.seeds))
         others = without if number > 1 else []
         known = {laws(h) for h in self.tried}
-        others += exchanged(self.problem, [self.best, *others], self.candidates, known, next(self.seeds))
+        others += swap_delays(self.problem, [self.best, *others], self.candidates, known, next(self.seeds))
         self.tried[1:1] = others
         if number == 1:
             before, self.nominal = self.nominal, min(self.nominal, *without, key=lambda h: h.cost)
             gained = before.cost - self.nominal.cost
-            self.misled = not self.problem.rough and gained > WORTH > self.nominal.cost - self.best.cost
+            self.local_minimum = (
+                not self.problem.misfit_dominated and gained > WORTH > self.nominal.cost - self.best.cost
+            )
 
     def explanation(self) -> Explanation:
         minimum, found = self.screened.detectable(self.worth), tuple(_cheapest(self.tried))
-        return Explanation(self.problem, self.nominal, found, self.unpatched, self.promised, self.left, minimum,
+        return Explanation(self.problem, self.nominal, found, self.unpatched, self.predicted_gain, self.left, minimum,
                            tuple(self.rounds), frozenset(one.name for one in self.candidates))  # fmt: skip
 
     def _screen(self):
@@ -223,27 +227,27 @@ class _Search:
 
     def _fitted(self, offered) -> list[Hypothesis]:
         """Hypotheses of the best leads, the most probable first."""
-        leads = _leads(self.problem, self.screened, offered)
-        if len(self.rounds) == 1 and not self.problem.rough:
-            leads += _leads(self.problem, self.first, pairs(self.first))
-        new = refitted(self.problem, leads, self.screened, next(self.seeds))
+        screened_candidates = _screened_candidates(self.problem, self.screened, offered)
+        if len(self.rounds) == 1 and not self.problem.misfit_dominated:
+            screened_candidates += _screened_candidates(self.problem, self.first, pairs(self.first))
+        new = refitted(self.problem, screened_candidates, self.screened, next(self.seeds))
         if self.rounds:
-            new += continued(self.problem, new[0], self.tried, next(self.seeds))
-        if self.problem.rough:
-            new = persevered(self.problem, new, next(self.seeds))
+            new += revisit_rivals(self.problem, new[0], self.tried, next(self.seeds))
+        if self.problem.misfit_dominated:
+            new = iterate_to_convergence(self.problem, new, next(self.seeds))
             best = min(new, key=lambda h: h.cost)
-            new += plainer(self.problem, best, new, self.possible, next(self.seeds))
-        self.problem, new = _with_own_floor(self.problem, self.refined, new, next(self.seeds))
+            new += simplify(self.problem, best, new, self.possible, next(self.seeds))
+        self.problem, new = _with_own_discretisation(self.problem, self.refined, new, next(self.seeds))
         return sorted(new, key=lambda h: -h.log_evidence(self.problem))
 
     def _keep(self, new) -> None:
-        self.problem, new = _polished(self.problem, self.refined, new, self.seeds)
+        self.problem, new = _refined_in_turns(self.problem, self.refined, new, self.seeds)
         self.tried = [_again(self.problem, h) for h in new + self.tried]
         allowed = _compatible(self.robot, self.tried[0], self.possible)
         self.found = [rows for c, rows in zip(self.possible, self.found, strict=True) if c in allowed]
         self.possible = allowed
 
-    def _keep_rough(self, new) -> None:
+    def _keep_misfit_dominated(self, new) -> None:
         """The same where the best hypothesis says how large the noise is; the nominal robot is compared under it."""
         others = [self.nominal, *new, *self.tried]
         self.problem, (self.nominal, *self.tried) = allowing(self.problem, new[0], others)
@@ -260,24 +264,26 @@ def _cheapest(hypotheses):
 
 
 def _round(problem, base, offered, fitted) -> Round:
-    promised = tuple((lead.suspects[-1], lead.gain) for lead in offered[:LEADS])
-    return Round(base.suspects, promised, tuple((h.suspects, problem.excess(h.residual)) for h in fitted))
+    predicted_gain = tuple(
+        (screened_candidate.terms[-1], screened_candidate.gain) for screened_candidate in offered[:LEADS]
+    )
+    return Round(base.terms, predicted_gain, tuple((h.terms, problem.misfit(h.residual)) for h in fitted))
 
 
-def _polished(problem, refined, hypotheses, seeds):
+def _refined_in_turns(problem, refined, hypotheses, seeds):
     """Fit and numerical floor in turns, as long as the best hypothesis, which comes first, leaves more than nulls and
     that helps: at first of its rivals too, which may only have farther to go, and then of the best."""
-    for k in range(POLISHES):
-        before = problem.excess(hypotheses[0].residual)
+    for k in range(REFINEMENTS):
+        before = problem.misfit(hypotheses[0].residual)
         if before < CLEAN:
             break
-        wide = k == 0 and len(hypotheses[0].suspects) > 0
-        some = sum(problem.excess(h.residual) < RIVAL * before for h in hypotheses[:FLOORS]) if wide else 1
-        better = polished(problem, hypotheses[:some], WIDE if wide else NARROW, next(seeds))
-        problem, better = _with_own_floor(problem, refined, better, next(seeds))
+        wide = k == 0 and len(hypotheses[0].terms) > 0
+        some = sum(problem.misfit(h.residual) < RIVAL * before for h in hypotheses[:DISCRETISATIONS]) if wide else 1
+        better = refine(problem, hypotheses[:some], WIDE if wide else NARROW, next(seeds))
+        problem, better = _with_own_discretisation(problem, refined, better, next(seeds))
         rest = [_again(problem, h) for h in hypotheses[some:]]
         hypotheses = sorted([*better, *rest], key=lambda h: -h.log_evidence(problem))
-        if not wide and problem.excess(hypotheses[0].residual) > (1.0 - ENOUGH) * before:
+        if not wide and problem.misfit(hypotheses[0].residual) > (1.0 - ENOUGH) * before:
             break
     return problem, hypotheses
 
@@ -288,32 +294,42 @@ def _compatible(robot, hypothesis, candidates):
     return [c for c in candidates if robot.accepts([*effects, typical(c)])]
 
 
-def _leads(problem, screened, leads):
+def _screened_candidates(problem, screened, screened_candidates):
     """Where to begin the fits of the best leads, and of the twins of the first: what is promised comes of slopes, of
     which one law may have steeper ones than another that fits better."""
-    best = [lead for lead in distinct(leads, LEADS, problem.robot) if lead.gain > PROMISING * leads[0].gain]
-    taken = {lead.chosen for lead in best}
-    others = [lead for lead in leads if best and twins(problem.robot, lead, best[0]) and lead.chosen not in taken]
-    best += [lead for lead in others if problem.robot.accepts(lead.effects)]
-    return [screened.guess(lead) for lead in best]
+    best = [
+        screened_candidate
+        for screened_candidate in distinct(screened_candidates, LEADS, problem.robot)
+        if screened_candidate.gain > LEAST_SHARE_OF_GAIN * screened_candidates[0].gain
+    ]
+    taken = {screened_candidate.chosen for screened_candidate in best}
+    others = [
+        screened_candidate
+        for screened_candidate in screened_candidates
+        if best
+        and indistinguishable(problem.robot, screened_candidate, best[0])
+        and screened_candidate.chosen not in taken
+    ]
+    best += [screened_candidate for screened_candidate in others if problem.robot.accepts(screened_candidate.effects)]
+    return [screened.guess(screened_candidate) for screened_candidate in best]
 
 
 def _worth(problem, nominal, best):
     """What one more effect has to promise."""
-    left, all_of_it = (problem.excess(h.residual) for h in (best, nominal))
-    if problem.rough:  # then all that is left is taken for noise
+    left, all_of_it = (problem.misfit(h.residual) for h in (best, nominal))
+    if problem.misfit_dominated:  # then all that is left is taken for noise
         return max(WORTH_SHARE * 0.5 * float(problem.weight.sum()), LAW_SHARE * (all_of_it - left))
     return max(WORTH, WORTH_SHARE * left, LAW_SHARE * (all_of_it - left))
 
 
-def _with_own_floor(problem, refined, hypotheses, seed):
+def _with_own_discretisation(problem, refined, hypotheses, seed):
     """Numerical error with the effects of the hypotheses, under which they are fitted once more. It is the same for
     laws of one class at one place."""
     points: dict[tuple, tuple] = {}
     for h in hypotheses:
-        points.setdefault(tuple((CATEGORIES[s.name], s.where) for s in h.suspects), (h.x, h.suspects))
-    chosen, guesses = list(points.values())[:FLOORS], [Guess(h.x, h.suspects, h.slope) for h in hypotheses]
-    problem, again = fitted_under_floor(problem, refined, chosen, guesses, (LAST,), seed)
+        points.setdefault(tuple((CATEGORIES[s.name], s.location) for s in h.terms), (h.x, h.terms))
+    chosen, guesses = list(points.values())[:DISCRETISATIONS], [Guess(h.x, h.terms, h.jacobian) for h in hypotheses]
+    problem, again = fitted_under_discretisation(problem, refined, chosen, guesses, (LAST,), seed)
     before = [_again(problem, h) for h in hypotheses]
     return problem, [min(pair, key=lambda h: h.cost) for pair in zip(before, again, strict=True)]
 

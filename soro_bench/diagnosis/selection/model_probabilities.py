@@ -25,7 +25,7 @@ EFFECT, UNKNOWNS = 100.0, 50.0  # nats that a rugged fit gains by chance from on
 # right, one that contains it can always take up (up to 0.9 per cent by two more; 2 to 8 where they are real:
 # docs/archive/diagnosis_development.md)
 SPARE = 0.006
-TEMPER = (100.0, 0.1)  # nats, and share of the excess
+TEMPERATURE = (100.0, 0.1)  # nats, and share of the excess
 # share of the excess left where the physics is as likely unknown as not, width, and what nulls leave of what was fitted
 # (nats per sample, 0.02 to 0.06 but for two of 160)
 UNKNOWN = (0.25, 0.06, 0.066)
@@ -72,11 +72,11 @@ class Answer:
     evidence: float
     train: Fit
     heldout: Fit | None
-    excess: float
+    misfit: float
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(s.name for s in self.hypothesis.suspects)
+        return tuple(s.name for s in self.hypothesis.terms)
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ class Comparison:
         if not self.detected or not chances:
             return self.answers[0]
         likeliest = max(chances, key=chances.get)
-        return next(a for a in self.answers if likeliest in [(s.name, s.where) for s in a.hypothesis.suspects])
+        return next(a for a in self.answers if likeliest in [(s.name, s.location) for s in a.hypothesis.terms])
 
     @property
     def ranked(self) -> tuple[Answer, ...]:
@@ -124,8 +124,8 @@ class Comparison:
     def _chances(self) -> Counter:
         chances = Counter()
         for answer in self.answers:
-            for suspect in answer.hypothesis.suspects:
-                chances[suspect.name, suspect.where] += answer.probability
+            for term in answer.hypothesis.terms:
+                chances[term.name, term.location] += answer.probability
         return chances
 
 
@@ -155,7 +155,7 @@ def slowness(left: Sequence[tuple[Problem, np.ndarray]]) -> tuple[float, float]:
 def _products(problem, residual):
     """Sums of squares and of products with what is ``LAG`` later, of what the numerical floor does not explain; each
     with its number."""
-    near, found = np.clip(problem.floor.without(residual), -FAR, FAR), np.zeros(4)
+    near, found = np.clip(problem.discretisation.without(residual), -FAR, FAR), np.zeros(4)
     parts = zip(problem.split(near), problem.split(problem.weight), problem.recordings, strict=True)
     for part, weight, each in parts:
         sampled = weight.any(axis=(1, 2))
@@ -166,15 +166,15 @@ def _products(problem, residual):
     return found
 
 
-def temperature(excess: float) -> float:
+def temperature(misfit: float) -> float:
     """By which evidence is divided where the best hypothesis leaves that excess."""
-    return TEMPER[0] + TEMPER[1] * max(excess, 0.0)
+    return TEMPERATURE[0] + TEMPERATURE[1] * max(misfit, 0.0)
 
 
 def shortlist(found: Explanation) -> list[Hypothesis]:
     """The hypotheses that are compared: the nominal robot, and of the others those with most evidence."""
     problem, hypotheses = found.problem, [found.nominal, *found.found]
-    scores = _evidence(problem, hypotheses) - _spare(hypotheses, [problem.excess(h.residual) for h in hypotheses])
+    scores = _evidence(problem, hypotheses) - _spare(hypotheses, [problem.misfit(h.residual) for h in hypotheses])
     order = np.argsort(-scores[1:], kind="stable")[:COMPARED]
     return [found.nominal, *(found.found[i] for i in order)]
 
@@ -188,17 +188,17 @@ def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> 
     problem, hypotheses = found.problem, shortlist(found)
     scores = _evidence(problem, hypotheses)
     # what was promised, and where the simulation was too far off for a promise, what has been gained
-    chance = p_value(max(found.promised, *(scores - scores[0])))
+    chance = p_value(max(found.predicted_gain, *(scores - scores[0])))
     train, unexplained = [problem.left(h.residual) for h in hypotheses], [(problem, hypotheses[0].residual)]
-    tested, left = [None] * len(hypotheses), [problem.excess(h.residual) for h in hypotheses]
+    tested, left = [None] * len(hypotheses), [problem.misfit(h.residual) for h in hypotheses]
     if heldout is not None:
         unfitted, residuals = heldout
-        excess = [unfitted.excess(row) for row in residuals]
-        scores, left = scores - excess, [a + b for a, b in zip(left, excess, strict=True)]
+        misfit = [unfitted.misfit(row) for row in residuals]
+        scores, left = scores - misfit, [a + b for a, b in zip(left, misfit, strict=True)]
         tested = [unfitted.left(row) for row in residuals]
         unexplained.append((unfitted, residuals[0]))
     # where much more is left than the sensor's noise something is missing, whether or not a law explains it
-    chance = 0.0 if problem.rough else min(chance, p_left(*slowness(unexplained)))
+    chance = 0.0 if problem.misfit_dominated else min(chance, p_left(*slowness(unexplained)))
     nothing = chance / (chance + ALPHA)
     scores = scores - _spare(hypotheses, left)
     chances = _chances(scores, nothing, min(left))
@@ -209,12 +209,12 @@ def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> 
     unknown = float(np.clip((1.0 - nothing) * _unknown(problem, hypotheses, found.left), BLUNDER, 1.0 - BLUNDER))
     answers = [replace(a, probability=a.probability * (1.0 - unknown)) for a in answers]
     ranked = tuple(sorted(answers, key=lambda a: -a.probability))
-    return Comparison(ranked, unknown, None if problem.rough else chance)
+    return Comparison(ranked, unknown, None if problem.misfit_dominated else chance)
 
 
 def _evidence(problem, hypotheses) -> np.ndarray:
     """(H,) of what they were fitted to, less what their effects gain by chance."""
-    chance = [EFFECT * len(h.suspects) + UNKNOWNS * _unknowns(h) for h in hypotheses]
+    chance = [EFFECT * len(h.terms) + UNKNOWNS * _unknowns(h) for h in hypotheses]
     return np.array([h.log_evidence(problem) for h in hypotheses]) - chance
 
 
@@ -225,28 +225,28 @@ def _spare(hypotheses, left) -> np.ndarray:
 
 
 def _unknowns(hypothesis) -> int:
-    return sum(suspect.size for suspect in hypothesis.suspects)
+    return sum(term.size for term in hypothesis.terms)
 
 
-def _chances(scores, nothing, excess):
+def _chances(scores, nothing, misfit):
     """Tempered probabilities; the first is that of nothing missing, which what is promised decides."""
     if len(scores) == 1:
         return np.ones(1)
-    tempered = scores[1:] / temperature(excess)
+    tempered = scores[1:] / temperature(misfit)
     others = np.exp(tempered - tempered.max())
     return np.concatenate([[nothing], (1.0 - nothing) * others / others.sum()])
 
 
-def _unknown(problem, hypotheses, promised) -> float:
+def _unknown(problem, hypotheses, predicted_gain) -> float:
     """Probability that the physics has no name: of what the nominal robot leaves, the first, all leave much; or one
     more effect, on top of the best of all, still promises more than where the laws are right."""
     if len(hypotheses) == 1:
         return 1.0  # if anything is missing: nothing promised to explain enough of it to be tried
     samples, more = float(problem.weight.sum()), (problem.sigma / problem.sensor) ** 2
-    left = [0.5 * ((2.0 * problem.excess(h.residual) + samples) * more - samples) for h in hypotheses]
+    left = [0.5 * ((2.0 * problem.misfit(h.residual) + samples) * more - samples) for h in hypotheses]
     share, width, least = UNKNOWN[0], UNKNOWN[1], UNKNOWN[2] * samples
     named = expit((share - (min(left) - least) / max(left[0] - least, 1.0)) / width)
-    if not problem.rough:  # where all that is left is taken for noise, promises are small
-        explained = problem.excess(hypotheses[0].residual) - min(problem.excess(h.residual) for h in hypotheses)
-        named *= expit(math.log((STILL[0] + STILL[1] * explained) / max(promised, 1.0)) / STILL[2])
+    if not problem.misfit_dominated:  # where all that is left is taken for noise, promises are small
+        explained = problem.misfit(hypotheses[0].residual) - min(problem.misfit(h.residual) for h in hypotheses)
+        named *= expit(math.log((STILL[0] + STILL[1] * explained) / max(predicted_gain, 1.0)) / STILL[2])
     return 1.0 - float(named)

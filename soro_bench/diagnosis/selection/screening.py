@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soro_bench.diagnosis.candidates import Suspect, effects_at
+from soro_bench.diagnosis.candidates import Term, effects_at
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, normal_equations
 from soro_bench.diagnosis.estimation.problem import DIVERGED, Problem
 from soro_bench.diagnosis.robots.robot import Robot
@@ -17,14 +17,14 @@ from soro_bench.effects.effect import Effect
 
 
 @dataclass(frozen=True)
-class Lead:
+class ScreenedCandidate:
     """Suspects that explain some of what a hypothesis leaves.
 
     suspects: of the hypothesis, and those to be added. gain: log evidence gained. x: (n,) estimate of all unknowns.
     chosen: which candidates these are.
     """
 
-    suspects: tuple[Suspect, ...]
+    terms: tuple[Term, ...]
     gain: float
     x: np.ndarray
     chosen: tuple[int, ...]
@@ -32,12 +32,12 @@ class Lead:
     @property
     def names(self) -> tuple[str, ...]:
         """Sorted names of the suspects."""
-        return tuple(sorted(s.name for s in self.suspects))
+        return tuple(sorted(s.name for s in self.terms))
 
     @property
     def effects(self) -> list[Effect]:
         """The suspects as estimated."""
-        return effects_at(self.x[len(self.x) - sum(s.size for s in self.suspects) :], self.suspects)
+        return effects_at(self.x[len(self.x) - sum(s.size for s in self.terms) :], self.terms)
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Evidence:
     m the best unknowns of the hypothesis move by step - shift m, where step is (n,) and shift (n, K)."""
 
     base: Hypothesis
-    candidates: tuple[Suspect, ...]
+    candidates: tuple[Term, ...]
     responses: Sequence[np.ndarray]
     matrix: np.ndarray
     pull: np.ndarray
@@ -56,7 +56,7 @@ class Evidence:
     step: np.ndarray
     shift: np.ndarray
 
-    def lead(self, chosen: Sequence[int]) -> Lead:
+    def screened_candidate(self, chosen: Sequence[int]) -> ScreenedCandidate:
         """The best magnitudes of some candidates together."""
         rows = np.concatenate([self.blocks[i] for i in chosen])
         matrix, pull, bounds = self.matrix[np.ix_(rows, rows)], self.pull[rows], self.bounds[:, rows]
@@ -75,25 +75,25 @@ class Evidence:
         ends = np.cumsum([len(self.blocks[i]) for i in chosen])[:-1]
         added = [self.candidates[i] for i in chosen]
         parts = [_coordinates(s, part) for s, part in zip(added, np.split(at, ends), strict=True)]
-        return Lead((*self.base.suspects, *added), gain, np.concatenate([x, *parts]), tuple(chosen))
+        return ScreenedCandidate((*self.base.terms, *added), gain, np.concatenate([x, *parts]), tuple(chosen))
 
-    def guess(self, lead: Lead) -> Guess:
+    def guess(self, screened_candidate: ScreenedCandidate) -> Guess:
         """Where to begin a fit: what shapes a response without being its magnitude has no slope yet."""
-        slope = [self.base.slope]
-        for i in lead.chosen:
-            rows = np.zeros((self.candidates[i].size, self.base.slope.shape[1]))
+        jacobian = [self.base.jacobian]
+        for i in screened_candidate.chosen:
+            rows = np.zeros((self.candidates[i].size, self.base.jacobian.shape[1]))
             rows[list(self.candidates[i].magnitudes)] = self.responses[i]
-            slope.append(rows)
-        return Guess(lead.x, lead.suspects, np.concatenate(slope))
+            jacobian.append(rows)
+        return Guess(screened_candidate.x, screened_candidate.terms, np.concatenate(jacobian))
 
-    def detectable(self, gain: float) -> tuple[tuple[Suspect, float], ...]:
+    def detectable(self, gain: float) -> tuple[tuple[Term, float], ...]:
         """Of each candidate, the coordinate of its first magnitude that gains as much if nothing else is missing."""
         rows = np.array([block[0] for block in self.blocks])
         information = np.maximum(np.diag(self.matrix)[rows] - 1.0, 1e-12)
         return tuple(zip(self.candidates, np.sqrt(2.0 * gain / information).tolist(), strict=True))
 
 
-def responses(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect], robot: Robot) -> list[np.ndarray]:
+def responses(problem: Problem, base: Hypothesis, candidates: Sequence[Term], robot: Robot) -> list[np.ndarray]:
     """(k, M) of each suspect: change of the residual of ``robot`` per standard deviation of each of its k magnitudes.
 
     These are differences of two replays, which a simulation with longer time steps than the fitted one gives as well.
@@ -102,27 +102,27 @@ def responses(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect],
     for candidate in candidates:
         for column in np.flatnonzero(candidate.magnitudes):
             x = np.where(np.arange(candidate.size) == column, candidate.simulated, 0.0)
-            points.append((np.concatenate([base.x, x]), (*base.suspects, candidate)))
+            points.append((np.concatenate([base.x, x]), (*base.terms, candidate)))
             shares.append(x[column])
-    without, *simulated = problem.simulated(robot, [(base.x, base.suspects), *points])
+    without, *simulated = problem.simulated(robot, [(base.x, base.terms), *points])
     found = (without - np.array(simulated)) / problem.sigma * problem.weight / np.array(shares)[:, None]
     found = np.nan_to_num(found, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED)
     ends = np.cumsum([sum(c.magnitudes) for c in candidates])
     return np.split(found, ends[:-1])
 
 
-def evidence(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect], found) -> Evidence:
+def evidence(problem: Problem, base: Hypothesis, candidates: Sequence[Term], found) -> Evidence:
     """What the responses ``found`` of the candidates say about the residual of a hypothesis."""
-    floor, rows = base.floor(problem), np.concatenate(found)
-    hessian, gradient = normal_equations(floor, base.slope, base.residual, base.x)
-    cross = floor.product(rows, base.slope)
+    discretisation, rows = base.discretisation(problem), np.concatenate(found)
+    hessian, gradient = normal_equations(discretisation, base.jacobian, base.residual, base.x)
+    cross = discretisation.product(rows, base.jacobian)
     shift, step = np.linalg.solve(hessian, cross.T), -np.linalg.solve(hessian, gradient)
     return Evidence(
         base,
         tuple(candidates),
         found,
-        floor.product(rows, rows) + np.eye(len(rows)) - cross @ shift,
-        floor.product(rows, base.residual[None])[:, 0] + cross @ step,
+        discretisation.product(rows, rows) + np.eye(len(rows)) - cross @ shift,
+        discretisation.product(rows, base.residual[None])[:, 0] + cross @ step,
         np.concatenate([c.bounds[:, list(c.magnitudes)] for c in candidates], axis=1),
         tuple(np.split(np.arange(len(rows)), np.cumsum([len(each) for each in found])[:-1])),
         step,
@@ -130,17 +130,22 @@ def evidence(problem: Problem, base: Hypothesis, candidates: Sequence[Suspect], 
     )
 
 
-def singles(found: Evidence) -> list[Lead]:
+def singles(found: Evidence) -> list[ScreenedCandidate]:
     """One candidate at a time, the best first."""
-    return sorted((found.lead([i]) for i in range(len(found.candidates))), key=lambda lead: -lead.gain)
+    return sorted(
+        (found.screened_candidate([i]) for i in range(len(found.candidates))),
+        key=lambda screened_candidate: -screened_candidate.gain,
+    )
 
 
-def pairs(found: Evidence, firsts: int = 20) -> list[Lead]:
+def pairs(found: Evidence, firsts: int = 20) -> list[ScreenedCandidate]:
     """Two candidates at a time, the best first: each of the best singles with every other one."""
-    gains = [found.lead([i]).gain for i in range(len(found.candidates))]
+    gains = [found.screened_candidate([i]).gain for i in range(len(found.candidates))]
     order = np.argsort(gains)[::-1]
-    leads = [found.lead([i, j]) for n, i in enumerate(order[:firsts]) for j in order[n + 1 :]]
-    return sorted(leads, key=lambda lead: -lead.gain)
+    screened_candidates = [
+        found.screened_candidate([i, j]) for n, i in enumerate(order[:firsts]) for j in order[n + 1 :]
+    ]
+    return sorted(screened_candidates, key=lambda screened_candidate: -screened_candidate.gain)
 
 
 def _coordinates(candidate, magnitudes):

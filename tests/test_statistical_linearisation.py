@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from soro_bench.inference.clouds import LowRank, cloud, linearised
-from soro_bench.inference.continuation import polished
+from soro_bench.inference.continuation import refine
 from soro_bench.inference.search import EvaluationLog
+from soro_bench.inference.statistical_linearisation import LowRank, linearised, sample_around
 
 
 @pytest.fixture
@@ -22,16 +22,16 @@ def test_products_are_those_of_the_dense_inverse(rng, rank):
 
 
 def test_a_linear_function_is_found_exactly_and_leaves_no_error(rng):
-    slope, at, x = rng.normal(size=(3, 50)), rng.normal(size=50), rng.normal(size=3)
-    points = cloud(x, 0.1, 12, [0, 1])
-    line = linearised(x, points, at + (points - x) @ slope)
+    jacobian, at, x = rng.normal(size=(3, 50)), rng.normal(size=50), rng.normal(size=3)
+    points = sample_around(x, 0.1, 12, [0, 1])
+    line = linearised(x, points, at + (points - x) @ jacobian)
     assert line.residual == pytest.approx(at)
-    assert line.slope == pytest.approx(slope)
+    assert line.jacobian == pytest.approx(jacobian)
     assert np.abs(line.error).max() < 1e-12
 
 
 def test_a_rugged_function_has_an_error_of_its_ruggedness(rng):
-    points = cloud(np.zeros(2), 0.1, 64, [0])
+    points = sample_around(np.zeros(2), 0.1, 64, [0])
     rough = 0.3 * rng.standard_normal((64, 200))
     line = linearised(np.zeros(2), points, points @ rng.normal(size=(2, 200)) + rough)
     assert np.sqrt((line.error**2).sum(axis=0).mean()) == pytest.approx(0.3, rel=0.05)
@@ -48,7 +48,7 @@ def test_polishing_leaves_a_local_optimum_of_a_rugged_replay():
 
     start = truth + 0.03
     cost = np.log1p((residuals(start[None], 30)[0] / deviation) ** 2).sum()
-    found, lower = polished(residuals, deviation, [slice(0, 4)], start, cost, EvaluationLog(None, ""), [0])
+    found, lower = refine(residuals, deviation, [slice(0, 4)], start, cost, EvaluationLog(None, ""), [0])
     assert np.abs(found - truth).max() < 0.002
     assert lower < cost
 

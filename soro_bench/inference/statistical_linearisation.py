@@ -44,18 +44,18 @@ class Line:
     """A linear model around a point: residual (M,) there, slope (n, M), and a basis (N, M) of its error."""
 
     residual: np.ndarray
-    slope: np.ndarray
+    jacobian: np.ndarray
     error: np.ndarray
 
 
-def cloud(x: np.ndarray, scale: float, count: int, seed: Sequence[int]) -> np.ndarray:
+def sample_around(x: np.ndarray, scale: float, count: int, seed: Sequence[int]) -> np.ndarray:
     """(count, n) points around x, a quasi-random sample of a normal distribution of standard deviation ``scale``."""
     engine = qmc.Halton(len(x), rng=np.random.default_rng(seed))
     normal = qmc.MultivariateNormalQMC(np.zeros(len(x)), engine=engine, inv_transform=True)
     return x + scale * np.clip(normal.random(count), -3, 3)
 
 
-def linearised(x: np.ndarray, points: np.ndarray, residuals: np.ndarray, slope: np.ndarray | None = None) -> Line:
+def linearised(x: np.ndarray, points: np.ndarray, residuals: np.ndarray, jacobian: np.ndarray | None = None) -> Line:
     """The linear regression of residuals (N, M) at points (N, n) around x.
 
     A ``slope`` (n, M) that is known beforehand is changed only as far as the points speak against it (ridge
@@ -63,13 +63,13 @@ def linearised(x: np.ndarray, points: np.ndarray, residuals: np.ndarray, slope: 
     """
     scale = np.sqrt(((points - x) ** 2).mean())
     design, ridge = np.column_stack([np.ones(len(points)), (points - x) / scale]), np.zeros(1 + len(x))
-    if slope is None:
-        slope = np.zeros((len(x), residuals.shape[1]))
+    if jacobian is None:
+        jacobian = np.zeros((len(x), residuals.shape[1]))
     else:
-        ridge[1:] = np.where(slope.any(axis=1), RIDGE, FREE)
-    rest = residuals - (points - x) @ slope
+        ridge[1:] = np.where(jacobian.any(axis=1), RIDGE, FREE)
+    rest = residuals - (points - x) @ jacobian
     hat = np.linalg.solve(design.T @ design + np.diag(ridge), design.T)
     coefficients = hat @ rest
     freedom = len(points) - np.trace(design @ hat)
     error = (rest - design @ coefficients) / np.sqrt(freedom)
-    return Line(coefficients[0], slope + coefficients[1:] / scale, error)
+    return Line(coefficients[0], jacobian + coefficients[1:] / scale, error)

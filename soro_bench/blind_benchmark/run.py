@@ -26,8 +26,8 @@ METHOD = "method.txt"
 Progress = Callable[[str, int, int], None]
 
 
-def prove(
-    folder: str | Path, count: int, seed: int | None = None, nulls: int | None = None, ablations: int = 0,
+def run_blind_benchmark(
+    folder: str | Path, count: int, seed: int | None = None, healthy: int | None = None, ablations: int = 0,
     workers: Workers = HERE, progress: Progress = lambda *_: None,
 ) -> str:  # fmt: skip
     """Write what is missing of cases, reports and scorecard in a folder; returns the scorecard, Markdown.
@@ -46,7 +46,7 @@ def prove(
     cases, reports = folder / "cases", folder / "reports"
     claim(reports / METHOD, method_version())
     seed = sealed_seed(cases) if seed is None else seed
-    write_cases(cases, count, seed, nulls, workers, lambda done, total: progress("cases written", done, total))
+    write_cases(cases, count, seed, healthy, workers, lambda done, total: progress("cases written", done, total))
     names = sorted(path.name for path in cases.glob("case_*"))
     wanted = [(cases / name, reports / f"{name}.json") for name in names]
     _carry_out(diagnosed, wanted, workers, partial(progress, "cases diagnosed"))
