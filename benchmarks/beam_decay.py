@@ -18,6 +18,7 @@ from soro_bench.assets import mjcf_path
 from soro_bench.diagnosis.estimation.data_quality import audit
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.pipeline import unexplained
+from soro_bench.diagnosis.report import baseline
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import FITTED
 from soro_bench.diagnosis.selection.forward_selection import nominal_fit
@@ -51,8 +52,8 @@ def main() -> None:
     parser.add_argument("--report", type=Path, help="folder of a diagnosis")
     options = parser.parse_args()
     kind, model = options.kind, mjcf_path("real/silicone_beam.xml")
-    found = earlier(options.report) if options.report else None
-    robot = ModelRobot(model, model.with_suffix(".toml"), earlier=found).shortened(FITTED)
+    found = baseline(options.report) if options.report else None
+    robot = ModelRobot(model, model.with_suffix(".toml"), baseline=found).shortened(FITTED)
     mapping, folder = mjcf_path(f"real/silicone_beam_{kind}_import.toml"), options.data / "silicone_beam_arm"
     measured = [robot.measured(import_recording(folder / f"beam_{kind}_V2_{run}.csv", mapping)) for run in "ab"]
     x = np.zeros(len(robot.priors))
