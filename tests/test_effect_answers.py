@@ -6,7 +6,7 @@ import pytest
 
 from soro_bench.blind_benchmark import cable_laws, neck_laws
 from soro_bench.blind_benchmark.robot import simulate
-from soro_bench.diagnosis.candidates import suspects, typical
+from soro_bench.diagnosis.candidates import terms, typical
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.effects.catalogue import MEASUREMENT
 from soro_bench.effects.effect import Effect, EffectError, Location
@@ -343,7 +343,7 @@ def test_a_trunk_with_a_lossy_law_only_calms_down_once_its_commands_rest(name, r
     """The fastest that its keypoints are in each half of a second, after two cables were pulled and let go."""
     actions = np.zeros((70, 8), np.float32)
     actions[:10, :2], actions[10:20, :2] = 1.0, -1.0
-    law = next(one for one in suspects(robot) if one.name == name and one.location.kind != "sensor")
+    law = next(one for one in terms(robot) if one.name == name and one.location.kind != "sensor")
     nominal = np.array([[prior.nominal for prior in robot.priors]] * 2)
     points, without = robot.simulate(actions, nominal, [[typical(law)], []])
     assert np.abs(points - without).max() > 1e-4
