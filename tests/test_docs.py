@@ -45,3 +45,12 @@ def test_the_page_of_real_robots_has_what_their_studies_have_found():
     """If not: put the second table that python benchmarks/real_robots.py prints there."""
     script = runpy.run_path(str(DOCS.parent / "benchmarks" / "real_robots.py"))
     assert script["every_seed"]() in (DOCS / "archive" / "real_robots.md").read_text()
+
+
+def test_links_of_pages_outside_the_site_lead_somewhere():
+    """Those within it are checked as it is built."""
+    root = DOCS.parent
+    for page in (*root.glob("*.md"), root / "leaderboard" / "README.md"):
+        targets = re.findall(r"\]\((?!https?:)([^)#\s]+)", page.read_text())
+        missing = [target for target in targets if not (page.parent / target).exists()]
+        assert targets and not missing, (page.name, missing)
