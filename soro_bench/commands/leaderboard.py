@@ -28,6 +28,7 @@ class Evaluate:
     """Folder for the results; the policy's own by default, which an entry needs to be told."""
 
     def run(self) -> None:
+        """Play the policy, write its results and recording; ValueError names an option that is wrong."""
         from soro_bench.files import read_json, results_folder, write_json
         from soro_bench.leaderboard.boards import board_of
         from soro_bench.leaderboard.enter import record_evaluations
@@ -63,6 +64,7 @@ class Build:
     """Also record the best policy of every method on the accurate model, for the Rerun viewer."""
 
     def run(self) -> None:
+        """Write the page and say where it is; ValueError if there is no folder of entries."""
         from soro_bench.leaderboard.page import build
 
         if not self.results.is_dir():
@@ -88,6 +90,7 @@ class Enter:
     """Take the place of another policy's entry of the same names and seed."""
 
     def run(self) -> None:
+        """Evaluate the policy and write its entry; ValueError if another policy has the place."""
         from soro_bench.leaderboard.boards import board_of
         from soro_bench.leaderboard.enter import enter
         from soro_bench.policies.policy import Policy
@@ -117,6 +120,7 @@ class Verify:
     """Diagnosis: a file of docs/results/releases, .json.xz, which holds both."""
 
     def run(self) -> None:
+        """Print whether each entry reproduces; the exit status is 1 if one does not."""
         if not self.entries:
             raise ValueError("say which entries to verify: soro-bench leaderboard verify ENTRY.json ...")
         differs = False
@@ -180,6 +184,7 @@ class Pack:
     """Of methods: leaderboard/results/BOARD/ENTRY/METHOD."""
 
     def run(self) -> None:
+        """Print the archive of each folder."""
         from soro_bench.leaderboard.entry import pack_entries
 
         for folder in self.folders:
@@ -198,4 +203,5 @@ class Leaderboard:
     ]
 
     def run(self) -> None:
+        """Run the chosen command."""
         self.command.run()

@@ -4,7 +4,7 @@ A board is a task with its published starts; its conditions are the models that 
 accurate one. What a policy was trained on is up to its authors.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -103,7 +103,7 @@ def _lift(mass: float) -> Board:
     return Board("TrunkLift-v0", True, conditions, fixed=fixed, beside=("clearance",))
 
 
-def _on_both_models(env_id: str, starts) -> dict[str, Condition]:
+def _on_both_models(env_id: str, starts: Iterable[Mapping[str, Any]]) -> dict[str, Condition]:
     task = task_type(env_id)
     return {model: Condition(model, tuple(starts)) for model in (task.cheap, task.accurate)}
 

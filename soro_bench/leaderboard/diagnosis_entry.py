@@ -24,7 +24,7 @@ def read_entry(path: str | Path) -> dict:
     return entry
 
 
-def _check_gates(gates, path) -> None:
+def _check_gates(gates: list[dict], path: str | Path) -> None:
     """ValueError unless the gates are those of the proof, with its bars, and what a value says of one is so."""
     given, known = ([(gate["gate"], gate["bar"], gate["below"]) for gate in gates],
                     [(name, bar, below) for name, _, _, bar, below in GATES])  # fmt: skip

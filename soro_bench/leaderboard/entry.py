@@ -55,7 +55,7 @@ def check_entry(entry: dict, path: str | Path) -> None:
         raise ValueError(f"{path}: the curve has {len(curve['steps'])} steps and {len(curve['final_mm'])} lengths")
 
 
-def _check_scores(board: Board, label: str, scores: dict, path) -> None:
+def _check_scores(board: Board, label: str, scores: dict, path: str | Path) -> None:
     if label not in board.conditions:
         raise ValueError(f"{path}: evaluations has {label[:80]!r}; allowed: {', '.join(board.conditions)}")
     starts = len(board.conditions[label].starts)
@@ -191,7 +191,7 @@ def check_free(results: str | Path, board: str, entry: str, policy: Policy | Onn
                          "of the method (soro-bench train --name) or of the entry beside it")  # fmt: skip
 
 
-def _path(results, board: str, entry: str, card: PolicyCard) -> Path:
+def _path(results: str | Path, board: str, entry: str, card: PolicyCard) -> Path:
     return Path(results) / board / entry / card.method / f"seed{card.seed}.json"
 
 

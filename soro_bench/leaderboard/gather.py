@@ -40,6 +40,7 @@ class Group:
 
     @property
     def trained_on(self) -> str:
+        """The model or mesh that all of the group's policies were trained on."""
         return self.entries[0][1]["trained_on"]
 
     @property

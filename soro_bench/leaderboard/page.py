@@ -5,6 +5,7 @@ import hashlib
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -192,7 +193,7 @@ def _rank(section: dict) -> tuple[float, float]:
     return -section["met"], -(first or 0.0)
 
 
-def _render(**content) -> str:
+def _render(**content: Any) -> str:
     try:
         import jinja2
     except ImportError as error:

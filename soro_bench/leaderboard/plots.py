@@ -3,11 +3,15 @@
 import io
 import re
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from soro_bench.leaderboard.gather import Group
 from soro_bench.plotting import pyplot
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _INK = "#010203"  # stands for the page's own colour
 _WIDTH = 5.2  # inches: the text stays readable where a phone shrinks the plot
@@ -110,7 +114,7 @@ def title_of(group: Group) -> str:
     return title if len(title) <= _LETTERS else f"{title[: _LETTERS - 1]}…"
 
 
-def _svg(figure, name: str) -> str:
+def _svg(figure: "Figure", name: str) -> str:
     """The figure as SVG inside a page: names of its own, and the page's colour and font."""
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})

@@ -4,9 +4,15 @@ import json
 import reprlib
 from functools import cache
 from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 from soro_bench.files import parsed_json
 from soro_bench.packed import read
+
+if TYPE_CHECKING:
+    from jsonschema import ValidationError
+    from jsonschema.protocols import Validator
 
 ENTRY_BYTES = 1_000_000
 REPORT_BYTES = 10_000_000
@@ -39,7 +45,7 @@ def check(data: dict, schema: str, path: str | Path) -> None:
         raise ValueError(f"{path}: {_said(best)}")
 
 
-def _said(error) -> str:
+def _said(error: "ValidationError") -> str:
     """What is wrong in one line: the field, its value, what is allowed."""
     field = ".".join(map(str, error.absolute_path))[:100] or "the entry"
     if error.validator in ("required", "additionalProperties"):  # about the names in it, not about its value
@@ -47,7 +53,7 @@ def _said(error) -> str:
     return f"{field} is {reprlib.repr(error.instance)}; allowed: {error.validator} {error.validator_value}"
 
 
-def _check_parts(found) -> None:
+def _check_parts(found: object) -> None:
     """ValueError for a text, anywhere, that cannot be shown, and for parts in parts in parts."""
     level, depth = [found], 0
     while level:
@@ -60,16 +66,16 @@ def _check_parts(found) -> None:
         depth += 1
 
 
-def _parts(value) -> list:
+def _parts(value: object) -> list:
     return [*value, *value.values()] if isinstance(value, dict) else value if isinstance(value, list) else []
 
 
 @cache
-def _validator(schema: str):
+def _validator(schema: str) -> "Validator":
     return require_jsonschema().Draft202012Validator(json.loads((Path(__file__).parent / schema).read_text()))
 
 
-def require_jsonschema():
+def require_jsonschema() -> ModuleType:
     """The module; ImportError with what to install."""
     try:
         import jsonschema
