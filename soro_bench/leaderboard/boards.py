@@ -12,7 +12,7 @@ import numpy as np
 
 from soro_bench.envs.episode import Episode
 from soro_bench.evaluation import evaluate
-from soro_bench.policies.policy import Policy
+from soro_bench.policies.policy import TrainedPolicy
 from soro_bench.registration import task_type
 
 # the largest length [m] and return that an entry may have; what has diverged may be farther off
@@ -60,7 +60,7 @@ class Board:
             raise ValueError(f"there is no condition {label!r}; there are {', '.join(self.conditions)}")
         return label
 
-    def play(self, policy: Policy, label: str, num_threads: int = 0) -> list[Episode]:
+    def play(self, policy: TrainedPolicy, label: str, num_threads: int = 0) -> list[Episode]:
         """The episodes of a policy under the condition with that label."""
         condition = self.conditions[label]
         return evaluate(

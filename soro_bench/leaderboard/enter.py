@@ -9,7 +9,7 @@ from soro_bench.files import read_json
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.entry import check_free, thinned_curve, write_entry
 from soro_bench.parameters import ALL_PARAMETERS
-from soro_bench.policies.policy import Policy
+from soro_bench.policies.policy import Policy, TrainedPolicy
 from soro_bench.randomization import Distribution, Gaussian, from_dict, holding
 from soro_bench.recording.rerun_log import write_recording
 from soro_bench.registration import task_type
@@ -33,7 +33,7 @@ def enter(folder: Path, board: str, entry: str, results: Path, threads: int = 0,
         raise ValueError(f"{folder / 'config.json'} lacks {', '.join(missing)}; soro-bench train writes both")
     if type(trainer := config["trainer"]) is not int:
         raise ValueError(f"{folder / 'config.json'}: trainer is {trainer!r}; it has to be a number")
-    effects = effects_of(config.get("effects", []))
+    effects = effects_of(config.get("effects", [])) or ()
     _check_fixed(board, config["distribution"], folder)
     training = _training(folder, policy.card.env_id) | {
         "trainer": trainer,
@@ -59,7 +59,10 @@ def _holds(given: Distribution | None, name: str, value: float) -> bool:
     """Whether a parameter always had a value in training."""
     if given is None or name not in given.names:
         return ALL_PARAMETERS[name].nominal == value
-    return not isinstance(given, Gaussian) and holding(given, {name: value}).to_dict() == given.to_dict()
+    if isinstance(given, Gaussian):
+        return False
+    held = holding(given, {name: value})
+    return held is not None and held.to_dict() == given.to_dict()
 
 
 def _training(folder: Path, env_id: str) -> dict:
@@ -77,7 +80,7 @@ def _training(folder: Path, env_id: str) -> dict:
 
 
 def record_evaluations(
-    policy: Policy, board: str, labels: Sequence[str], folder: Path, threads: int = 0
+    policy: TrainedPolicy, board: str, labels: Sequence[str], folder: Path, threads: int = 0
 ) -> dict[str, dict]:
     """The score of a policy under the conditions with these labels; ``folder`` gets a rerun recording of each."""
     scores = {}

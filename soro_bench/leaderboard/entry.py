@@ -84,7 +84,7 @@ def policy_bytes(path: str | Path, entry: dict) -> bytes:
     return data
 
 
-def policy_of(path: str | Path, entry: dict) -> Policy | OnnxPolicy:
+def policy_of(path: str | Path, entry: dict) -> TrainedPolicy:
     """The policy of the entry in the file ``path``."""
     file = Path(path).parent / entry["policy"]["file"]
     policy = _KINDS[file.suffix].from_bytes(card_of(entry), policy_bytes(path, entry), file)
@@ -100,7 +100,7 @@ def load_policy(path: str | Path) -> TrainedPolicy:
     return Policy.load(path)
 
 
-def _check_fit(policy: Policy | OnnxPolicy, file: Path) -> None:
+def _check_fit(policy: TrainedPolicy, file: Path) -> None:
     """ValueError if a policy does not take its environment's observations or gives other actions."""
     task = _task(policy.card.env_id, policy.card.action)
     try:
@@ -138,7 +138,7 @@ def write_entry(
     results: str | Path,
     board: str,
     entry: str,
-    policy: Policy | OnnxPolicy,
+    policy: TrainedPolicy,
     evaluations: Mapping[str, Mapping[str, Any]],
     distribution: Mapping[str, Any] | None = None,
     training: Mapping[str, Any] | None = None,
@@ -183,7 +183,7 @@ def write_entry(
     return path
 
 
-def check_free(results: str | Path, board: str, entry: str, policy: Policy | OnnxPolicy) -> None:
+def check_free(results: str | Path, board: str, entry: str, policy: TrainedPolicy) -> None:
     """ValueError if another policy's entry is where that of ``policy`` belongs."""
     path = _path(results, board, entry, policy.card)
     if packed.is_there(path) and read_entry(path)["policy"]["sha256"] != hashlib.sha256(policy.to_bytes()).hexdigest():
@@ -195,9 +195,7 @@ def _path(results: str | Path, board: str, entry: str, card: PolicyCard) -> Path
     return Path(results) / board / entry / card.method / f"seed{card.seed}.json"
 
 
-def evaluated(
-    board: Board, policy: Policy | OnnxPolicy, labels: Sequence[str] = (), num_threads: int = 0
-) -> dict[str, dict]:
+def evaluated(board: Board, policy: TrainedPolicy, labels: Sequence[str] = (), num_threads: int = 0) -> dict[str, dict]:
     """The scores of a policy on a board, by the labels of the conditions (all by default)."""
     return {label: board.score(board.play(policy, label, num_threads)) for label in labels or board.conditions}
 

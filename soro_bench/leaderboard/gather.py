@@ -69,7 +69,8 @@ def gather_control(results: str | Path) -> dict[str, list[Group]]:
         policy_of(path, entry)  # refuses what is none
         trainer = entry.get("training", {}).get("trainer", 0)
         found[entry["board"], entry["entry"], entry["method"], trainer].append((path, entry))
-    newest, groups = defaultdict(int), defaultdict(list)
+    newest: defaultdict[str, int] = defaultdict(int)
+    groups: defaultdict[str, list[Group]] = defaultdict(list)
     for _, entry, _, trainer in found:
         newest[entry] = max(newest[entry], trainer)
     for (board, entry, method, trainer), members in found.items():
@@ -93,7 +94,7 @@ def _check_alike(group: Group) -> None:
         for key, value in _common(one).items():
             if (found := _common(other).get(key)) != value:
                 raise ValueError(f"{path}: {key} is {found!r}; allowed: {value!r}, as in {first}")
-    seen = {}
+    seen: dict[str, Path] = {}
     for path, entry in group.entries:
         if (twin := seen.setdefault(entry["policy"]["sha256"], path)) != path:
             raise ValueError(f"{path}: its policy is that of {twin}; every seed needs a training of its own")

@@ -5,6 +5,7 @@ branches, data in other files, and values that grow without bounds.
 """
 
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -31,7 +32,7 @@ class OnnxPolicy:
     The observations are raw: what normalises them is in the network.
     """
 
-    suffix = ".onnx"
+    suffix: ClassVar[str] = ".onnx"
 
     def __init__(self, card: PolicyCard, data: bytes, model, source: str | Path):
         from onnx.reference import ReferenceEvaluator
