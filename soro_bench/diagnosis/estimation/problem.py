@@ -8,6 +8,7 @@ import numpy as np
 from soro_bench.diagnosis.candidates import Term, effects_at
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.inference.statistical_linearisation import LowRank
 
 MISFIT_DOMINATED = (
@@ -27,6 +28,7 @@ class Problem:
 
     sigma: standard deviation of their noise [signal's unit]. weight: (M,) 0 for what is missing or an outlier, else 1.
     floor: numerical error in units of sigma. noise: of the sensor, where ``sigma`` is larger (``allowing``); else 0.
+    settings: of the diagnosis.
     """
 
     robot: Robot
@@ -35,6 +37,7 @@ class Problem:
     weight: np.ndarray
     discretisation: LowRank
     noise: float = 0.0
+    settings: Settings = DEFAULT
 
     @property
     def sensor(self) -> float:
