@@ -1,7 +1,9 @@
 """The ``soro-bench`` command."""
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 try:
     import tyro
@@ -27,6 +29,7 @@ class List:
     """Show the environments and their parameters."""
 
     def run(self) -> None:
+        """Print a table for every environment."""
         for env_id in ENV_IDS:
             task = task_type(env_id)
             names = ("parameter", "nominal", "unit", "bounds", "search box", "meaning")
@@ -40,7 +43,14 @@ class List:
         console.print("* what the published study randomises")
 
 
-COMMANDS = {
+class Command(Protocol):
+    """A command: its arguments are the fields of a dataclass."""
+
+    def run(self) -> None:
+        """Do it; ValueError for what a user can mend."""
+
+
+COMMANDS: dict[str, Callable[..., Command]] = {
     "list": List,
     "run": RunPreset,
     "train": Train,

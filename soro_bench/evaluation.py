@@ -5,7 +5,9 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
+from soro_bench.arrays import Floats, Ints
 from soro_bench.envs.episode import Episode
 from soro_bench.envs.task import Task
 from soro_bench.models.simulation import quiet
@@ -16,7 +18,7 @@ from soro_bench.registration import make_task, task_type
 @quiet()
 @one_blas_thread
 def evaluate(
-    act: Callable[[np.ndarray], np.ndarray],
+    act: Callable[[Floats], NDArray[Any]],
     env_id: str,
     model: str,
     action: str,
@@ -26,7 +28,7 @@ def evaluate(
     seed: int = 0,
     stop_when_solved: bool = True,
     full_state: bool = False,
-    **options,
+    **options: Any,
 ) -> list[Episode]:
     """Run one episode from every start and record it.
 
@@ -40,10 +42,16 @@ def evaluate(
         stop_when_solved: whether an episode ends when its task is solved.
         full_state: whether the episodes' signals hold the simulations' whole state, as state.qpos and so on.
         options: further arguments of the environment.
+
+    Returns:
+        An episode for every start, in their order.
+
+    Raises:
+        ValueError: there is no such environment or model, or a number of steps is below 1.
     """
     if max_episode_steps is None:
         max_episode_steps = gymnasium.spec(env_id).max_episode_steps
-    if max_episode_steps < 1:
+    if max_episode_steps is None or max_episode_steps < 1:
         raise ValueError(f"max_episode_steps {max_episode_steps}: 1 or more are needed")
     starts = task_type(env_id).evaluation if starts is None else starts
     task = make_task(env_id, len(starts), num_threads, model, action=action, **options)
@@ -70,19 +78,20 @@ class _Recorder:
 
     def __init__(self, full_state: bool):
         self.full_state = full_state
-        self.signals: dict[str, list] = {}
-        self.metric: list = []
-        self.actions: list = []
-        self.rewards: dict[str, list] = {}
+        self.signals: dict[str, list[Floats]] = {}
+        self.metric: list[float] = []
+        self.actions: list[NDArray[Any]] = []
+        self.rewards: dict[str, list[float]] = {}
         self.is_success = self.diverged = False
 
     def episode(self, env_id: str, model: str, task: Task, i: int) -> Episode:
+        """What simulation i of the task has done."""
         return Episode(
             env_id=env_id,
             model=model,
             params=task.parameters.to_dict(task.sim.params[i]),
             goal=None if task.goal is None else task.goal[i].copy(),
-            time=task.control_timestep * np.arange(len(self.metric)),
+            time=task.control_timestep * np.arange(len(self.metric), dtype=float),
             signals={name: np.array(rows) for name, rows in self.signals.items()},
             actions=np.array(self.actions),
             rewards={name: np.array(rows) for name, rows in self.rewards.items()},
@@ -93,7 +102,10 @@ class _Recorder:
         )
 
 
-def _record(recorders, ids, task, info, actions=None) -> None:
+def _record(
+    recorders: Sequence[_Recorder], ids: Ints, task: Task, info: Mapping[str, Any], actions: NDArray[Any] | None = None
+) -> None:
+    """Add the present state of simulations ``ids`` to their episodes, and what led to it."""
     signals = task.signals(ids)
     if recorders[0].full_state:
         signals |= {f"state.{name}": values for name, values in task.state(ids).items()}

@@ -7,9 +7,10 @@ import reprlib
 import secrets
 import stat
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 
 @contextmanager
@@ -31,7 +32,7 @@ def shown(text: str) -> str:
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)
 
 
-def brief(value) -> str:
+def brief(value: object) -> str:
     """A value for a message, cut to a sensible length."""
     text = ascii(value)
     return text if len(text) <= 80 else text[:77] + "..."
@@ -65,7 +66,7 @@ def results_folder(path: Path) -> Iterator[None]:
             path.rmdir()
 
 
-def write_json(path: str | Path, data) -> None:
+def write_json(path: str | Path, data: Any) -> None:
     """Write ``data`` as indented JSON; NaN and infinity are refused."""
     text = json.dumps(data, indent=2, allow_nan=False) + "\n"
     with replacing(path) as temporary:
@@ -90,7 +91,7 @@ def read_bytes(path: str | Path, max_bytes: int, links: bool = True) -> bytes:
         os.close(handle)
 
 
-def read_json(path: str | Path, max_bytes: int = 10_000_000):
+def read_json(path: str | Path, max_bytes: int = 10_000_000) -> Any:
     """Read a JSON file of at most ``max_bytes``; ValueError says what is wrong with it."""
     data = read_bytes(path, max_bytes)
     try:
@@ -99,7 +100,7 @@ def read_json(path: str | Path, max_bytes: int = 10_000_000):
         raise ValueError(f"{path} is no JSON file: {error}") from error
 
 
-def parsed_json(data: bytes | str, max_digits: int = 300):
+def parsed_json(data: bytes | str, max_digits: int = 300) -> Any:
     """What JSON says; ValueError for NaN, infinity, longer integers and a name that comes twice in an object."""
 
     def integer(text: str) -> int:
@@ -110,7 +111,7 @@ def parsed_json(data: bytes | str, max_digits: int = 300):
     return json.loads(data, object_pairs_hook=_object, parse_constant=_finite, parse_float=_finite, parse_int=integer)
 
 
-def _object(pairs) -> dict:
+def _object(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
     found = dict(pairs)
     if len(found) < len(pairs):
         name, _ = Counter(name for name, _ in pairs).most_common(1)[0]

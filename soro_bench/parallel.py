@@ -8,10 +8,15 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
 
 from threadpoolctl import threadpool_limits
 
+if TYPE_CHECKING:
+    from distributed import Client
+
+P = ParamSpec("P")
+T = TypeVar("T")
 TIMEOUT = 10  # s, to reach a scheduler
 
 
@@ -26,7 +31,7 @@ class Workers:
     scheduler: str | None = None
     """dask: address of the scheduler, such as tcp://10.0.0.1:8786."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.jobs < 1:
             raise ValueError(f"jobs {self.jobs}: 1 or more are needed")
         if self.backend not in ("loky", "dask"):
@@ -39,11 +44,14 @@ class Workers:
 
 HERE = Workers()  # one job after the other, in this process
 
-# decorator: the last digits of a matrix product depend on how many threads share it
-one_blas_thread = threadpool_limits.wrap(limits=1, user_api="blas")
+
+def one_blas_thread(function: Callable[P, T]) -> Callable[P, T]:
+    """Decorator: the last digits of a matrix product depend on how many threads share it, so one does it all."""
+    limited: Callable[P, T] = threadpool_limits.wrap(limits=1, user_api="blas")(function)
+    return limited
 
 
-def each(function: Callable, arguments: Iterable[tuple], workers: Workers = HERE) -> Iterator:
+def each(function: Callable[..., T], arguments: Iterable[tuple[Any, ...]], workers: Workers = HERE) -> Iterator[T]:
     """The results of ``function`` for all arguments, in their order, each as soon as it and those before it are there.
 
     A job that writes its result into a file of its own can be skipped when the same command is given again, so an
@@ -55,7 +63,7 @@ def each(function: Callable, arguments: Iterable[tuple], workers: Workers = HERE
         ChildProcessError: a process on this machine died; or the scheduler, or every worker that took one of the jobs.
     """
     if workers.backend == "dask":
-        yield from _on_cluster(function, arguments, workers.scheduler)
+        yield from _on_cluster(function, arguments, workers.scheduler or "")
     elif workers.jobs == 1:
         for given in arguments:
             yield function(*given)
@@ -63,7 +71,7 @@ def each(function: Callable, arguments: Iterable[tuple], workers: Workers = HERE
         yield from _on_this_machine(function, arguments, workers.jobs)
 
 
-def _on_this_machine(function, arguments, jobs) -> Iterator:
+def _on_this_machine(function: Callable[..., T], arguments: Iterable[tuple[Any, ...]], jobs: int) -> Iterator[T]:
     from concurrent.futures import BrokenExecutor
 
     from joblib import Parallel, delayed
@@ -75,7 +83,7 @@ def _on_this_machine(function, arguments, jobs) -> Iterator:
                                 "command goes on") from error  # fmt: skip
 
 
-def side_by_side(threads: int, function: Callable, *arguments: Iterable) -> list:
+def side_by_side(threads: int, function: Callable[..., T], *arguments: Iterable[Any]) -> list[T]:
     """The results of ``function``, which leaves Python to simulate something of its own, as ``map`` gives them."""
     with ThreadPoolExecutor(threads) as pool:
         return list(pool.map(function, *arguments))
@@ -93,7 +101,7 @@ def processors() -> int:
     return int(given) if given.isdecimal() and int(given) else cpu_count()
 
 
-def _on_cluster(function, arguments, scheduler) -> Iterator:
+def _on_cluster(function: Callable[..., T], arguments: Iterable[tuple[Any, ...]], scheduler: str) -> Iterator[T]:
     # not joblib's Dask backend (1.6): it waits forever for a job whose workers keep dying, fails when a worker dies
     # that held an argument of more than 1 kB, and gives a cluster 10 s to get its first worker from a queue
     with _client(scheduler) as client:
@@ -107,7 +115,7 @@ def _on_cluster(function, arguments, scheduler) -> Iterator:
                 raise ChildProcessError(str(error)) from error
 
 
-def _client(scheduler):
+def _client(scheduler: str) -> "Client":
     try:
         from distributed import Client
     except ImportError as error:
@@ -136,7 +144,7 @@ def _check_address(address: str) -> None:
         raise ValueError("Dask's configuration names no certificates for tls")
 
 
-def _alone(function, *given):
+def _alone(function: Callable[..., T], *given: Any) -> T:
     """Run a job on a worker of the cluster, unless it might run another one in the same process meanwhile."""
     from distributed import get_worker
 

@@ -8,10 +8,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from soro_bench.arrays import Floats
+
 
 @dataclass(frozen=True)
 class Parameter:
-    """One named scalar of the dynamics."""
+    """One named scalar of the dynamics.
+
+    Args:
+        name: as files and commands call it.
+        unit: SI; "1" without one.
+        nominal: its value where none is given.
+        search: the box in which the published studies look for it.
+        bounds: what the models accept.
+        meaning: for people.
+    """
 
     name: str
     unit: str
@@ -95,7 +106,7 @@ class ParameterSet:
         return ParameterSet(*(replace(p, nominal=values.get(p.name, p.nominal)) for p in self.parameters.values()))
 
     @property
-    def nominal(self) -> np.ndarray:
+    def nominal(self) -> Floats:
         """(d,) nominal values in the order of ``names``."""
         return np.array([p.nominal for p in self.parameters.values()])
 
@@ -125,11 +136,11 @@ class ParameterSet:
                 raise ValueError(f"{name} = {value} is outside [{low}, {high}] {self.parameters[name].unit}")
         return checked
 
-    def to_array(self, values: Mapping[str, float]) -> np.ndarray:
+    def to_array(self, values: Mapping[str, float]) -> Floats:
         """(d,) array of checked values; missing names take their nominal value."""
         values = self.check(values)
         return np.array([values.get(name, p.nominal) for name, p in self.parameters.items()])
 
-    def to_dict(self, values: np.ndarray) -> dict[str, float]:
+    def to_dict(self, values: Floats) -> dict[str, float]:
         """The (d,) array as a dict by name."""
         return dict(zip(self.names, map(float, values), strict=True))

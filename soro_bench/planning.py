@@ -5,9 +5,12 @@ linearly, as far as the cables' rate and limits let it. Two equal knots are a mo
 """
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from soro_bench.arrays import Floats, Ints
 from soro_bench.envs.trunk import TrunkTask
 from soro_bench.models import trunk_geometry as geo
 
@@ -15,7 +18,7 @@ EPISODE_STEPS = 100
 NUM_CABLES = len(geo.CABLE_NAMES)
 
 
-def actions_from_knots(knots: np.ndarray, due: Sequence[int]) -> np.ndarray:
+def actions_from_knots(knots: ArrayLike, due: Sequence[int]) -> NDArray[np.float32]:
     """Continuous actions that follow the knots from rest.
 
     Args:
@@ -40,7 +43,7 @@ def actions_from_knots(knots: np.ndarray, due: Sequence[int]) -> np.ndarray:
     return actions.astype(np.float32)
 
 
-def antagonistic(bends: np.ndarray, tightening: np.ndarray | float = 0.0) -> np.ndarray:
+def antagonistic(bends: ArrayLike, tightening: Floats | float = 0.0) -> Floats:
     """(..., 8) displacements [m] that pull one cable of each opposing pair as far as they release the other.
 
     Args:
@@ -52,7 +55,9 @@ def antagonistic(bends: np.ndarray, tightening: np.ndarray | float = 0.0) -> np.
     return np.stack(pulls, axis=-1) + tightening
 
 
-def roll_out(task: TrunkTask, actions: np.ndarray, options: Mapping, measure: Callable[[np.ndarray], np.ndarray]):
+def roll_out(
+    task: TrunkTask, actions: NDArray[Any], options: Mapping[str, Any], measure: Callable[[Ints], Floats]
+) -> Floats:
     """Play action sequences from reset.
 
     Args:

@@ -1,7 +1,9 @@
 """Matplotlib as plots and pages here use it."""
 
+from types import ModuleType
 
-def pyplot():
+
+def pyplot() -> ModuleType:
     """Matplotlib without a display, or ImportError with what to install."""
     try:
         import matplotlib

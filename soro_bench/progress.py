@@ -1,6 +1,8 @@
 """What the command line shows of long work."""
 
 import time
+from collections.abc import Mapping
+from typing import Self
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group
@@ -9,6 +11,7 @@ from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
     Progress,
+    TaskID,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
@@ -39,18 +42,19 @@ SLOW = 7200.0  # s, over which the speed of slow steps is estimated
 class StageBars:
     """Progress bars of stages that follow one another. Where nobody looks, in a log file, a line every ten minutes."""
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         # some stages take minutes for each step, so their speed shows over hours only
         self._progress = Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(),
                                   TimeElapsedColumn(), TimeRemainingColumn(), console=console,
                                   speed_estimate_period=SLOW)  # fmt: skip
-        self._tasks: dict[str, int] = {}
+        self._tasks: dict[str, TaskID] = {}
         self._log = _Log()
         if console.is_terminal:
             self._progress.start()
         return self
 
     def __call__(self, stage: str, done: int, total: int) -> None:
+        """Show that so many steps of a stage are done."""
         if stage not in self._tasks:
             # what was done before the first call counts as no speed
             self._tasks[stage] = self._progress.add_task(stage, total=total, completed=max(done - 1, 0))
@@ -59,7 +63,7 @@ class StageBars:
             left = self._progress.tasks[self._tasks[stage]].time_remaining
             self._log(f"{stage}: {done} of {total}{_hours(left)}", done == total)
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         if console.is_terminal:
             self._progress.stop()
 
@@ -67,7 +71,7 @@ class StageBars:
 class _Log:
     """Prints one line every ten minutes, and the last one of a stage."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._told = -LOG_INTERVAL
 
     def __call__(self, line: str, last: bool) -> None:
@@ -84,20 +88,21 @@ def _hours(left: float | None) -> str:
 class StageStatus:
     """The name of what is being done, for stages that nobody can count; in a log file, a line for each."""
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         self._status, self._start, self._stage = console.status(""), time.monotonic(), ""
         if console.is_terminal:
             self._status.start()
         return self
 
     def __call__(self, stage: str) -> None:
+        """Show the stage that begins."""
         if console.is_terminal:
             self._status.update(f"{stage} ...")
         elif stage != self._stage:
             console.print(f"{time.monotonic() - self._start:6.0f} s  {stage}", soft_wrap=True)
         self._stage = stage
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         if console.is_terminal:
             self._status.stop()
 
@@ -110,23 +115,24 @@ class InferenceBar:
                                   TextColumn("{task.fields[note]}"), TimeElapsedColumn(), TimeRemainingColumn(),
                                   console=console)  # fmt: skip
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         self._progress.start()
         self._task = self._progress.add_task("", total=None, note="")
         return self
 
     def __call__(self, done: int, total: int, cost: float) -> None:
+        """Show what is done, and the cost so far, which is NaN where there is none."""
         note = "" if cost != cost else f"cost {cost:.4g}"
         self._progress.update(self._task, completed=done, total=total, note=note)
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         self._progress.stop()
 
 
 class TrainingBars:
     """A progress bar per training run."""
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         self._progress = Progress(
             TextColumn("{task.description:14}"),
             BarColumn(),
@@ -137,16 +143,17 @@ class TrainingBars:
             console=console,
         )
         self._progress.start()
-        self._tasks: dict[str, int] = {}
+        self._tasks: dict[str, TaskID] = {}
         return self
 
-    def __call__(self, label: str, steps: int, total: int, row: dict) -> None:
+    def __call__(self, label: str, steps: int, total: int, row: Mapping[str, float]) -> None:
+        """Show environment steps of a run, and the final metric [mm] in the newest row of its curve."""
         if label not in self._tasks:
             self._tasks[label] = self._progress.add_task(label, total=total, note="")
         note = "{:.1f} mm".format(next(value for key, value in row.items() if key.startswith("final_")))
         self._progress.update(self._tasks[label], completed=steps, note=note)
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         self._progress.stop()
 
 
@@ -156,19 +163,21 @@ class CampaignBar:
     Where nobody looks, in a log file, a line every ten minutes.
     """
 
-    def __enter__(self):
+    def __enter__(self) -> Self:
         # runs report every checkpoint, so their speed shows over many minutes only
         self._progress = Progress(TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.1f} %"),
                                   TimeElapsedColumn(), TimeRemainingColumn(), speed_estimate_period=1800)  # fmt: skip
-        self._task, self._log = None, _Log()
+        self._task: TaskID | None = None
+        self._log = _Log()
         self._live = Live(self._progress, console=console)
         if console.is_terminal:
             self._live.start()
         return self
 
     def __call__(self, share: float, active: list[str]) -> None:
+        """Show the share of the work that is done, from 0 to 1, and a line for each active run."""
         if self._task is None:  # what was done before counts as no speed
-            self._task = self._progress.add_task("campaign", total=1.0, completed=share)
+            self._task = self._progress.add_task("campaign", total=1.0, completed=share)  # type: ignore[arg-type]  # floats too
         self._progress.update(self._task, completed=share)
         if console.is_terminal:
             self._live.update(Group(self._progress, Text("\n".join(active))))
@@ -176,6 +185,6 @@ class CampaignBar:
             left = _hours(self._progress.tasks[0].time_remaining)
             self._log(f"{100 * share:.1f} %{left}; {'; '.join(active)}", share == 1.0)
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         if console.is_terminal:
             self._live.stop()

@@ -8,10 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import NormalDist
-from typing import Protocol
+from typing import Any, Protocol, overload
 
 import numpy as np
 
+from soro_bench.arrays import Floats
 from soro_bench.files import brief, read_json
 from soro_bench.parameters import ALL_PARAMETERS, Parameter
 
@@ -19,14 +20,19 @@ from soro_bench.parameters import ALL_PARAMETERS, Parameter
 class Distribution(Protocol):
     """What domain randomisation samples from."""
 
-    names: tuple[str, ...]
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters that it is over."""
 
-    def sample(self, rng: np.random.Generator) -> dict[str, float]: ...
+    def sample(self, rng: np.random.Generator) -> dict[str, float]:
+        """One draw of all parameters, by name [SI units], within their bounds."""
 
-    def to_dict(self) -> dict: ...
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON, which :func:`from_dict` reads."""
 
 
-def _bounds(names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+def _bounds(names: Sequence[str]) -> tuple[Floats, Floats]:
+    """Least and largest values (d,) that the models accept; ValueError for unknown names and such that come twice."""
     if not names:
         raise ValueError(f"a distribution needs at least one parameter; there are {', '.join(ALL_PARAMETERS)}")
     unknown = [name for name in names if name not in ALL_PARAMETERS]
@@ -35,10 +41,12 @@ def _bounds(names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"the parameter {twice!r} comes twice")
-    return tuple(np.array([ALL_PARAMETERS[name].bounds for name in names]).reshape(-1, 2).T)
+    low, high = np.array([ALL_PARAMETERS[name].bounds for name in names]).reshape(-1, 2).T
+    return low, high
 
 
-def _finite(label: str, names: Sequence[str], values: np.ndarray, axes: int = 1) -> np.ndarray:
+def _finite(label: str, names: Sequence[str], values: Floats, axes: int = 1) -> Floats:
+    """Values (d,), or (d, d) of two axes, as floats; ValueError for another shape, and for what is not finite."""
     values, needed = np.asarray(values, float), (len(names),) * axes
     if values.shape != needed:
         raise ValueError(f"{label} of {', '.join(names)} has the shape {values.shape}; {needed} is needed")
@@ -48,7 +56,7 @@ def _finite(label: str, names: Sequence[str], values: np.ndarray, axes: int = 1)
     return values
 
 
-def _check_reach(names, means, stds) -> None:
+def _check_reach(names: Sequence[str], means: Floats, stds: Floats) -> None:
     """Refuse what has hardly a sample within the bounds, such as a value in another unit."""
     for name, mean, std, least, most in zip(names, means, stds, *_bounds(names), strict=True):
         if mean + 2 * std < least or mean - 2 * std > most:
@@ -57,13 +65,17 @@ def _check_reach(names, means, stds) -> None:
 
 @dataclass(frozen=True, eq=False)  # arrays have no truth value; to_dict() compares
 class Uniform:
-    """Independent uniform distributions on [low, high]."""
+    """Independent uniform distributions on [low, high], both (d,) in SI units.
+
+    Raises:
+        ValueError: an interval is none, or not inside the bounds of its parameter.
+    """
 
     names: tuple[str, ...]
-    low: np.ndarray
-    high: np.ndarray
+    low: Floats
+    high: Floats
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         lowest, highest = _bounds(self.names)
         ends = (_finite(label, self.names, getattr(self, label)) for label in ("low", "high"))
         for name, low, high, least, most in zip(self.names, *ends, lowest, highest, strict=True):
@@ -71,21 +83,27 @@ class Uniform:
                 raise ValueError(f"{name}: [{low}, {high}] is no interval inside the bounds [{least}, {most}]")
 
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
+        """One draw of all parameters, by name [SI units]."""
         return dict(zip(self.names, rng.uniform(self.low, self.high).tolist(), strict=True))
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON, which :func:`from_dict` reads."""
         return {"type": "uniform", **_columns(self.names, low=self.low, high=self.high)}
 
 
 @dataclass(frozen=True, eq=False)
 class TruncatedNormal:
-    """Independent normals, truncated at mean +- 2 std and at the parameters' bounds."""
+    """Independent normals, truncated at mean +- 2 std, both (d,) in SI units, and at the parameters' bounds.
+
+    Raises:
+        ValueError: a standard deviation is negative, or what a parameter can be lies outside its bounds.
+    """
 
     names: tuple[str, ...]
-    mean: np.ndarray
-    std: np.ndarray
+    mean: Floats
+    std: Floats
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _bounds(self.names)
         _finite("mean", self.names, self.mean)
         for name, std in zip(self.names, _finite("std", self.names, self.std), strict=True):
@@ -94,6 +112,7 @@ class TruncatedNormal:
         _check_reach(self.names, self.mean, self.std)
 
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
+        """One draw of all parameters, by name [SI units]."""
         draws = rng.random(len(self.names))  # one draw each, whatever the truncation
         return {
             name: _truncated_normal_quantile(u, mean, std, least, most)
@@ -102,11 +121,13 @@ class TruncatedNormal:
             )
         }
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON, which :func:`from_dict` reads."""
         return {"type": "truncated_normal", **_columns(self.names, mean=self.mean, std=self.std)}
 
 
-def _truncated_normal_quantile(u, mean, std, least, most) -> float:
+def _truncated_normal_quantile(u: float, mean: float, std: float, least: float, most: float) -> float:
+    """Quantile u of a normal that is truncated at two standard deviations and at its bounds."""
     low, high = max(least, mean - 2 * std), min(most, mean + 2 * std)
     if low >= high:
         return float(np.clip(mean, least, most))
@@ -117,13 +138,17 @@ def _truncated_normal_quantile(u, mean, std, least, most) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Gaussian:
-    """A normal distribution with full covariance, clipped to the parameters' bounds as published."""
+    """A normal distribution of mean (d,) and full covariance (d, d), clipped to the parameters' bounds as published.
+
+    Raises:
+        ValueError: the covariance is none, or what a parameter can be lies outside its bounds.
+    """
 
     names: tuple[str, ...]
-    mean: np.ndarray
-    cov: np.ndarray
+    mean: Floats
+    cov: Floats
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         _bounds(self.names)
         _finite("mean", self.names, self.mean)
         cov = _finite("covariance", self.names, self.cov, axes=2)
@@ -140,13 +165,15 @@ class Gaussian:
         _check_reach(self.names, self.mean, np.sqrt(np.diag(cov)))
 
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
+        """One draw of all parameters, by name [SI units]; what lies beyond the bounds becomes them."""
         scale = np.sqrt(np.diag(self.cov))
         unit = np.where(scale > 0, scale, 1.0)
         draw = rng.multivariate_normal(np.zeros(len(self.names)), self.cov / np.outer(unit, unit), method="eigh")
         values = np.clip(self.mean + unit * draw, *_bounds(self.names))
         return dict(zip(self.names, values.tolist(), strict=True))
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON, which :func:`from_dict` reads."""
         return {
             "type": "gaussian",
             "names": list(self.names),
@@ -155,11 +182,18 @@ class Gaussian:
         }
 
 
-def _columns(names, **columns) -> dict:
+def _columns(names: Sequence[str], **columns: Floats) -> dict[str, dict[str, dict[str, float]]]:
+    """Numbers (d,) by column, as the rows of the parameters."""
     rows = zip(names, *(np.asarray(c).tolist() for c in columns.values()), strict=True)
     return {"parameters": {name: dict(zip(columns, values, strict=True)) for name, *values in rows}}
 
 
+@overload
+def holding(distribution: Distribution, values: Mapping[str, float]) -> Distribution: ...
+@overload
+def holding(distribution: None, values: Mapping[str, float]) -> TruncatedNormal | None: ...
+@overload
+def holding(distribution: Distribution | None, values: Mapping[str, float]) -> Distribution | None: ...
 def holding(distribution: Distribution | None, values: Mapping[str, float]) -> Distribution | None:
     """A distribution in which some parameters are held at ``values``; None stands for nominal parameters."""
     if not values:
@@ -189,7 +223,7 @@ def random_box(parameters: Sequence[Parameter], rng: np.random.Generator) -> Uni
     return Uniform(box.names, ends[0], ends[1])
 
 
-def from_dict(data: Mapping) -> Distribution:
+def from_dict(data: Mapping[str, Any]) -> Distribution:
     """The distribution that ``to_dict`` described; ValueError for anything else."""
     if not isinstance(data, Mapping):
         raise ValueError(f"{data!r} is no JSON object"[:200])
@@ -197,18 +231,19 @@ def from_dict(data: Mapping) -> Distribution:
     try:
         if kind == "gaussian":
             return Gaussian(tuple(data["names"]), _numbers(data["mean"]), _numbers(data["cov"]))
+        families: dict[str, tuple[type[Uniform | TruncatedNormal], tuple[str, str]]]
         families = {"uniform": (Uniform, ("low", "high")), "truncated_normal": (TruncatedNormal, ("mean", "std"))}
         if kind not in families:
             raise ValueError(f"unknown distribution type {brief(kind)}; there are {', '.join([*families, 'gaussian'])}")
         family, columns = families[kind]
         rows = data["parameters"]
         values = _numbers([[rows[name][c] for c in columns] for name in rows]).reshape(-1, 2)
-        return family(tuple(rows), *values.T)
+        return family(tuple(rows), values[:, 0], values[:, 1])
     except (KeyError, TypeError, OverflowError) as error:
         raise ValueError(f"incomplete {kind} distribution: {error!r} is missing or malformed") from error
 
 
-def _numbers(values) -> np.ndarray:
+def _numbers(values: Any) -> Floats:
     """Of a JSON file; TypeError for texts, and for true and false, which NumPy takes for numbers."""
     array = np.asarray(values)
     if array.size and array.dtype.kind not in "if":

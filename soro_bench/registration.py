@@ -1,7 +1,14 @@
 """The environments in Gymnasium's registry."""
 
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, cast
+
 import gymnasium
 from gymnasium.envs.registration import load_env_creator
+
+if TYPE_CHECKING:  # the environments are imported when they are made
+    from soro_bench.envs.single import SoftRobotEnv
+    from soro_bench.envs.task import Task
 
 # module and published length of an episode [steps]
 _ENVS = {
@@ -13,17 +20,30 @@ _ENVS = {
 ENV_IDS = tuple(f"{name}-v0" for name in _ENVS)
 
 
-def task_type(env_id: str):
+def task_type(env_id: str) -> "type[Task]":
     """The :class:`soro_bench.envs.task.Task` class of an environment id; ValueError if it is none of the suite's."""
     if env_id not in ENV_IDS:
         raise ValueError(f"there is no environment {env_id!r}; there are {', '.join(ENV_IDS)}")
-    return load_env_creator(gymnasium.spec(env_id).entry_point).task_type
+    env_type = cast("type[SoftRobotEnv]", load_env_creator(cast("str", gymnasium.spec(env_id).entry_point)))
+    return env_type.task_type
 
 
-def make_task(env_id: str, num_envs: int, num_threads: int, model: str, **options):
-    """A task with ``model`` for the argument that picks its robot's model ("model", or "mesh")."""
-    task = task_type(env_id)
-    return task(num_envs, num_threads, **{task.variant_name: model}, **options)
+def make_task(env_id: str, num_envs: int, num_threads: int, model: str, **options: Any) -> "Task":
+    """A task of an environment.
+
+    Args:
+        env_id: of the suite.
+        num_envs: how many simulations it has.
+        num_threads: 0 for all processors; results do not depend on it.
+        model: for the argument that picks the robot's model ("model", or "mesh").
+        options: further arguments of the task.
+
+    Raises:
+        ValueError: the environment is none of the suite's, or an argument is not allowed.
+    """
+    kind = task_type(env_id)
+    build: Callable[..., Task] = kind
+    return build(num_envs, num_threads, **{kind.variant_name: model}, **options)
 
 
 def register_envs() -> None:

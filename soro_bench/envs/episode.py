@@ -1,8 +1,11 @@
 """One recorded episode."""
 
 from dataclasses import dataclass
+from typing import Any
 
-import numpy as np
+from numpy.typing import NDArray
+
+from soro_bench.arrays import Floats
 
 
 @dataclass(frozen=True)
@@ -16,13 +19,13 @@ class Episode:
     env_id: str
     model: str
     params: dict[str, float]
-    goal: np.ndarray | None  # (3,) m
-    time: np.ndarray  # (T + 1,) s
-    signals: dict[str, np.ndarray]
-    actions: np.ndarray  # (T,) or (T, nu)
-    rewards: dict[str, np.ndarray]  # reward_<term>: (T,)
+    goal: Floats | None  # (3,) m
+    time: Floats  # (T + 1,) s
+    signals: dict[str, Floats]
+    actions: NDArray[Any]  # (T,) or (T, nu)
+    rewards: dict[str, Floats]  # reward_<term>: (T,)
     metric_name: str  # distance, displacement or elevation
-    metric: np.ndarray  # (T + 1,) m
+    metric: Floats  # (T + 1,) m
     is_success: bool
     diverged: bool
 

@@ -1,6 +1,6 @@
 """MultiGait: walk forward by inflating chambers."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar
@@ -8,7 +8,9 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
+from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.effects.effect import Effect
 from soro_bench.envs.single import SoftRobotEnv
 from soro_bench.envs.task import ACTION_MODES, Task, effects_of
@@ -53,6 +55,7 @@ class MultiGaitTask(Task):
         effects: physics that the model leaves out, or an effects file (docs/reference/effects.md).
     """
 
+    scene = SCENE
     variant_name, accurate, cheap = "mesh", "fine", "coarse"
     metric = "displacement"
     parameters = ParameterSet(*walker.PARAMETERS)
@@ -70,7 +73,7 @@ class MultiGaitTask(Task):
         action: str = "discrete",
         observation_noise: bool = False,
         effects: Sequence[Effect] | str | Path | None = None,
-        **unknown,
+        **unknown: Any,
     ):
         for name, value in unknown.items():
             raise TypeError(
@@ -96,63 +99,63 @@ class MultiGaitTask(Task):
         self._start, self._last = np.zeros((2, num_envs))  # m, x of the centre of mass
         self.sim.batch.bind("xpos")
 
-    def spec(self):
-        return walker.build_spec(SCENE, self._mesh)
+    def spec(self) -> mujoco.MjSpec:
+        return walker.build_spec(self.scene, self._mesh)
 
-    def signals(self, ids):
+    def signals(self, ids: Ints) -> dict[str, Floats]:
         """vertices (n, V, 3) m, the mesh's nodes; inflation (n, 5) from 0 to 1."""
         return {"vertices": self.sim.batch.xpos[ids, 1:], "inflation": self.inflation(ids)}
 
-    def center_of_mass(self, ids) -> np.ndarray:
+    def center_of_mass(self, ids: Ints) -> Floats:
         """(n, 3) centre of mass [m]."""
         # one row at a time, so that a result does not depend on how many are asked for at once
         return np.stack([self._share @ vertices for vertices in self.sim.batch.xpos[ids, 1:]])
 
-    def inflation(self, ids) -> np.ndarray:
+    def inflation(self, ids: Ints) -> Floats:
         """(n, 5) inflation of the chambers, 0 to 1, in the order of CHAMBERS."""
         return self.sim.batch.act[ids]
 
-    def _sample_start(self, rng, options):
+    def _sample_start(self, rng: np.random.Generator, options: Mapping[str, Any]) -> np.random.Generator:
         return rng
 
-    def _place(self, ids, starts):
+    def _place(self, ids: Ints, starts: Sequence[np.random.Generator]) -> None:
         for i, rng in zip(ids, starts, strict=True):
             self._rngs[i] = rng
         # The cap on iterations makes MuJoCo warn of its first solve in every step (walker.ITERATIONS). It prints a
         # warning when it counts the first of its kind, so a count that starts at 1 is silent.
         self.sim.batch.warning[ids, mujoco.mjtWarning.mjWARN_INERTIA, 1] = 1
 
-    def _begin(self, ids):
+    def _begin(self, ids: Ints) -> None:
         self._start[ids] = self._last[ids] = self.center_of_mass(ids)[:, 0]
 
-    def _controls(self, actions):
+    def _controls(self, actions: NDArray[Any]) -> Floats:
         limit = INFLATION_PER_ACTION / self.control_timestep  # 1/s
         if self._discrete:
             rate = np.where(actions < 3, limit, -limit)
             return rate[:, None] * GROUPS[actions % 3]
         return actions.astype(float) @ GROUPS * limit
 
-    def _advance(self, ids):
+    def _advance(self, ids: Ints) -> None:
         batch, last = self.sim.batch, self._substeps - RAMP_SUBSTEPS
         for step in range(0, self._substeps, RAMP_SUBSTEPS):
             batch.plastic[np.ix_(ids, self._inflation.columns)] = self._inflation.plastic(batch.act[ids])
             stage = mujoco.mjtStage.mjSTAGE_VEL if step == last else mujoco.mjtStage.mjSTAGE_NONE
             self.sim.step(ids, RAMP_SUBSTEPS, stage)
 
-    def _observe(self, ids):
+    def _observe(self, ids: Ints) -> Floats:
         observation = np.concatenate([self.center_of_mass(ids), self.inflation(ids)], axis=1)
         if self._noise:
             scale = np.concatenate([np.full(3, POSITION_NOISE), INFLATION_NOISE])
             observation += scale * np.stack([self._rngs[i].standard_normal(len(scale)) for i in ids])
         return observation
 
-    def _score(self, ids):
+    def _score(self, ids: Ints) -> tuple[dict[str, Floats], Bools]:
         x = self.center_of_mass(ids)[:, 0]
         forward = 1e3 * (x - self._last[ids])  # mm
         self._last[ids] = x
         return {"reward_forward": forward}, np.zeros(len(ids), bool)
 
-    def _info(self, ids):
+    def _info(self, ids: Ints) -> dict[str, Any]:
         return {**super()._info(ids), "displacement": self.center_of_mass(ids)[:, 0] - self._start[ids]}
 
 
@@ -199,7 +202,10 @@ class MultiGaitEnv(SoftRobotEnv):
       fro; this one is not. The published observation averages points of the chambers; this is the centre of mass.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {**SoftRobotEnv.metadata, "render_fps": 1 / MultiGaitTask.control_timestep}
+    metadata: dict[str, Any] = {  # noqa: RUF012  # see SoftRobotEnv
+        **SoftRobotEnv.metadata,
+        "render_fps": 1 / MultiGaitTask.control_timestep,
+    }
     task_type = MultiGaitTask
 
 

@@ -3,16 +3,19 @@
 import time
 
 import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
 from soro_bench.models.simulation import Simulation
 
+Picture = NDArray[np.uint8]  # (height, width, 3)
 _HEIGHT, _WIDTH = 480, 640
 _HINT = "rendering needs OpenGL; on a machine without a display set MUJOCO_GL=egl (or osmesa) before Python starts"
 
 
-def make_renderer(sim: Simulation, render_mode: str, fps: float):
+def make_renderer(sim: Simulation, render_mode: str, fps: float) -> "Camera | Viewer":
     """The renderer of ``render_mode``, "human" (``fps`` pictures a second at most) or "rgb_array"."""
-    return _Viewer(sim, fps) if render_mode == "human" else _Camera(sim)
+    return Viewer(sim, fps) if render_mode == "human" else Camera(sim)
 
 
 class _Snapshot:
@@ -23,14 +26,17 @@ class _Snapshot:
         self.model = sim.batch.get_model(0)
         self.data = mujoco.MjData(self.model)
 
-    def update(self):
+    def update(self) -> None:
+        """Take over the present state."""
         self._sim.batch.get_model(0, self.model)
         self._sim.batch.get_data(0, self.data)
         mujoco.mj_fwdPosition(self.model, self.data)
 
 
-class _Camera:
-    def __init__(self, sim):
+class Camera:
+    """Draws what the scene's review camera sees."""
+
+    def __init__(self, sim: Simulation):
         self._snapshot = _Snapshot(sim)
         try:
             self._renderer = mujoco.Renderer(self._snapshot.model, _HEIGHT, _WIDTH)
@@ -38,17 +44,21 @@ class _Camera:
             raise RuntimeError(_HINT) from error
         self._camera = self._snapshot.model.camera("review").id
 
-    def render(self):
+    def render(self) -> Picture:
+        """A picture of the present state."""
         self._snapshot.update()
         self._renderer.update_scene(self._snapshot.data, camera=self._camera)
         return self._renderer.render()
 
-    def close(self):
+    def close(self) -> None:
+        """Give back the OpenGL context."""
         self._renderer.close()
 
 
-class _Viewer:
-    def __init__(self, sim, fps):
+class Viewer:
+    """MuJoCo's viewer, a window, which shows the simulation in real time."""
+
+    def __init__(self, sim: Simulation, fps: float):
         import glfw
         import mujoco.viewer
 
@@ -58,7 +68,8 @@ class _Viewer:
         self._viewer = mujoco.viewer.launch_passive(self._snapshot.model, self._snapshot.data)
         self._interval, self._due = 1 / fps, 0.0
 
-    def render(self):
+    def render(self) -> None:
+        """Show the present state, once the last one was shown for long enough."""
         if self._viewer.is_running():
             time.sleep(max(0.0, self._due - time.monotonic()))  # in real time: the robot is faster than that
             self._due = time.monotonic() + self._interval
@@ -66,5 +77,6 @@ class _Viewer:
                 self._snapshot.update()
             self._viewer.sync()
 
-    def close(self):
+    def close(self) -> None:
+        """Close the window."""
         self._viewer.close()

@@ -1,9 +1,15 @@
 """Stable-Baselines3's view of a vector environment."""
 
+from typing import Any
+
+import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
+from soro_bench.arrays import Floats
 from soro_bench.envs.vector import SoftRobotVectorEnv
 
 
@@ -31,16 +37,17 @@ class SB3VecEnv(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
         self._finite_horizon = finite_horizon
         self._seed: int | None = None
-        self._actions: np.ndarray | None = None
+        self._actions: NDArray[Any] | None = None
         self._returns = np.zeros(envs.num_envs)
         self._lengths = np.zeros(envs.num_envs, int)
 
-    def seed(self, seed: int | None = None):
+    def seed(self, seed: int | None = None) -> list[int | None]:
         """Environment i starts from seed + i at the next reset."""
         self._seed = seed
         return [None if seed is None else seed + i for i in range(self.num_envs)]
 
-    def reset(self):
+    def reset(self) -> Floats:
+        """Observations (N, k) of new episodes in all environments."""
         if any(self._options):
             raise ValueError("reset options are not passed on; wrap the vector environment in one whose reset has them")
         observation, _ = self.envs.reset(seed=self._seed)
@@ -49,15 +56,19 @@ class SB3VecEnv(VecEnv):
         self._lengths[:] = 0
         return observation
 
-    def step_async(self, actions):
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Note the actions (N, ...) of the next step."""
         self._actions = actions
 
-    def step_wait(self):
+    def step_wait(self) -> VecEnvStepReturn:
+        """Take the step: observations (N, k), rewards (N,), whether episodes are over (N,), and an info for each."""
+        if self._actions is None:
+            raise RuntimeError("step_async() comes first: it says with which actions")
         observation, reward, terminated, truncated, info = self.envs.step(self._actions)
         done = terminated | truncated
         self._returns += reward
         self._lengths += 1
-        infos: list[dict] = [{} for _ in range(self.num_envs)]
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for i in np.flatnonzero(done):
             infos[i] = {
                 "terminal_observation": info["final_obs"][i],
@@ -70,20 +81,26 @@ class SB3VecEnv(VecEnv):
         self._lengths[done] = 0
         return observation, reward, done, infos
 
-    def close(self):
+    def close(self) -> None:
         self.envs.close()
 
-    def get_attr(self, attr_name, indices=None):
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """An attribute of the vector environment, once for each of ``indices``."""
         return [getattr(self.envs, attr_name)] * len(self._indices(indices))
 
-    def set_attr(self, attr_name, value, indices=None):
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """AttributeError: nothing can be set."""
         raise AttributeError(f"{attr_name}: one environment holds all simulations; there is nothing to set for each")
 
-    def env_method(self, method_name, *method_args, indices=None, **method_kwargs):
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """AttributeError: nothing can be called."""
         raise AttributeError(f"{method_name}: one environment holds all simulations; there is nothing to call on each")
 
-    def env_is_wrapped(self, wrapper_class, indices=None):
+    def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
+        """Not: wrappers are not around single environments."""
         return [False] * len(self._indices(indices))
 
-    def _indices(self, indices):
+    def _indices(self, indices: VecEnvIndices) -> list[int]:
         return list(self._get_indices(indices))

@@ -1,16 +1,22 @@
 """The Gymnasium environment: a task with one simulation."""
 
-from typing import Any, ClassVar
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
+from soro_bench.arrays import Floats
 from soro_bench.envs.task import Task, checked_options
+
+if TYPE_CHECKING:  # imported when something is drawn
+    from soro_bench.envs.rendering import Camera, Viewer
 
 _ONLY = np.arange(1)
 
 
-class SoftRobotEnv(gymnasium.Env):
+class SoftRobotEnv(gymnasium.Env[NDArray[Any], Any]):
     """One simulation of ``task_type``.
 
     Args:
@@ -18,21 +24,25 @@ class SoftRobotEnv(gymnasium.Env):
         task_options: what the task takes: model (or mesh), action, effects.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 20}
+    # Gymnasium declares it as a variable of instances
+    metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 20}  # noqa: RUF012
     task_type: ClassVar[type[Task]]
 
-    def __init__(self, render_mode: str | None = None, **task_options):
+    def __init__(self, render_mode: str | None = None, **task_options: Any):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"unknown render_mode {render_mode!r}; there are {self.metadata['render_modes']}")
         if several := {"num_envs", "num_threads"} & set(task_options):
             raise TypeError(f"{', '.join(sorted(several))}: gymnasium.make_vec takes this; here is one simulation")
-        self.task = self.task_type(num_envs=1, **task_options)
+        build: Callable[..., Task] = self.task_type
+        self.task = build(num_envs=1, **task_options)
         self.observation_space = self.task.single_observation_space
         self.action_space = self.task.single_action_space
         self.render_mode = render_mode
-        self._renderer, self._begun = None, False
+        self._renderer: Camera | Viewer | None = None
+        self._begun = False
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
+        """As Gymnasium's; the environment's documentation lists the options. ValueError for what is not allowed."""
         super().reset(seed=seed)
         self._begun = False  # if the task refuses, nothing has begun
         observation, info = self.task.reset(_ONLY, [self.np_random], [checked_options(options)])
@@ -41,7 +51,8 @@ class SoftRobotEnv(gymnasium.Env):
             self.render()
         return observation[0], _row(info)
 
-    def step(self, action):
+    def step(self, action: ArrayLike) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
+        """As Gymnasium's; truncated where the simulation diverged. ValueError for an action that is none."""
         if not self._begun:
             raise gymnasium.error.ResetNeeded("no episode has begun; reset the environment first")
         action = np.asarray(action)
@@ -60,7 +71,8 @@ class SoftRobotEnv(gymnasium.Env):
             _row(step.info),
         )
 
-    def render(self):
+    def render(self) -> NDArray[np.uint8] | None:
+        """(480, 640, 3) pixels for "rgb_array"; None for "human", which shows them."""
         if self.render_mode is None:
             gymnasium.logger.warn("render() needs render_mode='rgb_array' or 'human' in gymnasium.make")
             return None
@@ -70,12 +82,13 @@ class SoftRobotEnv(gymnasium.Env):
             self._renderer = make_renderer(self.task.sim, self.render_mode, self.metadata["render_fps"])
         return self._renderer.render()
 
-    def close(self):
+    def close(self) -> None:
+        """Close what draws, if something does."""
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
 
 
-def _row(info: dict) -> dict:
+def _row(info: Mapping[str, Any]) -> dict[str, Any]:
     """The only row of every array in a nested dict, as Python scalars."""
     return {key: _row(value) if isinstance(value, dict) else value[0].item() for key, value in info.items()}

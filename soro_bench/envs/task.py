@@ -13,7 +13,9 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 from gymnasium import logger, spaces
+from numpy.typing import ArrayLike, NDArray
 
+from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import Effect, effect_from, load_effects
 from soro_bench.files import brief
@@ -41,7 +43,7 @@ def effects_of(effects: Sequence[Effect | dict] | str | Path | None) -> tuple[Ef
     return physics
 
 
-def _checked_effects(effects) -> tuple[Effect, ...]:
+def _checked_effects(effects: object) -> tuple[Effect, ...]:
     if not isinstance(effects, Sequence) or not all(isinstance(effect, Effect | dict) for effect in effects):
         raise ValueError(f"effects {effects!r}: a list of Effect, or an effects file, is needed")
     return tuple(effect if isinstance(effect, Effect) else effect_from(effect, ALL) for effect in effects)
@@ -58,11 +60,11 @@ def checked_options(options: Mapping[str, Any] | None) -> Mapping[str, Any]:
 class Step:
     """What one step of the simulations ``ids`` gave; every array has len(ids) rows."""
 
-    observation: np.ndarray
-    reward: np.ndarray
-    terminated: np.ndarray
-    diverged: np.ndarray
-    info: dict[str, np.ndarray]
+    observation: Floats
+    reward: Floats
+    terminated: Bools
+    diverged: Bools
+    info: dict[str, Any]  # a nested dict of arrays for "params"
 
 
 class Task(ABC):
@@ -75,7 +77,8 @@ class Task(ABC):
     accurate: ClassVar[str]  # its default value, to evaluate on
     cheap: ClassVar[str]  # another, to train on
     metric: ClassVar[str]  # the entry of ``info`` [m] that the published study reports at the end of an episode
-    goal: np.ndarray | None = None  # (N, 3) m, where to bring things, if the task has such a place
+    goal: Floats | None = None  # (N, 3) m, where to bring things, if the task has such a place
+    scene: ClassVar[str]  # MJCF file of assets/mjcf
     parameters: ClassVar[ParameterSet]
     randomized: ClassVar[tuple[Parameter, ...]]  # what the published study of the task randomises
     evaluation: ClassVar[tuple[Mapping[str, Any], ...]] = ({},)  # reset options of the fixed evaluation episodes
@@ -85,7 +88,7 @@ class Task(ABC):
     inferred_from: ClassVar[tuple[str, ...]]  # the signals that parameters are inferred from: what is observed
     moves: ClassVar[np.ndarray]  # (A, nu) 1 where a number of a continuous action moves an actuator, else 0
     single_observation_space: spaces.Box
-    single_action_space: spaces.Space
+    single_action_space: spaces.Discrete | spaces.Box
 
     def __init__(
         self,
@@ -104,7 +107,9 @@ class Task(ABC):
         self._distribution: Distribution | None = None
         self._substeps = round(self.control_timestep / model.opt.timestep)
 
-    def reset(self, ids: np.ndarray, rngs: Sequence[np.random.Generator], options: Sequence[Mapping[str, Any]]):
+    def reset(
+        self, ids: Ints, rngs: Sequence[np.random.Generator], options: Sequence[Mapping[str, Any]]
+    ) -> tuple[Floats, dict[str, Any]]:
         """Start new episodes in simulations ``ids``.
 
         Args:
@@ -127,14 +132,14 @@ class Task(ABC):
         self._begin(ids)
         return self._observe(ids), self._info(ids)
 
-    def step(self, ids: np.ndarray, actions: np.ndarray) -> Step:
+    def step(self, ids: Ints, actions: NDArray[Any]) -> Step:
         """Apply one checked action to each simulation of ``ids`` for ``control_timestep``."""
         observation, diverged = self.hold(ids, actions)
         reward_terms, success = self._score(ids)
         info = {**self._info(ids), **reward_terms, "is_success": success, "diverged": diverged}
-        return Step(observation, sum(reward_terms.values()), success, diverged, info)
+        return Step(observation, sum(reward_terms.values(), start=np.zeros(len(ids))), success, diverged, info)
 
-    def hold(self, ids: np.ndarray, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def hold(self, ids: Ints, actions: NDArray[Any]) -> tuple[Floats, Bools]:
         """The same without rewards: (n, k) observations, and (n,) whether the simulations have diverged."""
         batch = self.sim.batch
         batch.ctrl[ids] = self._controls(actions)
@@ -162,13 +167,13 @@ class Task(ABC):
         self.parameters.check_names(distribution.names)
         self._distribution = distribution
 
-    def state(self, ids: np.ndarray) -> dict[str, np.ndarray]:
+    def state(self, ids: Ints) -> dict[str, Floats]:
         """What simulations go on from, bit for bit but for what effects remember: arrays of n rows by MuJoCo's name."""
         for name in STATE:
             self.sim.batch.bind(name)
         return {name: getattr(self.sim.batch, name)[ids] for name in STATE}
 
-    def set_state(self, ids: np.ndarray, state: Mapping[str, np.ndarray]) -> None:
+    def set_state(self, ids: Ints, state: Mapping[str, Floats]) -> None:
         """Continue simulations ``ids`` from a state; parameters, goals and what rewards count from stay, and what
         effects remember begins anew."""
         for name in STATE:
@@ -183,12 +188,14 @@ class Task(ABC):
         self.sim.batch.expand("opt.timestep")[...] /= factor
         self._substeps *= factor
 
-    def check_actions(self, actions: np.ndarray, count: int) -> np.ndarray:
+    def check_actions(self, actions: ArrayLike, count: int) -> NDArray[Any]:
         """Return ``actions`` as an array of ``count`` valid actions; raise ValueError otherwise."""
         space = self.single_action_space
         actions = np.asarray(actions)
-        if actions.shape != (count, *space.shape):
-            raise ValueError(f"actions have shape {actions.shape}; expected {(count, *space.shape)}")
+        low: Any
+        high: Any
+        if actions.shape != (expected := (count, *(space.shape or ()))):
+            raise ValueError(f"actions have shape {actions.shape}; expected {expected}")
         if isinstance(space, spaces.Discrete):
             kinds, low, high, allowed = "iu", 0, space.n - 1, f"integers from 0 to {space.n - 1}"
         else:
@@ -208,11 +215,11 @@ class Task(ABC):
                 raise ValueError(f"unknown reset option {name!r}; this environment has {', '.join(self.options)}")
         return {**options, "params": self.parameters.check(options.get("params", {}))}
 
-    def _sample_params(self, rng, options) -> np.ndarray:
+    def _sample_params(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Floats:
         drawn = self._distribution.sample(rng) if self._distribution else {}
         return self.parameters.to_array({**drawn, **options["params"]})
 
-    def _advance(self, ids) -> None:
+    def _advance(self, ids: Ints) -> None:
         """Simulate ``control_timestep``."""
         self.sim.step(ids, self._substeps)
 
@@ -221,7 +228,7 @@ class Task(ABC):
         """What the model is compiled from, without what effects need."""
 
     @abstractmethod
-    def signals(self, ids: np.ndarray) -> dict[str, np.ndarray]:
+    def signals(self, ids: Ints) -> dict[str, Floats]:
         """What a recording holds of the present state, arrays of n rows by name; ``signal_units`` has their units."""
 
     @abstractmethod
@@ -229,25 +236,25 @@ class Task(ABC):
         """What one episode starts from (its goal, say), drawn from ``rng`` or taken from the options."""
 
     @abstractmethod
-    def _place(self, ids: np.ndarray, starts: list) -> None:
+    def _place(self, ids: Ints, starts: Sequence[Any]) -> None:
         """Write the initial states of simulations that were just reset."""
 
     @abstractmethod
-    def _begin(self, ids: np.ndarray) -> None:
+    def _begin(self, ids: Ints) -> None:
         """Note what the rewards of an episode are measured from."""
 
     @abstractmethod
-    def _controls(self, actions: np.ndarray) -> np.ndarray:
+    def _controls(self, actions: NDArray[Any]) -> Floats:
         """(n, nu) controls for n checked actions."""
 
     @abstractmethod
-    def _observe(self, ids: np.ndarray) -> np.ndarray:
+    def _observe(self, ids: Ints) -> Floats:
         """(n, k) observations."""
 
     @abstractmethod
-    def _score(self, ids: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    def _score(self, ids: Ints) -> tuple[dict[str, Floats], Bools]:
         """Reward terms, each (n,) and named reward_<term>, and (n,) whether the task is solved."""
 
-    def _info(self, ids: np.ndarray) -> dict[str, np.ndarray]:
+    def _info(self, ids: Ints) -> dict[str, Any]:
         """(n,) arrays for ``info``, one nested dict of them for "params"."""
         return {"params": dict(zip(self.parameters.names, self.sim.params[ids].T, strict=True))}

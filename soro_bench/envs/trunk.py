@@ -8,7 +8,9 @@ from typing import Any, ClassVar
 import mujoco
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
 
+from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.effects.effect import Effect
 from soro_bench.effects.elements import instrument
 from soro_bench.envs.task import ACTION_MODES, Task, effects_of
@@ -23,7 +25,7 @@ TIME_PENALTY = 0.05  # per step, published
 REACH_LIMIT = 0.3  # m, how far from the clamp a goal may be given
 
 
-def potential(distance):
+def potential(distance: ArrayLike) -> Floats:
     """The published potential P(d) = -0.006 d^2 - 500 ln(d^2 + 0.001) of a distance d [m], which it takes in mm."""
     d = 1000.0 * np.asarray(distance)
     return -0.006 * d**2 - 500.0 * np.log(d**2 + 0.001)
@@ -55,9 +57,9 @@ class TrunkTask(Task):
         "tension": ("N", ""),
         "commanded": ("m", ""),
     }
-    scene: ClassVar[str]
+    goal: Floats
     control_timestep = 0.05  # s: five command updates of 10 ms
-    inferred_from = ("keypoints",)
+    inferred_from: ClassVar[tuple[str, ...]] = ("keypoints",)
     moves = np.eye(len(geo.CABLE_NAMES))
 
     def __init__(
@@ -67,7 +69,7 @@ class TrunkTask(Task):
         model: str = "flex",
         action: str = "discrete",
         effects: Sequence[Effect] | str | Path | None = None,
-        **unknown,
+        **unknown: Any,
     ):
         for name, value in unknown.items():
             raise TypeError(f"unknown argument {name}={value!r}; this environment takes model, action and effects")
@@ -94,10 +96,10 @@ class TrunkTask(Task):
         for field in ("site_xpos", "xpos", "xquat", "actuator_length", "actuator_velocity"):
             self.sim.batch.bind(field)
 
-    def spec(self):
+    def spec(self) -> mujoco.MjSpec:
         return trunk.build_spec(self.scene, self._variant)
 
-    def signals(self, ids) -> dict[str, np.ndarray]:
+    def signals(self, ids: Ints) -> dict[str, Floats]:
         """What a recording of simulations ``ids`` holds; every array has n rows.
 
         keypoints (n, 21, 3) m; link_position (n, 11, 3) m and link_quaternion (n, 11, 4) w, x, y, z of the base and
@@ -112,7 +114,7 @@ class TrunkTask(Task):
             "commanded": batch.act[ids],
         }
 
-    def _tension(self, ids) -> np.ndarray:
+    def _tension(self, ids: Ints) -> Floats:
         """(n, 8) N at the present state (MuJoCo's actuator_force is that of the time step before)."""
         batch = self.sim.batch
         gain, bias, limits = (batch.expand(f"actuator_{name}")[ids] for name in ("gainprm", "biasprm", "forcerange"))
@@ -120,15 +122,15 @@ class TrunkTask(Task):
         force = gain[..., 0] * batch.act[ids] + bias[..., 0] + of_length + of_velocity
         return np.clip(force, limits[..., 0], limits[..., 1])
 
-    def keypoints(self, ids) -> np.ndarray:
+    def keypoints(self, ids: Ints) -> Floats:
         """(n, 21, 3) keypoint positions [m], from the clamp to the tip."""
         return self.sim.batch.site_xpos[np.asarray(ids)[:, None], self._keypoints]
 
-    def tip(self, ids) -> np.ndarray:
+    def tip(self, ids: Ints) -> Floats:
         """(n, 3) tip position [m]: the last keypoint."""
         return self.sim.batch.site_xpos[ids, self._keypoints[-1]]
 
-    def distance(self, ids) -> np.ndarray:
+    def distance(self, ids: Ints) -> Floats:
         """(n,) the distance [m] that the task asks to bring to zero."""
         raise NotImplementedError
 
@@ -138,7 +140,7 @@ class TrunkTask(Task):
     def _observation_size(self) -> int:
         return 3 * NUM_KEYPOINTS + 3
 
-    def _sample_start(self, rng, options):
+    def _sample_start(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Floats:
         drawn = self._sample_goal(rng)  # also when it is given, so that what is drawn next does not depend on it
         if "goal" not in options:
             return drawn
@@ -150,34 +152,34 @@ class TrunkTask(Task):
             raise ValueError(f"goal {options['goal']} has to be 3 coordinates from -{REACH_LIMIT} to {REACH_LIMIT} m")
         return goal.astype(float)
 
-    def _sample_goal(self, rng: np.random.Generator) -> np.ndarray:
+    def _sample_goal(self, rng: np.random.Generator) -> Floats:
         raise NotImplementedError
 
-    def _place(self, ids, starts):
+    def _place(self, ids: Ints, starts: Sequence[Floats]) -> None:
         self.goal[ids] = starts
         self.sim.batch.mocap_pos[ids, self._goal_mocap] = starts
 
-    def _begin(self, ids):
+    def _begin(self, ids: Ints) -> None:
         self._initial_distance[ids] = self.distance(ids)
         if (solved := self._initial_distance[ids] <= SUCCESS_DISTANCE).any():
             raise ValueError(f"goal {self.goal[ids][solved][0].tolist()} is reached at reset; choose another")
 
-    def _discrete_controls(self, actions):
+    def _discrete_controls(self, actions: Ints) -> Floats:
         cables = len(geo.CABLE_NAMES)
         rates = np.zeros((len(actions), cables))
         rates[np.arange(len(actions)), actions % cables] = np.where(actions < cables, geo.CABLE_RATE, -geo.CABLE_RATE)
         return rates
 
-    def _continuous_controls(self, actions):
+    def _continuous_controls(self, actions: Floats) -> Floats:
         return geo.CABLE_RATE * actions.astype(float)
 
-    def _controls(self, actions):
+    def _controls(self, actions: NDArray[Any]) -> Floats:
         return self._discrete_controls(actions) if self._discrete else self._continuous_controls(actions)
 
-    def _observe(self, ids):
+    def _observe(self, ids: Ints) -> Floats:
         return np.concatenate([self.keypoints(ids).reshape(len(ids), -1), self.goal[ids]], axis=1)
 
-    def _score(self, ids):
+    def _score(self, ids: Ints) -> tuple[dict[str, Floats], Bools]:
         distance, initial = self.distance(ids), potential(self._initial_distance[ids])
         terms = {
             "reward_progress": (initial - potential(distance)) / initial,
@@ -185,7 +187,7 @@ class TrunkTask(Task):
         }
         return terms, distance <= SUCCESS_DISTANCE
 
-    def _info(self, ids) -> Mapping[str, Any]:
+    def _info(self, ids: Ints) -> dict[str, Any]:
         return {**super()._info(ids), "distance": self.distance(ids)}
 
 
@@ -199,30 +201,30 @@ class ObjectTask(TrunkTask):
         "object_quaternion": ("1", "world"),
     }
 
-    def __init__(self, *args, **kwargs):
+    def __init__(self, *args: Any, **kwargs: Any):
         super().__init__(*args, **kwargs)
         self._object_qpos = self.model.joint("object").qposadr[0]
         self._object_body = self.model.body("object").id
 
-    def signals(self, ids):
+    def signals(self, ids: Ints) -> dict[str, Floats]:
         """As the trunk's, and of the object's centre object_position (n, 3) m, object_quaternion (n, 4) w, x, y, z."""
         pose = self.sim.batch.qpos[ids, self._object_qpos : self._object_qpos + 7]
         return {**super().signals(ids), "object_position": pose[:, :3], "object_quaternion": pose[:, 3:]}
 
-    def object_position(self, ids) -> np.ndarray:
+    def object_position(self, ids: Ints) -> Floats:
         """(n, 3) centre of the object [m]."""
         return self.sim.batch.xpos[ids, self._object_body]
 
-    def _object_pose(self, ids) -> np.ndarray:
+    def _object_pose(self, ids: Ints) -> Floats:
         """(n, 7) centre [m] and orientation x, y, z, w of the object."""
         pose = self.sim.batch.qpos[ids, self._object_qpos : self._object_qpos + 7]
         return np.concatenate([pose[:, :3], pose[:, 4:], pose[:, 3:4]], axis=1)
 
-    def _scene_parameters(self, model):
+    def _scene_parameters(self, model: mujoco.MjModel) -> Sequence[ParameterMap]:
         return (ContactFriction(model), ObjectMass(model))
 
-    def _observation_size(self):
+    def _observation_size(self) -> int:
         return super()._observation_size() + 7
 
-    def _observe(self, ids):
+    def _observe(self, ids: Ints) -> Floats:
         return np.concatenate([super()._observe(ids), self._object_pose(ids)], axis=1)

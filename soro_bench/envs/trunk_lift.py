@@ -1,14 +1,18 @@
 """TrunkLift: lift an object, if need be against a wall."""
 
-from typing import ClassVar
+from collections.abc import Sequence
+from typing import Any, ClassVar
 
+import mujoco
 import numpy as np
 
+from soro_bench.arrays import Floats, Ints
 from soro_bench.envs.single import SoftRobotEnv
 from soro_bench.envs.trunk import ObjectTask
 from soro_bench.envs.vector import SoftRobotVectorEnv
 from soro_bench.models import trunk
 from soro_bench.models.scene import WallOffset
+from soro_bench.models.simulation import ParameterMap
 from soro_bench.parameters import CUBE_MASS, FRICTION, WALL_OFFSET, ParameterSet
 
 GOAL = np.array([-0.100, -0.025, 0.120])  # m, published; only y matters
@@ -27,41 +31,41 @@ class TrunkLiftTask(ObjectTask):
 
     signal_units: ClassVar = {**ObjectTask.signal_units, "elevation": ("m", "world"), "clearance": ("m", "world")}
 
-    def distance(self, ids):
+    def distance(self, ids: Ints) -> Floats:
         position = self.object_position(ids)
         lift = np.abs(position[:, 1] - self.goal[ids, 1])
         approach = np.linalg.norm(self.tip(ids) - position, axis=1)
         return LIFT_WEIGHT * lift + APPROACH_WEIGHT * approach
 
-    def elevation(self, ids) -> np.ndarray:
+    def elevation(self, ids: Ints) -> Floats:
         """(n,) rise of the object's centre [m] above its rest on the floor: our reading of the published "elevation",
         whose definition is in neither paper nor code."""
         return self.object_position(ids)[:, 1] - REST_HEIGHT
 
-    def clearance(self, ids) -> np.ndarray:
+    def clearance(self, ids: Ints) -> Floats:
         """(n,) rise of the object's lowest corner [m] above its rest: zero where it is tipped, not lifted."""
         half = self.model.geom("object").size
         return self.elevation(ids) + half[1] - (np.abs(self.vertical(ids)) * half).sum(axis=1)
 
-    def vertical(self, ids) -> np.ndarray:
+    def vertical(self, ids: Ints) -> Floats:
         """(n, 3) unit vector up, in the object's frame."""
         x, y, z, w = self._object_pose(ids)[:, 3:].T
         return np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=1)
 
-    def signals(self, ids):
+    def signals(self, ids: Ints) -> dict[str, Floats]:
         """As for every object task, elevation (n,) and clearance (n,) [m]."""
         return {**super().signals(ids), **self._heights(ids)}
 
-    def _heights(self, ids):
+    def _heights(self, ids: Ints) -> dict[str, Floats]:
         return {"elevation": self.elevation(ids), "clearance": self.clearance(ids)}
 
-    def _scene_parameters(self, model):
+    def _scene_parameters(self, model: mujoco.MjModel) -> Sequence[ParameterMap]:
         return (*super()._scene_parameters(model), WallOffset(model))
 
-    def _sample_goal(self, rng):
+    def _sample_goal(self, rng: np.random.Generator) -> Floats:
         return GOAL
 
-    def _info(self, ids):
+    def _info(self, ids: Ints) -> dict[str, Any]:
         return {**super()._info(ids), **self._heights(ids)}
 
 

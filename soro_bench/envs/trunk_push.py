@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from soro_bench.arrays import Floats, Ints
 from soro_bench.envs.single import SoftRobotEnv
 from soro_bench.envs.trunk import ObjectTask
 from soro_bench.envs.vector import SoftRobotVectorEnv
@@ -18,10 +19,10 @@ class TrunkPushTask(ObjectTask):
     parameters = ParameterSet(CUBE_MASS, FRICTION, *trunk.PARAMETERS)
     randomized = (CUBE_MASS, FRICTION, TRUNK_MASS, POISSON_RATIO, YOUNG_MODULUS)
 
-    def distance(self, ids):
+    def distance(self, ids: Ints) -> Floats:
         return np.linalg.norm((self.object_position(ids) - self.goal[ids])[:, [0, 2]], axis=1)
 
-    def _sample_goal(self, rng):
+    def _sample_goal(self, rng: np.random.Generator) -> Floats:
         return GOAL
 
 

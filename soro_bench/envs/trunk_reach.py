@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 
+from soro_bench.arrays import Floats, Ints
 from soro_bench.envs.single import SoftRobotEnv
 from soro_bench.envs.trunk import TrunkTask
 from soro_bench.envs.vector import SoftRobotVectorEnv
@@ -26,10 +27,10 @@ class TrunkReachTask(TrunkTask):
     randomized = (TRUNK_MASS, POISSON_RATIO, YOUNG_MODULUS)
     evaluation = tuple({"goal": goal} for goal in EVALUATION_GOALS)
 
-    def distance(self, ids):
+    def distance(self, ids: Ints) -> Floats:
         return np.linalg.norm(self.tip(ids) - self.goal[ids], axis=1)
 
-    def _sample_goal(self, rng):
+    def _sample_goal(self, rng: np.random.Generator) -> Floats:
         return rng.uniform(GOAL_LOW, GOAL_HIGH)
 
 

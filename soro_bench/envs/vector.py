@@ -1,6 +1,6 @@
 """The Gymnasium vector environment: a task with many simulations on a thread pool."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, ClassVar
 
 import gymnasium
@@ -8,11 +8,13 @@ import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from numpy.typing import ArrayLike, NDArray
 
+from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.envs.task import Task, checked_options
 
 
-class SoftRobotVectorEnv(VectorEnv):
+class SoftRobotVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
     """``num_envs`` simulations of ``task_type``, bit-identical to as many single environments.
 
     Simulation i of ``reset(seed=s)`` is the single environment reset with seed s + i. A reset option may hold one value
@@ -37,11 +39,12 @@ class SoftRobotVectorEnv(VectorEnv):
         num_threads: int = 0,
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-        **task_options,
+        **task_options: Any,
     ):
         if render_mode is not None:
             raise ValueError(f"render_mode {render_mode!r}: vector environments render nothing; allowed is None")
-        self.task = self.task_type(num_envs=num_envs, num_threads=num_threads, **task_options)
+        build: Callable[..., Task] = self.task_type
+        self.task = build(num_envs=num_envs, num_threads=num_threads, **task_options)
         self.num_envs = num_envs
         self._max_steps = _limit(max_episode_steps)
         self.autoreset_mode = _mode(autoreset_mode)
@@ -52,23 +55,27 @@ class SoftRobotVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         pairs = [seeding.np_random() for _ in range(num_envs)]  # until reset(seed=...)
         self._rngs, self._seeds = [rng for rng, _ in pairs], [seed for _, seed in pairs]
-        self._observation = np.zeros(self.observation_space.shape, self.observation_space.dtype)
+        space = self.single_observation_space
+        self._observation: NDArray[Any] = np.zeros((num_envs, *space.shape), space.dtype)
         self._elapsed = np.zeros(num_envs, int)
         self._done = np.zeros(num_envs, bool)
         self._begun = np.zeros(num_envs, bool)
 
-    @property
-    def np_random(self) -> tuple[np.random.Generator, ...]:
+    @property  # type: ignore[misc]  # which nobody sets
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]  # Gymnasium has one
         """The generators of all environments."""
         return tuple(self._rngs)
 
     @property
-    def np_random_seed(self) -> tuple[int, ...]:
+    def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]  # Gymnasium has one
         """What they were seeded with."""
         return tuple(self._seeds)
 
-    def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None):
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Floats, dict[str, Any]]:
         """As Gymnasium's; ``options["reset_mask"]`` (num_envs,) picks the simulations to reset."""
+        seeds: list[int | None]
         if seed is None:
             seeds = [None] * self.num_envs
         elif isinstance(seed, int | np.integer):
@@ -84,14 +91,15 @@ class SoftRobotVectorEnv(VectorEnv):
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
             raise ValueError(f"reset_mask {mask.tolist()} has to be {self.num_envs} booleans")
         ids = np.flatnonzero(mask)
-        seeded = {i: seeding.np_random(int(seeds[i])) for i in ids if seeds[i] is not None}  # or none of them
+        seeded = {i: seeding.np_random(int(one)) for i in ids if (one := seeds[i]) is not None}  # or none of them
         for i, (rng, used) in seeded.items():
             self._rngs[i], self._seeds[i] = rng, used
         info: dict[str, Any] = {}
-        self._restart(ids, [_options_of(options, i, self.num_envs) for i in ids], info)
+        self._restart(ids, [_options_of(options, int(i), self.num_envs) for i in ids], info)
         return self._observation.copy(), info
 
-    def step(self, actions):
+    def step(self, actions: ArrayLike) -> tuple[Floats, Floats, Bools, Bools, dict[str, Any]]:
+        """As Gymnasium's: observations (N, k), rewards (N,), whether episodes ended or were cut (N,), and info."""
         if not self._begun.all():
             waiting = np.flatnonzero(~self._begun).tolist()
             raise gymnasium.error.ResetNeeded(f"environments {waiting} have begun no episode; reset them first")
@@ -124,7 +132,7 @@ class SoftRobotVectorEnv(VectorEnv):
             self._restart(done, [{}] * len(done), info)
         return self._observation.copy(), reward, terminated, truncated, info
 
-    def _restart(self, ids, options, info):
+    def _restart(self, ids: Ints, options: Sequence[Mapping[str, Any]], info: dict[str, Any]) -> None:
         """Reset simulations ``ids``; their rows of the observation and of ``info`` become those of the reset."""
         if len(ids) == 0:
             return
@@ -136,7 +144,7 @@ class SoftRobotVectorEnv(VectorEnv):
         _scatter(info, rows, ids, self.num_envs)
 
 
-def _mode(autoreset_mode) -> AutoresetMode:
+def _mode(autoreset_mode: str | AutoresetMode) -> AutoresetMode:
     """ValueError names the modes, which Gymnasium's does not."""
     try:
         return AutoresetMode(autoreset_mode)
@@ -158,7 +166,7 @@ def _limit(max_episode_steps: int) -> float:
 def _options_of(options: Mapping[str, Any], i: int, num_envs: int) -> dict[str, Any]:
     """Environment i's options: rows of arrays whose first axis has one entry per environment, else shared values."""
 
-    def pick(value, ndim):
+    def pick(value: Any, ndim: int) -> Any:
         try:
             array = np.asarray(value)
         except ValueError:  # lists of unlike lengths, which the task refuses
@@ -171,7 +179,7 @@ def _options_of(options: Mapping[str, Any], i: int, num_envs: int) -> dict[str, 
     return picked
 
 
-def _scatter(info: dict, rows: Mapping[str, Any], ids: np.ndarray, num_envs: int) -> None:
+def _scatter(info: dict[str, Any], rows: Mapping[str, Any], ids: Ints, num_envs: int) -> None:
     """Write each (len(ids), ...) array of ``rows`` into rows ``ids`` of ``info``, with Gymnasium's _<key> masks."""
     for key, value in rows.items():
         if isinstance(value, Mapping):
@@ -181,7 +189,7 @@ def _scatter(info: dict, rows: Mapping[str, Any], ids: np.ndarray, num_envs: int
         info.setdefault(f"_{key}", np.zeros(num_envs, bool))[ids] = True
 
 
-def _moved_out(info: Mapping[str, Any], ids: np.ndarray) -> dict[str, Any]:
+def _moved_out(info: Mapping[str, Any], ids: Ints) -> dict[str, Any]:
     """Rows ``ids`` of every array of ``info``, which then has zeros there, and masks that no longer count them."""
     taken = {}
     for key, value in info.items():

@@ -1,11 +1,13 @@
 """Domain randomisation as Gymnasium wrappers."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import Any, SupportsFloat, cast
 
 import gymnasium
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv, VectorWrapper
+from numpy.typing import NDArray
 
 from soro_bench.randomization import Distribution, from_dict
 
@@ -22,16 +24,18 @@ class DomainRandomization(gymnasium.Wrapper, RecordConstructorArgs):
         distribution: or its ``to_dict()``, as which it stands in ``env.spec``.
     """
 
-    def __init__(self, env: gymnasium.Env, distribution: Distribution | Mapping):
+    def __init__(self, env: gymnasium.Env, distribution: Distribution | Mapping[str, Any]):
         self._distribution = _fitting(env, distribution)
         RecordConstructorArgs.__init__(self, distribution=self._distribution.to_dict())
         super().__init__(env)
 
-    def reset(self, *, seed=None, options=None):
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """As Gymnasium's."""
         with _randomized(self.env, self._distribution):
             return super().reset(seed=seed, options=options)
 
-    def step(self, action):
+    def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        """As Gymnasium's."""
         with _randomized(self.env, self._distribution):  # gymnasium.wrappers.Autoreset begins episodes here
             return super().step(action)
 
@@ -39,20 +43,25 @@ class DomainRandomization(gymnasium.Wrapper, RecordConstructorArgs):
 class VectorDomainRandomization(VectorWrapper):
     """:class:`DomainRandomization` for vector environments: every simulation draws its own parameters."""
 
-    def __init__(self, env: VectorEnv, distribution: Distribution | Mapping):
+    def __init__(self, env: VectorEnv, distribution: Distribution | Mapping[str, Any]):
         self._distribution = _fitting(env, distribution)
         super().__init__(env)
 
-    def reset(self, *, seed=None, options=None):
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """As Gymnasium's."""
         with _randomized(self.env, self._distribution):
-            return super().reset(seed=seed, options=options)
+            # Gymnasium's wrappers pass lists on too
+            return super().reset(seed=cast("int | None", seed), options=options)
 
-    def step(self, actions):
+    def step(self, actions: Any) -> tuple[Any, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """As Gymnasium's."""
         with _randomized(self.env, self._distribution):  # episodes begin here too
             return super().step(actions)
 
 
-def _fitting(env, distribution: Distribution | Mapping) -> Distribution:
+def _fitting(env: gymnasium.Env | VectorEnv, distribution: Distribution | Mapping[str, Any]) -> Distribution:
     """The distribution; ValueError if the environment has not its parameters, or another distribution already."""
     if isinstance(distribution, Mapping):
         distribution = from_dict(distribution)
@@ -66,7 +75,8 @@ def _fitting(env, distribution: Distribution | Mapping) -> Distribution:
 
 
 @contextmanager
-def _randomized(env, distribution):
+def _randomized(env: gymnasium.Env | VectorEnv, distribution: Distribution) -> Iterator[None]:
+    """Meanwhile the environment's parameters are drawn from the distribution."""
     if not hasattr(env.unwrapped, "task"):
         raise ValueError(f"{env.unwrapped} is no environment of soro_bench, made with the default vectorization_mode")
     task = env.unwrapped.task

@@ -32,7 +32,9 @@ def shortest(channels: int) -> int:
     return _fixed(channels) + _triangles_length(1, channels) + _MULTISINE
 
 
-def excitation(space: spaces.Box, timestep: float, duration: float | None = None, seed: int = 0) -> np.ndarray:
+def excitation(
+    space: spaces.Discrete | spaces.Box, timestep: float, duration: float | None = None, seed: int = 0
+) -> np.ndarray:
     """(T, nu) actions in [-1, 1], as many as fit into the duration.
 
     Args:
