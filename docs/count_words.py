@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 DOCS = Path(__file__).parent
+CHECKOUT = DOCS.parent
 LONGEST_PAGE, LONGEST_SENTENCE, ALL_PAGES = 1500, 22, 20_000  # words; of a page's mean sentence; of all pages
-KINDS = ("tutorials", "how_to", "reference", "explanation")
+OTHERS = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "leaderboard/README.md")
 NOT_PROSE = (
     r"(?s)<!-- written by docs/generate.py -->.*<!-- end of what docs/generate.py writes -->",
     r"(?s)\A---\n.*?\n---\n",  # metadata
@@ -20,7 +21,7 @@ NOT_PROSE = (
     r"(?m)^#+ .*$",  # headings: counted as no sentence
     r"(?m)^(!!!|\?\?\?).*$",
     r"!\[[^\]]*\]\([^)]*\)(\{[^}]*\})?",  # pictures
-    r"<[^>]+>",
+    r"</?[a-zA-Z][^>\n]*>",
 )
 END = re.compile(r"(?<=[.!?])[\"')*_]*\s+(?=[\"'(*_`\[]*[A-Z0-9`])|\n\s*\n|\n(?=[ \t]*(?:[-*+]|\d+\.)[ \t])")
 # an abbreviation or a number in front of a full stop ends no sentence
@@ -58,9 +59,9 @@ def count(text: str) -> Count:
 
 
 def pages() -> dict[str, Path]:
-    """All pages of the site by their paths in docs, but for the archive, which is kept as it was written."""
-    found = [DOCS / "index.md", *(path for kind in KINDS for path in sorted((DOCS / kind).rglob("*.md")))]
-    return {path.relative_to(DOCS).as_posix(): path for path in found}
+    """All pages by their paths in the checkout: those of the site, and those that a checkout shows."""
+    found = [*(CHECKOUT / name for name in OTHERS), *sorted(DOCS.rglob("*.md"))]
+    return {path.relative_to(CHECKOUT).as_posix(): path for path in found if "results" not in path.parts}
 
 
 def main():

@@ -16,7 +16,7 @@ FILE = re.compile(r"`((?:soro_bench|assets)/[\w/]+\.(?:py|xml))`")
 TRY = """
 import gymnasium, soro_bench, numpy as np
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
-from soro_bench.diagnosis.candidates import suspects
+from soro_bench.diagnosis.candidates import terms
 env = gymnasium.make("FingerReach-v0", model="coarse")
 start, _ = env.reset(seed=0, options={"params": {"finger_mass": 0.025}})
 assert env.observation_space.contains(start)
@@ -24,7 +24,7 @@ assert env.step(2)[1] < 0
 envs = gymnasium.make_vec("FingerReach-v0", num_envs=2, action="continuous")
 envs.reset(seed=0)
 assert envs.step(np.zeros((2, 1), np.float32))[0].shape == (2, 7)
-assert suspects(SuiteRobot("FingerReach-v0", threads=1))
+assert terms(SuiteRobot("FingerReach-v0", threads=1))
 print(soro_bench.__file__)
 """
 
