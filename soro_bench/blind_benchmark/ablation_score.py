@@ -1,7 +1,7 @@
 """Scores of the ablations beside those of the whole method, on the same cases."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -12,7 +12,9 @@ _COLUMNS = ("false alarms", "first answer right", "class right", "right where pa
             "variance of unseen motion explained", "rms on unseen motion [mm]")  # fmt: skip
 
 
-def ablation_rows(labels: Sequence[dict], reports: Mapping[str, dict], others: Mapping[str, Mapping[str, dict]]):
+def ablation_rows(
+    labels: Sequence[dict], reports: Mapping[str, dict], others: Mapping[str, Mapping[str, dict]]
+) -> list[dict]:
     """A dict per variant: its name, how many cases, and the figures of ``_COLUMNS`` (None where there are none).
 
     Args:
@@ -67,13 +69,13 @@ def by_bic(report: dict) -> dict:
     return unmerged(report | {"effects": effects, "credible_set": [effects[0]["name"]], "verdict": verdict})
 
 
-def _has(hypothesis, effect) -> bool:
+def _has(hypothesis: dict, effect: dict) -> bool:
     if effect["name"] == "none":
         return not hypothesis["names"]
     return (effect["name"], effect["where"]) in list(zip(hypothesis["names"], hypothesis["where"], strict=True))
 
 
-def _figures(labels, found, hard) -> dict:
+def _figures(labels: Sequence[dict], found: Mapping[str, dict], hard: Collection[str]) -> dict:
     figures: dict[str, float | None] = dict.fromkeys(_COLUMNS)
     fits = [found[label["id"]]["unseen"] for label in labels]
     fits = [fit for fit in fits if fit]
@@ -90,11 +92,11 @@ def _figures(labels, found, hard) -> dict:
     return figures
 
 
-def _mean(values) -> float | None:
+def _mean(values: Sequence[float]) -> float | None:
     return float(np.mean(values)) if values else None
 
 
-def _median(values) -> float | None:
+def _median(values: Sequence[float]) -> float | None:
     return float(np.median(values)) if values else None
 
 

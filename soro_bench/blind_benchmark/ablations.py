@@ -37,7 +37,7 @@ class Calibrated(SuiteRobot):
         x: (d,) where they stay, in standard deviations of their priors.
     """
 
-    def __init__(self, env_id: str, x: np.ndarray, threads: int = 0):
+    def __init__(self, env_id: str, x: np.ndarray, threads: int = 0) -> None:
         super().__init__(env_id, threads=threads)
         self.priors = tuple(
             replace(prior, nominal=float(prior.value(value)), deviation=FROZEN * prior.deviation)
@@ -119,7 +119,7 @@ def ablated(name: str, case: Path, path: Path) -> None:
     write_json(path, ABLATIONS[name](SuiteRobot(ENV_ID, threads=processors()), case))
 
 
-def _report(robot, case) -> dict:
+def _report(robot: SuiteRobot, case: Path) -> dict:
     found = diagnose(robot, [load(case / "train.parquet")], [load(case / "heldout.parquet")])
     # all are measured alike: numerical error is taken off of motion that has not been seen, whatever was fitted with
     same = replace(found, robot=SuiteRobot(robot.env_id, threads=robot.threads))

@@ -32,6 +32,7 @@ class Scaled:
 
     @property
     def law(self) -> Law | SensorLaw:
+        """The law or fault with that magnitude."""
         return self.hidden.law(self.magnitude)
 
     def label(self) -> dict:
@@ -51,7 +52,7 @@ class Scaled:
 class Bench:
     """Runs of one case's robot, of which those with the same laws are made once."""
 
-    def __init__(self, case: Case, actions: dict[str, np.ndarray], streams: dict[str, tuple[int, ...]]):
+    def __init__(self, case: Case, actions: dict[str, np.ndarray], streams: dict[str, tuple[int, ...]]) -> None:
         self._case, self._streams = case, streams
         tail = np.zeros((round(_TAIL / CONTROL_TIMESTEP) if "clock_skew" in case.effects else 0, len(geo.CABLE_NAMES)))
         self._stamps = {role: CONTROL_TIMESTEP * np.arange(len(rows) + 1) for role, rows in actions.items()}
@@ -88,17 +89,17 @@ class Bench:
                 continue
         raise Diverged(f"{self._case.effects} cannot be simulated on robot {self._case.robot}")
 
-    def _scaled_effects(self, rng) -> list[Scaled]:
+    def _scaled_effects(self, rng: np.random.Generator) -> list[Scaled]:
         """Each is scaled by what it changes on top of those before it."""
         effects: list[Scaled] = []
         for name, target in zip(self._case.effects, self._case.targets, strict=True):
             effects.append(self._scaled(name, target, [effect.law for effect in effects], rng))
         return effects
 
-    def _scaled(self, name, target, laws, rng) -> Scaled:
+    def _scaled(self, name: str, target: float, laws: Sequence[Law | SensorLaw], rng: np.random.Generator) -> Scaled:
         """The first of a few draws of place and shape that comes into the range of targets, or else the one that comes
         closest to its own."""
-        best = None
+        best: Scaled | None = None
         for _ in range(_DRAWS):
             hidden = ALL[name][1](rng, self.trace("train", []))
             magnitude, reached = self._search(hidden, target, laws)
@@ -107,11 +108,11 @@ class Bench:
                 return found
             if best is None or _miss(reached, target) < _miss(best.change, target):
                 best = found
-        if best.change == 0:
+        if best is None or best.change == 0:
             raise Diverged(f"{name}: no magnitude that can be simulated")
         return best
 
-    def _search(self, hidden, target, laws) -> tuple[float, float]:
+    def _search(self, hidden: Hidden, target: float, laws: Sequence[Law | SensorLaw]) -> tuple[float, float]:
         """A magnitude and the change [mm] that it makes, by the secant method in logarithms."""
         without, tried, magnitude = self.points("train", laws), [], hidden.guess * target / 2.0
         ceiling = hidden.highest
@@ -139,7 +140,7 @@ def _miss(reached: float, target: float) -> float:
     return abs(math.log(max(reached, 1e-6) / target))
 
 
-def _next(tried, target) -> float:
+def _next(tried: Sequence[tuple[float, float]], target: float) -> float:
     """The magnitude to try next: between those around the target if there are any, or beyond."""
     pairs = sorted((math.log(m), math.log(max(r, 1e-6) / target)) for m, r in tried)
     below, above = [p for p in pairs if p[1] < 0], [p for p in pairs if p[1] >= 0]

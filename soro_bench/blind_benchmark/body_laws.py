@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soro_bench.blind_benchmark.robot import Law
+from soro_bench.blind_benchmark.robot import Law, Robot
 
 _GUSTS_PER_SECOND = 0.4
 
@@ -16,7 +16,7 @@ class Payload(Law):
     vertebra: int
     mass: float  # kg
 
-    def install(self, robot):
+    def install(self, robot: Robot) -> None:
         robot.model.body_mass[robot.links[self.vertebra + 1]] += self.mass
 
 
@@ -28,18 +28,18 @@ class Tilt(Law):
     azimuth: float  # rad, of the axis, from x towards z
     frequency: float = 0.0  # Hz
 
-    def install(self, robot):
+    def install(self, robot: Robot) -> None:
         down = robot.model.opt.gravity.copy()
         axis = np.array([np.cos(self.azimuth), 0.0, np.sin(self.azimuth)])
         self._down, self._sideways = down, np.cross(axis, down)
         if not self.frequency:
             self._turn(robot, self.angle)
 
-    def push(self, robot):
+    def push(self, robot: Robot) -> None:
         if self.frequency:
             self._turn(robot, self.angle * np.sin(2 * np.pi * self.frequency * robot.data.time))
 
-    def _turn(self, robot, angle):
+    def _turn(self, robot: Robot, angle: float) -> None:
         robot.model.opt.gravity[:] = np.cos(angle) * self._down + np.sin(angle) * self._sideways
 
 
@@ -49,10 +49,10 @@ class Drag(Law):
 
     drag: float  # N s^2/m^2, of each
 
-    def begin(self, robot, rng):
+    def begin(self, robot: Robot, rng: np.random.Generator) -> None:
         self._place = robot.data.xipos[robot.links[1:]].copy()
 
-    def push(self, robot):
+    def push(self, robot: Robot) -> None:
         place = robot.data.xipos[robot.links[1:]].copy()
         velocity = (place - self._place) / robot.timestep
         self._place = place
@@ -69,10 +69,10 @@ class RubberBand(Law):
     offset: np.ndarray  # (3,) m, of the place from the vertebra's centre at the start
     length: float  # m
 
-    def begin(self, robot, rng):
+    def begin(self, robot: Robot, rng: np.random.Generator) -> None:
         self._place = robot.data.xipos[robot.links[self.vertebra + 1]] + self.offset
 
-    def push(self, robot):
+    def push(self, robot: Robot) -> None:
         body = robot.links[self.vertebra + 1]
         span = self._place - robot.data.xipos[body]
         distance = np.sqrt(span @ span)
@@ -89,7 +89,7 @@ class Wall(Law):
     normal: np.ndarray  # (3,) into the wall
     position: float  # m, of its surface along the normal
 
-    def push(self, robot):
+    def push(self, robot: Robot) -> None:
         body = robot.links[self.vertebra + 1]
         depth = max(robot.data.xipos[body] @ self.normal - self.position, 0.0)
         robot.data.xfrc_applied[body, :3] -= self.stiffness * depth * self.normal
@@ -104,12 +104,12 @@ class Gusts(Law):
     direction: np.ndarray  # (3,)
     length: float  # s, of a pulse
 
-    def begin(self, robot, rng):
+    def begin(self, robot: Robot, rng: np.random.Generator) -> None:
         count = max(2, round(_GUSTS_PER_SECOND * robot.duration))
         self._starts = np.sort(rng.uniform(0.05, 0.95, count)) * robot.duration
         self._signs = rng.choice([-1.0, 1.0], count)
 
-    def push(self, robot):
+    def push(self, robot: Robot) -> None:
         phase = (robot.data.time - self._starts) / self.length
         active = (phase > 0) & (phase < 1)
         force = self.force * (self._signs * np.sin(np.pi * phase))[active].sum()

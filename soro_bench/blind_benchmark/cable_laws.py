@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soro_bench.blind_benchmark.robot import Law
+from soro_bench.blind_benchmark.robot import Law, Robot
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 
@@ -27,11 +27,11 @@ class Friction(Law):
     breakaway: float = 1.0
     speed: float = 0.005  # m/s
 
-    def begin(self, robot, rng):
+    def begin(self, robot: Robot, rng: np.random.Generator) -> None:
         self._place = robot.data.actuator_length[robot.cables[self.cable]]
         self.force = 0.0  # N, on the cable's shortening
 
-    def push(self, robot):
+    def push(self, robot: Robot) -> None:
         place = robot.data.actuator_length[robot.cables[self.cable]]
         moved, self._place = place - self._place, place
         misfit = (self.breakaway - 1) * math.exp(-((moved / robot.timestep / self.speed) ** 2))
@@ -47,13 +47,13 @@ class Capstan(Law):
     cable: int
     coefficient: float  # 1/rad
 
-    def begin(self, robot, rng):
+    def begin(self, robot: Robot, rng: np.random.Generator) -> None:
         self._fields = _ServoFields(robot, self.cable)  # with what other laws have made of them
         self._necks = geo.NUM_NECKS if self.cable < 4 else 4  # that the cable passes
         self._place = robot.data.actuator_length[robot.cables[self.cable]]
         self._direction = 0.0  # from -1, paying out, to 1, pulling
 
-    def push(self, robot):
+    def push(self, robot: Robot) -> None:
         place = robot.data.actuator_length[robot.cables[self.cable]]
         moved, self._place = place - self._place, place
         self._direction = min(max(self._direction + moved / _CAPSTAN_PRESLIDING, -1.0), 1.0)
@@ -68,7 +68,7 @@ class Viscous(Law):
     cable: int
     drag: float  # N s/m
 
-    def install(self, robot):
+    def install(self, robot: Robot) -> None:
         robot.model.tendon_damping[robot.model.actuator_trnid[robot.cables[self.cable], 0]] += self.drag
 
 
@@ -79,7 +79,7 @@ class Compliance(Law):
     cable: int
     compliance: float  # m/N
 
-    def install(self, robot):
+    def install(self, robot: Robot) -> None:
         stiffness = robot.model.actuator_gainprm[robot.cables[self.cable], 0]
         _ServoFields(robot, self.cable).scale(1 / (1 + stiffness * self.compliance), limit=False)
 
@@ -91,20 +91,20 @@ class TensionLimit(Law):
     cable: int
     limit: float  # N
 
-    def install(self, robot):
+    def install(self, robot: Robot) -> None:
         robot.model.actuator_forcerange[robot.cables[self.cable], 1] = min(self.limit, trunk.MAX_TENSION)
 
 
 class _ServoFields:
     """The model fields that make a servo's tension, which is linear in them."""
 
-    def __init__(self, robot, cable):
+    def __init__(self, robot: Robot, cable: int) -> None:
         self._model, self._row = robot.model, robot.cables[cable]
         self._fields = [robot.model.actuator_gainprm, robot.model.actuator_biasprm]
         self._values = [field[self._row].copy() for field in self._fields]
         self._limit = robot.model.actuator_forcerange[self._row, 1]
 
-    def scale(self, factor, limit=True):
+    def scale(self, factor: float, limit: bool = True) -> None:
         """Scale the tension, with its limit or below the same limit."""
         for field, value in zip(self._fields, self._values, strict=True):
             field[self._row] = factor * value

@@ -8,7 +8,7 @@ drifted, slipped or yielded in one is as new in the other. Only gusts and outlie
 import hashlib
 import os
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +37,7 @@ _SEED_BITS = 59  # as many as labels, which are read as strictly as files of str
 
 def build(case: Case, durations: dict[str, float] = DURATIONS) -> tuple[dict[str, Recording], dict]:
     """The recordings of a case by role, and its label."""
-    streams = {name: (*case.seed, i) for i, name in enumerate(("drawing", *_ROLES), 1)}
+    streams: dict[str, tuple[int, ...]] = {name: (*case.seed, i) for i, name in enumerate(("drawing", *_ROLES), 1)}
     actions = {
         "train": excitation(_action_space(), CONTROL_TIMESTEP, durations["train"], _number(streams["train"])),
         "heldout": manoeuvre(durations["heldout"], streams["heldout"]),
@@ -117,7 +117,7 @@ def _action_space() -> spaces.Box:
     return spaces.Box(-1.0, 1.0, (len(geo.CABLE_NAMES),), np.float32)
 
 
-def _number(stream) -> int:
+def _number(stream: Sequence[int]) -> int:
     """A seed for what takes one number only."""
     return int(np.random.SeedSequence(stream).generate_state(1)[0])
 
@@ -135,7 +135,7 @@ def recording(actions: np.ndarray, points: np.ndarray, rng: np.random.Generator)
     )
 
 
-def _check_plan(folder, plan) -> None:
+def _check_plan(folder: Path, plan: dict) -> None:
     """Refuse to mix two sets of cases in one folder."""
     path = folder / "sealed" / "plan.json"
     if not path.exists():
@@ -144,7 +144,7 @@ def _check_plan(folder, plan) -> None:
         raise ValueError(f"{folder} has the cases of {other}, not of {plan}")
 
 
-def _check_recordings(folder) -> None:
+def _check_recordings(folder: Path) -> None:
     """Refuse recordings other than those that the labels belong to."""
     for label in opened_labels(folder):
         for name, committed in label["sha256"].items():
@@ -153,15 +153,15 @@ def _check_recordings(folder) -> None:
                 raise ValueError(f"{path} has the hash {found}, its label says {committed}")
 
 
-def _label_path(folder, case) -> Path:
+def _label_path(folder: Path, case: Case) -> Path:
     return folder / "sealed" / "cases" / f"{case.id}.json"
 
 
-def _recording_path(folder, case, role) -> Path:
+def _recording_path(folder: Path, case: Case, role: str) -> Path:
     return folder / case.id / f"{role}.parquet"
 
 
-def _write_case(folder, case, durations) -> None:
+def _write_case(folder: Path, case: Case, durations: dict[str, float]) -> None:
     """Unless it is there. The label, which has the hashes of the recordings, is written last."""
     paths = [_label_path(folder, case), *(_recording_path(folder, case, role) for role in _ROLES)]
     if all(path.is_file() for path in paths):

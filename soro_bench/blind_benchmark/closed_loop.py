@@ -21,7 +21,7 @@ def final_distances(act: Callable[[np.ndarray], np.ndarray], robot: Robot) -> np
     return np.array([_final_distance(act, robot, goal) for goal in EVALUATION_GOALS])
 
 
-def _final_distance(act, robot, goal) -> float:
+def _final_distance(act: Callable[[np.ndarray], np.ndarray], robot: Robot, goal: np.ndarray) -> float:
     robot.begin(STEPS)
     start = distance = _distance(robot, goal)
     for _ in range(STEPS):
@@ -36,5 +36,5 @@ def _final_distance(act, robot, goal) -> float:
     return distance
 
 
-def _distance(robot, goal) -> float:
+def _distance(robot: Robot, goal: np.ndarray) -> float:
     return float(np.linalg.norm(robot.keypoints()[-1] - goal))

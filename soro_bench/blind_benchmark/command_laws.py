@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soro_bench.blind_benchmark.robot import Law
+from soro_bench.blind_benchmark.robot import Law, Robot
 
 
 @dataclass
@@ -14,10 +14,10 @@ class Backlash(Law):
     cable: int
     width: float  # m
 
-    def begin(self, robot, rng):
+    def begin(self, robot: Robot, rng: np.random.Generator) -> None:
         self._held = 0.0
 
-    def command(self, robot, pull):
+    def command(self, robot: Robot, pull: np.ndarray) -> np.ndarray:
         asked = pull[self.cable]
         self._held = min(max(self._held, asked - self.width / 2), asked + self.width / 2)
         return _replaced(pull, self.cable, self._held)
@@ -30,7 +30,7 @@ class Gain(Law):
     cable: int
     gain: float
 
-    def command(self, robot, pull):
+    def command(self, robot: Robot, pull: np.ndarray) -> np.ndarray:
         return _replaced(pull, self.cable, self.gain * pull[self.cable])
 
 
@@ -41,7 +41,7 @@ class Offset(Law):
     cable: int
     offset: float  # m
 
-    def command(self, robot, pull):
+    def command(self, robot: Robot, pull: np.ndarray) -> np.ndarray:
         return _replaced(pull, self.cable, pull[self.cable] + self.offset)
 
 
@@ -52,7 +52,7 @@ class Deadband(Law):
     cable: int
     width: float  # m, on either side
 
-    def command(self, robot, pull):
+    def command(self, robot: Robot, pull: np.ndarray) -> np.ndarray:
         asked = pull[self.cable]
         return _replaced(pull, self.cable, np.sign(asked) * max(abs(asked) - self.width, 0.0))
 
@@ -63,13 +63,13 @@ class Delay(Law):
 
     delay: float  # s
 
-    def begin(self, robot, rng):
+    def begin(self, robot: Robot, rng: np.random.Generator) -> None:
         place = self.delay / robot.timestep
         self._whole = int(place)
         self._part = place - self._whole
         self._past = [np.zeros(len(robot.cables))] * (self._whole + 2)
 
-    def command(self, robot, pull):
+    def command(self, robot: Robot, pull: np.ndarray) -> np.ndarray:
         self._past = [*self._past[1:], pull]
         return (1 - self._part) * self._past[1] + self._part * self._past[0]
 
@@ -80,10 +80,10 @@ class Lag(Law):
 
     time_constant: float  # s
 
-    def begin(self, robot, rng):
+    def begin(self, robot: Robot, rng: np.random.Generator) -> None:
         self._reached = np.zeros(len(robot.cables))
 
-    def command(self, robot, pull):
+    def command(self, robot: Robot, pull: np.ndarray) -> np.ndarray:
         kept = np.exp(-robot.timestep / self.time_constant) if self.time_constant > 0 else 0.0
         self._reached = pull + kept * (self._reached - pull)
         return self._reached
@@ -97,11 +97,11 @@ class CrossTalk(Law):
     cable: int
     share: float
 
-    def command(self, robot, pull):
+    def command(self, robot: Robot, pull: np.ndarray) -> np.ndarray:
         return _replaced(pull, self.cable, pull[self.cable] + self.share * pull[self.source])
 
 
-def _replaced(pull, cable, value) -> np.ndarray:
+def _replaced(pull: np.ndarray, cable: int, value: float) -> np.ndarray:
     pull = pull.copy()
     pull[cable] = value
     return pull

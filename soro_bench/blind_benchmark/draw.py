@@ -48,7 +48,7 @@ def draw_cases(count: int, seed: int, healthy: int | None = None) -> list[Case]:
     if count < 1 or seed < 0 or not 0 <= healthy <= count:
         raise ValueError(f"count {count}, seed {seed}, nulls {healthy}: 1, 0 and 0 to count are needed")
     rng = np.random.default_rng(seed)
-    drawn = []
+    drawn: list[tuple[str, tuple[str, ...], str]] = []
     for group, size in zip(GROUPS, [healthy, *_apportioned(count - healthy)], strict=True):
         # half of each group on either robot, the odd one on a random one
         kinds = np.resize(rng.permutation(list(KINDS)), size)
@@ -56,12 +56,13 @@ def draw_cases(count: int, seed: int, healthy: int | None = None) -> list[Case]:
     cases = []
     for i, k in enumerate(rng.permutation(count)):
         group, effects, robot = drawn[k]
-        targets = tuple(float(t) for t in np.exp(rng.uniform(*np.log(TARGETS), len(effects))))
+        low, high = np.log(TARGETS)
+        targets = tuple(float(t) for t in np.exp(rng.uniform(low, high, len(effects))))
         cases.append(Case(f"case_{i:03d}", group, robot, _parameters(rng), effects, targets, (seed, i)))
     return cases
 
 
-def _apportioned(count) -> list[int]:
+def _apportioned(count: int) -> list[int]:
     """How many of ``count`` cases each group with an effect has: the largest remainders are rounded up."""
     exact = count * _SHARES
     sizes = np.floor(exact).astype(int)
@@ -69,7 +70,7 @@ def _apportioned(count) -> list[int]:
     return sizes.tolist()
 
 
-def _effects(group, size, rng) -> list[tuple[str, ...]]:
+def _effects(group: str, size: int, rng: np.random.Generator) -> list[tuple[str, ...]]:
     """The effects of each of ``size`` cases; within a group, every effect comes equally often."""
     if group == "none":
         return [()] * size
@@ -80,7 +81,7 @@ def _effects(group, size, rng) -> list[tuple[str, ...]]:
     return [(str(name),) for name in np.concatenate([*rounds, []])[:size]]
 
 
-def _pair(rng) -> tuple[str, ...]:
+def _pair(rng: np.random.Generator) -> tuple[str, ...]:
     """Two effects of different classes."""
     while True:
         a, b = map(str, rng.choice(list(PHYSICS), 2, replace=False))
@@ -88,7 +89,7 @@ def _pair(rng) -> tuple[str, ...]:
             return a, b
 
 
-def _parameters(rng) -> dict[str, float]:
+def _parameters(rng: np.random.Generator) -> dict[str, float]:
     parameters = {p.name: p.nominal * math.exp(rng.uniform(-_SPREAD, _SPREAD)) for p in trunk.PARAMETERS}
     nominal = next(p.nominal for p in trunk.PARAMETERS if p.name == "poisson_ratio")
     return parameters | {"poisson_ratio": nominal + rng.uniform(-_POISSON_SPREAD, _POISSON_SPREAD)}

@@ -16,6 +16,7 @@ from soro_bench.blind_benchmark import sensor_laws as sensor
 from soro_bench.blind_benchmark import uncatalogued
 from soro_bench.blind_benchmark.places import (
     Hidden,
+    Quantities,
     any_cable,
     any_keypoint,
     any_neck,
@@ -34,102 +35,102 @@ _STIFFEST = 15.0  # of what is explicit at a neck, in parts of its own nominal s
 _EXCITATION = 30.0  # s, over which a drift's magnitude is its change
 
 
-def _coulomb_friction(rng, base):
+def _coulomb_friction(rng: np.random.Generator, base: Trace) -> Hidden:
     c, location = any_cable(rng, "tendon")
     return Hidden(location, lambda m: cable.Friction(c, m), lambda m: {"friction": (m, "N")}, 0.4, 10.0)
 
 
-def _load_friction(rng, base):
+def _load_friction(rng: np.random.Generator, base: Trace) -> Hidden:
     c, location = any_cable(rng, "tendon")
     return Hidden(location, lambda m: cable.Capstan(c, m), lambda m: {"coefficient": (m, "1")}, 0.4, 1.0)
 
 
-def _stribeck_friction(rng, base):
+def _stribeck_friction(rng: np.random.Generator, base: Trace) -> Hidden:
     c, location = any_cable(rng, "tendon")
     ratio, speed = rng.uniform(1.6, 3.0), log_uniform(rng, 0.002, 0.010)
 
-    def parameters(m):
+    def parameters(m: float) -> Quantities:
         return {"friction": (m, "N"), "breakaway_friction": (ratio * m, "N"), "stribeck_speed": (speed, "m/s")}
 
     return Hidden(location, lambda m: cable.Friction(c, m, ratio, speed), parameters, 0.3, 10.0)
 
 
-def _viscous_friction(rng, base):
+def _viscous_friction(rng: np.random.Generator, base: Trace) -> Hidden:
     c, location = any_cable(rng, "tendon")
     return Hidden(location, lambda m: cable.Viscous(c, m), lambda m: {"drag": (m, "N s/m")}, 15.0, 1000.0)
 
 
-def _backlash(rng, base):
+def _backlash(rng: np.random.Generator, base: Trace) -> Hidden:
     c, location = any_cable(rng, "actuator")
     return Hidden(location, lambda m: command.Backlash(c, m), lambda m: {"width": (m, "m")}, 0.0023, 0.02)
 
 
-def _compliance(rng, base):
+def _compliance(rng: np.random.Generator, base: Trace) -> Hidden:
     c, location = any_cable(rng, "actuator")
     return Hidden(location, lambda m: cable.Compliance(c, m), lambda m: {"compliance": (m, "m/N")}, 2e-4, 1e-2)
 
 
-def _actuator_gain(rng, base):
+def _actuator_gain(rng: np.random.Generator, base: Trace) -> Hidden:
     c, location = any_cable(rng, "actuator")
     sign = rng.choice([-1.0, 1.0], p=[0.7, 0.3])
     return Hidden(location, lambda m: command.Gain(c, 1 + sign * m), lambda m: {"gain": (1 + sign * m, "1")}, 0.15, 0.9)
 
 
-def _pretension(rng, base):
+def _pretension(rng: np.random.Generator, base: Trace) -> Hidden:
     c, location = any_cable(rng, "actuator")
     sign = rng.choice([-1.0, 1.0])
     return Hidden(location, lambda m: command.Offset(c, sign * m), lambda m: {"offset": (sign * m, "m")}, 0.0012, 0.02)
 
 
-def _actuator_saturation(rng, base):
+def _actuator_saturation(rng: np.random.Generator, base: Trace) -> Hidden:
     c, location = any_cable(rng, "actuator")
     highest = min(1.05 * base.tension[:, c].max(), trunk.MAX_TENSION)  # between samples there may be a little more
 
-    def limit(m):
+    def limit(m: float) -> float:
         return highest * (1 - m) if m > 0 else trunk.MAX_TENSION
 
     return Hidden(location, lambda m: cable.TensionLimit(c, limit(m)), lambda m: {"limit": (limit(m), "N")}, 0.4, 0.95)
 
 
-def _actuator_deadband(rng, base):
+def _actuator_deadband(rng: np.random.Generator, base: Trace) -> Hidden:
     c, location = any_cable(rng, "actuator")
     return Hidden(location, lambda m: command.Deadband(c, m), lambda m: {"width": (m, "m")}, 0.0016, 0.02)
 
 
-def _actuator_delay(rng, base):
+def _actuator_delay(rng: np.random.Generator, base: Trace) -> Hidden:
     return Hidden(_ALL_ACTUATORS, command.Delay, lambda m: {"delay": (m, "s")}, 0.01, 0.3)
 
 
-def _actuator_lag(rng, base):
+def _actuator_lag(rng: np.random.Generator, base: Trace) -> Hidden:
     return Hidden(_ALL_ACTUATORS, command.Lag, lambda m: {"time_constant": (m, "s")}, 0.011, 0.3)
 
 
-def _hysteresis(rng, base):
+def _hysteresis(rng: np.random.Generator, base: Trace) -> Hidden:
     k, location = any_neck(rng)
     angle = log_uniform(rng, 0.06, 0.2)
     highest = _STIFFEST * float(geo.BEND[1, k]) / neck.Hysteresis(k, 1.0, angle).stiffness
 
-    def parameters(m):
+    def parameters(m: float) -> Quantities:
         return {"moment": (m, "N m"), "yield_angle": (angle, "rad")}
 
     return Hidden(location, lambda m: neck.Hysteresis(k, m, angle), parameters, 0.04, highest)
 
 
-def _plastic_set(rng, base):
+def _plastic_set(rng: np.random.Generator, base: Trace) -> Hidden:
     k, location = any_neck(rng)
     angle = rng.uniform(0.25, 0.55) * base.bend[:, k].max()
 
-    def parameters(m):
+    def parameters(m: float) -> Quantities:
         return {"yield_angle": (angle, "rad"), "share": (m, "1")}
 
     return Hidden(location, lambda m: neck.PlasticSet(k, angle, m), parameters, 0.5, 0.95)
 
 
-def _local_stiffness(rng, base):
+def _local_stiffness(rng: np.random.Generator, base: Trace) -> Hidden:
     k, location = any_neck(rng)
     sign = rng.choice([-1.0, 1.0], p=[0.6, 0.4])
 
-    def factor(m):
+    def factor(m: float) -> float:
         return math.exp(sign * m)
 
     return Hidden(
@@ -137,57 +138,57 @@ def _local_stiffness(rng, base):
     )
 
 
-def _viscoelastic_creep(rng, base):
+def _viscoelastic_creep(rng: np.random.Generator, base: Trace) -> Hidden:
     time_constant = log_uniform(rng, 0.7, 6.0)
 
-    def parameters(m):
+    def parameters(m: float) -> Quantities:
         return {"stiffness_ratio": (m, "1"), "time_constant": (time_constant, "s")}
 
     return Hidden(_ALL_NECKS, lambda m: neck.Creep(m, time_constant), parameters, 0.25, 3.0)
 
 
-def _stiffening(rng, base):
+def _stiffening(rng: np.random.Generator, base: Trace) -> Hidden:
     return Hidden(_ALL_NECKS, neck.Stiffening, lambda m: {"cubic": (m, "1/rad^2")}, 1.5, 20.0)
 
 
-def _mullins_softening(rng, base):
+def _mullins_softening(rng: np.random.Generator, base: Trace) -> Hidden:
     angle = log_uniform(rng, 0.1, 0.3)
 
-    def parameters(m):
+    def parameters(m: float) -> Quantities:
         return {"softening": (m, "1"), "angle": (angle, "rad")}
 
     return Hidden(_ALL_NECKS, lambda m: neck.Mullins(m, angle), parameters, 0.3, 0.9)
 
 
-def _stiffness_drift(rng, base):
+def _stiffness_drift(rng: np.random.Generator, base: Trace) -> Hidden:
     sign = rng.choice([-1.0, 1.0], p=[0.7, 0.3])
 
-    def rate(m):
+    def rate(m: float) -> float:
         return sign * m / _EXCITATION
 
     return Hidden(_ALL_NECKS, lambda m: neck.StiffnessDrift(rate(m)), lambda m: {"rate": (rate(m), "1/s")}, 0.15, 0.8)
 
 
-def _payload(rng, base):
+def _payload(rng: np.random.Generator, base: Trace) -> Hidden:
     k, location = any_neck(rng)
     return Hidden(location, lambda m: body.Payload(k, m), lambda m: {"mass": (m, "kg")}, 0.015, 0.3)
 
 
-def _base_tilt(rng, base):
+def _base_tilt(rng: np.random.Generator, base: Trace) -> Hidden:
     azimuth = rng.uniform(0, 2 * np.pi)
 
-    def parameters(m):
+    def parameters(m: float) -> Quantities:
         return {"angle": (m, "rad"), "axis_azimuth": (azimuth, "rad")}
 
     location = {"kind": "model", "name": "gravity"}
     return Hidden(location, lambda m: body.Tilt(m, azimuth), parameters, 0.05, 0.8)
 
 
-def _fluid_drag(rng, base):
+def _fluid_drag(rng: np.random.Generator, base: Trace) -> Hidden:
     return Hidden(_ALL_NECKS, body.Drag, lambda m: {"drag": (m, "N s^2/m^2")}, 0.1, 20.0)
 
 
-def _sensor_bias(rng, base):
+def _sensor_bias(rng: np.random.Generator, base: Trace) -> Hidden:
     i, direction = any_keypoint(rng), random_direction(rng)
     return Hidden(
         {**_ALL_KEYPOINTS, "index": i},
@@ -198,18 +199,18 @@ def _sensor_bias(rng, base):
     )
 
 
-def _sensor_delay(rng, base):
+def _sensor_delay(rng: np.random.Generator, base: Trace) -> Hidden:
     return Hidden(_ALL_KEYPOINTS, sensor.SensorDelay, lambda m: {"delay": (m, "s")}, 0.01, 0.3)
 
 
-def _clock_skew(rng, base):
+def _clock_skew(rng: np.random.Generator, base: Trace) -> Hidden:
     sign = rng.choice([-1.0, 1.0])
     return Hidden(
         _ALL_KEYPOINTS, lambda m: sensor.ClockSkew(sign * m), lambda m: {"skew": (sign * m, "1")}, 0.0006, 0.02
     )
 
 
-def _marker_slip(rng, base):
+def _marker_slip(rng: np.random.Generator, base: Trace) -> Hidden:
     i, direction, start = any_keypoint(rng), random_direction(rng), rng.uniform(3.0, 9.0)
     return Hidden(
         {**_ALL_KEYPOINTS, "index": i},
@@ -220,19 +221,19 @@ def _marker_slip(rng, base):
     )
 
 
-def _frame_misalignment(rng, base):
+def _frame_misalignment(rng: np.random.Generator, base: Trace) -> Hidden:
     axis = random_direction(rng)
 
-    def parameters(m):
+    def parameters(m: float) -> Quantities:
         return {"angle": (m, "rad"), **{f"axis_{n}": (float(a), "1") for n, a in zip("xyz", axis, strict=True)}}
 
     return Hidden(_ALL_KEYPOINTS, lambda m: sensor.Misalignment(m, axis), parameters, 0.02, 0.5)
 
 
-def _outliers(rng, base):
+def _outliers(rng: np.random.Generator, base: Trace) -> Hidden:
     share = log_uniform(rng, 0.001, 0.01)
 
-    def parameters(m):
+    def parameters(m: float) -> Quantities:
         return {"size": (m, "m"), "share": (share, "1")}
 
     return Hidden(_ALL_KEYPOINTS, lambda m: sensor.Outliers(m, share), parameters, 0.02, 0.3)

@@ -1,5 +1,7 @@
 """A manoeuvre to test a diagnosis on: smooth motion like that of a task, unlike any excitation."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from soro_bench.blind_benchmark.robot import CONTROL_TIMESTEP
@@ -13,7 +15,7 @@ _FADE = 2.0  # s
 _SHARE_OF_RATE = 0.95
 
 
-def manoeuvre(duration: float, seed) -> np.ndarray:
+def manoeuvre(duration: float, seed: int | Sequence[int]) -> np.ndarray:
     """(T, 8) actions: every pair of cables follows a sum of slow sines, faded in from zero."""
     rng = np.random.default_rng(seed)
     time = CONTROL_TIMESTEP * np.arange(round(duration / CONTROL_TIMESTEP) + 1)
@@ -28,7 +30,8 @@ def manoeuvre(duration: float, seed) -> np.ndarray:
     return np.diff(pulls, axis=0) / (geo.CABLE_RATE * CONTROL_TIMESTEP)
 
 
-def _sines(time, rng) -> np.ndarray:
-    frequencies = np.exp(rng.uniform(*np.log(_FREQUENCIES), _SINES))
+def _sines(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    low, high = np.log(_FREQUENCIES)
+    frequencies = np.exp(rng.uniform(low, high, _SINES))
     weights, phases = rng.uniform(0.3, 1.0, _SINES), rng.uniform(0, 2 * np.pi, _SINES)
     return (weights * np.sin(2 * np.pi * frequencies * time[:, None] + phases)).sum(axis=1)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soro_bench.blind_benchmark.robot import Law
+from soro_bench.blind_benchmark.robot import Law, Robot
 from soro_bench.models import trunk_geometry as geo
 
 _YIELDS = np.array([0.4, 1.0, 2.2])  # of the elements of a hysteresis, in parts of the yield angle
@@ -28,11 +28,11 @@ class Hysteresis(Law):
         """Of all springs before they slide [N m/rad]."""
         return float(self.moment * (_SHARES / (self.angle * _YIELDS)).sum())
 
-    def begin(self, robot, rng):
+    def begin(self, robot: Robot, rng: np.random.Generator) -> None:
         self._stretch = np.zeros((len(_YIELDS), 3))  # rad, of the springs
         self._bend = robot.bend()[self.neck]
 
-    def push(self, robot):
+    def push(self, robot: Robot) -> None:
         bend, limits = robot.bend()[self.neck], self.angle * _YIELDS
         self._stretch += bend - self._bend
         self._bend = bend
@@ -50,10 +50,10 @@ class PlasticSet(Law):
     angle: float  # rad
     share: float
 
-    def begin(self, robot, rng):
+    def begin(self, robot: Robot, rng: np.random.Generator) -> None:
         self.rest = np.zeros(3)  # rad
 
-    def push(self, robot):
+    def push(self, robot: Robot) -> None:
         if self.share == 0:
             return
         misfit = robot.bend()[self.neck] - self.rest / self.share
@@ -70,7 +70,7 @@ class LocalStiffness(Law):
     neck: int
     factor: float
 
-    def install(self, robot):
+    def install(self, robot: Robot) -> None:
         robot.neck_factors[self.neck] *= self.factor
         robot.scale_necks()
 
@@ -81,7 +81,7 @@ class StiffnessDrift(Law):
 
     rate: float  # 1/s
 
-    def push(self, robot):
+    def push(self, robot: Robot) -> None:
         robot.scale_necks(1 + self.rate * robot.data.time)
 
 
@@ -92,10 +92,10 @@ class Creep(Law):
     ratio: float  # of that spring to the neck
     time_constant: float  # s
 
-    def begin(self, robot, rng):
+    def begin(self, robot: Robot, rng: np.random.Generator) -> None:
         self._dashpot = robot.bend()
 
-    def push(self, robot):
+    def push(self, robot: Robot) -> None:
         bend = robot.bend()
         self._dashpot += -np.expm1(-robot.timestep / self.time_constant) * (bend - self._dashpot)
         robot.push_necks(self.ratio * robot.neck_stiffness[:, None] * (self._dashpot - bend))
@@ -107,7 +107,7 @@ class Stiffening(Law):
 
     cubic: float  # 1/rad^2
 
-    def push(self, robot):
+    def push(self, robot: Robot) -> None:
         bend = robot.bend()
         square = (bend * bend).sum(axis=1)
         robot.push_necks(-(self.cubic * robot.neck_stiffness * square)[:, None] * bend)
@@ -120,10 +120,10 @@ class Mullins(Law):
     softening: float  # largest share of the stiffness that is lost
     angle: float  # rad, over which it is lost
 
-    def begin(self, robot, rng):
+    def begin(self, robot: Robot, rng: np.random.Generator) -> None:
         self._largest = np.full(geo.NUM_NECKS, 1e-9)
 
-    def push(self, robot):
+    def push(self, robot: Robot) -> None:
         bend = robot.bend()
         size = np.sqrt((bend * bend).sum(axis=1))
         self._largest = np.maximum(self._largest, size)
@@ -139,12 +139,12 @@ class CoupledBend(Law):
     neck: int
     share: float  # of the neck's stiffness
 
-    def push(self, robot):
+    def push(self, robot: Robot) -> None:
         x, y, _ = robot.bend()[self.source]
         robot.push_necks(_only(self.neck, self.share * robot.neck_stiffness[self.neck] * np.array([-y, x, 0.0])))
 
 
-def _only(neck, moment) -> np.ndarray:
+def _only(neck: int, moment: np.ndarray) -> np.ndarray:
     """(10, 3) moments, all but one zero."""
     moments = np.zeros((geo.NUM_NECKS, 3))
     moments[neck] = moment

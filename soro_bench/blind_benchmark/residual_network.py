@@ -24,17 +24,18 @@ def residual_rms(robot: Robot, x: np.ndarray, train: Measured, other: Measured) 
         left.append((each.values - simulated).reshape(len(each.values), -1))
         inputs.append(_inputs(each.actions, simulated))
     predicted = _predicted(inputs[0], left[0], inputs[1])
-    return tuple(float(np.sqrt(np.nanmean(rows**2))) for rows in (left[1], left[1] - predicted))
+    without, with_network = (float(np.sqrt(np.nanmean(rows**2))) for rows in (left[1], left[1] - predicted))
+    return without, with_network
 
 
-def _inputs(actions, simulated) -> np.ndarray:
+def _inputs(actions: np.ndarray, simulated: np.ndarray) -> np.ndarray:
     """(T, k) commands of the last steps, where they led to, and the simulated signal."""
     padded = np.concatenate([np.zeros((HISTORY - 1, actions.shape[1])), actions])
     past = np.lib.stride_tricks.sliding_window_view(padded, HISTORY, axis=0).reshape(len(actions), -1)
     return np.concatenate([past, np.cumsum(actions, axis=0), simulated.reshape(len(actions), -1)], axis=1)
 
 
-def _predicted(inputs, targets, asked) -> np.ndarray:
+def _predicted(inputs: np.ndarray, targets: np.ndarray, asked: np.ndarray) -> np.ndarray:
     """What a network that was trained until it did not get better on the end of the recording says of ``asked``."""
     import torch
 

@@ -6,7 +6,7 @@ the commanded displacements or writes model fields.
 """
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -84,7 +84,7 @@ class Robot:
         laws: in the order in which they act on the commands.
     """
 
-    def __init__(self, kind: str, parameters: Mapping[str, float], laws: Sequence[Law] = ()):
+    def __init__(self, kind: str, parameters: Mapping[str, float], laws: Sequence[Law] = ()) -> None:
         self.model = model = copy.copy(_compiled(kind))
         self.data = mujoco.MjData(model)
         self.laws = tuple(laws)
@@ -115,11 +115,11 @@ class Robot:
     def run(self, actions: np.ndarray, seed: Sequence[int] = (0,)) -> Trace:
         """Simulate (T, 8) actions from the reset state; see ``simulate``."""
         self.begin(len(actions), seed)
-        points, rows = [], []
+        pieces, rows = [], []
         for action in actions:
             rows.append(self._row())
-            points.append(self.advance(action))
-        points = np.concatenate([*points, self.keypoints()[None]])
+            pieces.append(self.advance(action))
+        points = np.concatenate([*pieces, self.keypoints()[None]])
         rows.append(self._row())
         self.check(points)
         return Trace(self.timestep, points, *map(np.array, zip(*rows, strict=True)))
@@ -185,7 +185,7 @@ class Robot:
         for (field, rows, necks), values in zip(self._neck_fields, self._neck_values, strict=True):
             field[rows] = factors[necks] * values
 
-    def _step(self, pull) -> None:
+    def _step(self, pull: np.ndarray) -> None:
         """One engine step, and then the positions after it."""
         model, data = self.model, self.data
         data.xfrc_applied[:] = 0
@@ -197,13 +197,13 @@ class Robot:
         mujoco.mj_step2(model, data)
         mujoco.mj_step1(model, data)
 
-    def _row(self):
+    def _row(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         data = self.data
         bend = np.linalg.norm(self.bend(), axis=1)
         return data.xipos[self.links[1:]].copy(), bend, data.actuator_force[self.cables].copy()
 
 
-def _cross(a, b) -> np.ndarray:
+def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cross products of rows; NumPy's takes five times as long for few of them."""
     return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
 
@@ -218,7 +218,7 @@ def _compiled(kind: str) -> mujoco.MjModel:
     return spec.compile()
 
 
-def _neck_fields(model):
+def _neck_fields(model: mujoco.MjModel) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     """Field, rows and the neck of each row, of all that is proportional to the necks' stiffness."""
     necks = np.arange(geo.NUM_NECKS)
     if model.nflex:

@@ -51,15 +51,17 @@ def run_blind_benchmark(
     wanted = [(cases / name, reports / f"{name}.json") for name in names]
     _carry_out(diagnosed, wanted, workers, partial(progress, "cases diagnosed"))
     text = _scorecard(folder)
-    wanted = [
+    without = [
         (ablation, cases / name, folder / ablation / f"{name}.json")
         for ablation, name in product(ABLATIONS if ablations else (), names[:ablations])
     ]
-    _carry_out(ablated, wanted, workers, partial(progress, "ablations"))
+    _carry_out(ablated, without, workers, partial(progress, "ablations"))
     return _scorecard(folder) if ablations else text
 
 
-def _carry_out(function: Callable, wanted: Sequence[tuple], workers: Workers, progress) -> None:
+def _carry_out(
+    function: Callable, wanted: Sequence[tuple], workers: Workers, progress: Callable[[int, int], None]
+) -> None:
     """Call the function for those whose file, the last of the arguments, is not there."""
     todo = [arguments for arguments in wanted if not arguments[-1].exists()]
     for i, _ in enumerate(each(function, todo, workers)):
@@ -79,7 +81,7 @@ def _scorecard(folder: Path) -> str:
     return text
 
 
-def _read_all(folder) -> dict[str, dict]:
+def _read_all(folder: Path) -> dict[str, dict]:
     return {path.stem: read_json(path) for path in sorted(folder.glob("case_*.json"))}
 
 

@@ -20,6 +20,8 @@ _ID, _HASH = re.compile(r"case_[0-9]{3,}"), re.compile(r"[0-9a-f]{64}")
 _DRAWS = 200  # of outcomes, of a method whose probabilities are right
 _SAME_PLACE = {"tendon", "actuator"}  # a cable and the actuator that pulls it
 _SEGMENTS = 1  # a body or keypoint may be off by so many
+Chosen = Callable[[dict], bool]  # whether a case, as case_row gives it, counts
+Statistic = Callable[[Sequence[dict]], float]  # of such cases
 _FAINT = 0.3  # mm, a change of keypoints that is too small to be explained, against 0.5 mm of noise
 
 
@@ -90,7 +92,7 @@ def case_row(label: dict, report: dict) -> dict:
         "first_three": bool(set(said) & set(truth)),
         "exact": report["verdict"] != "unknown_physics" and sorted(all_of_them) == sorted(truth),
         "right_class": report["classes"][0]["class"] in [e["class"] for e in label["effects"]],
-        "place": bool(named) and _same_place(named["where"], first["where"]),
+        "place": named is not None and _same_place(named["where"], first["where"]),
         "part": named and _part(named["where"]),
         "covered": bool(set(report["credible_set"]) & set(truth or ["none"])),
         "abstained": report["verdict"] == "unknown_physics",
@@ -151,7 +153,7 @@ class Share:
 
     keys: tuple[str, ...]
 
-    def __init__(self, *keys: str):
+    def __init__(self, *keys: str) -> None:
         object.__setattr__(self, "keys", keys)
 
     def __call__(self, rows: Sequence[dict]) -> float:
@@ -162,11 +164,11 @@ class Share:
         return sum(all(row[key] for key in self.keys) for row in rows)
 
 
-def _median(key: str) -> Callable[[list[dict]], float]:
+def _median(key: str) -> Statistic:
     return lambda rows: float(np.median([row[key] for row in rows]))
 
 
-def _calibration(rows) -> list[dict]:
+def _calibration(rows: Sequence[dict]) -> list[dict]:
     """Stated probability of the first answer against how often it was right, in bins."""
     found = []
     for k in range(BINS):
@@ -179,16 +181,16 @@ def _calibration(rows) -> list[dict]:
     return found
 
 
-def _bin(row) -> int:
+def _bin(row: dict) -> int:
     return min(int(BINS * row["probability"]), BINS - 1)
 
 
-def _expected_error(rows) -> float:
+def _expected_error(rows: Sequence[dict]) -> float:
     """Expected calibration error (Naeini et al., AAAI 2015)."""
     return sum(b["cases"] * abs(b["stated"] - b["right"]) for b in _calibration(rows)) / len(rows)
 
 
-def _error_by_chance(rows) -> float:
+def _error_by_chance(rows: Sequence[dict]) -> float:
     """The expected calibration error of a method whose stated probabilities are right: of few cases it is not zero."""
     stated, bins = np.array([row["probability"] for row in rows]), np.eye(BINS)[[_bin(row) for row in rows]]
     right = np.random.default_rng(0).random((_DRAWS, len(rows))) < stated
@@ -203,7 +205,7 @@ _NAMED, _ANY = _group("one", "two", "measurement"), _group("none", "one", "two",
 _KNOWN = _group("none", "one", "two", "measurement")
 
 
-def _answered(row) -> bool:
+def _answered(row: dict) -> bool:
     return _NAMED(row) and row["answered"]
 
 
@@ -211,7 +213,7 @@ def _rightly_named(part: str) -> Callable[[dict], bool]:
     return lambda row: _NAMED(row) and row["first"] and row["part"] == part
 
 
-def shows(row) -> bool:
+def shows(row: dict) -> bool:
     """Whether concealed physics changes the unseen motion enough to be explained."""
     return row["group"] in ("one", "two") and row["change_unseen_mm"] >= _FAINT
 
@@ -220,17 +222,17 @@ def _shows_on(robot: str) -> Callable[[dict], bool]:
     return lambda row: shows(row) and row["robot"] == robot
 
 
-def _measured(row) -> bool:
+def _measured(row: dict) -> bool:
     return row["first"] and row["magnitude_error"] is not None
 
 
-def absorbed(row, share: float = 0.9) -> bool:
+def absorbed(row: dict, share: float = 0.9) -> bool:
     """Whether parameters absorb more than a share of what the concealed physics changes."""
     return row["concealed"] is not None and row["concealed"] > share
 
 
 # what, of which cases, how it is computed, the bar (None: only reported), and whether it has to be below it
-GATES = (
+GATES: tuple[tuple[str, Chosen, Statistic, float | None, bool], ...] = (
     ("false alarms", _group("none"), Share("alarm"), 0.03, True),
     ("detected", lambda row: row["group"] != "none", Share("alarm"), 0.95, False),
     ("first answer right", _NAMED, Share("first"), 0.80, False),
@@ -267,7 +269,15 @@ GATES = (
 )
 
 
-def _gate(rows, name, chosen, statistic, bar, below, rng) -> dict:
+def _gate(
+    rows: Sequence[dict],
+    name: str,
+    chosen: Chosen,
+    statistic: Statistic,
+    bar: float | None,
+    below: bool,
+    rng: np.random.Generator,
+) -> dict:
     members = [row for row in rows if chosen(row)]
     gate = {
         "gate": name,
@@ -291,7 +301,7 @@ def is_met(value: float | None, bar: float | None, below: bool) -> bool | None:
     return value <= bar if below else value >= bar
 
 
-def _interval(statistic, members, rng) -> list[float]:
+def _interval(statistic: Statistic, members: Sequence[dict], rng: np.random.Generator) -> list[float]:
     """95 %: exact for shares (Clopper and Pearson 1934), where resampling would make none of 40 certain; by bootstrap
     for others."""
     if isinstance(statistic, Share):
@@ -302,9 +312,9 @@ def _interval(statistic, members, rng) -> list[float]:
     return [float(q) for q in np.percentile(draws, (tail, 100 - tail))]
 
 
-def _confusion(rows) -> list[dict]:
+def _confusion(rows: Sequence[dict]) -> list[dict]:
     """What was said of what, the most frequent mistakes first."""
-    pairs = Counter()
+    pairs: Counter[tuple[str, str]] = Counter()
     for row in rows:
         if not row["first"]:
             pairs[" + ".join(row["truth"]) or "none", row["said"][0]] += 1

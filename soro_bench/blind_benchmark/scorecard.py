@@ -1,5 +1,7 @@
 """A scorecard for people."""
 
+from collections.abc import Sequence
+
 from soro_bench.markdown import table
 
 _OF_AN_EFFECT = (
@@ -37,7 +39,7 @@ def markdown(card: dict) -> str:
     return "\n\n".join(tables)
 
 
-def _by_effect(rows) -> list[tuple]:
+def _by_effect(rows: Sequence[dict]) -> list[tuple]:
     """Of every concealed effect: in how many of the cases that have it alone the first answer and its place are right,
     and in how many that have another one too it is among the first three answers; the worst first."""
     found = []

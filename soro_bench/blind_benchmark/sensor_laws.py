@@ -23,7 +23,7 @@ class SensorDelay(SensorLaw):
 
     delay: float  # s
 
-    def when(self, stamps):
+    def when(self, stamps: np.ndarray) -> np.ndarray:
         return stamps - self.delay
 
 
@@ -33,7 +33,7 @@ class ClockSkew(SensorLaw):
 
     skew: float
 
-    def when(self, stamps):
+    def when(self, stamps: np.ndarray) -> np.ndarray:
         return stamps * (1 + self.skew)
 
 
@@ -45,7 +45,7 @@ class SensorBias(SensorLaw):
     offset: np.ndarray  # (3,) m
     start: float = 0.0  # s
 
-    def distort(self, stamps, points, rng):
+    def distort(self, stamps: np.ndarray, points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         points = points.copy()
         points[stamps >= self.start, self.keypoint] += self.offset
         return points
@@ -58,7 +58,7 @@ class Misalignment(SensorLaw):
     angle: float  # rad
     axis: np.ndarray  # (3,)
 
-    def distort(self, stamps, points, rng):
+    def distort(self, stamps: np.ndarray, points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         along = (points @ self.axis)[..., None] * self.axis
         across = np.cross(self.axis, points)
         return along + np.cos(self.angle) * (points - along) + np.sin(self.angle) * across
@@ -71,6 +71,6 @@ class Outliers(SensorLaw):
     size: float  # m, standard deviation of each coordinate
     share: float  # of the samples of keypoints
 
-    def distort(self, stamps, points, rng):
+    def distort(self, stamps: np.ndarray, points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         hit = rng.random(points.shape[:2]) < self.share
         return points + self.size * hit[..., None] * rng.standard_normal(points.shape)

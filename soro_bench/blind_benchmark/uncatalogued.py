@@ -6,10 +6,12 @@ from soro_bench.blind_benchmark import body_laws as body
 from soro_bench.blind_benchmark import command_laws as command
 from soro_bench.blind_benchmark import neck_laws as neck
 from soro_bench.blind_benchmark.places import Hidden, any_neck, log_uniform, offset_values, random_direction, vertebra
+from soro_bench.blind_benchmark.robot import Trace
 from soro_bench.models import trunk_geometry as geo
 
 
-def cross_talk(rng, base):
+def cross_talk(rng: np.random.Generator, base: Trace) -> Hidden:
+    """The motor of one cable moves another too; the magnitude is the share of the displacement."""
     source, c = map(int, rng.choice(len(geo.CABLE_NAMES), 2, replace=False))
     return Hidden(
         {"kind": "actuator", "name": geo.CABLE_NAMES[c]},
@@ -21,7 +23,8 @@ def cross_talk(rng, base):
     )
 
 
-def rubber_band(rng, base):
+def rubber_band(rng: np.random.Generator, base: Trace) -> Hidden:
+    """A band from a vertebra to a place in the world; the magnitude is its stiffness [N/m]."""
     k, location = any_neck(rng, 3)
     offset = rng.uniform(0.08, 0.15) * random_direction(rng)
     length = rng.uniform(0.5, 0.9) * float(np.linalg.norm(offset))
@@ -35,7 +38,8 @@ def rubber_band(rng, base):
     )
 
 
-def vibrating_base(rng, base):
+def vibrating_base(rng: np.random.Generator, base: Trace) -> Hidden:
+    """The direction of gravity oscillates about a horizontal axis; the magnitude is the angle [rad]."""
     azimuth, frequency = rng.uniform(0, 2 * np.pi), log_uniform(rng, 0.5, 2.5)
     return Hidden(
         {"kind": "model", "name": "gravity"},
@@ -47,7 +51,8 @@ def vibrating_base(rng, base):
     )
 
 
-def gusts(rng, base):
+def gusts(rng: np.random.Generator, base: Trace) -> Hidden:
+    """Pulses of force on a vertebra at random times; the magnitude is the largest force [N]."""
     k, location = any_neck(rng, 3)
     direction, length = random_direction(rng), rng.uniform(0.3, 0.7)
     return Hidden(
@@ -60,7 +65,8 @@ def gusts(rng, base):
     )
 
 
-def hidden_obstacle(rng, base):
+def hidden_obstacle(rng: np.random.Generator, base: Trace) -> Hidden:
+    """A soft wall that a vertebra hits; the magnitude is its stiffness [N/m]."""
     k, location = any_neck(rng, 4)
     angle = rng.uniform(0, 2 * np.pi)
     normal = np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -75,7 +81,8 @@ def hidden_obstacle(rng, base):
     )
 
 
-def coupled_bend(rng, base):
+def coupled_bend(rng: np.random.Generator, base: Trace) -> Hidden:
+    """One neck is bent in proportion to another's bend; the magnitude is the share of its stiffness."""
     source, k = map(int, rng.choice(8, 2, replace=False))
     return Hidden(
         vertebra(k),

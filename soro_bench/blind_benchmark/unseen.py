@@ -20,7 +20,9 @@ def unseen(found: Diagnosis, recording: Recording) -> dict:
     """
     robot = found.robot
     hypotheses = [found.explanation.nominal, kept(found)]
-    problem, rows = tried_on(found.explanation, (robot.measured(recording),), robot.refined(), hypotheses)
+    tried = tried_on(found.explanation, (robot.measured(recording),), robot.refined(), hypotheses)
+    assert tried is not None  # there is a recording
+    problem, rows = tried
     before, after = (problem.sigma * float(np.sqrt((row**2).sum() / problem.weight.sum())) for row in rows)
     share = Fit(problem.left(rows[0]), problem.left(rows[1]), problem.sensor).explained
     return {
