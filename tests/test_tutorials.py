@@ -32,9 +32,7 @@ def test_a_tutorial_begins_with_what_the_reader_can_do_after_it_and_is_checked(p
 
 
 def test_every_block_of_a_page_runs_in_one_folder_and_checks_are_hidden():
-    page = (
-        "```bash\nls\n```\n\n```console\nls\n```\n\n```python\nplt.show()\n```\n<!-- check: a == 1 -->\n"
-    )
+    page = "```bash\nls\n```\n\n```console\nls\n```\n\n```python\nplt.show()\n```\n<!-- check: a == 1 -->\n"
     text = tutorials.executable(page, "name", "/folder")
     assert text.count('exec="yes"') == text.count('workdir="/folder"') == 3
     assert text.count('source="above"') == 2 and 'html="yes"' in text
