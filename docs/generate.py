@@ -6,10 +6,13 @@ A page of an environment is written whole; in other pages the text between two m
 """
 
 import argparse
+import dataclasses
 import inspect
 import os
 import re
 import textwrap
+import types
+import typing
 import warnings
 from pathlib import Path
 
@@ -19,6 +22,7 @@ import numpy as np
 import tyro
 
 from soro_bench.cli import COMMANDS
+from soro_bench.diagnosis.result import SCHEMA, Result
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import Quantity
 from soro_bench.effects.equations import EQUATIONS
@@ -322,7 +326,72 @@ def _option(action: argparse.Action) -> tuple[str, ...]:
     return (name, value, shown, doc_links(meaning.strip().replace("<", "&lt;"), REFERENCE))
 
 
-PARTS = {"effects.md": effects, "parameters.md": parameters, "command_line.md": command_line}
+# --- result.json ---
+
+
+def result() -> str:
+    """A table for every kind of object in result.json, those that it is made of first to last."""
+    kinds = [Result]
+    for kind in kinds:  # grows as it goes
+        for hint in typing.get_type_hints(kind).values():
+            kinds += [each for each in objects_in(hint) if each not in kinds]
+    first = f'The top object is [Result](#result), with `"schema": "{SCHEMA}"` besides.'
+    return "\n\n".join([first, *(_object(kind) for kind in kinds)])
+
+
+def objects_in(hint) -> list[type]:
+    """The dataclasses that an annotation holds."""
+    if dataclasses.is_dataclass(hint):
+        return [hint]
+    return [each for inner in typing.get_args(hint) for each in objects_in(inner)]
+
+
+def _object(kind: type) -> str:
+    """The section of a dataclass."""
+    paragraphs = inspect.getdoc(kind).split("\n\n", 1)
+    names = [field.name for field in dataclasses.fields(kind)]
+    meanings = field_meanings(paragraphs[-1], names)
+    summary = re.sub(r"\s+", " ", paragraphs[0])
+    hints = typing.get_type_hints(kind)
+    rows = [(f"`{name}`", in_json(hints[name]), meanings.get(name) or meaning_of(hints[name])) for name in names]
+    return f"### {kind.__name__}\n\n{summary}\n\n{table(('key', 'value', 'what'), rows)}"
+
+
+def meaning_of(hint) -> str:
+    """What the objects of an annotation are, if they are of one kind."""
+    kinds = objects_in(hint)
+    return re.split(r"[.:;] |\.$", re.sub(r"\s+", " ", inspect.getdoc(kinds[0])))[0].lower() if len(kinds) == 1 else ""
+
+
+def field_meanings(text: str, names: list[str]) -> dict[str, str]:
+    """What a docstring says of fields: "name, other: text"."""
+    text = re.sub(r"\s+", " ", text)
+    known = "|".join(names)
+    heads = list(re.finditer(rf"(?:^|(?<=[.;] ))((?:{known})(?:, (?:{known}))*): ", text))
+    ends = [head.start() for head in heads[1:]] + [len(text)] * bool(heads)
+    return {
+        name: text[head.end() : end].strip().rstrip(".;").replace("``", "`")
+        for head, end in zip(heads, ends, strict=True)
+        for name in head[1].split(", ")
+    }
+
+
+def in_json(hint) -> str:
+    """An annotation in the words of JSON."""
+    origin, inner = typing.get_origin(hint), typing.get_args(hint)
+    if dataclasses.is_dataclass(hint):
+        return f"[{hint.__name__}](#{hint.__name__.lower()})"
+    if origin in (typing.Union, types.UnionType):
+        return " or ".join("null" if each is type(None) else in_json(each) for each in inner)
+    if origin is tuple:
+        several = inner[1:] == (Ellipsis,)
+        return f"list of {in_json(inner[0])}" if several else f"list of {len(inner)}: {in_json(inner[0])}"
+    if origin is dict:
+        return "object" if inner[1] is typing.Any else f"object of {in_json(inner[1])}"
+    return {float: "number", int: "integer", str: "text", bool: "true or false"}[hint]
+
+
+PARTS = {"effects.md": effects, "parameters.md": parameters, "command_line.md": command_line, "result_json.md": result}
 
 if __name__ == "__main__":
     for path, text in pages().items():

@@ -320,6 +320,9 @@ class Result:
     p_value: probability of as much misfit where nothing is missing; None where the model error is far above the sensor
         noise. alpha: the level at which a discrepancy is as likely as none.
     unknown: probability that the discrepancy is outside the catalogue. healthy: that there is none.
+    predicted_gain: in log evidence, of the best single term. remaining_gain: likewise of one more term, on top of the
+        best hypothesis.
+    trained_on: number of recordings that were fitted to, the first ones; the others were held out.
     findings: every effect of any hypothesis, the most probable first. categories: kinds of laws with probabilities.
     credible_set: names that together have 90 % of the probability.
     train, heldout: errors of the best hypothesis. parameters_only: rms of fitted parameters alone, without
@@ -327,6 +330,8 @@ class Result:
     covariance: (d, d) of the parameters' posterior, in their units.
     undetectable, not_searched: names of laws that these recordings would not have shown, or that have no location in
         this robot.
+    trainable: whether the robot is of the suite, so that policies can be trained on the posterior.
+    seed: of random numbers. seconds: that the diagnosis took.
     settings: that differ from their defaults.
     """
 
