@@ -2,7 +2,7 @@
 
 import csv
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Thread
@@ -88,7 +88,7 @@ def _cost(run: Run) -> float:
     return run.config.total_steps * _COST.get(run.config.env_id, 1.0) * model
 
 
-def _last_row(path: Path) -> dict | None:
+def _last_row(path: Path) -> dict[str, str] | None:
     try:
         with path.open() as file:
             rows = list(csv.DictReader(file))
@@ -98,11 +98,11 @@ def _last_row(path: Path) -> dict | None:
 
 
 @contextmanager
-def _watching(runs, work, results, progress):
+def _watching(runs: Sequence[Run], work: Path, results: Path, progress: Progress) -> Iterator[None]:
     """Looks at the files from a thread, as what runs elsewhere cannot call back."""
     stop = Event()
 
-    def watch():
+    def watch() -> None:
         while not stop.wait(POLL):
             with suppress(OSError, ValueError):  # of a file that is not what it should be the run itself will say more
                 progress(*state(runs, work, results))

@@ -120,6 +120,8 @@ def variance_for_deviation(method: Method) -> Method:
         # the method's own run has the same, if it is further
         sibling = Path(folder).parents[1] / method.name / f"seed{seed}"
         found = method.distribution(env_id, seed, sibling if (sibling / "posterior.json").exists() else folder)
+        if not isinstance(found, TruncatedNormal):
+            raise TypeError(f"{method.name} gives no standard deviations")
         unit = np.array([_PUBLISHED_UNITS.get(name, 1.0) for name in found.names])
         return replace(found, std=unit * (found.std / unit) ** 2)
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.enter import enter
@@ -27,7 +28,7 @@ class Run:
     method: Method
     config: PPOConfig
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check_name("the method", self.method.name)  # before the work, not after it
         check_seed(self.config.seed)
         board = BOARDS[self.board]
@@ -56,13 +57,14 @@ class Run:
                              "another name, or another folder for results")  # fmt: skip
         return True
 
-    def _drew_from(self, entered: dict | None) -> bool:
+    def _drew_from(self, entered: dict[str, Any] | None) -> bool:
         """Whether what an entry was trained on is what the method gives now."""
         asked = self.distribution(Path())
         return entered == (asked and asked.to_dict())
 
     @property
     def name(self) -> str:
+        """board/method/seed<k>, as which it is shown and has a folder."""
         return f"{self.board}/{self.method.name}/seed{self.config.seed}"
 
     def distribution(self, folder: Path) -> Distribution | None:

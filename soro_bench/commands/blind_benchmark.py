@@ -28,6 +28,7 @@ class BlindBenchmark:
     workers: Parallel = HERE
 
     def run(self) -> None:
+        """Simulate, diagnose and score the cases; ValueError for settings that are not allowed."""
         from soro_bench.blind_benchmark.run import run_blind_benchmark
         from soro_bench.files import read_json
         from soro_bench.leaderboard.diagnosis_entry import write_entry

@@ -2,15 +2,22 @@
 
 import hashlib
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, Protocol, TypeVar
 
 import tyro
 
 from soro_bench.options import MAX_NAME, Parallel, check_name
 from soro_bench.parallel import Workers
 from soro_bench.progress import CampaignBar, console
+
+if TYPE_CHECKING:  # what a command needs is imported when it runs
+    from soro_bench.campaign.run import Run
+    from soro_bench.training.methods import Method
+
+T = TypeVar("T", contravariant=True)
 
 
 @dataclass
@@ -30,6 +37,7 @@ class RunPreset:
     """Folder for an entry per run; by default leaderboard/results (paper), or within --out."""
 
     def run(self) -> None:
+        """Carry out the runs that are missing; ValueError if one fails."""
         from soro_bench.campaign.plan import PRESETS, chosen
 
         results = {"paper": Path("leaderboard", "results")}.get(self.preset, self.out / self.preset / "results")
@@ -38,8 +46,8 @@ class RunPreset:
 
 
 @dataclass
-class Baseline:
-    """What the scripts in baselines/ take."""
+class _OfOneMethod:
+    """What all scripts in baselines/ take."""
 
     workers: Parallel
     board: Annotated[str, tyro.conf.Positional]
@@ -51,7 +59,8 @@ class Baseline:
     """Model or mesh to train on; the cheap one by default."""
     out: Path = Path("runs/baselines")
 
-    def run(self, method) -> None:
+    def carry_out(self, method: "Method") -> None:
+        """Carry out a run for every seed; ValueError if one fails."""
         from soro_bench.campaign.plan import runs_of
 
         runs = runs_of(self.board, method, self.seeds, self.steps, self.model)
@@ -59,7 +68,16 @@ class Baseline:
 
 
 @dataclass
-class InferenceBaseline(Baseline):
+class Baseline(_OfOneMethod):
+    """What the scripts in baselines/ take whose distribution needs no recording."""
+
+    def run(self, method: "Method") -> None:
+        """Carry out a run for every seed; ValueError if one fails."""
+        self.carry_out(method)
+
+
+@dataclass
+class InferenceBaseline(_OfOneMethod):
     """What the scripts in baselines/ take that infer the distribution from a recording."""
 
     recording: Path | None = None
@@ -72,6 +90,7 @@ class InferenceBaseline(Baseline):
     """Standard deviation [m] of the recorded positions."""
 
     def run(self, method: str) -> None:
+        """Infer by the method, and carry out a run for every seed; ValueError if one fails."""
         from soro_bench.campaign.inferred import inferred
         from soro_bench.campaign.plan import recording_path
         from soro_bench.leaderboard.boards import BOARDS
@@ -84,7 +103,7 @@ class InferenceBaseline(Baseline):
         found = inferred(method, recording, parse_params(self.known), self.replay_model,
                          self.noise)  # fmt: skip
         check_name("the method", name := self._named(found.name))  # before the work, not after it
-        super().run(replace(found, name=name))
+        self.carry_out(replace(found, name=name))
 
     def _named(self, method: str) -> str:
         """The method with the options that differ from the defaults: other options are another method."""
@@ -104,7 +123,14 @@ def _digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()[:8]
 
 
-def script(options: type[Baseline], method, description: str) -> None:
+class Script(Protocol[T]):
+    """The arguments of a script, and what it does with a method."""
+
+    def run(self, method: T) -> None:
+        """Carry out a run for every seed."""
+
+
+def script(options: type[Script[T]], method: T, description: str | None) -> None:
     """What a script of baselines/ does with its command line."""
     from soro_bench.errors import plain_errors
 
@@ -112,7 +138,7 @@ def script(options: type[Baseline], method, description: str) -> None:
         tyro.cli(options, description=description).run(method)
 
 
-def campaign(runs, work: Path, results: Path, workers: Workers, only_plan: bool = False) -> None:
+def campaign(runs: "Sequence[Run]", work: Path, results: Path, workers: Workers, only_plan: bool = False) -> None:
     """Carry out what is missing, and write the page that compares all results in ``results``."""
     from soro_bench.campaign.campaign import carry_out_all
     from soro_bench.leaderboard.page import build, gathered
@@ -122,7 +148,8 @@ def campaign(runs, work: Path, results: Path, workers: Workers, only_plan: bool 
     missing = [run.name for run in runs if not run.done(results)]
     console.print(f"{len(runs)} runs, {len(missing)} still to be done; results in {results}", soft_wrap=True)
     if only_plan:
-        return console.print("\n".join(missing), soft_wrap=True)
+        console.print("\n".join(missing), soft_wrap=True)
+        return
     with CampaignBar() as bar:
         failures = carry_out_all(runs, work, results, workers, bar)
     failed = "\n".join([f"{len(failures)} of {len(missing)} runs failed:", *failures]) if failures else ""

@@ -43,6 +43,7 @@ class Infer:
     workers: Parallel = HERE
 
     def run(self) -> None:
+        """Write the posterior and its report; ValueError for settings that are not allowed."""
         import matplotlib  # noqa: F401  before the work, not after it
 
         from soro_bench.inference.methods import infer

@@ -34,6 +34,7 @@ class Train:
     out: Path = Path("runs/train")
 
     def run(self) -> None:
+        """Train, or go on training; ValueError for settings that are not allowed."""
         from soro_bench.randomization import load
         from soro_bench.training.methods import METHODS
         from soro_bench.training.ppo import default_config, train

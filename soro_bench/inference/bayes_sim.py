@@ -8,14 +8,20 @@ docs/explanation/inference.md.
 import contextlib
 import io
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from sbi.inference import NPE
+from sbi.inference.posteriors.base_posterior import NeuralPosterior
 from sbi.neural_nets import posterior_nn
 from sbi.utils import BoxUniform
 from torch import nn
+
+from soro_bench.arrays import Floats
 
 FEATURES = ("mdn", "mdrff")
 COMPONENTS, HIDDEN = 5, 24  # published, for one layer; sbi's network has two
@@ -27,12 +33,12 @@ RANDOM_FEATURES, KERNEL_WIDTH, MATERN = 1000, 3.0, 3  # published: Matern 3/2, s
 class Estimator:
     """A trained posterior on the unit cube of the search box."""
 
-    posterior: object
+    posterior: NeuralPosterior
     dimension: int
-    center: np.ndarray
-    scale: np.ndarray
+    center: Floats
+    scale: Floats
 
-    def sample(self, summary: np.ndarray, count: int, seed: int) -> np.ndarray:
+    def sample(self, summary: Floats, count: int, seed: int) -> Floats:
         """(count, d) points inside the search box for one (m,) summary; ValueError if the network has hardly any."""
         torch.manual_seed(seed)
         x = torch.as_tensor((summary - self.center) / self.scale, dtype=torch.float32)
@@ -48,7 +54,7 @@ class Estimator:
                          f"it has learned too little; more simulations are needed")  # fmt: skip
 
 
-def summarise(signals: np.ndarray, actions: np.ndarray) -> np.ndarray:
+def summarise(signals: Floats, actions: ArrayLike) -> Floats:
     """(N, m) cross-correlations of signals and actions, means and standard deviations over time (published).
 
     Args:
@@ -61,7 +67,7 @@ def summarise(signals: np.ndarray, actions: np.ndarray) -> np.ndarray:
     return np.concatenate([cross.reshape(len(signals), -1), signals.mean(axis=1), signals.std(axis=1)], axis=1)
 
 
-def train(points: np.ndarray, summaries: np.ndarray, features: str = "mdn", seed: int = 0) -> Estimator:
+def train(points: Floats, summaries: Floats, features: str = "mdn", seed: int = 0) -> Estimator:
     """Fit the estimator to points (n, d) of the unit cube and the summaries (n, m) of what was simulated there.
 
     Args:
@@ -106,11 +112,12 @@ class RandomFourierFeatures(nn.Module):
         self.phase = nn.Parameter(2 * torch.pi * torch.rand(RANDOM_FEATURES), requires_grad=False)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """(n, RANDOM_FEATURES) features of summaries (n, m)."""
         return (2 / RANDOM_FEATURES) ** 0.5 * torch.cos(x @ self.weight.T + self.phase)
 
 
 @contextlib.contextmanager
-def _quiet():
+def _quiet() -> Iterator[None]:
     """Without what sbi prints into progress bars, and its warnings of what is taken care of here: summaries that are
     always the same say nothing, and samples outside the search box are left out."""
     with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
@@ -124,17 +131,17 @@ class _NoTracker:
 
     log_dir = None
 
-    def log_metric(self, name, value, step=None):
+    def log_metric(self, name: str, value: float, step: int | None = None) -> None:
         pass
 
-    def log_metrics(self, metrics, step=None):
+    def log_metrics(self, metrics: dict[str, float], step: int | None = None) -> None:
         pass
 
-    def log_params(self, params):
+    def log_params(self, params: dict[str, Any]) -> None:
         pass
 
-    def add_figure(self, name, figure, step=None):
+    def add_figure(self, name: str, figure: Any, step: int | None = None) -> None:
         pass
 
-    def flush(self):
+    def flush(self) -> None:
         pass

@@ -1,8 +1,12 @@
 """The point of the search box whose replay explains a recording, followed from the first steps to the last."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.stats import qmc
 
+from soro_bench.arrays import Floats
+from soro_bench.inference.search import EvaluationLog, Progress, Residuals
 from soro_bench.inference.statistical_linearisation import LENGTHS, LowRank, linearised, sample_around
 
 DIFFERENCE = 1e-3  # of the search box, step of the finite differences
@@ -13,23 +17,40 @@ DAMPINGS = (0.0, 0.01, 0.1, 1.0, 10.0)
 SHARES, DRAWS = (0.03, 0.3), 4  # of the misfit, and how many points each
 
 
-def best_track(residuals, deviation, groups, dimension, log, seed, starts, progress=lambda *_: None) -> np.ndarray:
+def best_track(
+    residuals: Residuals,
+    deviation: Floats,
+    groups: Sequence[slice],
+    dimension: int,
+    log: EvaluationLog,
+    seed: int,
+    starts: int,
+    progress: Progress = lambda *_: None,
+) -> Floats:
     """(d,) the point of the unit cube that explains the recording best: :func:`track`, and where much is left
     :func:`refine`, from other starting points until little is."""
     enough = len(deviation) * len(groups) * np.log1p(EXPLAINED**2)
-    best, lowest = None, np.inf
+    best, lowest = np.full(dimension, 0.5), np.inf
     for attempt in range(ATTEMPTS):
-        found = track(residuals, deviation, groups, dimension, log, [seed, attempt], starts, progress)
-        if found[1] >= enough:
-            found = refine(residuals, deviation, groups, *found, log, [seed, attempt])
-        if found[1] < lowest:
-            best, lowest = found
+        point, cost = track(residuals, deviation, groups, dimension, log, [seed, attempt], starts, progress)
+        if cost >= enough:
+            point, cost = refine(residuals, deviation, groups, point, cost, log, [seed, attempt])
+        if cost < lowest:
+            best, lowest = point, cost
         if lowest < enough:
             break
     return best
 
 
-def refine(residuals, deviation, groups, point, cost, log, seed):
+def refine(
+    residuals: Residuals,
+    deviation: Floats,
+    groups: Sequence[slice],
+    point: Floats,
+    cost: float,
+    log: EvaluationLog,
+    seed: Sequence[int],
+) -> tuple[Floats, float]:
     """A better point than one nearby, and its cost: steps on linear models over samples that shrink.
 
     Each round moves on to its best point even if that is worse: the way out of a local optimum leads uphill. Best is
@@ -53,7 +74,16 @@ def refine(residuals, deviation, groups, point, cost, log, seed):
     return best
 
 
-def track(residuals, deviation, groups, dimension, log, seed, starts, progress=lambda *_: None):
+def track(
+    residuals: Residuals,
+    deviation: Floats,
+    groups: Sequence[slice],
+    dimension: int,
+    log: EvaluationLog,
+    seed: Sequence[int],
+    starts: int,
+    progress: Progress = lambda *_: None,
+) -> tuple[Floats, float]:
     """(d,) the point of the unit cube whose replay explains the recording, by continuation in the horizon; its cost.
 
     The first steps are explained first, which is easy as nothing has touched anything and errors have not added up;
@@ -75,7 +105,15 @@ def track(residuals, deviation, groups, dimension, log, seed, starts, progress=l
     return points[int(np.argmin(costs))], float(costs.min())
 
 
-def _gauss_newton(residuals, deviation, groups, points, log, until, rng):
+def _gauss_newton(
+    residuals: Residuals,
+    deviation: Floats,
+    groups: Sequence[slice],
+    points: Floats,
+    log: EvaluationLog,
+    until: int,
+    rng: np.random.Generator,
+) -> tuple[Floats, Floats]:
     """One step from each of the points (S, d), the best of several lengths: new points and their costs."""
     starts, dimension = points.shape
     # backwards where forwards leaves the cube
@@ -95,11 +133,11 @@ def _gauss_newton(residuals, deviation, groups, points, log, until, rng):
     return trials[np.arange(starts), best], costs[np.arange(starts), best]
 
 
-def _whiten(residual, deviation):
+def _whiten(residual: Floats, deviation: Floats) -> Floats:
     return np.nan_to_num(residual / deviation, nan=1e6, posinf=1e6, neginf=-1e6)
 
 
-def _trials(point, white, slope, groups, rng):
+def _trials(point: Floats, white: Floats, slope: Floats, groups: Sequence[slice], rng: np.random.Generator) -> Floats:
     """(n, d) points to try: the present one, where Gauss-Newton with several dampings leads, and some at random around,
     as far as the linearised misfit grows by a fraction of itself: contacts make the true one rugged."""
     weight = np.empty_like(white)
@@ -117,7 +155,7 @@ def _trials(point, white, slope, groups, rng):
     return np.clip(trials, 0, 1)
 
 
-def _robust_cost(white, groups):
+def _robust_cost(white: Floats, groups: Sequence[slice]) -> Floats:
     """(N,) sum of log(1 + mean square) over steps and signals of (N, T, k) weighted residuals."""
     cost = sum(np.log1p((white[:, :, group] ** 2).mean(axis=2)).sum(axis=1) for group in groups)
     return np.nan_to_num(cost, nan=1e300, posinf=1e300)

@@ -1,10 +1,12 @@
 """Which combinations of parameters a recording determines."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
+from soro_bench.arrays import Floats
 from soro_bench.parameters import Parameter
 
 DETERMINED, VAGUE = 0.05, 0.3  # relative standard deviations below and above which the words change
@@ -29,11 +31,12 @@ class Combination:
             verdict = "is not determined by this recording"
         return f"{_product(self.exponents)} {verdict}"
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
+        """As a posterior's file has it."""
         return {**asdict(self), "words": self.words}
 
 
-def fisher(jacobian: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+def fisher(jacobian: Floats, deviation: Floats) -> Floats:
     """(d, d) information of a recording about the parameters: the sum over time of Jᵀ diag(deviation)⁻² J.
 
     Args:
@@ -44,7 +47,9 @@ def fisher(jacobian: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     return white.T @ white
 
 
-def combinations(jacobian, deviation, parameters: Sequence[Parameter], values: np.ndarray) -> list[Combination]:
+def combinations(
+    jacobian: Floats, deviation: Floats, parameters: Sequence[Parameter], values: Floats
+) -> list[Combination]:
     """The eigenvectors of the Fisher information in the logarithms of the parameters, best determined first.
 
     What may be zero, such as the place of a wall, has no logarithm: it counts in widths of its search box.
@@ -66,22 +71,22 @@ def combinations(jacobian, deviation, parameters: Sequence[Parameter], values: n
     return found
 
 
-def scales(parameters: Sequence[Parameter], values: np.ndarray) -> np.ndarray:
+def scales(parameters: Sequence[Parameter], values: Floats) -> Floats:
     """(d,) of what relative changes of the parameters are relative to: their values, or widths of search boxes."""
     boxes = np.array([p.search for p in parameters])
     return np.where((boxes[:, 0] <= 0) & (boxes[:, 1] >= 0), boxes[:, 1] - boxes[:, 0], values)
 
 
-def _product(exponents) -> str:
+def _product(exponents: Mapping[str, float]) -> str:
     kept = {name: power for name, power in exponents.items() if abs(power) >= MINOR}
     over = [_power(name, power) for name, power in kept.items() if power > 0]
     under = [_power(name, -power) for name, power in kept.items() if power < 0]
     return " * ".join(over or ["1"]) + "".join(f" / {factor}" for factor in under)
 
 
-def _power(name, power) -> str:
+def _power(name: str, power: float) -> str:
     return name if abs(power - 1) < 0.1 else f"{name}^{power:.2g}"
 
 
-def _percent(share) -> str:
+def _percent(share: float) -> str:
     return f"{100 * share:.2g} %"

@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from soro_bench.arrays import Floats
 
-def log_likelihood(residual: np.ndarray, factor: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+
+def log_likelihood(residual: Floats, factor: Floats, deviation: Floats) -> Floats:
     """Logarithm of the density of the recording, per time step.
 
     At each step what is measured is normal about the simulated mean with covariance F Fᵀ + diag(deviation²)
@@ -28,7 +30,7 @@ def log_likelihood(residual: np.ndarray, factor: np.ndarray, deviation: np.ndarr
     return result
 
 
-def _square_and_log_det(white, spread):
+def _square_and_log_det(white: Floats, spread: Floats) -> tuple[Floats, Floats]:
     """white·C⁻¹·white and log det C for C = I + S Sᵀ, per time step."""
     size, rank = spread.shape[1:]
     if rank >= size:
@@ -41,7 +43,7 @@ def _square_and_log_det(white, spread):
     return square, 2 * np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1)
 
 
-def sample_factor(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def sample_factor(samples: Floats) -> tuple[Floats, Floats]:
     """Mean (T, k) and factor (T, k, N) of the sample covariance of (N, T, k) samples."""
     mean = samples.mean(axis=0)
     return mean, np.moveaxis(samples - mean, 0, -1) / np.sqrt(len(samples) - 1)

@@ -3,17 +3,20 @@
 import hashlib
 import io
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from soro_bench.arrays import Floats
 from soro_bench.inference import rf_dropo
 from soro_bench.inference.identifiability import combinations, fisher
 from soro_bench.inference.posterior import Posterior
 from soro_bench.inference.replay import SIMULATIONS, Replay
-from soro_bench.inference.search import EvaluationLog, cma_search
+from soro_bench.inference.search import EvaluationLog, Progress, cma_search
 from soro_bench.parallel import HERE, Workers, each, one_blas_thread
 from soro_bench.randomization import Distribution, Gaussian, TruncatedNormal
 
@@ -21,7 +24,8 @@ LEAST_SIMULATIONS = 50  # of BayesSim, whose network would learn nothing from fe
 _LEAST = {"simulations": LEAST_SIMULATIONS, "iterations": 1, "max_iterations": 1, "popsize": 2, "samples": 2,
           "starts": 1}  # fmt: skip
 METHODS = ("rf-dropo", "bayes-sim", "dropo", "droid", "sysid")
-Progress = Callable[[int, int, float], None]
+# a distribution, the best values (d,) in their units, and the slope (T, k, d) there
+_Found = tuple[TruncatedNormal | Gaussian, Floats, Floats]
 
 
 @dataclass
@@ -34,19 +38,20 @@ class Search:
     progress: Progress
     workers: Workers
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self.low, high = np.array([p.search for p in self.replay.parameters]).T
         self.width = high - self.low
 
     @property
     def dimension(self) -> int:
+        """How many parameters are inferred, d."""
         return len(self.low)
 
-    def residuals(self, points: np.ndarray, steps: int) -> np.ndarray:
+    def residuals(self, points: Floats, steps: int) -> Floats:
         """(N, steps, k) measured less simulated at points (N, d) of the unit cube."""
         return np.concatenate(list(self.parts(points, steps)))
 
-    def parts(self, points: np.ndarray, steps: int) -> Iterator[np.ndarray]:
+    def parts(self, points: Floats, steps: int) -> Iterator[Floats]:
         """The same for SIMULATIONS points after the other, each part as soon as it is there."""
         values = self.low + self.width * points
         jobs = [
@@ -57,7 +62,7 @@ class Search:
             self.log.work += len(part) * steps
             yield part
 
-    def point(self, values: np.ndarray) -> np.ndarray:
+    def point(self, values: Floats) -> Floats:
         """Parameter values (d,) on the unit cube."""
         return (values - self.low) / self.width
 
@@ -70,7 +75,7 @@ def infer(
     seed: int = 0,
     progress: Progress = lambda *_: None,
     workers: Workers = HERE,
-    **settings,
+    **settings: Any,
 ) -> Posterior:
     """A distribution over the parameters of ``replay``.
 
@@ -81,6 +86,10 @@ def infer(
         seed: of everything random.
         progress: called with what is done, what there is to do, and the cost so far.
         workers: what simulates, wherever more than SIMULATIONS points are asked for at once.
+        settings: of the method.
+
+    Raises:
+        ValueError: the method or a setting is not allowed, the log is of another inference, or nothing can be inferred.
     """
     if method not in METHODS:
         raise ValueError(f"unknown method {method!r}; there are {', '.join(METHODS)}")
@@ -100,7 +109,7 @@ def infer(
     return _posterior(method, search, distribution, estimate, jacobian, {"seed": seed, **settings})
 
 
-def _rf_dropo(search: Search, optimizer: str = "linearised", **settings):
+def _rf_dropo(search: Search, optimizer: str = "linearised", **settings: Any) -> _Found:
     replay = search.replay
     if optimizer not in ("linearised", "sampled"):
         raise ValueError(f"optimizer {optimizer!r}; allowed are linearised and sampled")
@@ -117,24 +126,24 @@ def _rf_dropo(search: Search, optimizer: str = "linearised", **settings):
     return TruncatedNormal(replay.names, mean, search.width * std), mean, -fit.jacobian / search.width
 
 
-def uncertainty(jacobian: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+def uncertainty(jacobian: Floats, deviation: Floats) -> Floats:
     """(d, d) covariance with which means are known, in shares of the box; its own where a recording says nothing.
 
     Args:
         jacobian, deviation: see :func:`soro_bench.inference.identifiability.fisher`.
     """
     prior = np.eye(jacobian.shape[-1]) / rf_dropo.LARGEST_STD**2
-    return np.linalg.inv(fisher(jacobian, deviation) + prior)
+    return np.asarray(np.linalg.inv(fisher(jacobian, deviation) + prior), float)
 
 
-def _droid(search: Search, iterations: int = 60, popsize: int = 16):
+def _droid(search: Search, iterations: int = 60, popsize: int = 16) -> _Found:
     """Tsai et al., "DROID: minimizing the reality gap using single-shot human demonstration", RA-L 2021: a point
     estimate, by CMA-ES on the squared error of the whole replay."""
     steps, deviation = search.replay.steps, search.replay.deviation
 
-    def cost(points, share):
-        def squares(points):
-            return ((search.residuals(points, steps) / deviation) ** 2).sum(axis=(1, 2))
+    def cost(points: Floats, share: float) -> Floats:
+        def squares(points: Floats) -> Floats:
+            return np.asarray(((search.residuals(points, steps) / deviation) ** 2).sum(axis=(1, 2)), float)
 
         return search.log(squares, points, "squares")
 
@@ -143,7 +152,7 @@ def _droid(search: Search, iterations: int = 60, popsize: int = 16):
     return TruncatedNormal(search.replay.names, values, np.zeros(search.dimension)), values, _slope(search, best)
 
 
-def _sysid(search: Search, max_iterations: int = 30, start: float | None = None):
+def _sysid(search: Search, max_iterations: int = 30, start: float | None = None) -> _Found:
     """Nonlinear least squares by mujoco.sysid, from the nominal values or a share of the search box in every
     direction; the normal approximation at the optimum."""
     from mujoco import sysid
@@ -155,14 +164,14 @@ def _sysid(search: Search, max_iterations: int = 30, start: float | None = None)
         name: sysid.Parameter(name, float(value), 0.0, 1.0) for name, value in zip(replay.names, begin, strict=True)
     })
 
-    def residual(x, _params):
+    def residual(x: Floats, _params: Any) -> tuple[list[Floats], None, None]:
         # (d,) or, for several points at once, (d, n)
         points = np.reshape(x, (search.dimension, -1)).T
         found = search.log(lambda p: search.residuals(p, steps) / replay.deviation, points, "residual")
         return [np.nan_to_num(found, nan=1e6).reshape(len(points), -1).T.reshape(-1, *np.shape(x)[1:])], None, None
 
     # forward differences far above the solver's noise
-    quiet = {"output": io.StringIO()}  # its own switch does not reach the optimiser
+    quiet: dict[str, Any] = {"output": io.StringIO()}  # its own switch does not reach the optimiser
     _, result = sysid.optimize(params, residual, verbose=False, max_iters=max_iterations, eps=1e-4, **quiet)
     best = np.clip(np.asarray(result.x, float).ravel(), 0, 1)
     slope = _slope(search, best)
@@ -173,7 +182,8 @@ def _sysid(search: Search, max_iterations: int = 30, start: float | None = None)
     return Gaussian(replay.names, values, 0.5 * (covariance + covariance.T)), values, slope
 
 
-def _bayes_sim(search: Search, features: str = "mdn", simulations: int = 1000, samples: int = 2000):
+def _bayes_sim(search: Search, features: str = "mdn", simulations: int = 1000, samples: int = 2000) -> _Found:
+    """Ramos et al., "BayesSim", RSS 2019; see bayes_sim.py."""
     from soro_bench.inference import bayes_sim
 
     replay = search.replay
@@ -184,16 +194,16 @@ def _bayes_sim(search: Search, features: str = "mdn", simulations: int = 1000, s
     # an entry of the log is SIMULATIONS points, and those that it has are not simulated again
     to_come = search.parts(points[search.log.known * SIMULATIONS :], replay.steps)
 
-    def simulated(first):
+    def simulated(first: int, _points: Floats) -> Floats:
         signals = measured - next(to_come)
         return bayes_sim.summarise(signals + _sensor_noise(replay, len(signals), [search.seed, first]), replay.actions)
 
-    summaries = []
+    parts = []
     for first in range(0, simulations, SIMULATIONS):
         some = points[first : first + SIMULATIONS]
-        summaries.append(search.log(lambda _, first=first: simulated(first), some, "summary"))
+        parts.append(search.log(partial(simulated, first), some, "summary"))
         search.progress(min(first + SIMULATIONS, simulations), simulations, np.nan)
-    summaries = np.concatenate(summaries)
+    summaries = np.concatenate(parts)
     sane = np.isfinite(summaries).all(axis=1)
     if (count := sane.sum()) < LEAST_SIMULATIONS:
         raise ValueError(f"{simulations - count} of {simulations} simulations diverged; "
@@ -205,22 +215,36 @@ def _bayes_sim(search: Search, features: str = "mdn", simulations: int = 1000, s
     return distribution, values, _slope(search, drawn.mean(axis=0))
 
 
-def _sensor_noise(replay, count, seed) -> np.ndarray:
+def _sensor_noise(replay: Replay, count: int, seed: Sequence[int]) -> Floats:
     """(count, T, k) what the sensor would add to simulations, where the recording has samples."""
     normal = np.random.default_rng(seed).standard_normal((count, *replay.measured.shape))
     return np.where(np.isnan(replay.measured), 0.0, replay.sensor_noise * normal)
 
 
-_FUNCTIONS = {"rf-dropo": _rf_dropo, "dropo": _rf_dropo, "droid": _droid, "sysid": _sysid, "bayes-sim": _bayes_sim}
+_FUNCTIONS: dict[str, Callable[..., _Found]] = {
+    "rf-dropo": _rf_dropo,
+    "dropo": _rf_dropo,
+    "droid": _droid,
+    "sysid": _sysid,
+    "bayes-sim": _bayes_sim,
+}
 
 
-def _slope(search: Search, point) -> np.ndarray:
+def _slope(search: Search, point: Floats) -> Floats:
     """(T, k, d) derivative of what is simulated with respect to the parameters in their units."""
     jacobian = search.log(lambda p: rf_dropo.jacobian_at(search.residuals, p, search.replay.steps), point, "jacobian")
     return -jacobian / search.width
 
 
-def _posterior(method, search, distribution: Distribution, estimate, slope, settings) -> Posterior:
+def _posterior(
+    method: str,
+    search: Search,
+    distribution: TruncatedNormal | Gaussian,
+    estimate: Floats,
+    slope: Floats,
+    settings: dict[str, Any],
+) -> Posterior:
+    """What was found, with the fit at the estimate (d,) and what the slope (T, k, d) there says is determined."""
     replay, steps = search.replay, search.replay.steps
     residual = search.log(lambda p: search.residuals(p[None], steps)[0], search.point(estimate), "fit")
     seen = ~np.isnan(replay.measured)
@@ -240,15 +264,15 @@ def _posterior(method, search, distribution: Distribution, estimate, slope, sett
     )
 
 
-def _deviation(replay: Replay, residual: np.ndarray) -> np.ndarray:
+def _deviation(replay: Replay, residual: Floats) -> Floats:
     """(T, k) of the measurement, or what a fit leaves if it is more."""
     left = (residual / replay.deviation)[~np.isnan(replay.measured)]
     return max(1.0, float(np.sqrt((left**2).mean()))) * replay.deviation
 
 
-def _with_known(distribution: Distribution, known: dict[str, float]) -> Distribution:
+def _with_known(distribution: TruncatedNormal | Gaussian, known: dict[str, float]) -> Distribution:
     """The distribution together with the known values, which training has to hold as well."""
-    names, values, count = (*distribution.names, *known), list(known.values()), len(known)
+    names, values, count = (*distribution.names, *known), np.array(list(known.values()), float), len(known)
     mean = np.append(distribution.mean, values)
     if isinstance(distribution, Gaussian):
         return Gaussian(names, mean, np.pad(distribution.cov, (0, count)))

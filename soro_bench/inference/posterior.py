@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from soro_bench.files import write_json
 from soro_bench.inference.identifiability import Combination
@@ -36,13 +37,13 @@ class Posterior:
     model: str
     replay: str
     replays: float
-    settings: dict = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
 
     def save(self, path: str | Path) -> None:
         """Write JSON that :func:`soro_bench.randomization.load` reads as the distribution."""
         write_json(path, self.to_dict())
 
-    def to_dict(self) -> dict:
+    def to_dict(self) -> dict[str, Any]:
         """What the file holds."""
         return {
             "schema": SCHEMA,

@@ -8,6 +8,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from soro_bench.arrays import Floats, Ints
+from soro_bench.envs.task import Task
 from soro_bench.models.simulation import quiet
 from soro_bench.parallel import processors
 from soro_bench.parameters import Parameter
@@ -78,10 +80,14 @@ class Replay:
         self._states = _states(recording, len(self.actions), self._task) if restart else None
         self._read(recording, noise)
 
-    def _read(self, recording, noise) -> None:
+    def _read(self, recording: Recording, noise: float) -> None:
         begin, _ = recording.control_steps([COMMAND], self._task.control_timestep)
         times = begin + self._task.control_timestep * np.arange(1, len(self.actions) + 1)
-        measured, deviation, sensor, self.groups, first = [], [], [], [], 0
+        measured: list[Floats] = []
+        deviation: list[Floats] = []
+        sensor: list[float] = []
+        self.groups: list[slice] = []
+        first = 0
         self._task.reset(np.arange(1), [np.random.default_rng(0)], [{}])  # another replay may have used it
         simulated = self._task.signals(np.arange(1))
         for name in self.signal_names:
@@ -107,7 +113,7 @@ class Replay:
         self.deviation[np.isnan(self.measured)] = MISSING
 
     @property
-    def _task(self):
+    def _task(self) -> Task:
         return _simulations(*self._simulated)
 
     @property
@@ -133,7 +139,7 @@ class Replay:
             digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()[:16]
 
-    def simulate(self, params: np.ndarray, steps: int | None = None) -> np.ndarray:
+    def simulate(self, params: Floats, steps: int | None = None) -> Floats:
         """What is measured, simulated under each of the parameter vectors.
 
         Args:
@@ -152,13 +158,13 @@ class Replay:
         return signals
 
     @quiet()  # of every process that replays
-    def residuals(self, params: np.ndarray, steps: int | None = None) -> np.ndarray:
+    def residuals(self, params: Floats, steps: int | None = None) -> Floats:
         """(N, steps, k) measured less simulated, 0 where nothing was measured."""
         simulated = self.simulate(params, steps)
         measured = self.measured[: simulated.shape[1]]
         return np.where(np.isnan(measured), 0.0, measured - simulated)
 
-    def _roll_out(self, params, steps):
+    def _roll_out(self, params: Floats, steps: int) -> Floats:
         task, ids = self._task, np.arange(len(params))
         options = [{"params": {**self.known, **dict(zip(self.names, row, strict=True))}} for row in params.tolist()]
         task.reset(ids, [np.random.default_rng(0)] * len(ids), options)
@@ -173,12 +179,12 @@ class Replay:
             rows.append(row)
         return np.stack(rows, axis=1)
 
-    def _measure(self, ids):
+    def _measure(self, ids: Ints) -> Floats:
         signals = self._task.signals(ids)
         return np.concatenate([signals[name].reshape(len(ids), -1) for name in self.signal_names], axis=1)
 
 
-def _checked(name: str, signal: Signal, kind: tuple[str, str], simulated: np.ndarray) -> Signal:
+def _checked(name: str, signal: Signal, kind: tuple[str, str], simulated: Floats) -> Signal:
     """The signal, quaternions without jumps to their negatives; RecordingError if it is not what is simulated.
 
     Args:
@@ -195,7 +201,7 @@ def _checked(name: str, signal: Signal, kind: tuple[str, str], simulated: np.nda
     return replace(signal, values=_continuous(signal.values, simulated)) if name.endswith("_quaternion") else signal
 
 
-def _continuous(quaternions: np.ndarray, rest: np.ndarray) -> np.ndarray:
+def _continuous(quaternions: Floats, rest: Floats) -> Floats:
     """(T, ..., 4) quaternions w, x, y, z, each of the sign nearer to the one before it, the first to rest (..., 4)."""
     found = quaternions.copy()
     for body in np.ndindex(rest.shape[:-1]):
@@ -207,14 +213,15 @@ def _continuous(quaternions: np.ndarray, rest: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(4)
-def _simulations(env_id, model, action, threads):
+def _simulations(env_id: str, model: str, action: str, threads: int) -> Task:
     """Once in every process, not a part of the replay: they cannot be pickled, and compiling them takes a while."""
     return make_task(env_id, SIMULATIONS, threads or processors(), model, action=action)
 
 
-def _states(recording, steps, task) -> dict[str, np.ndarray]:
+def _states(recording: Recording, steps: int, task: Task) -> dict[str, Floats]:
     """The recorded state before every action, by the name of its part."""
-    timestep, found = task.control_timestep, {}
+    timestep = task.control_timestep
+    found: dict[str, Floats] = {}
     times = recording.control_steps([COMMAND], timestep)[0] + timestep * np.arange(steps)
     for part, (own,) in task.state(np.arange(1)).items():
         name = f"state.{part}"

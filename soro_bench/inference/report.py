@@ -1,15 +1,20 @@
 """A posterior for people: a table in words, and a picture with the ridges."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from soro_bench.arrays import Floats
 from soro_bench.files import replacing
 from soro_bench.inference.identifiability import scales
 from soro_bench.inference.posterior import Posterior
 from soro_bench.inference.replay import Replay
 from soro_bench.markdown import table
 from soro_bench.plotting import pyplot
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 DRAWN = 2000  # samples of the distribution
 
@@ -34,7 +39,7 @@ def write_report(posterior: Posterior, replay: Replay, path: str | Path) -> str:
     return "\n".join(lines)
 
 
-def corner_plot(posterior: Posterior, replay: Replay, draws: np.ndarray, path: Path) -> None:
+def corner_plot(posterior: Posterior, replay: Replay, draws: Floats, path: Path) -> None:
     """The distribution (dots) and, through its estimate, the combination that the recording determines least (line)."""
     plt = pyplot()
     names, count = replay.names, len(replay.names)
@@ -58,7 +63,8 @@ def corner_plot(posterior: Posterior, replay: Replay, draws: np.ndarray, path: P
     plt.close(figure)
 
 
-def _panel(ax, cloud, ridge, i, j) -> None:
+def _panel(ax: "Axes", cloud: Floats, ridge: Floats, i: int, j: int) -> None:
+    """Parameter i over parameter j [percent]: draws (n, d), and a ridge (m, d)."""
     ax.tick_params(labelsize=7)
     if j > i:
         ax.axis("off")

@@ -14,6 +14,7 @@ the second one does not see: parameters that are drawn from what it finds vary b
   renewed until nothing improves.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,9 +22,10 @@ from scipy.optimize import minimize
 from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
+from soro_bench.arrays import Floats
 from soro_bench.inference.continuation import DIFFERENCE, best_track
 from soro_bench.inference.likelihood import horizon, log_likelihood, sample_factor
-from soro_bench.inference.search import EvaluationLog, cma_search
+from soro_bench.inference.search import EvaluationLog, Progress, Residuals, cma_search
 
 SMALLEST_STD, LARGEST_STD = 1e-5, 0.25  # of the search box; the upper one as published
 ROUNDS = 12
@@ -36,13 +38,22 @@ class Fit:
     mean, std: (d,); jacobian (T, k, d) of what is measured there.
     """
 
-    mean: np.ndarray
-    std: np.ndarray
-    jacobian: np.ndarray
+    mean: Floats
+    std: Floats
+    jacobian: Floats
 
 
-def sampled(residuals, deviation, dimension, log: EvaluationLog, seed=0, iterations=500, samples=100, popsize=None,
-            progress=lambda *_: None) -> Fit:  # fmt: skip
+def sampled(
+    residuals: Residuals,
+    deviation: Floats,
+    dimension: int,
+    log: EvaluationLog,
+    seed: int = 0,
+    iterations: int = 500,
+    samples: int = 100,
+    popsize: int | None = None,
+    progress: Progress = lambda *_: None,
+) -> Fit:
     """The published search.
 
     Args:
@@ -61,10 +72,10 @@ def sampled(residuals, deviation, dimension, log: EvaluationLog, seed=0, iterati
     normal = _truncated_normal(quantiles)
     popsize = popsize or 4 + int(3 * np.log(2 * dimension))
 
-    def cost(points, share):
+    def cost(points: Floats, share: float) -> Floats:
         until = horizon(share, steps) if share < 1 else steps
 
-        def costs(points):
+        def costs(points: Floats) -> Floats:
             mean, std = _unpack(points)
             cloud = np.clip(mean[:, None] + std[:, None] * normal, 0, 1)
             found = residuals(cloud.reshape(-1, dimension), until).reshape(len(points), samples, until, -1)
@@ -78,8 +89,16 @@ def sampled(residuals, deviation, dimension, log: EvaluationLog, seed=0, iterati
     return Fit(mean, std, jacobian)
 
 
-def linearised(residuals, deviation, groups, dimension, log: EvaluationLog, seed=0, starts=8,
-               progress=lambda *_: None) -> Fit:  # fmt: skip
+def linearised(
+    residuals: Residuals,
+    deviation: Floats,
+    groups: Sequence[slice],
+    dimension: int,
+    log: EvaluationLog,
+    seed: int = 0,
+    starts: int = 8,
+    progress: Progress = lambda *_: None,
+) -> Fit:
     """The fast search; arguments as in :func:`sampled`.
 
     Args:
@@ -90,7 +109,7 @@ def linearised(residuals, deviation, groups, dimension, log: EvaluationLog, seed
     return refined(residuals, deviation, mean, log)
 
 
-def refined(residuals, deviation, mean, log: EvaluationLog) -> Fit:
+def refined(residuals: Residuals, deviation: Floats, mean: Floats, log: EvaluationLog) -> Fit:
     """Means and standard deviations that maximise the likelihood, from a mean nearby: one linearisation after another.
 
     A round's new mean is accepted if the likelihood around it, linearised with the old Jacobian, is higher; otherwise
@@ -117,12 +136,14 @@ def refined(residuals, deviation, mean, log: EvaluationLog) -> Fit:
     return Fit(mean, std, jacobian)
 
 
-def _best_gaussian(residual, jacobian, deviation, mean, std, reach):
+def _best_gaussian(
+    residual: Floats, jacobian: Floats, deviation: Floats, mean: Floats, std: Floats, reach: float
+) -> tuple[Floats, Floats]:
     """Shift of the mean, at most ``reach`` in each direction and inside the cube, and standard deviations."""
     free = reach > 0
     scale = max(reach, 1e-12)
 
-    def cost(x):
+    def cost(x: Floats) -> float:
         shift, log_std = scale * x[: len(mean)] * free, x[len(mean) :]
         left = residual + jacobian @ shift  # the Jacobian is that of measured less simulated
         return -_linear_log_likelihood(left, jacobian, np.exp(log_std), deviation)
@@ -136,16 +157,16 @@ def _best_gaussian(residual, jacobian, deviation, mean, std, reach):
     return scale * best[: len(mean)] * free, np.exp(best[len(mean) :])
 
 
-def _linear_log_likelihood(residual, jacobian, std, deviation) -> float:
+def _linear_log_likelihood(residual: Floats, jacobian: Floats, std: Floats, deviation: Floats) -> float:
     return float(log_likelihood(residual, jacobian * std, deviation).sum())
 
 
-def _sampled_log_likelihood(residuals, deviation) -> float:
+def _sampled_log_likelihood(residuals: Floats, deviation: Floats) -> float:
     mean, factor = sample_factor(residuals)
     return float(log_likelihood(mean, factor, deviation).sum())
 
 
-def jacobian_at(residuals, mean, steps):
+def jacobian_at(residuals: Residuals, mean: Floats, steps: int) -> Floats:
     """(T, k, d) derivative of the residuals, by central differences inside the unit cube."""
     offsets = DIFFERENCE * np.eye(len(mean))
     ends = np.clip(np.concatenate([mean + offsets, mean - offsets]), 0, 1)
@@ -154,12 +175,12 @@ def jacobian_at(residuals, mean, steps):
     return np.moveaxis((found[: len(mean)] - found[len(mean) :]) / width[:, None, None], 0, -1)
 
 
-def _unpack(points):
+def _unpack(points: Floats) -> tuple[Floats, Floats]:
     """Means (N, d) and standard deviations (N, d) of candidates (N, 2 d) in the unit cube."""
     mean, log_std = np.split(points, 2, axis=1)
     return mean, SMALLEST_STD * (LARGEST_STD / SMALLEST_STD) ** log_std
 
 
-def _truncated_normal(quantiles):
+def _truncated_normal(quantiles: Floats) -> Floats:
     """Standard normals truncated at two standard deviations, at the given quantiles."""
     return ndtri(ndtr(-2) + quantiles * (ndtr(2) - ndtr(-2)))

@@ -5,9 +5,14 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from soro_bench.arrays import Floats
+
+Progress = Callable[[int, int, float], None]  # what is done, what there is to do, and the cost so far
+Residuals = Callable[[Floats, int], Floats]  # points (N, d), steps -> (N, steps, k) measured less simulated
 WORST = 1e300  # the cost of a replay that diverges: worse than those of all that do not
 
 
@@ -24,7 +29,7 @@ class EvaluationLog:
 
     def __init__(self, path: str | Path | None, title: str):
         self._path = None if path is None else Path(path)
-        self._entries: list[dict] = []
+        self._entries: list[dict[str, Any]] = []
         self.work = 0  # counted up by the functions, and from the log for what they need not do again
         if self._path is None:
             return
@@ -51,7 +56,7 @@ class EvaluationLog:
         """How many of the next results are in the file already."""
         return len(self._entries)
 
-    def __call__(self, function: Callable[[np.ndarray], np.ndarray], points: np.ndarray, label: str) -> np.ndarray:
+    def __call__(self, function: Callable[[Floats], Floats], points: Floats, label: str) -> Floats:
         """``function(points)``, an array of floats; ``label`` tells apart calls with the same points."""
         digest = hashlib.sha256(label.encode() + np.ascontiguousarray(points, float).tobytes()).hexdigest()[:16]
         if self._entries:
@@ -67,7 +72,9 @@ class EvaluationLog:
             self._append({**entry, "values": values.ravel().tolist()})
         return values
 
-    def _append(self, entry: dict) -> None:
+    def _append(self, entry: dict[str, Any]) -> None:
+        if self._path is None:
+            return
         with open(self._path, "a") as file:
             file.write(json.dumps(entry) + "\n")
             file.flush()
@@ -75,13 +82,13 @@ class EvaluationLog:
 
 
 def cma_search(
-    objective: Callable[[np.ndarray, float], np.ndarray],
+    objective: Callable[[Floats, float], Floats],
     dimension: int,
     iterations: int,
     popsize: int,
     seed: int,
-    progress: Callable[[int, int, float], None] = lambda *_: None,
-) -> np.ndarray:
+    progress: Progress = lambda *_: None,
+) -> Floats:
     """The best point (D,) of the unit cube that CMA-ES finds.
 
     Args:
@@ -97,7 +104,7 @@ def cma_search(
     """
     import cma
 
-    def finite(points, share):
+    def finite(points: Floats, share: float) -> Floats:
         return np.nan_to_num(objective(points, share), nan=WORST, posinf=WORST)
 
     rng = np.random.default_rng(seed)

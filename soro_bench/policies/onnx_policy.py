@@ -5,12 +5,18 @@ branches, data in other files, and values that grow without bounds.
 """
 
 from pathlib import Path
-from typing import ClassVar
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from soro_bench.arrays import Floats
 from soro_bench.files import shown
 from soro_bench.policies.policy import PolicyCard, check_observations
+
+if TYPE_CHECKING:
+    from onnx import ModelProto
 
 MAX_BYTES = 5_000_000  # of a file; parsed, nodes without content take some seventy times as much
 MAX_NODES = 1000
@@ -34,7 +40,7 @@ class OnnxPolicy:
 
     suffix: ClassVar[str] = ".onnx"
 
-    def __init__(self, card: PolicyCard, data: bytes, model, source: str | Path):
+    def __init__(self, card: PolicyCard, data: bytes, model: "ModelProto", source: str | Path):
         from onnx.reference import ReferenceEvaluator
 
         self.card, self._data, self._source = card, data, source
@@ -62,11 +68,11 @@ class OnnxPolicy:
         """The ONNX file."""
         return self._data
 
-    def act(self, observations: np.ndarray) -> np.ndarray:
+    def act(self, observations: Floats) -> NDArray[Any]:
         """Actions for (n, k) observations: (n,) integers if the action mode is discrete, else (n, nu) in [-1, 1]."""
         check_observations(observations, self._size)
         # one row at a time, so that an action does not depend on how many are asked for at once
-        rows = [self._evaluator.run(None, {self._name: row[None].astype(self._dtype)})[0] for row in observations]
+        rows = [self._evaluated(row) for row in observations]
         found = np.stack([np.ravel(row) for row in rows])
         if not np.issubdtype(found.dtype, np.number) or not np.isfinite(found).all():
             raise ValueError(f"{self._source} answers with {found.ravel()[:3]}; finite numbers are needed")
@@ -80,11 +86,16 @@ class OnnxPolicy:
             )
         return found[:, 0]
 
+    def _evaluated(self, observation: Floats) -> NDArray[Any]:
+        """What the network answers to one observation (k,)."""
+        (answer,) = self._evaluator.run(None, {self._name: observation[None].astype(self._dtype)})
+        return np.asarray(answer)
+
 
 _FLOATS = {1: np.float32, 11: np.float64}  # by TensorProto's number
 
 
-def _check_parts(model) -> None:
+def _check_parts(model: "ModelProto") -> None:
     """ValueError if a model holds anything but nodes of the allowed operators and their weights."""
     domains = {o.domain for o in model.opset_import} | {node.domain for node in model.graph.node}
     if foreign := sorted(domains - set(_DOMAINS)):
@@ -109,7 +120,7 @@ def _check_parts(model) -> None:
         raise ValueError("it gives a name twice")
 
 
-def _with_known_shapes(onnx, model):
+def _with_known_shapes(onnx: ModuleType, model: "ModelProto") -> "ModelProto":
     """The model for one row of observations, whose results are known to be small before it is evaluated."""
     if len(model.graph.input) != 1 or len(model.graph.output) != 1:
         raise ValueError(f"it has {len(model.graph.input)} inputs and {len(model.graph.output)} outputs; allowed: one")
@@ -128,7 +139,7 @@ def _with_known_shapes(onnx, model):
     return model
 
 
-def _check_work(model) -> None:
+def _check_work(model: "ModelProto") -> None:
     """ValueError if a row of observations would take long, or much memory."""
     sizes = {weight.name: float(np.prod(weight.dims)) for weight in model.graph.initializer}
     types = {}
@@ -152,7 +163,7 @@ def _check_work(model) -> None:
         raise ValueError(f"its matrices take {total:.3g} products; allowed: {MAX_PRODUCTS}")
 
 
-def _onnx():
+def _onnx() -> ModuleType:
     try:
         import onnx
         import onnx.checker

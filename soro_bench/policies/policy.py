@@ -3,10 +3,10 @@
 import reprlib
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from soro_bench.arrays import Floats
 from soro_bench.files import brief, read_bytes, read_json, replacing, write_json
@@ -26,13 +26,14 @@ class PolicyCard:
     seed: int
     steps: int  # environment steps of training
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for field in fields(self):
-            if type(value := getattr(self, field.name)) is not field.type:
-                raise TypeError(f"{field.name} is {brief(value)}; expected {field.type.__name__}")
+            expected = cast("type", field.type)  # not the name of one: annotations are evaluated here
+            if type(value := getattr(self, field.name)) is not expected:
+                raise TypeError(f"{field.name} is {brief(value)}; expected {expected.__name__}")
 
 
-def check_observations(observations: np.ndarray, size: int) -> None:
+def check_observations(observations: ArrayLike, size: int) -> None:
     """ValueError unless they are (n, size), a row for each environment."""
     shape = np.shape(observations)
     if len(shape) != 2:
@@ -67,9 +68,9 @@ class Policy:
 
     suffix: ClassVar[str] = ".safetensors"
     card: PolicyCard
-    tensors: dict[str, np.ndarray]
+    tensors: dict[str, NDArray[np.floating]]
 
-    def act(self, observations: np.ndarray) -> np.ndarray:
+    def act(self, observations: Floats) -> NDArray[Any]:
         """Actions for (n, k) observations: (n,) integers if the action mode is discrete, else (n, nu) in [-1, 1]."""
         check_observations(observations, len(self.tensors["mean"]))
         x = (observations - self.tensors["mean"]) / self.tensors["std"]
@@ -128,7 +129,7 @@ class Policy:
         policy._check_shapes(source)
         return policy
 
-    def _check_shapes(self, source) -> None:
+    def _check_shapes(self, source: str | Path) -> None:
         names = ["mean", "std", *(f"{kind}{i}" for i in range(self.num_layers) for kind in "wb")]
         if self.num_layers == 0 or sorted(names) != sorted(self.tensors):
             found = reprlib.repr(sorted(self.tensors))

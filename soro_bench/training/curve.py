@@ -5,10 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from soro_bench.arrays import Floats
 from soro_bench.results import metric_key
 
 
-def read_curve(path: str | Path, metric: str, parts: int) -> tuple[np.ndarray, np.ndarray]:
+def read_curve(path: str | Path, metric: str, parts: int) -> tuple[Floats, Floats]:
     """Steps and mean final metric [mm] of the episodes in each of so many equal parts of a training.
 
     A part mixes whole updates: the episodes that end early in an update are the successful ones.

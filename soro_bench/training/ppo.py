@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -17,11 +18,13 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecNormalize
 
 from soro_bench.envs.sb3 import SB3VecEnv
 from soro_bench.envs.task import effects_of
+from soro_bench.envs.vector import SoftRobotVectorEnv
 from soro_bench.files import brief, read_json, replacing, write_json
 from soro_bench.models.simulation import quiet
 from soro_bench.policies.policy import OBSERVATION_CLIP, Policy, PolicyCard
@@ -29,6 +32,7 @@ from soro_bench.randomization import Distribution
 from soro_bench.registration import task_type
 from soro_bench.results import metric_key
 
+Progress = Callable[[int, int, dict[str, float]], None]  # steps done, steps in total, a row of the curve
 # version of how a configuration becomes a policy; 1 let the learning rate fall in every segment anew, for 1 and 2
 # nothing that came after success counted, and 1 to 3 let observations that hardly vary be blown up
 TRAINER = 4
@@ -72,7 +76,7 @@ class PPOConfig:
         """Segments of the whole training, rounded up."""
         return -(-self.total_steps // self.segment_steps)
 
-    def settings(self) -> dict:
+    def settings(self) -> dict[str, Any]:
         """What changes the result, as JSON."""
         described = asdict(self) | {"hidden": list(self.hidden)}
         del described["num_threads"], described["effects"]  # the file may be elsewhere tomorrow
@@ -80,7 +84,7 @@ class PPOConfig:
 
 
 # What differs from PPOConfig's defaults, which were found on TrunkReach (docs/archive/training.md)
-_TASK_DEFAULTS = {
+_TASK_DEFAULTS: dict[str, dict[str, Any]] = {
     "TrunkPush-v0": {"initial_log_std": -0.5, "final_log_std": -2.0, "total_steps": 1_000_000},
     # A lift costs reward for three seconds before it pays: discounted by 0.95 a step it is worth less than tipping the
     # object over at once
@@ -115,7 +119,7 @@ _TASK_DEFAULTS = {
 }
 
 
-def default_config(env_id: str, steps: int | None = None, **changes) -> PPOConfig:
+def default_config(env_id: str, steps: int | None = None, **changes: Any) -> PPOConfig:
     """The configuration found best for an environment, with ``changes``; ``steps`` replaces its number of steps."""
     if steps is not None:
         if steps < 1:
@@ -129,7 +133,7 @@ def train(
     config: PPOConfig,
     folder: str | Path,
     distribution: Distribution | None = None,
-    progress: Callable[[int, int, dict], None] = lambda steps, total, row: None,
+    progress: Progress = lambda steps, total, row: None,
 ) -> Policy:
     """Train, or go on training, into ``folder`` and return the policy.
 
@@ -146,7 +150,7 @@ def train(
     env = make_env(config, distribution)
     registered = gymnasium.spec(config.env_id).max_episode_steps
     steps = registered if config.episode_steps is None else config.episode_steps
-    if not 1 <= steps <= config.rollout_steps * config.rollouts_per_segment:
+    if steps is None or not 1 <= steps <= config.rollout_steps * config.rollouts_per_segment:
         raise ValueError(f"no episode of {steps} steps ends in a segment; raise rollout_steps or rollouts_per_segment")
     agent = make_agent(config, env)
     for path in old:  # only now: what cannot be trained claims no folder
@@ -163,12 +167,12 @@ def train(
     return policy
 
 
-def _claim(folder: Path, config: PPOConfig, distribution) -> tuple[dict, list[Path]]:
+def _claim(folder: Path, config: PPOConfig, distribution: Distribution | None) -> tuple[dict[str, Any], list[Path]]:
     """What is trained into a folder, and files of an older trainer, whose run is trained anew; ValueError if the folder
     has another run."""
     described = config.settings() | {"distribution": distribution.to_dict() if distribution else None}
     if config.effects:
-        described["effects"] = [effect.to_json() for effect in effects_of(config.effects)]
+        described["effects"] = [effect.to_json() for effect in effects_of(config.effects) or ()]
     described["trainer"] = TRAINER
     path = folder / "config.json"
     if not path.exists() or (found := read_json(path)) == described:
@@ -187,22 +191,25 @@ def _claim(folder: Path, config: PPOConfig, distribution) -> tuple[dict, list[Pa
 
 def make_env(config: PPOConfig, distribution: Distribution | None = None) -> VecNormalize:
     """The environments of a training, as Stable-Baselines3 takes them."""
-    steps = {} if config.episode_steps is None else {"max_episode_steps": config.episode_steps}
-    missing = {} if config.effects is None else {"effects": config.effects}
+    options: dict[str, Any] = {task_type(config.env_id).variant_name: config.model}
+    if config.episode_steps is not None:
+        options["max_episode_steps"] = config.episode_steps
+    if config.effects is not None:
+        options["effects"] = config.effects
     envs = gymnasium.make_vec(
         config.env_id,
         num_envs=config.num_envs,
         num_threads=config.num_threads,
         action=config.action,
         autoreset_mode="SameStep",
-        **{task_type(config.env_id).variant_name: config.model},
-        **steps,
-        **missing,
-    )
+        **options,
+    ).unwrapped
+    if not isinstance(envs, SoftRobotVectorEnv):
+        raise TypeError(f"{config.env_id} is no environment of the suite")
     if distribution is not None:
-        envs.unwrapped.task.randomize(distribution)
+        envs.task.randomize(distribution)
     return VecNormalize(
-        SB3VecEnv(envs.unwrapped, config.finite_horizon), norm_reward=False, clip_obs=OBSERVATION_CLIP,
+        SB3VecEnv(envs, config.finite_horizon), norm_reward=False, clip_obs=OBSERVATION_CLIP,
         epsilon=config.observation_floor**2,
     )  # fmt: skip
 
@@ -228,7 +235,10 @@ def make_agent(config: PPOConfig, env: VecNormalize, device: str = "cpu") -> PPO
     return agent
 
 
-def _run_segment(config, segment, agent, env, curve, progress) -> None:
+def _run_segment(
+    config: PPOConfig, segment: int, agent: PPO, env: VecNormalize, curve: "_Curve", progress: Progress
+) -> None:
+    """Train for one segment, from episodes and generators that begin anew."""
     seed = int(np.random.SeedSequence([config.seed, segment]).generate_state(1)[0])
     set_random_seed(seed)
     env.seed(seed)
@@ -248,22 +258,23 @@ def _run_segment(config, segment, agent, env, curve, progress) -> None:
 class _Curve:
     """Rows of the training curve, one per rollout."""
 
-    def __init__(self):
-        self.rows: list[dict] = []
+    def __init__(self) -> None:
+        self.rows: list[dict[str, float]] = []
 
     @property
     def seconds(self) -> float:
+        """s, of training so far."""
         return self.rows[-1]["seconds"] if self.rows else 0.0
 
 
 class _Watch(BaseCallback):
     """Gathers finished episodes and adds a row to the curve after every rollout."""
 
-    def __init__(self, curve: _Curve, progress, total: int, metric: str):
+    def __init__(self, curve: _Curve, progress: Progress, total: int, metric: str):
         super().__init__()
         self._metric_key = metric_key(metric)
         self._curve, self._progress, self._total = curve, progress, total
-        self._finished: list[dict] = []
+        self._finished: list[dict[str, Any]] = []
         self._start = time.monotonic() - curve.seconds
 
     def _on_step(self) -> bool:
@@ -285,15 +296,22 @@ class _Watch(BaseCallback):
         self._progress(self.num_timesteps, self._total, row)
 
 
+def _observed(env: VecNormalize) -> RunningMeanStd:
+    """Mean and variance of the observations so far."""
+    if not isinstance(env.obs_rms, RunningMeanStd):
+        raise TypeError("observations that are no dict are needed")
+    return env.obs_rms
+
+
 def _save_checkpoint(folder: Path, segment: int, agent: PPO, env: VecNormalize, curve: _Curve) -> None:
     checkpoint = {
         "segment": segment,
         "updates": agent._n_updates,
         "policy": agent.policy.state_dict(),
         "optimizer": agent.policy.optimizer.state_dict(),
-        "mean": torch.from_numpy(env.obs_rms.mean.copy()),
-        "var": torch.from_numpy(env.obs_rms.var.copy()),
-        "count": float(env.obs_rms.count),
+        "mean": torch.from_numpy(_observed(env).mean.copy()),
+        "var": torch.from_numpy(_observed(env).var.copy()),
+        "count": float(_observed(env).count),
         "curve": curve.rows,
     }
     # the curve first: with a later checkpoint than its rows it would stay short
@@ -310,17 +328,18 @@ def _load_checkpoint(folder: Path, agent: PPO, env: VecNormalize, curve: _Curve)
     agent.policy.load_state_dict(checkpoint["policy"])
     agent.policy.optimizer.load_state_dict(checkpoint["optimizer"])
     agent._n_updates = checkpoint["updates"]
-    env.obs_rms.mean = checkpoint["mean"].numpy()
-    env.obs_rms.var = checkpoint["var"].numpy()
-    env.obs_rms.count = checkpoint["count"]
+    _observed(env).mean = checkpoint["mean"].numpy()
+    _observed(env).var = checkpoint["var"].numpy()
+    _observed(env).count = checkpoint["count"]
     curve.rows = checkpoint["curve"]
     return checkpoint["segment"]
 
 
 def _export(config: PPOConfig, agent: PPO, env: VecNormalize) -> Policy:
-    layers = [m for m in agent.policy.mlp_extractor.policy_net if isinstance(m, torch.nn.Linear)]
-    tensors = {"mean": env.obs_rms.mean, "std": np.sqrt(env.obs_rms.var + env.epsilon)}
-    for i, layer in enumerate([*layers, agent.policy.action_net]):
+    policy = agent.policy
+    layers = [m for m in policy.mlp_extractor.policy_net if isinstance(m, torch.nn.Linear)]
+    tensors = {"mean": _observed(env).mean, "std": np.sqrt(_observed(env).var + env.epsilon)}
+    for i, layer in enumerate([*layers, cast("torch.nn.Linear", policy.action_net)]):
         tensors[f"w{i}"] = layer.weight.detach().numpy()
         tensors[f"b{i}"] = layer.bias.detach().numpy()
     steps = config.num_segments * config.segment_steps
