@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.progress import Progress
+from rich.progress import Progress, TaskID
 
 from soro_bench.blind_benchmark import body_laws, command_laws
 from soro_bench.blind_benchmark.cases import recording
@@ -58,6 +58,7 @@ class Concealed:
 
     @property
     def parameters(self) -> dict[str, float]:
+        """The robot's parameters by name, in SI units."""
         return {p.name: p.nominal * self.factors.get(p.name, 1.0) for p in trunk.PARAMETERS}
 
 
@@ -118,7 +119,9 @@ def training(name: str, method: str, seed: int, folder: Path) -> tuple[Distribut
     return METHODS["udr" if method == "udr" else "oracle"].distribution(ENV_ID, seed, folder), None
 
 
-def result(name: str, method: str, seed: int, folder: Path, steps: int, progress) -> dict:
+def result(
+    name: str, method: str, seed: int, folder: Path, steps: int, progress: Callable[[int, int, dict[str, float]], None]
+) -> dict:
     """Train one policy and run it on the concealed robot; what is there is read."""
     path = folder / name / method / f"seed{seed}.json"
     about = {"robot": name, "method": method, "seed": seed, "steps": steps, "trainer": TRAINER,
@@ -133,7 +136,7 @@ def result(name: str, method: str, seed: int, folder: Path, steps: int, progress
         train(config, policy, distribution, progress)
         robot = Robot(KIND, CONCEALED[name].parameters, [CONCEALED[name].law()])
         distances = final_distances(Policy.load(policy).act, robot)
-        with_effects = [effect.name for effect in effects_of(str(effects))] if effects else []
+        with_effects = [effect.name for effect in effects_of(str(effects)) or ()] if effects else []
         write_json(path, about | {"effects": with_effects, "distances_m": distances.tolist()})
     return read_json(path)
 
@@ -157,6 +160,7 @@ def gaps(results: list[dict]) -> str:
 
 
 def main() -> None:
+    """Read the options and run what is missing."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("runs/closing_the_loop"))
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
@@ -166,7 +170,7 @@ def main() -> None:
         close_the_loop(options)
 
 
-def close_the_loop(options) -> None:
+def close_the_loop(options: argparse.Namespace) -> None:
     """Diagnose, train and evaluate what is missing; writes results.json and results.md."""
     default_config(ENV_ID, options.steps)  # wrong steps and seeds are said before the work, not after it
     for seed in options.seeds:
@@ -181,7 +185,7 @@ def close_the_loop(options) -> None:
                 for seed in options.seeds:
                     task = bars.add_task(f"{name} {method} {seed}", total=options.steps)
 
-                    def show(done, total, row, task=task):
+                    def show(done: int, total: int, row: dict[str, float], task: TaskID = task) -> None:
                         bars.update(task, completed=done, total=total)
 
                     results.append(result(name, method, seed, options.out, options.steps, show))

@@ -1,8 +1,12 @@
 """An arm of one joint, and recordings of it with other parameters and hidden effects."""
 
+from collections.abc import Sequence
+from pathlib import Path
+
 import numpy as np
 
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.effects.effect import Effect
 from soro_bench.recording.recording import Recording, Signal
 
 ARM = """<mujoco><option timestep="0.005" integrator="implicitfast"/>
@@ -36,7 +40,7 @@ deviation = 0.02
 TRUTH = np.array([[1.2, 0.8, 0.01]])
 
 
-def recording(paths, hidden, seed, noise=5e-4):
+def recording(paths: tuple[Path, Path], hidden: Sequence[Effect], seed: int, noise: float = 5e-4) -> Recording:
     """Of an arm with other parameters, half the time step and hidden effects."""
     rng = np.random.default_rng(seed)
     goals = np.repeat(rng.uniform(-0.6, 0.6, 15), 15)[:, None]

@@ -1,6 +1,10 @@
 """Fixtures that run a test for every environment, model and action mode, commands as a shell would, and a trunk
 as the diagnosis sees it."""
 
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,26 +14,29 @@ from soro_bench.models.trunk import VARIANTS
 
 
 @pytest.fixture(params=[env_id for env_id in soro_bench.ENV_IDS if env_id.startswith("Trunk")])
-def env_id(request):
+def env_id(request: pytest.FixtureRequest) -> str:
+    """Every environment of a trunk."""
     return request.param
 
 
 @pytest.fixture(params=VARIANTS)
-def model(request):
+def model(request: pytest.FixtureRequest) -> str:
+    """Every model of the trunk."""
     return request.param
 
 
 @pytest.fixture(params=ACTION_MODES)
-def action(request):
+def action(request: pytest.FixtureRequest) -> str:
+    """Every action mode."""
     return request.param
 
 
 @pytest.fixture
-def call(monkeypatch, capsys):
+def call(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., str]:
     """Run a command of soro-bench and return what it prints."""
     cli = pytest.importorskip("soro_bench.cli", reason="needs the train extra", exc_type=ImportError)
 
-    def call(*arguments) -> str:
+    def call(*arguments: object) -> str:
         monkeypatch.setattr("sys.argv", ["soro-bench", *map(str, arguments)])
         cli.main()
         return capsys.readouterr().out
@@ -38,20 +45,20 @@ def call(monkeypatch, capsys):
 
 
 @pytest.fixture(scope="module")
-def robot():
+def robot() -> Any:
     """The cheap trunk."""
     suite_robot = pytest.importorskip("soro_bench.diagnosis.robots.suite_robot", reason="needs the infer extra")
     return suite_robot.SuiteRobot("TrunkReach-v0", threads=1)
 
 
 @pytest.fixture(scope="module")
-def actions():
+def actions() -> np.ndarray:
     """(50, 8) random actions of the trunk, each held for five control steps."""
     return np.repeat(np.random.default_rng(0).uniform(-1, 1, (10, 8)), 5, axis=0).astype(np.float32)
 
 
 @pytest.fixture
-def paths(tmp_path):
+def paths(tmp_path: Path) -> tuple[Path, Path]:
     """Of an arm's model and its mapping."""
     from tests.arm import ARM, MAP
 

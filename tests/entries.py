@@ -2,10 +2,13 @@
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 
 from soro_bench.blind_benchmark.score import GATES
 from soro_bench.files import write_json
@@ -18,22 +21,23 @@ CARD = PolicyCard(BOARD, "cable", "continuous", "oracle", 0, 1000)
 OBSERVED, CABLES = 66, 8
 
 
-def shrink_board(monkeypatch) -> None:
+def shrink_board(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two starts of five steps, on the cheap model."""
     whole = BOARDS[BOARD]
     conditions = {"cable": Condition("cable", whole.conditions["cable"].starts[:2])}
     monkeypatch.setitem(BOARDS, BOARD, replace(whole, conditions=conditions, episode_steps=5))
 
 
-def policy(seed: int = 0, **card) -> Policy:
+def policy(seed: int = 0, **card: Any) -> Policy:
     """One random layer."""
     rng = np.random.default_rng(seed)
-    tensors = {"mean": np.zeros(OBSERVED), "std": np.ones(OBSERVED), "w0": rng.normal(size=(CABLES, OBSERVED)),
-               "b0": np.zeros(CABLES)}  # fmt: skip
+    tensors: dict[str, np.ndarray] = {"mean": np.zeros(OBSERVED), "std": np.ones(OBSERVED)}
+    tensors |= {"w0": rng.normal(size=(CABLES, OBSERVED)), "b0": np.zeros(CABLES)}
     return Policy(replace(CARD, seed=seed, **card), tensors)
 
 
 def scores(*final_mm: float) -> dict:
+    """The scores of episodes that end with these metrics [mm], on the cheap model."""
     return {"cable": {"final_mm": list(final_mm), "return": [0.0] * len(final_mm), "success": [False] * len(final_mm),
                       "diverged": 0}}  # fmt: skip
 
@@ -44,7 +48,7 @@ def true_entry(results: Path, entry: str = "ours", given: Policy | None = None) 
     return write_entry(results, BOARD, entry, given, evaluated(BOARDS[BOARD], given, num_threads=1))
 
 
-def edit(path: Path, change) -> None:
+def edit(path: Path, change: Callable[[dict], object]) -> None:
     """Change the content of an entry."""
     entry = json.loads(path.read_text())
     change(entry)
@@ -60,6 +64,6 @@ def put_policy(path: Path, name: str, data: bytes) -> None:
 def gates(false_alarms: float) -> list[dict]:
     """Those of a diagnosis of which only the first has cases."""
     empty = {"cases": 0, "value": None, "interval": None, "met": None}
-    found = [{"gate": name, "bar": bar, "below": below, **empty} for name, _, _, bar, below in GATES]
+    found: list[dict] = [{"gate": name, "bar": bar, "below": below, **empty} for name, _, _, bar, below in GATES]
     found[0] |= {"cases": 20, "value": false_alarms, "interval": [0.0, 0.1], "met": false_alarms <= found[0]["bar"]}
     return found

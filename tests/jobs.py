@@ -3,18 +3,22 @@
 import os
 import signal
 import time
+from pathlib import Path
+
+import numpy as np
 
 from soro_bench.files import read_json, write_json
 
 
-def squared(i, wait=0.0):
+def squared(i: int, wait: float = 0.0) -> int:
+    """The square of a number, after some seconds; ValueError for a negative one."""
     time.sleep(wait)
     if i < 0:
         raise ValueError(f"{i} is negative")
     return i * i
 
 
-def die_once(folder):
+def die_once(folder: Path) -> None:
     """Kill this process if it is the first to come here, as a machine that runs out of memory would."""
     try:
         (folder / "died").touch(exist_ok=False)
@@ -23,7 +27,7 @@ def die_once(folder):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def counted(folder, i, array):
+def counted(folder: Path, i: int, array: np.ndarray) -> int:
     """Square a number, unless its file is there; the fourth job kills its worker, once."""
     path = folder / f"{i}.json"
     if not path.exists():
@@ -35,11 +39,12 @@ def counted(folder, i, array):
     return read_json(path)
 
 
-def die():
+def die() -> None:
+    """Kill this process."""
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def trained(folder, dying):
+def trained(folder: Path, dying: bool) -> tuple[bytes, bytes]:
     """Train a small policy; the worker is killed after the first of three checkpoints."""
     from soro_bench.training.ppo import PPOConfig, train
 
@@ -49,7 +54,7 @@ def trained(folder, dying):
     )  # fmt: skip
     folder.mkdir(exist_ok=True)
 
-    def progress(steps, total, row):
+    def progress(steps: int, total: int, row: dict) -> None:
         with open(folder / "steps", "a") as file:
             file.write(f"{steps}\n")
         if dying and steps > config.segment_steps:

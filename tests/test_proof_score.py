@@ -61,12 +61,12 @@ def test_what_is_right_is_counted_and_what_is_wrong_is_listed():
 @pytest.mark.parametrize(
     ("truth", "said", "right"),
     [
-        ({"place": "vertebra4"}, {"place": "vertebra5"}, True),
-        ({"place": "vertebra4"}, {"place": "vertebra6"}, False),
-        ({"kind": "tendon", "place": "L2"}, {"kind": "actuator", "place": "L2"}, True),
-        ({"kind": "tendon", "place": "L2"}, {"kind": "tendon", "place": "L1"}, False),
-        ({"place": "*"}, {"place": "*"}, True),
-        ({"place": "*"}, {"place": "vertebra4"}, False),
+        ({"site": "vertebra4"}, {"site": "vertebra5"}, True),
+        ({"site": "vertebra4"}, {"site": "vertebra6"}, False),
+        ({"kind": "tendon", "site": "L2"}, {"kind": "actuator", "site": "L2"}, True),
+        ({"kind": "tendon", "site": "L2"}, {"kind": "tendon", "site": "L1"}, False),
+        ({"site": "*"}, {"site": "*"}, True),
+        ({"site": "*"}, {"site": "vertebra4"}, False),
     ],
 )
 def test_places(truth, said, right):
