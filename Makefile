@@ -1,4 +1,4 @@
-# make demo   train, evaluate and record two small policies; see README.md
+# make demo   train and evaluate two small policies, diagnose a robot with hidden physics; see README.md
 # make test   the tests, the checks of style, types and imports, and the documentation site
 # make docs   the documentation site, into build/site
 #

@@ -26,7 +26,8 @@ class RunPreset:
 
     workers: Parallel
     preset: Literal["quick", "paper"] = "quick"
-    """quick: oracle and UDR briefly on TrunkReach. paper: all tasks, methods and seeds; about a day of computing."""
+    """quick: oracle and UDR briefly on TrunkReach, and a diagnosis of a robot with hidden physics.
+    paper: all tasks, methods and seeds; about a day of computing."""
     only: tuple[str, ...] = ()
     """Runs whose names (board/method/seed0) hold one of these texts."""
     plan: bool = False
@@ -43,6 +44,22 @@ class RunPreset:
         results = {"paper": Path("leaderboard", "results")}.get(self.preset, self.out / self.preset / "results")
         runs = chosen(PRESETS[self.preset](), self.only)
         campaign(runs, self.out / self.preset, self.results or results, self.workers, self.plan)
+        if self.preset == "quick" and not (self.only or self.plan):
+            _diagnose_hidden(self.out / self.preset / "diagnosis")
+
+
+def _diagnose_hidden(folder: Path) -> None:
+    """Record a robot with hidden physics and say what the simulation lacks, unless that is done."""
+    from soro_bench.campaign.hidden_robot import ENV_ID, SUMMARY, record_hidden
+    from soro_bench.diagnosis.commands import Diagnose
+
+    if (folder / "report.html").exists():
+        return console.print(
+            f"{folder / 'report.html'} has the diagnosis of a robot with hidden physics", soft_wrap=True
+        )
+    console.print(f"Hidden robot: {SUMMARY}. Its diagnosis sees recordings only.", soft_wrap=True)
+    recording, heldout = record_hidden(folder)
+    Diagnose(recordings=(recording,), heldout=(heldout,), env=ENV_ID, out=folder).run()
 
 
 @dataclass
