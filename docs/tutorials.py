@@ -1,4 +1,4 @@
-"""Tutorials: MkDocs runs their code while it builds the site, and each page is a notebook too.
+"""Tutorials: their code runs while MkDocs builds the site, and each page is a notebook too.
 
 A page is plain Markdown. Its blocks of bash and python run in order, in a folder of their own, and what they print
 stands below them; blocks of any other kind are only shown. A picture is what ``plt.show()`` would show. A comment
@@ -6,7 +6,7 @@ stands below them; blocks of any other kind are only shown. A picture is what ``
 block that fails, or a check, ends a strict build.
 
     python docs/tutorials.py --out notebooks     # the pages as .ipynb files, not executed
-    SORO_BENCH_TUTORIALS=no make docs            # the site without running them
+    make docs                                    # the site; mkdocs alone builds it without running them
 """
 
 import argparse
@@ -114,7 +114,7 @@ def on_page_content(html, page, config, files):
 
 
 def _wanted() -> bool:
-    return os.environ.get("SORO_BENCH_TUTORIALS") != "no"
+    return os.environ.get("SORO_BENCH_TUTORIALS") == "run"
 
 
 def _paths() -> list[Path]:
