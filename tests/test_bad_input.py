@@ -47,7 +47,7 @@ def test_render_mode(env_id):
         ({"max_episode_steps": "a"}, ("max_episode_steps 'a'", "an integer")),
         ({"model": ["flex"]}, ("model ['flex']", "flex, cable")),
         ({"effects": [5]}, ("effects [5]", "a list of Effect")),
-        ({"effects": [{"name": "payload"}]}, ("name, where and parameters", "payload")),
+        ({"effects": [{"name": "payload"}]}, ("name, location and parameters", "payload")),
     ],
 )
 def test_arguments_of_a_vector_environment(argument, parts):
