@@ -17,7 +17,9 @@ are not in the folder lift_sequences are in lift_sequences.zip (soro_bench/packe
 
 import argparse
 import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -41,7 +43,7 @@ STILL_STEPS = 3
 OUT_OF_REACH = -0.2  # m, wall offset
 
 
-def heights(task, ids):
+def heights(task: TrunkLiftTask, ids: np.ndarray) -> np.ndarray:
     """(n, 3): elevation of the object's centre and of its lowest corner above their rest [m], and its lean [rad].
 
     The lean is the angle between the vertical and the face normal nearest to it.
@@ -58,23 +60,25 @@ class Archive:
 
     FIELDS = ("knots", "used", "score", "visits", "state")
 
-    def __init__(self, keys=(), **rows):
+    def __init__(self, keys: Sequence = (), **rows: Sequence) -> None:
         self.place = {tuple(key): i for i, key in enumerate(keys)}
         self.rows = {name: list(rows.get(name, ())) for name in self.FIELDS}
 
     @classmethod
     def load(cls, path: Path) -> "Archive":
+        """The archive of a file."""
         with np.load(path, allow_pickle=False) as data:
             return cls(data["keys"].tolist(), **{name: data[name] for name in cls.FIELDS})
 
     def save(self, path: Path) -> None:
+        """Write the archive into a file, complete or not at all."""
         with replacing(path) as temporary, open(temporary, "wb") as file:
             np.savez(file, keys=np.array(list(self.place)), **{k: np.array(v) for k, v in self.rows.items()})
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.place)
 
-    def offer(self, key, **row) -> None:
+    def offer(self, key: tuple, **row: Any) -> None:
         """Keep the row if its key is new, or if it came there with fewer knots or as many and a better score."""
         i = self.place.setdefault(key, len(self.place))
         if i == len(self.rows["score"]):
@@ -84,7 +88,7 @@ class Archive:
             for name in row:
                 self.rows[name][i] = row[name]
 
-    def draw(self, rng, count) -> list[int]:
+    def draw(self, rng: np.random.Generator, count: int) -> list[int]:
         """Rows to go on from: unfinished, promising, seldom visited."""
         score, visits = np.array(self.rows["score"]), np.array(self.rows["visits"])
         weight = np.exp(np.minimum(score / 2.5, 8)) / np.sqrt(1 + visits)
@@ -94,20 +98,23 @@ class Archive:
             self.rows["visits"][i] += 1
         return rows.tolist()
 
-    def best_plans(self, count) -> np.ndarray:
+    def best_plans(self, count: int) -> np.ndarray:
         """(count, 10, 4) m: the plans of the best scores; unused knots repeat the last."""
         best = np.argsort(self.rows["score"])[::-1][:count]
         return np.stack([hold_on(self.rows["knots"][i], self.rows["used"][i]) for i in best])
 
 
-def hold_on(knots, used):
+def hold_on(knots: np.ndarray, used: int) -> np.ndarray:
+    """(10, 4) knots [m] of which those after the first ``used`` repeat the last of these."""
     return np.concatenate([knots[:used], np.repeat(knots[max(used - 1, 0)][None], NUM_KNOTS - used, axis=0)])
 
 
 class Explorer:
     """Random moves from the members of an archive."""
 
-    def __init__(self, task, params, archive, rng):
+    def __init__(
+        self, task: TrunkLiftTask, params: Mapping[str, float], archive: Archive, rng: np.random.Generator
+    ) -> None:
         self.task, self.archive, self._rng = task, archive, rng
         self._options = {"params": params}
         self._ids = np.arange(task.num_envs)
@@ -115,7 +122,7 @@ class Explorer:
             task.sim.batch.bind(field)
         self._path = np.full(task.num_envs, np.inf)  # m, how far the objects moved in the last STILL_STEPS
 
-    def restart(self, plan=None) -> None:
+    def restart(self, plan: np.ndarray | None = None) -> None:
         """Offer the start of an episode to the archive, and what the plan (10, 4) [m] comes by."""
         self.task.reset(self._ids, [self._rng] * len(self._ids), [self._options] * len(self._ids))
         self._path[:] = np.inf  # it starts in the air
@@ -139,7 +146,7 @@ class Explorer:
         self._play(actions)
         self._offer(knots, used + 1)
 
-    def _play(self, actions):
+    def _play(self, actions: np.ndarray) -> Any:
         self._path[:] = 0
         for t in range(KNOT_STEPS):
             before = self.task.object_position(self._ids).copy()
@@ -147,7 +154,7 @@ class Explorer:
             if t >= KNOT_STEPS - STILL_STEPS:
                 self._path += np.linalg.norm(self.task.object_position(self._ids) - before, axis=1)
 
-    def _move(self, before):
+    def _move(self, before: np.ndarray) -> Any:
         """(n, 4) m: a nearby or a far bend, with some components as they were; within reach of the cables' rate."""
         rng, shape = self._rng, before.shape
         far = rng.random((len(before), 1)) < 0.5
@@ -156,11 +163,11 @@ class Explorer:
         reach = geo.CABLE_RATE * self.task.control_timestep * KNOT_STEPS
         return np.clip(before + np.clip(after - before, -reach, reach), -BEND_LIMITS, BEND_LIMITS)
 
-    def _actions(self, before, after):
+    def _actions(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         rate = (after - before) / KNOT_STEPS / (geo.CABLE_RATE * self.task.control_timestep)
         return np.repeat(np.clip(rate, -1, 1)[:, None], KNOT_STEPS, axis=1).astype(np.float32)
 
-    def _offer(self, knots, used):
+    def _offer(self, knots: np.ndarray, used: np.ndarray) -> None:
         batch, ids = self.task.sim.batch, self._ids
         position = self.task.object_position(ids)
         tip = self.task.tip(ids) - position
@@ -177,10 +184,10 @@ class Explorer:
             score = clearance + 0.15 * elevation if still else -2 + 0.1 * elevation
             self.archive.offer(key, knots=knots[i].copy(), used=int(used[i]), score=score, state=state[i])
 
-    def _nearest_axis(self):
+    def _nearest_axis(self) -> Any:
         return np.abs(self.task.vertical(self._ids)).argmax(axis=1)
 
-    def _load(self, states):
+    def _load(self, states: Any) -> None:
         batch, first = self.task.sim.batch, 0
         for field in STATE_FIELDS:
             array = getattr(batch, field)
@@ -190,7 +197,7 @@ class Explorer:
         batch.forward(self._ids, stage=mujoco.mjtStage.mjSTAGE_VEL)
 
 
-def rounded_actions(plans):
+def rounded_actions(plans: np.ndarray) -> np.ndarray:
     """(n, 100, 8) float32 actions, to the four digits that a file holds, of plans (n, 10, 4) [m], to its six."""
     return np.round(actions_from_knots(antagonistic(np.round(plans, 6)), DUE), 4)
 
@@ -198,20 +205,20 @@ def rounded_actions(plans):
 class Judge:
     """Plays whole plans and says what they hold."""
 
-    def __init__(self, task, params):
+    def __init__(self, task: TrunkLiftTask, params: Mapping[str, float]) -> None:
         self._task = task
         friction = TrunkLiftTask.parameters.parameters["friction"].nominal
         self._params = (params, {**params, "cube_mass": 1.0001 * params["cube_mass"], "friction": 0.9999 * friction})
 
-    def play(self, actions, params):
+    def play(self, actions: np.ndarray, params: Mapping[str, float]) -> Any:
         """(n, t, 3) heights of actions (n, t, 8)."""
         return roll_out(self._task, actions, {"params": params}, lambda ids: heights(self._task, ids))
 
-    def worth(self, plans) -> np.ndarray:
+    def worth(self, plans: np.ndarray) -> np.ndarray:
         """(n,) mm: what plans (n, 10, 4) [m] hold."""
         return self.worth_of(rounded_actions(plans))
 
-    def worth_of(self, actions) -> np.ndarray:
+    def worth_of(self, actions: np.ndarray) -> np.ndarray:
         """(n,) mm: what actions (n, 100, 8) hold in the worse of the two simulations; -inf if one diverged."""
         worths = []
         for params in self._params:
@@ -221,7 +228,7 @@ class Judge:
             worths.append(np.where(np.isfinite(held) & (peak < 100), held, -np.inf))  # what is flung does not count
         return np.min(worths, axis=0)
 
-    def describe(self, plan) -> dict:
+    def describe(self, plan: np.ndarray) -> dict:
         """The plan (10, 4) [m] as a sequence file, measured with its rounded actions in the nominal simulation."""
         rounded = rounded_actions(plan[None])
         played = self.play(rounded, self._params[0])[0]
@@ -237,7 +244,14 @@ class Judge:
         }
 
 
-def polish(judge, start, best, options, until, found):
+def polish(
+    judge: Judge,
+    start: np.ndarray,
+    best: float,
+    options: argparse.Namespace,
+    until: float,
+    found: Callable[[np.ndarray, float], bool],
+) -> None:
     """CMA-ES from the plan ``start`` (10, 4) [m] until the time ``until`` or ``found(plan, worth)`` is content.
 
     It is asked of every plan that is worth more than ``best`` and those before.
@@ -261,7 +275,8 @@ def polish(judge, start, best, options, until, found):
         seed, step = seed + 1, 1.5 * step
 
 
-def case_name(options) -> str:
+def case_name(options: argparse.Namespace) -> str:
+    """What files of a case are called."""
     return f"{options.model}_{options.mass:g}kg_{'wall' if options.wall else 'no_wall'}"
 
 
@@ -273,7 +288,8 @@ def plan_of(path: Path) -> np.ndarray:
     return knots.astype(float)
 
 
-def search(options) -> None:
+def search(options: argparse.Namespace) -> None:
+    """Explore and then refine until the time is over, from what the files of the case hold."""
     name = case_name(options)
     params = {"cube_mass": options.mass, "wall_offset": 0.0 if options.wall else OUT_OF_REACH}
     task = TrunkLiftTask(num_envs=options.popsize, num_threads=1, model=options.model, action="continuous")
@@ -298,7 +314,7 @@ def search(options) -> None:
     worth = judge.worth(plans)
     print(f"{name}: best of {len(plans)} known plans {worth.max():.2f} mm", flush=True)
 
-    def found(plan, value):
+    def found(plan: np.ndarray, value: float) -> bool:
         sequence = {"env_id": "TrunkLift-v0", "model": options.model, "action": "continuous", "mass_kg": options.mass,
                     "wall": options.wall, "params": params, **judge.describe(plan)}  # fmt: skip
         write_json(sequence_file, sequence)
@@ -315,7 +331,8 @@ def search(options) -> None:
     polish(judge, plans[worth.argmax()], stored, options, begin + 60 * options.minutes, found)
 
 
-def main():
+def main() -> None:
+    """Read the options and search."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--mass", type=float, default=0.05, help="kg")
     parser.add_argument("--wall", action=argparse.BooleanOptionalAction, default=True, help="wall in reach")

@@ -139,7 +139,7 @@ def test_the_command_line_takes_workers_without_a_prefix(monkeypatch, capsys):
     pytest.importorskip("tyro", reason="needs the train extra")
     from soro_bench import cli
 
-    arguments = ["prove", "--out", "folder", "--jobs", "2", "--backend", "dask"]
+    arguments = ["blind-benchmark", "--out", "folder", "--jobs", "2", "--backend", "dask"]
     command = cli.tyro.extras.subcommand_cli_from_dict(cli.COMMANDS, args=[*arguments, "--scheduler", "tcp://a:1"])
     assert command.workers == Workers(2, "dask", "tcp://a:1")
     monkeypatch.setattr("sys.argv", ["soro-bench", *arguments])
