@@ -23,6 +23,7 @@ import tyro
 
 from soro_bench.cli import COMMANDS
 from soro_bench.diagnosis.result import SCHEMA, Result
+from soro_bench.diagnosis.settings import DEFAULT, RobotSettings, listed
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import Quantity
 from soro_bench.effects.equations import EQUATIONS
@@ -326,6 +327,22 @@ def _option(action: argparse.Action) -> tuple[str, ...]:
     return (name, value, shown, doc_links(meaning.strip().replace("<", "&lt;"), REFERENCE))
 
 
+# --- settings of the diagnosis ---
+
+
+def settings() -> str:
+    """A table for every stage."""
+    groups = {field.name: getattr(DEFAULT, field.name) for field in dataclasses.fields(DEFAULT)}
+    return "\n\n".join(_settings(stage, group) for stage, group in {**groups, "robots": RobotSettings()}.items())
+
+
+def _settings(stage: str, group) -> str:
+    rows = [(f"`{name}`", f"{value}", unit, reason) for _, name, value, unit, reason in listed(stage, group)]
+    summary = re.sub(r"\s+", " ", inspect.getdoc(group))
+    title = stage.replace("_", " ").capitalize()
+    return f"## {title}\n\n{summary}\n\n{table(('setting', 'value', 'unit', 'reason'), rows)}"
+
+
 # --- result.json ---
 
 
@@ -391,7 +408,13 @@ def in_json(hint) -> str:
     return {float: "number", int: "integer", str: "text", bool: "true or false"}[hint]
 
 
-PARTS = {"effects.md": effects, "parameters.md": parameters, "command_line.md": command_line, "result_json.md": result}
+PARTS = {
+    "effects.md": effects,
+    "parameters.md": parameters,
+    "command_line.md": command_line,
+    "result_json.md": result,
+    "settings.md": settings,
+}
 
 if __name__ == "__main__":
     for path, text in pages().items():

@@ -98,7 +98,9 @@ def test_the_modules_of_the_python_reference_exist():
     assert [name for name in modules if importlib.util.find_spec(name) is None] == []
 
 
-@pytest.mark.parametrize("name", ["docs/index.md", "docs/reference/effects.md", "docs/reference/recordings.md"])
+@pytest.mark.parametrize(
+    "name", ["docs/index.md", "docs/reference/effects.md", "docs/reference/recordings.md", "docs/reference/settings.md"]
+)
 def test_the_python_of_a_page_runs(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"(?ms)^```python\n(.*?)^```", PAGES[name].read_text())
