@@ -73,10 +73,10 @@ def test_an_actuator_that_is_not_there_is_refused_with_those_that_are(paths):
         ModelRobot(*paths, threads=1)
 
 
-def test_setpoints_are_in_the_unit_that_the_mapping_says(paths):
-    assert ModelRobot(*paths, threads=1).setpoint_unit == "setpoint"
-    paths[1].write_text(MAP.replace('["motor"]', '["motor"]\nunit = "rad"', 1))
+def test_setpoints_are_in_the_unit_of_the_mapping_or_else_of_the_model(paths):
     assert ModelRobot(*paths, threads=1).setpoint_unit == "rad"
+    paths[1].write_text(MAP.replace('["motor"]', '["motor"]\nunit = "deg"', 1))
+    assert ModelRobot(*paths, threads=1).setpoint_unit == "deg"
 
 
 def test_a_finer_model_outside_the_folder_of_the_mapping_is_refused(paths):

@@ -11,7 +11,7 @@ from soro_bench.blind_benchmark.unseen import unseen
 from soro_bench.diagnosis.estimation.data_quality import data_quality
 from soro_bench.diagnosis.pipeline import diagnose, unexplained
 from soro_bench.diagnosis.report import report_of
-from soro_bench.diagnosis.robots.robot import FITTED, Robot
+from soro_bench.diagnosis.robots.robot import FITTED, REFINED, Robot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.selection.forward_selection import nominal_fit
 from soro_bench.files import write_json
@@ -25,7 +25,7 @@ FROZEN = 1e-6  # of a parameter's prior standard deviation, where it is not fitt
 class Unrefined(SuiteRobot):
     """A robot of which no more accurate simulation is known: there is no numerical floor."""
 
-    def refined(self) -> list[Robot]:
+    def refined(self, refinement: int = REFINED) -> list[Robot]:
         """None."""
         return []
 

@@ -1,4 +1,7 @@
-"""Suspects: every effect at every place where it may act, with coordinates in which fits look for its parameters."""
+"""The library of candidate terms: every law at every location where it may act, with coordinates for fits.
+
+A coordinate is in standard deviations of its prior. Where all magnitudes have coordinate zero, a term does nothing.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -6,21 +9,23 @@ from itertools import pairwise
 
 import numpy as np
 
-from soro_bench.diagnosis.robots.priors import LIMIT
+from soro_bench.arrays import Floats
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.effects.catalogue import ALL, PHYSICS, QUANTITIES
+from soro_bench.diagnosis.settings import PriorSettings
+from soro_bench.effects.catalogue import ALL, MEASUREMENT, PHYSICS, QUANTITIES
 from soro_bench.effects.effect import EVERY, Effect, Location, Quantity
 
-MAGNITUDE_DEVIATION, SECOND_DEVIATION = 5.0, 0.7  # of effects: in typical magnitudes at most, in logarithms
 PNEUMATIC = ("pressure_leak", "pressure_asymmetry", "supply_coupling")
+_DEFAULT = PriorSettings()
 
 
 @dataclass(frozen=True)
 class Term:
-    """An effect whose parameters are to be found: a law at a port.
+    """A law at a location, whose quantities are to be found.
 
-    typical: of its quantities, at this port. magnitudes: which of them are null without the effect. idle: quantities of
-        the law that can do nothing here; they stay null.
+    name: of the law. typical: values of its quantities at this location. magnitudes: which of them are null without the
+    effect; the others shape it. idle: quantities of the law that can do nothing here and stay null. settings: widths of
+    its priors.
     """
 
     name: str
@@ -28,59 +33,61 @@ class Term:
     typical: tuple[float, ...]
     magnitudes: tuple[bool, ...]
     idle: frozenset[str] = frozenset()
+    settings: PriorSettings = _DEFAULT
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
-        """Those of the law that do something here."""
+        """Quantities of the law that do something here."""
         return tuple(q for q in QUANTITIES[self.name] if q.name not in self.idle)
 
     @property
     def size(self) -> int:
+        """Number of coordinates."""
         return len(self.typical)
 
     @property
-    def deviations(self) -> np.ndarray:
+    def deviations(self) -> Floats:
         """(size,) standard deviations of the priors: of magnitudes in their units, of others in logarithms.
 
-        A magnitude that ends somewhere, as a share does, is at most as far as that from nothing: clouds that are wider
-        than all there is would only see both ends.
+        That of a magnitude with an end, as a share has, is at most its distance from null: wider samples would lie at
+        both ends only.
         """
-        found = np.full(self.size, SECOND_DEVIATION)
+        found = np.full(self.size, self.settings.shape_deviation)
         for i, (q, typical) in enumerate(zip(self.quantities, self.typical, strict=True)):
             if self.magnitudes[i]:
                 most = q.bounds[1] - q.null if q.null == q.bounds[0] else np.inf
-                found[i] = min(MAGNITUDE_DEVIATION * (typical - q.null), most)
+                found[i] = min(self.settings.magnitude_deviation * (typical - q.null), most)
         return found
 
     @property
-    def simulated(self) -> np.ndarray:
-        """(size,) the coordinates of the effect of typical magnitudes."""
+    def simulated(self) -> Floats:
+        """(size,) coordinates of the effect with typical magnitudes."""
         null = np.array([q.null for q in self.quantities])
         return np.where(self.magnitudes, (np.array(self.typical) - null) / self.deviations, 0.0)
 
     @property
-    def bounds(self) -> np.ndarray:
-        """(2, size) the least and the largest coordinates: beyond them the quantities stay at their bounds, so that no
-        slope would lead back."""
+    def bounds(self) -> Floats:
+        """(2, size) least and largest coordinates. Beyond them quantities stay at their bounds, and a Jacobian is 0."""
         found, columns = [], zip(self.quantities, self.typical, self.magnitudes, self.deviations, strict=True)
+        limit = self.settings.limit
         for q, typical, magnitude, deviation in columns:
             ends = np.array(q.bounds)
             if magnitude:
                 found.append(np.sort((ends - q.null) / deviation))
             else:
                 with np.errstate(divide="ignore"):  # the logarithm of zero
-                    found.append(np.clip(np.log(ends / typical) / deviation, -LIMIT, LIMIT))
+                    found.append(np.clip(np.log(ends / typical) / deviation, -limit, limit))
         return np.array(found).T
 
-    def effect(self, x: np.ndarray) -> Effect:
-        """The effect at coordinates x (size,), in standard deviations of their priors."""
+    def effect(self, x: Floats) -> Effect:
+        """The effect at coordinates x (size,)."""
         values, moved = {q.name: q.null for q in QUANTITIES[self.name]}, self.deviations * x
         for q, typical, magnitude, by in zip(self.quantities, self.typical, self.magnitudes, moved, strict=True):
             values[q.name] = float(np.clip(q.null + by if magnitude else typical * np.exp(by), *q.bounds))
         return Effect(self.name, self.location, values)
 
-    def coordinates(self, values: Mapping[str, float]) -> np.ndarray:
-        """(size,) where ``effect`` has these values; zero for quantities without one."""
+    def coordinates(self, values: Mapping[str, float]) -> Floats:
+        """(size,) coordinates at which ``effect`` has these values; zero for quantities without one."""
         found, columns = [], zip(self.quantities, self.typical, self.magnitudes, self.deviations, strict=True)
         for q, typical, magnitude, deviation in columns:
             value = values.get(q.name, q.null if magnitude else typical)
@@ -88,39 +95,39 @@ class Term:
         return np.array(found)
 
 
-def effects_at(x: np.ndarray, terms: Sequence[Term]) -> list[Effect]:
-    """The suspects with the parameters that the coordinates x stand for."""
+def effects_at(x: Floats, terms: Sequence[Term]) -> list[Effect]:
+    """The effects of some terms at the coordinates x (n,) of all of them."""
     return [term.effect(x[part]) for term, part in zip(terms, slices(terms), strict=True)]
 
 
 def slices(terms: Sequence[Term], first: int = 0) -> list[slice]:
-    """Where each has its coordinates among those of all, which begin at the first one."""
+    """Which of the coordinates of all terms belong to each; they begin at index ``first``."""
     ends = np.cumsum([first, *(term.size for term in terms)]).tolist()
-    return [slice(*pair) for pair in pairwise(ends)]
+    return [slice(start, end) for start, end in pairwise(ends)]
 
 
-def terms(robot: Robot) -> list[Term]:
-    """Every effect at every port of the robot that can have it, and every fault of its sensor."""
+def terms(robot: Robot, settings: PriorSettings = _DEFAULT) -> list[Term]:
+    """Every law at every location of the robot that can have it, and every fault of its sensor."""
     points, coordinates = robot.shape
-    found = []
+    found: list[Term] = []
     for name, law in PHYSICS.items():
         if name in PNEUMATIC and not robot.pneumatic:
             continue
         for kind in law.kinds:
             locations = [] if kind == "joint" and "body" in law.kinds else robot.locations(kind)
             every = [Location(kind, EVERY)] if law.shared and len(locations) > 1 else []
-            for one in _possible(robot, name, every if every and law.only_shared else every + locations):
+            for one in _possible(robot, name, every if every and law.only_shared else every + locations, settings):
                 found += variants(one)
-    for name, fault in ALL.items():
-        if name not in PHYSICS and name != "outliers" and (coordinates == 3 or name != "frame_misalignment"):
-            indices = range(points) if fault.local else [None]
-            found += [term(robot, name, Location("sensor", robot.signal, i)) for i in indices]
+    for name, fault in MEASUREMENT.items():
+        if name != "outliers" and (coordinates == 3 or name != "frame_misalignment"):
+            indices: Sequence[int | None] = range(points) if fault.local else [None]
+            found += [term(robot, name, Location("sensor", robot.signal, i), settings) for i in indices]
     return found
 
 
-def _possible(robot, name, locations) -> list[Term]:
-    """A law at those of the ports that can have it; all of them are tried at once first, which takes less time."""
-    at = [term(robot, name, location) for location in locations]
+def _possible(robot: Robot, name: str, locations: Sequence[Location], settings: PriorSettings) -> list[Term]:
+    """A law at each of the locations that can have it. All of them are tried at once first, which takes less time."""
+    at = [term(robot, name, location, settings) for location in locations]
     single = [one for one in at if one.location.name != EVERY] or at
     if robot.accepts([one.effect(np.zeros(one.size)) for one in single]):
         return at
@@ -128,32 +135,32 @@ def _possible(robot, name, locations) -> list[Term]:
 
 
 def late(robot: Robot, name: str, location: Location) -> bool:
-    """Whether an effect delays all commands or all measurements: either way what follows from a command is measured
-    late by as much."""
+    """Whether an effect delays all commands or all measurements. The two are indistinguishable: either way the motion
+    is measured late after its command."""
     all_actuators = location.name == EVERY or robot.locations("actuator") == [location]
     return name == "sensor_delay" or (name == "actuator_delay" and all_actuators)
 
 
-def term(robot: Robot, name: str, location: Location) -> Term:
+def term(robot: Robot, name: str, location: Location, settings: PriorSettings = _DEFAULT) -> Term:
     """The candidate term of a law at a location, with the magnitudes that are typical there."""
     one = robot.locations(location.kind)[0] if location.name == EVERY else location
     physics, elements = name in PHYSICS, robot.elements
-    idle = ALL[name].idle(elements, one) if physics else ALL[name].idle(robot.shape[1])
+    idle = PHYSICS[name].idle(elements, one) if physics else MEASUREMENT[name].idle(robot.shape[1])
     typical, magnitudes = [], []
     for i, q in enumerate(ALL[name].quantities):
         if q.name not in idle:
             magnitudes.append(i == 0 or (q.null == 0.0 and q.bounds[0] < 0))
             typical.append(q.typical * (elements.scale(one, q.of) if physics else 1.0))
-    return Term(name, location, tuple(typical), tuple(magnitudes), idle)
+    return Term(name, location, tuple(typical), tuple(magnitudes), idle, settings)
 
 
 def typical(one: Term) -> Effect:
-    """The effect of typical magnitudes."""
+    """The effect with typical magnitudes."""
     return one.effect(one.simulated)
 
 
 def variants(one: Term) -> list[Term]:
-    """A suspect, and those that begin at other values of what shapes the signature."""
+    """A term, and the same law with other values of the quantities that shape its signature."""
     found = [one]
     for i, q in enumerate(one.quantities):
         for value in q.also:

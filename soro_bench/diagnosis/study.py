@@ -1,8 +1,8 @@
-"""Studies of real robots: what a diagnosis says of their recordings, and how far simulations are off before and after.
+"""Studies of real robots: diagnoses of their recordings, and errors of the simulation before and after them.
 
 A study is a TOML file of ``assets/studies``: a model, its mapping, how its recordings are imported, and parts. A part
-names recordings to explain, held-out ones and unseen ones, as files with what their import adds to the mapping; one
-that comes ``after`` another begins with what that has found.
+names recordings to explain, held-out ones and unseen ones, as files with the changes that their import makes to the
+mapping. The result of the part that it comes ``after`` is its baseline.
 """
 
 import hashlib
@@ -28,13 +28,14 @@ from soro_bench.recording.importers import import_recording
 from soro_bench.recording.recording import Recording
 
 SUMMARY = "summary.json"
-METHOD = method_version()  # of the sources that this process has loaded, whatever happens to the files later
+METHOD = method_version()  # of the sources as this process loaded them
 STUDIES = ("opencr_tdcr", "asl_trunk", "bam_servo", "silicone_beam")
 
 
 @dataclass(frozen=True)
 class Part:
-    """Recordings to be explained, those on which answers are compared too, and those that have no say in them."""
+    """Recordings of one question: to explain (train), to compare answers on too (heldout), and that play no part
+    (unseen). ``after`` names the part whose result is the baseline."""
 
     name: str
     question: str
@@ -76,7 +77,7 @@ def load_study(name: str, data: str | Path) -> Study:
         )
         for key, part in table["parts"].items()
     )
-    return Study(name, *(asset_path(f"mjcf/{table[key]}") for key in ("model", "map")), parts)
+    return Study(name, asset_path(f"mjcf/{table['model']}"), asset_path(f"mjcf/{table['map']}"), parts)
 
 
 def _recordings(folder: Path, usual: str, entries: Sequence[dict]) -> tuple[Recording, ...]:
@@ -106,9 +107,7 @@ def run_study(
         if not (folder / SUMMARY).exists():
             known = baseline(Path(out) / part.after) if part.after else None
             robot = ModelRobot(study.model, study.map, threads, baseline=known)
-            found = diagnose(
-                robot, part.train, part.heldout, seed, lambda stage, p=part: progress(f"{p.name}: {stage}")
-            )
+            found = diagnose(robot, part.train, part.heldout, seed, _prefixed(progress, part.name))
             text = write_reports(found, part.train, folder)
             summary = _summary(study, part, found, text, seed)
             summary["known"] = [effect.to_json() for effect in known.effects] if known else []
@@ -116,8 +115,21 @@ def run_study(
     return [read_json(Path(out) / part.name / SUMMARY) for part in study.parts]
 
 
+def _prefixed(progress: Callable[[str], None], name: str) -> Callable[[str], None]:
+    """Report stages with the name of a part before them."""
+
+    def report(stage: str) -> None:
+        progress(f"{name}: {stage}")
+
+    return report
+
+
 def check_summaries(study: Study, out: str | Path, seed: int) -> None:
-    """Refuse what is in a folder if it would not come out the same; see :func:`run_study`."""
+    """Refuse a folder whose summaries are of another seed, method, model, mapping or recording.
+
+    Raises:
+        ValueError: says which, see :func:`run_study`.
+    """
     for part in study.parts:
         path = Path(out) / part.name / SUMMARY
         if not path.exists():
@@ -144,6 +156,7 @@ def _inputs(study: Study, part: Part) -> str:
 
 
 def _summary(study: Study, part: Part, found: Diagnosis, text: str, seed: int) -> dict:
+    """The JSON summary of a part: errors of the simulation [signal's unit] and answers with their probabilities."""
     robot = found.explanation.problem.robot
     sets = {"train": part.train, "heldout": part.heldout, "unseen": part.unseen}
     measured = {key: tuple(robot.measured(each) for each in some) for key, some in sets.items() if some}
@@ -169,6 +182,7 @@ def _summary(study: Study, part: Part, found: Diagnosis, text: str, seed: int) -
 
 
 def _answer(found: Diagnosis, answer: Answer, errors: dict) -> dict:
+    """An answer of a summary: effects, probability, gain in log evidence over the nominal robot, and errors."""
     problem, hypothesis = found.explanation.problem, answer.hypothesis
     gain = hypothesis.log_evidence(problem) - found.explanation.nominal.log_evidence(problem)
     effects = [effect.to_json() for effect in hypothesis.effects(problem.parameters)]

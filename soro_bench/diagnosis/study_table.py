@@ -1,4 +1,4 @@
-"""What studies have found, as a table."""
+"""The results of studies as a table."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -37,7 +37,7 @@ def _answers(summary: dict) -> list[str]:
 
 def _likeliest(answers: Sequence[dict]) -> float:
     """The probability of the likeliest effect, whatever comes with it, by which a verdict goes; or of none at all."""
-    chances = Counter()
+    chances: Counter[str] = Counter()
     for answer in answers:
         for name in map(named, answer["effects"]) if answer["effects"] else ["nothing"]:
             chances[name] += answer["probability"]
@@ -45,20 +45,23 @@ def _likeliest(answers: Sequence[dict]) -> float:
 
 
 def _three(found: dict) -> str:
+    """Mean absolute error, rms of the last point, and that without its mean."""
     return " / ".join(f"{found[key]:.3g}" for key in ("mean_absolute", "rms", "rms_without_mean"))
 
 
 def _named(answer: dict) -> str:
+    """The effects of an answer with its probability."""
     return f"{' + '.join(map(named, answer['effects'])) or 'nothing'} ({answer['probability']:.2f})"
 
 
 def _known(summary: dict) -> str:
+    """The effects that were known before, in words."""
     known = " + ".join(map(named, summary["known"]))
     return f", with {known} known before" if known else ""
 
 
 def named(effect: dict) -> str:
-    """An effect of a summary and its place, in words."""
+    """An effect of a summary and its location, in words."""
     location = effect["where"]
     point = "" if location.get("index") is None else f"[{location['index']}]"
     return f"{effect['name']} at {location['name']}{point}"

@@ -1,5 +1,6 @@
 """Effects at work in N simulations, each with its own."""
 
+import copy
 from collections.abc import Sequence
 from typing import Any
 
@@ -26,7 +27,8 @@ class ActiveEffects:
     """
 
     def __init__(self, batch: Batch):
-        self.batch, self.elements = _Once(batch), Elements(batch.model)
+        self.batch: _Once | _Untouched = _Once(batch)
+        self.elements = Elements(batch.model)
         self._nominal, self._plastic = batch.model, mujoco.MjData(batch.model).plastic.copy()
         self._fields: set[str] = set()
         self.assign([()] * batch.nsim)
@@ -64,6 +66,17 @@ class ActiveEffects:
         self._stepped = [law for law in self._laws if law.stepped]
         self._prepare_setpoints()
         self._ids: Ints | None = None  # of the last step
+
+    def tried(self, effects: Sequence[Effect]) -> "ActiveEffects":
+        """What these would be with some effects in one simulation; they, and the simulations, stay as they are.
+
+        Raises:
+            EffectError: as ``assign`` does.
+        """
+        trial = copy.copy(self)  # ``assign`` replaces every attribute, but for the fields, which it adds to
+        trial._fields, trial.batch = set(self._fields), _Untouched(self.batch)
+        trial.assign([effects, *[()] * (self.batch.nsim - 1)])
+        return trial
 
     @property
     def native(self) -> bool:
@@ -217,6 +230,24 @@ class _Once:
         if name in DATA_FIELDS:
             setattr(self, name, found)
         return found
+
+
+class _Untouched:
+    """A batch that can be read: what laws would prepare in it is left out, and fields are copies."""
+
+    def __init__(self, batch: "_Once | _Untouched"):
+        self._batch = batch
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._batch, name)
+
+    def bind(self, name: str) -> None:
+        """Prepare nothing for a field that is read."""
+
+    def expand(self, name: str) -> Floats:
+        """A copy of a field's values."""
+        found = self._batch.expanded(name)
+        return np.array(getattr(self._batch.model, name)[None] if found is None else found)
 
 
 class _Commands:

@@ -91,12 +91,20 @@ class Simulation:
         self.set_params(np.arange(len(effects)), self.params)
 
     def accepts(self, effects: Sequence[Effect]) -> bool:
-        """Whether a simulation can have these effects at once; ``assign_effects`` has to follow before it goes on."""
+        """Whether a simulation can have these effects at once; those that the simulations have stay."""
         try:
-            self._instrumented.assign([effects] + [()] * (self.batch.nsim - 1))
+            self._instrumented.tried(effects)
         except EffectError:
             return False
         return True
+
+    def in_fields(self, effects: Sequence[Effect]) -> bool:
+        """Whether these effects would be in model fields and nowhere else; those that the simulations have stay.
+
+        Raises:
+            EffectError: a simulation cannot have them.
+        """
+        return self._instrumented.tried(effects).native
 
     def change(self, name: str, row: int, location: Location, quantity: str, value: float) -> None:
         """Give an effect that acts in simulation ``row`` another value of a quantity, from the next time step on."""

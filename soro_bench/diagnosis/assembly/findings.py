@@ -111,11 +111,7 @@ def _quantities(diagnosis: Diagnosis, finding: Finding) -> dict:
 def unit_at(robot: Robot, unit: str, location: Location) -> str:
     """What a quantity of an effect is in at a place: of "N or N m" and the like the one that fits what turns or slides
     there."""
-    own = {"signal": robot.unit, "setpoint": robot.setpoint_unit}
-    parts = own.get(unit, unit).split(" or ")
-    turning = [part for part in parts if "rad" in part or "N m" in part]
-    sliding = [part for part in parts if part not in turning]
-    return (turning if turning and robot.elements.turns(location) else sliding or parts)[0]
+    return robot.unit_at(unit, location)
 
 
 def deviations(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:

@@ -1,32 +1,24 @@
-"""Audit: what a recording's samples are worth, before any of them is explained: noise, missing ones, outliers."""
+"""Data-quality check: noise, gaps and outliers of a recording, before any model explains it."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
 
+from soro_bench.arrays import Bools, Floats
 from soro_bench.diagnosis.robots.measured import Measured
+from soro_bench.diagnosis.settings import DataQualitySettings
 from soro_bench.recording.recording import RecordingError
 
-_WINDOW, _DEGREE = 6, 4  # samples of a window, and of the polynomial that takes the motion out of it
-_SAMPLES = 20  # of a recording at least
-_PRESENT = 0.5  # of a coordinate's samples, to estimate noise from it
-_FARTHEST = 1e4  # in the signal's unit: no robot is that large
-_QUIET = 0.05  # of the windows: in so many at least there is nothing but noise
-_LEAST_NOISE = 1e-6  # of the signal's range: simulations have none
-_REPEATED = 0.2  # of successive samples are equal: a quantised signal
-_FAR = 6.0  # deviations of a point from what its neighbours in time say, to be called an outlier
-_TIMES_USUAL = 4.0  # and as many times what is usual around it and beside it: motion that the simulation gets wrong
-_AROUND = 10  # samples on either side
-_BACK = 0.5  # of its distance, within which its place just before and just after are
+_DEFAULT = DataQualitySettings()
 
 
 @dataclass(frozen=True)
 class DataQuality:
-    """What was found in a recording.
+    """Noise and gaps of a recording.
 
-    sigma: standard deviation of the noise [signal's unit]. least: what it is at any rate, from rounding. missing: share
-    of samples that are missing.
+    sigma: standard deviation of the noise [signal's unit]. least: lower bound of it, from rounding. missing: share of
+    missing samples.
     """
 
     sigma: float
@@ -34,79 +26,94 @@ class DataQuality:
     missing: float
 
 
-def data_quality(measured: Measured) -> DataQuality:
-    """Noise and gaps of a recording."""
+def data_quality(measured: Measured, settings: DataQualitySettings = _DEFAULT) -> DataQuality:
+    """Noise and gaps of a recording.
+
+    Raises:
+        RecordingError: there are too few samples, or they are not those of a moving robot.
+    """
     values = _rows(measured.values.reshape(len(measured.values), -1))
-    enough = np.isfinite(values).sum(axis=0) >= _PRESENT * len(values)
-    if len(values) < _SAMPLES or not enough.any():
+    enough = np.isfinite(values).sum(axis=0) >= settings.least_present * len(values)
+    if len(values) < settings.least_samples or not enough.any():
         share = np.isfinite(measured.values).mean()
-        raise RecordingError(f"too few samples: {len(values)}, {share:.0%} of all present; {_SAMPLES} are needed, and "
-                             f"{_PRESENT:.0%} of some point's")  # fmt: skip
+        raise RecordingError(
+            f"too few samples: {len(values)}, {share:.0%} of all present; {settings.least_samples} are needed, and "
+            f"{settings.least_present:.0%} of some point's"
+        )
     present = values[:, enough]
     low, high = np.nanmin(present, axis=0), np.nanmax(present, axis=0)
-    if max(-low.min(), high.max()) > _FARTHEST or not (high > low).any():
-        raise RecordingError(f"{measured.signal} is constant, or beyond {_FARTHEST:g} {measured.unit}: no moving robot")
-    least = max(_LEAST_NOISE * float((high - low).max()), _step(present) / np.sqrt(12))
-    return DataQuality(max(noise(present), least), least, float(np.isnan(values).mean()))
+    if max(-low.min(), high.max()) > settings.largest_signal or not (high > low).any():
+        raise RecordingError(
+            f"{measured.signal} is constant, or beyond {settings.largest_signal:g} {measured.unit}: no moving robot"
+        )
+    least = max(settings.least_noise * float((high - low).max()), _quantisation(present, settings) / np.sqrt(12))
+    return DataQuality(max(noise(present, settings), least), least, float(np.isnan(values).mean()))
 
 
-def noise(values: np.ndarray) -> float:
-    """Standard deviation of white noise in samples (T, k) of something smooth.
+def noise(values: Floats, settings: DataQualitySettings = _DEFAULT) -> float:
+    """Standard deviation of white noise in samples (T, k) of a smooth signal.
 
-    From what a polynomial leaves of short windows, of those where it leaves least: the robot rests or moves evenly.
+    A polynomial is fitted to short windows. The windows with the smallest residuals count: there the robot rests or
+    moves evenly.
+
+    Raises:
+        RecordingError: no window is complete.
     """
     values = _rows(values)
-    windows = np.lib.stride_tricks.sliding_window_view(values, _WINDOW, axis=0)
-    powers = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, _WINDOW), _DEGREE)
-    squares = ((windows @ (np.eye(_WINDOW) - powers @ np.linalg.pinv(powers))) ** 2).sum(axis=2)
+    windows = np.lib.stride_tricks.sliding_window_view(values, settings.window, axis=0)
+    powers = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, settings.window), settings.degree)
+    squares = ((windows @ (np.eye(settings.window) - powers @ np.linalg.pinv(powers))) ** 2).sum(axis=2)
     complete = np.isfinite(squares)
     count = complete.sum(axis=1)
     if not count.any():
-        raise RecordingError(f"no point is present in {_WINDOW} successive samples")
+        raise RecordingError(f"no point is present in {settings.window} successive samples")
     used = count > 0
     sums = np.where(complete, squares, 0.0).sum(axis=1)[used]
-    quiet = chi2.ppf(_QUIET, count[used] * (_WINDOW - _DEGREE - 1))  # of what is present in each window
-    return float(np.sqrt(np.quantile(sums / quiet, _QUIET)))
+    degrees_of_freedom = count[used] * (settings.window - settings.degree - 1)  # of the complete points
+    quiet = chi2.ppf(settings.quiet_windows, degrees_of_freedom)
+    return float(np.sqrt(np.quantile(sums / quiet, settings.quiet_windows)))
 
 
-def _rows(values: np.ndarray) -> np.ndarray:
-    """Those of the rows (T, ...) that have samples: a robot may take several steps between two of them."""
+def _rows(values: Floats) -> Floats:
+    """The rows of (T, ...) with any sample: a robot may take several steps between two of them."""
     return values[np.isfinite(values).reshape(len(values), -1).any(axis=1)]
 
 
-def _step(values) -> float:
-    """Between the levels of a quantised signal; 0 for another one.
+def _quantisation(values: Floats, settings: DataQualitySettings) -> float:
+    """Step between the levels of a quantised signal (T, k); 0 for a signal that is not quantised.
 
-    It is the commonest change, not the least one: where a log was resampled, samples lie between the levels.
+    It is the commonest change, not the least one: resampling a log puts samples between the levels.
     """
     steps = np.abs(np.diff(values, axis=0))
     steps = steps[np.isfinite(steps)]
-    if not len(steps) or (steps == 0).mean() <= _REPEATED:
+    if not len(steps) or (steps == 0).mean() <= settings.repeated:
         return 0.0
-    rounding = _LEAST_NOISE * float(steps.max())
+    rounding = settings.least_noise * float(steps.max())
     changes, counts = np.unique(np.round(steps[steps > 0] / rounding), return_counts=True)
     return float(rounding * changes[counts.argmax()])
 
 
-def outliers(residual: np.ndarray) -> np.ndarray:
-    """(T, P) whether a point is alone far from where it was just before and is again just after, and its neighbours on
-    the robot are not.
+def outliers(residual: Floats, settings: DataQualitySettings = _DEFAULT) -> Bools:
+    """(T, P) whether a sample is an outlier: far from the samples before and after it, which agree with each other,
+    while the neighbouring points of the robot stay.
 
     Args:
         residual: (T, P, D) measured less simulated, in standard deviations of the noise; NaN where missing.
     """
     if not (sampled := np.isfinite(residual).any(axis=(1, 2))).all():
         found = np.zeros(residual.shape[:2], bool)
-        found[sampled] = outliers(residual[sampled])
+        found[sampled] = outliers(residual[sampled], settings)
         return found
     jump = np.zeros(residual.shape[:2])
     jump[1:-1] = np.linalg.norm(residual[1:-1] - 0.5 * (residual[:-2] + residual[2:]), axis=2)
     jump = np.nan_to_num(jump) / np.sqrt(1.5 * residual.shape[2])
     moved = np.full(jump.shape, np.inf)
     moved[1:-1] = np.linalg.norm(residual[2:] - residual[:-2], axis=2) / np.sqrt(1.5 * residual.shape[2])
-    padded = np.pad(jump, ((_AROUND, _AROUND), (0, 0)), mode="reflect" if len(jump) > _AROUND else "edge")
-    usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * _AROUND + 1, axis=0), axis=2)
+    around = settings.outlier_neighbours
+    padded = np.pad(jump, ((around, around), (0, 0)), mode="reflect" if len(jump) > around else "edge")
+    usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * around + 1, axis=0), axis=2)
     beside = np.pad(jump, ((0, 0), (1, 1)))
     beside = np.maximum(beside[:, :-2], beside[:, 2:])
     peak = np.maximum(np.roll(jump, 1, axis=0), np.roll(jump, -1, axis=0))
-    return (jump > np.maximum(_FAR, _TIMES_USUAL * np.maximum(usual, beside))) & (jump > peak) & (moved < _BACK * jump)
+    least = np.maximum(settings.outlier_deviations, settings.outlier_times_usual * np.maximum(usual, beside))
+    return (jump > least) & (jump > peak) & (moved < settings.outlier_return * jump)

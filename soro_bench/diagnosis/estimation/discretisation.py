@@ -1,9 +1,9 @@
-"""The numerical floor: how far the simulation is from itself, made more accurate.
+"""Discretisation error: how far the simulation is from a more accurate one of the same robot.
 
-Differences between refined and plain replays at a few points span the errors that a finer model or time step makes
-(Kennedy, O'Hagan, "Bayesian calibration of computer models", 2001, with a discrepancy of low rank that is simulated
-rather than assumed). What looks like them is no evidence of missing physics. They depend on the physics: near a
-hypothesis they have to be computed with its effects.
+Differences of refined replays from plain ones, at a few points, span the errors of the time step and the model. They
+are a model discrepancy of low rank (Kennedy, O'Hagan, "Bayesian calibration of computer models", 2001) that is
+simulated, not assumed. A residual in their span is no evidence of unmodelled dynamics. They depend on the physics, so
+near a hypothesis they are computed with its effects.
 """
 
 import itertools
@@ -11,26 +11,32 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from soro_bench.arrays import Floats
 from soro_bench.diagnosis.candidates import Term, slices
-from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.estimation.problem import Points, Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.effects.effect import EVERY
 from soro_bench.parallel import side_by_side
 
-Points = Sequence[tuple[np.ndarray, Sequence[Term]]]  # unknowns, and the suspects that they belong to
-
 
 def discretisation_and_residuals(
     problem: Problem, refined: Sequence[Robot], points: Points, others: Points
-) -> tuple[np.ndarray, np.ndarray]:
-    """The numerical floor at points: (F, M) differences [signal's unit] of refined replays from plain ones; and the
-    residuals (N, M) at others, which are replayed meanwhile: there are too few replays of each refined robot to keep
-    all processors busy.
+) -> tuple[Floats, Floats]:
+    """Discretisation errors at some points, and residuals at other points, replayed side by side.
 
-    The accurate model has other parts: an effect that has no place in it is left out on both sides.
+    A refined robot has too few replays to keep all processors busy; the other replays fill them. The accurate model has
+    other parts: an effect without a location in it is left out on both sides.
+
+    Args:
+        refined: more accurate robots.
+        points: where errors are computed.
+        others: where residuals are computed.
+
+    Returns:
+        (F, M) differences [signal's unit] of refined replays from plain ones; (N, M) residuals at ``others``.
 
     Raises:
-        SimulationError: a refined robot diverges at every point, and that without any effect.
+        SimulationError: a refined robot diverges at every point, without any effect.
     """
     common = [[_common(problem, finer, *point) for point in points] for finer in refined]
     plain = [*itertools.chain(*common), *others]
@@ -46,11 +52,11 @@ def discretisation_and_residuals(
     return np.nan_to_num(error), problem.residuals_of(found[count:])
 
 
-def _common(problem, finer, x, terms):
-    """A point without the suspects that the finer robot cannot have."""
+def _common(problem: Problem, finer: Robot, x: Floats, terms: Sequence[Term]) -> tuple[Floats, list[Term]]:
+    """A point without the terms that the finer robot cannot have."""
     kept, parts = [], [x[: problem.parameters]]
-    for term, location in zip(terms, slices(terms, problem.parameters), strict=True):
-        part = x[location]
+    for term, where in zip(terms, slices(terms, problem.parameters), strict=True):
+        part = x[where]
         kind, everywhere = term.location.kind, term.location.name == EVERY
         # a law at all joints is another law where there are more of them
         other = everywhere and len(finer.locations(kind)) != len(problem.robot.locations(kind))

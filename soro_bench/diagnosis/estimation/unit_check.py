@@ -1,34 +1,44 @@
-"""Whether a signal is in the unit that it is said to be in: a wrong one would be taken for physics."""
+"""Unit check: whether a signal is in the unit that its recording names. A wrong unit would be taken for physics."""
 
 import numpy as np
 
+from soro_bench.arrays import Floats
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.recording.recording import RecordingError
 
-ALIKE = 0.9  # correlation of measured and simulated motion, from which one is the other at another scale
-SCALES, NEAR = (180 / np.pi, 100.0, 1000.0), 0.15  # of wrong units, and how near to them a factor is one of them
+_WRONG_UNITS = (180 / np.pi, 100.0, 1000.0)  # degrees for rad, cm for m, mm for m
 
 
 def check_scale(problem: Problem) -> None:
-    """RecordingError if the signal moves as the robot does as it was built, but as many times as far as another unit
-    would make it, or the other way."""
+    """Refuse a signal that moves like the nominal robot, but as many times as far as in another unit, or inverted.
+
+    Raises:
+        RecordingError: it does.
+    """
+    settings = problem.settings.unit_check
     parts = problem.split(problem.simulated(problem.robot, [(np.zeros(problem.parameters), ())])[0])
     pairs = [_motions(each.values, part) for each, part in zip(problem.recordings, parts, strict=True)]
     measured, simulated = (np.concatenate(one) for one in zip(*pairs, strict=True))
     product, squares = float(measured @ simulated), float(simulated @ simulated)
-    if not abs(product) > ALIKE * np.sqrt(squares * float(measured @ measured)) > 0:
+    if not abs(product) > settings.correlation * np.sqrt(squares * float(measured @ measured)) > 0:
         return
     factor = product / squares
-    for scale in (-1.0, *SCALES, *(1.0 / scale for scale in SCALES)):
-        if abs(factor / scale - 1.0) < NEAR:
+    for scale in (-1.0, *_WRONG_UNITS, *(1.0 / scale for scale in _WRONG_UNITS)):
+        if abs(factor / scale - 1.0) < settings.tolerance:
             each = problem.recordings[0]
-            raise RecordingError(f"{each.signal} moves {factor:.3g} times as far in the recordings as in the model; is "
-                                 f"it in {each.unit}, and the model the right way round?")  # fmt: skip
+            raise RecordingError(
+                f"{each.signal} moves {factor:.3g} times as far in the recordings as in the model; is "
+                f"it in {each.unit}, and the model the right way round?"
+            )
 
 
-def _motions(measured, simulated) -> tuple[np.ndarray, np.ndarray]:
+def _motions(measured: Floats, simulated: Floats) -> tuple[Floats, Floats]:
     """Samples (T, P, D) that both have, about their means, in a row."""
     seen = np.isfinite(measured) & np.isfinite(simulated)
     count = np.maximum(seen.sum(axis=0), 1)
-    return tuple((np.where(seen, s - np.where(seen, s, 0.0).sum(axis=0) / count, 0.0)).ravel()
-                 for s in (measured, simulated))  # fmt: skip
+
+    def centred(samples: Floats) -> Floats:
+        mean = np.where(seen, samples, 0.0).sum(axis=0) / count
+        return np.where(seen, samples - mean, 0.0).ravel()
+
+    return centred(measured), centred(simulated)

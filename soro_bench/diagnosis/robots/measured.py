@@ -1,43 +1,49 @@
-"""What a diagnosis sees of a recording."""
+"""The part of a recording that a diagnosis uses."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from soro_bench.arrays import Floats
+
 
 @dataclass(frozen=True)
 class Drive:
-    """What drives a robot: (T, ...) actions, where its signal is first (P, D), and (T, S) settings."""
+    """Input of a replay.
 
-    actions: np.ndarray
-    start: np.ndarray | None = None
-    settings: np.ndarray | None = None
+    actions: (T, ...) one per control step. start: (P, D) the signal before the first step. settings: (T, S) what is
+    known of the robot in each control step.
+    """
+
+    actions: Floats
+    start: Floats | None = None
+    settings: Floats | None = None
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What a diagnosis sees of a recording.
+    """One signal of a recording at the ends of the control steps.
 
     actions: (T, ...) one per control step. time: (T,) s, the ends of the control steps. values: (T, P, D) samples of
-    one signal at these times, P points of D coordinates; NaN where missing. start: (P, D) the first sample of the
-    signal, before the first step. settings: (T, S) what is known of the robot in each control step, for robots that
-    have such settings.
+    the signal at these times, P points of D coordinates [unit]; NaN where missing. signal, unit: its name and unit.
+    start: (P, D) the first sample of the signal, before the first step. settings: (T, S) what is known of the robot in
+    each control step, for robots that have such settings.
     """
 
-    actions: np.ndarray
-    time: np.ndarray
-    values: np.ndarray
+    actions: Floats
+    time: Floats
+    values: Floats
     signal: str
     unit: str
-    start: np.ndarray | None = None
-    settings: np.ndarray | None = None
+    start: Floats | None = None
+    settings: Floats | None = None
 
     @property
     def drive(self) -> Drive:
-        """What drove the robot."""
+        """The input of the robot."""
         return Drive(self.actions, self.start, self.settings)
 
-    def under(self, actions: np.ndarray) -> "Measured":
-        """The same robot under other actions, with its settings as at first."""
+    def under(self, actions: Floats) -> "Measured":
+        """The same robot under other actions (T', ...), with its first settings throughout."""
         settings = None if self.settings is None else np.repeat(self.settings[:1], len(actions), axis=0)
         return replace(self, actions=actions, settings=settings)

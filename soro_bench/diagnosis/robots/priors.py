@@ -1,19 +1,24 @@
-"""What a diagnosis believes of a robot before it sees a recording."""
+"""Prior knowledge of a robot's parameters, and what a baseline diagnosis adds to it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from soro_bench.arrays import Floats
+from soro_bench.diagnosis.settings import PriorSettings
 from soro_bench.effects.effect import Effect
 
-LIMIT = 4.0  # standard deviations of the prior that a parameter, or the shape of an effect, may be off
-SAME = 0.1  # of the prior's deviation, how far a parameter of a robot may be from what it was before
+_DEFAULT = PriorSettings()
+LIMIT = _DEFAULT.limit
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of a parameter: normal in its logarithm, or in itself."""
+    """The prior of a parameter: normal in its logarithm, or in itself.
+
+    nominal: its median [unit]. deviation: of the logarithm, or in the unit. bounds: least and largest value [unit].
+    """
 
     name: str
     unit: str
@@ -22,37 +27,46 @@ class Prior:
     logarithmic: bool
     bounds: tuple[float, float]
 
-    def value(self, x):
-        """Values from coordinates ``x`` in standard deviations from the nominal one."""
+    def value(self, x: float | Floats) -> Floats:
+        """Values [unit] at coordinates ``x``, in standard deviations from the nominal value."""
         value = self.nominal * np.exp(self.deviation * x) if self.logarithmic else self.nominal + self.deviation * x
         return np.clip(value, *self.bounds)
 
-    @property
-    def reach(self) -> np.ndarray:
-        """(2,) the least and the largest coordinate: the value stays at its bounds beyond them."""
+    def reach(self, limit: float = LIMIT) -> Floats:
+        """(2,) least and largest coordinate. Beyond them the value stays at its bounds.
+
+        Args:
+            limit: largest distance from the nominal value, in standard deviations.
+        """
         ends = np.array(self.bounds)
         with np.errstate(divide="ignore"):  # the logarithm of zero
             ends = np.log(ends / self.nominal) if self.logarithmic else ends - self.nominal
-        return np.clip(ends / self.deviation, -LIMIT, LIMIT)
+        return np.clip(ends / self.deviation, -limit, limit)
 
-    def about(self, value: float, spread: float) -> "Prior":
-        """Of the same robot, for which an earlier recording has shown this value; ValueError for one out of bounds.
+    def about(self, value: float, spread: float, settings: PriorSettings = _DEFAULT) -> "Prior":
+        """The prior for the same robot after a baseline diagnosis.
 
         Args:
-            spread: standard deviation [of the parameter] with which it was known then.
+            value: of the parameter in the baseline [unit].
+            spread: its standard deviation there [unit].
+
+        Raises:
+            ValueError: the value is out of bounds.
         """
         low, high = self.bounds
         if not low <= value <= high or (self.logarithmic and value <= 0):
-            raise ValueError(f"{self.name} = {value} was found earlier; allowed is {low} to {high}")
+            raise ValueError(f"{self.name} = {value} in the baseline diagnosis; allowed is {low} to {high}")
         known = spread / value if self.logarithmic else spread
-        deviation = min(self.deviation, float(np.hypot(known, SAME * self.deviation)))
+        deviation = min(self.deviation, float(np.hypot(known, settings.same_robot * self.deviation)))
         return replace(self, nominal=value, deviation=deviation)
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """What an earlier diagnosis has found of the same robot: values of its parameters by name, their standard
-    deviations, and effects."""
+    """Result of a baseline diagnosis of the same robot.
+
+    parameters: values by name. spread: their standard deviations by name. effects: that it found.
+    """
 
     parameters: Mapping[str, float]
     spread: Mapping[str, float]
@@ -60,4 +74,4 @@ class Baseline:
 
 
 class CannotHave(ValueError):
-    """A robot cannot have the effects that an earlier diagnosis has found."""
+    """A robot cannot have the effects that a baseline diagnosis found."""

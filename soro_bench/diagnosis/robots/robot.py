@@ -1,4 +1,4 @@
-"""The robot of a diagnosis: a simulation that replays a recording under parameters and effects."""
+"""The robot of a diagnosis: a simulation that replays recordings under parameters and effects."""
 
 import itertools
 import math
@@ -10,8 +10,10 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
+from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.diagnosis.robots.measured import Drive, Measured
 from soro_bench.diagnosis.robots.priors import Baseline, CannotHave, Prior
+from soro_bench.diagnosis.settings import DiscretisationSettings, RobotSettings
 from soro_bench.effects.catalogue import ALL, MEASUREMENT, between_steps
 from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.effects.elements import Elements
@@ -20,11 +22,8 @@ from soro_bench.models.simulation import Simulation
 from soro_bench.parallel import side_by_side
 from soro_bench.recording.recording import Recording, RecordingError, resampled, sampled
 
-SIMULATIONS = 128  # side by side, at least
-# time steps, in one of the given robot, of the one that is fitted and of the refined one: fitted to a trunk with far
-# shorter steps, one leaves 0.66 mm with the given steps of 10 ms and 0.29 mm with half of them
-# (benchmarks/diagnosis_floor.py)
-FITTED, REFINED = 2, 4
+SIMULATIONS = RobotSettings().simulations
+FITTED, REFINED = DiscretisationSettings().fitted_refinement, DiscretisationSettings().reference_refinement
 
 
 class Robot(ABC):
@@ -32,19 +31,23 @@ class Robot(ABC):
 
     Attributes:
         name: of the robot, for people.
+        model_name: of its model, for people.
         simulation: N simulations of it.
         control_timestep: s, between commands.
-        signal: what is explained: the name of a signal of recordings, with its unit, frame and shape (P, D).
-        kinds: the kinds of ports at which something may be missing.
+        signal: the name of the signal of recordings that is explained.
+        unit, frame, shape: of that signal; the shape is (P, D), points and coordinates.
+        kinds: kinds of locations that candidate terms may have.
         priors: of its parameters.
         pneumatic: whether its actuators fill chambers.
-        known: effects that it is known to have, whatever else is missing.
-        since: whether an earlier diagnosis says where its parameters were.
+        known: effects that it is known to have, whatever else acts.
+        from_baseline: whether its priors come from a baseline diagnosis.
         shorter: how many times shorter its time steps are than those of its model.
         settling: control steps under its first action before a recording begins.
     """
 
     name: str
+    model_name: str
+    threads: int
     simulation: Simulation
     control_timestep: float
     signal: str
@@ -60,15 +63,20 @@ class Robot(ABC):
     settling: int = 0
 
     def _remember(self, baseline: Baseline | None) -> None:
-        """Begin where an earlier diagnosis of the robot ended; ValueError if it was that of another one."""
+        """Take priors and known effects from a baseline diagnosis.
+
+        Raises:
+            ValueError: it is of another robot.
+            CannotHave: this robot cannot have its effects.
+        """
         if baseline:
             names = [prior.name for prior in self.priors]
             if sorted(names) != sorted(baseline.parameters):
-                raise ValueError(f"the earlier diagnosis has {sorted(baseline.parameters)}; this robot has {names}")
+                raise ValueError(f"the baseline diagnosis has {sorted(baseline.parameters)}; this robot has {names}")
             self.known, self.from_baseline = baseline.effects, True
             self.priors = tuple(p.about(baseline.parameters[p.name], baseline.spread[p.name]) for p in self.priors)
             if not self.accepts([]):
-                raise CannotHave("the earlier diagnosis has effects that this robot cannot have")
+                raise CannotHave("the baseline diagnosis has effects that this robot cannot have")
 
     @property
     def elements(self) -> Elements:
@@ -86,28 +94,35 @@ class Robot(ABC):
 
     @abstractmethod
     def accurate(self) -> "Robot | None":
-        """The same robot by a more accurate model, if there is one; CannotHave if that lacks a place for what is
-        known."""
+        """The same robot by a more accurate model, if there is one.
+
+        Raises:
+            CannotHave: that model has no location for a known effect.
+        """
 
     @cached_property
     def _second(self) -> "Robot":
-        """The same with simulations of its own, to run beside it."""
+        """The same robot with other simulations, which run beside its own."""
         return self.shortened(self.shorter)
 
-    def refined(self) -> "list[Robot]":
-        """The same robot simulated more accurately."""
+    def refined(self, refinement: int = REFINED) -> "list[Robot]":
+        """The same robot simulated more accurately: with shorter time steps, and by its accurate model if it has one.
+
+        Args:
+            refinement: how many times shorter the time steps are than those of its model.
+        """
         try:
             finer = self.accurate()
         except CannotHave:  # its parts are others; that of shorter time steps has the same
             finer = None
-        return [self.shortened(REFINED), *([finer] if finer else [])]
+        return [self.shortened(refinement), *([finer] if finer else [])]
 
     @abstractmethod
     def spec(self) -> mujoco.MjSpec:
         """What its model is compiled from."""
 
     @abstractmethod
-    def actions(self, recording: Recording) -> np.ndarray:
+    def actions(self, recording: Recording) -> Floats:
         """(T, ...) checked commands of a recording, one per control step; RecordingError says what it lacks."""
 
     @abstractmethod
@@ -115,31 +130,31 @@ class Robot(ABC):
         """When the first control step of a recording begins [s]."""
 
     @abstractmethod
-    def _begin(self, parameters: np.ndarray, start: np.ndarray | None) -> None:
-        """Start simulations 0 .. n - 1 with parameters (n, d), from where the signal is ``start`` (n, P, D)."""
+    def _begin(self, parameters: Floats, start: Floats | None) -> None:
+        """Start simulations 0 .. n - 1 with parameters (n, d), at a signal ``start`` (n, P, D) if it is given."""
 
     @abstractmethod
-    def _step(self, actions: np.ndarray) -> np.ndarray:
+    def _step(self, actions: Floats) -> Bools:
         """Advance simulations 0 .. n - 1 by a control step under actions (n, ...); (n,) whether each diverged."""
 
     @abstractmethod
-    def _read(self, count: int) -> np.ndarray:
-        """(count, P, D) the signal now."""
+    def _read(self, count: int) -> Floats:
+        """(count, P, D) the signal of the first ``count`` simulations now."""
 
-    def settings(self, recording: Recording, steps: int) -> np.ndarray | None:
+    def settings(self, recording: Recording, steps: int) -> Floats | None:
         """(steps, S) what is known of the robot in each control step; None where it has no settings."""
         return None
 
-    def _set(self, ids: np.ndarray, settings: np.ndarray) -> None:
+    def _set(self, ids: Ints, settings: Floats) -> None:
         """Give simulations ``ids`` (n,) settings (n, S); for robots that have some."""
         raise NotImplementedError
 
     def locations(self, kind: str) -> list[Location]:
-        """The ports of a kind at which something may be missing."""
+        """Locations of a kind that candidate terms may have."""
         return self.elements.locations(kind) if kind in self.kinds else []
 
     def beside(self, location: Location) -> list[Location]:
-        """The ports before and after one that is a body or a measured point; of others, which have no order, none."""
+        """The neighbours of a body or of a measured point; none for other locations, which have no order."""
         if location.index is not None:
             row = [replace(location, index=i) for i in range(self.shape[0])]
         else:
@@ -157,54 +172,87 @@ class Robot(ABC):
 
     @property
     def setpoint_unit(self) -> str:
-        """Of all actuators: lengths where they are servos that pull tendons."""
-        servos = self.elements.model.actuator_biasprm[:, 1] != 0
-        return "m" if self.pulls_cables and servos.all() else "setpoint"
+        """The unit of all setpoints; "1" where actuators have different ones (``setpoint_unit_at``)."""
+        units = {self._setpoint_unit(i) for i in range(self.elements.model.nu)}
+        return units.pop() if len(units) == 1 else "1"
+
+    def setpoint_unit_at(self, location: Location) -> str:
+        """The unit of the setpoint of the actuator at a location; for other locations that of all actuators."""
+        named = location.kind == "actuator" and location.name != EVERY
+        return self._setpoint_unit(self.elements.id(location)) if named else self.setpoint_unit
+
+    def _setpoint_unit(self, actuator: int) -> str:
+        """The unit of an actuator's setpoint: a length or angle for servos of positions, and its rate for those of
+        velocities; a force where the control is one; else "1", as for the inflation of a chamber."""
+        model = self.elements.model
+        length = _length_unit(model, actuator)
+        if model.actuator_biastype[actuator] == int(mujoco.mjtBias.mjBIAS_AFFINE):
+            # a model may get its stiffness at run time: both are 0 then
+            of_position, of_velocity = model.actuator_biasprm[actuator, 1:3]
+            return f"{length}/s" if of_position == 0 and of_velocity != 0 else length
+        direct = model.actuator_gaintype[actuator] == int(mujoco.mjtGain.mjGAIN_FIXED)
+        direct = direct and model.actuator_gainprm[actuator, 0] * abs(model.actuator_gear[actuator, 0]) == 1.0
+        return {"m": "N", "rad": "N m"}[length] if direct else "1"
+
+    def unit_at(self, unit: str, location: Location) -> str:
+        """The unit of a law's quantity at a location.
+
+        Args:
+            unit: as the law has it: "setpoint", "signal", or one unit for turning and one for sliding, "N or N m".
+        """
+        if unit == "setpoint":
+            return self.setpoint_unit_at(location)
+        parts = (self.unit if unit == "signal" else unit).split(" or ")
+        turning = [part for part in parts if "rad" in part or "N m" in part]
+        sliding = [part for part in parts if part not in turning]
+        return (turning if turning and self.elements.turns(location) else sliding or parts)[0]
 
     @property
-    def moves(self) -> np.ndarray:
+    def moves(self) -> Floats:
         """(A, nu) 1 where a number of an action moves an actuator, else 0."""
         return np.eye(self.elements.model.nu)
 
     @property
     def channels(self) -> list[str]:
-        """What each number of an action moves, such as "cable L0"."""
+        """Names of the numbers of an action, such as "cable L0"."""
         kind, names = "cable" if self.pulls_cables else "actuator", np.array(self.actuator_names)
         return [f"{kind} {' and '.join(names[row > 0])}" for row in self.moves]
 
     @property
     def actuator_names(self) -> list[str]:
-        """Of all actuators."""
+        """Names of all actuators."""
         model = self.elements.model
         return [model.actuator(i).name for i in range(model.nu)]
 
     def channel(self, location: Location) -> int | None:
-        """The number of an action that moves a cable or actuator; None for what no single one moves."""
+        """Index of the number of an action that moves a tendon or actuator; None if it is not exactly one."""
         if location.kind not in ("tendon", "actuator") or location.name == EVERY:
             return None
         ids = self.elements.actuators_on(location) if location.kind == "tendon" else [self.elements.id(location)]
-        channels = np.unique(self.moves[:, ids].argmax(axis=0)) if len(ids) else ()
-        return int(channels[0]) if len(channels) == 1 else None
+        channels = set(self.moves[:, ids].argmax(axis=0).tolist()) if len(ids) else set()
+        return channels.pop() if len(channels) == 1 else None
 
-    def rates(self, actions: np.ndarray) -> np.ndarray:
-        """(T, A) how fast actions (T, A) move each channel, in any unit."""
+    def rates(self, actions: Floats) -> Floats:
+        """(T, A) rates at which actions (T, A) move each channel, in any unit."""
         return actions
 
-    def commanded(self, rates: np.ndarray, recorded: np.ndarray) -> np.ndarray:
-        """(T, A) actions that move as rates (T, A) from -1 to 1 do, one column per channel.
+    def commanded(self, rates: Floats, recorded: Floats) -> Floats:
+        """(T, A) actions with given rates (T, A) from -1 to 1, one column per channel.
 
         Args:
-            recorded: (S, A) actions that the robot has done, where nothing else says how far it may go.
+            recorded: (S, A) actions of recordings, which bound the motion where the model does not.
         """
         return rates
 
-    def parameters(self, x: np.ndarray) -> dict[str, float]:
-        """Values by name of the first unknowns in ``x``."""
+    def parameters(self, x: Floats) -> dict[str, float]:
+        """Parameter values by name; they are the first of the unknowns ``x`` (n,)."""
         return {prior.name: float(prior.value(value)) for prior, value in zip(self.priors, x, strict=False)}
 
     def accepts(self, effects: Sequence[Effect]) -> bool:
-        """Whether the robot can have these effects at once: none twice at a place, beside what is known only laws that
-        add up, and no two on the same spring."""
+        """Whether the robot can have these effects at once, beside the known ones. Its simulations stay as they are.
+
+        It cannot have a law twice at a location, unless it adds up, nor two laws on the same spring.
+        """
         found = [(e.name, e.location) for e in effects]
         once = [(e.name, e.location) for e in self.known if not getattr(ALL[e.name], "adds", False)]
         if len({*once, *found}) < len(once) + len(found):
@@ -213,21 +261,26 @@ class Robot(ABC):
         return self.simulation.accepts([e for e in effects if e.location.kind != "sensor"])
 
     def native(self, effect: Effect) -> bool:
-        """Whether an effect is in the fields of the model, and nowhere else."""
-        if effect.location.kind == "sensor":
-            return False
-        self.simulation.assign_effects([[effect]] * self._count)
-        return self.simulation.native
+        """Whether an effect is in fields of the model, and nowhere else. The simulations stay as they are.
+
+        Raises:
+            EffectError: the robot cannot have it.
+        """
+        return effect.location.kind != "sensor" and self.simulation.in_fields([effect])
 
     def model(self, parameters: Mapping[str, float], effects: Sequence[Effect]) -> mujoco.MjModel:
-        """Its model with parameters, and with effects that are native."""
+        """Its model with parameters, and with effects in its fields; simulation 0 has them from then on."""
         sim = self.simulation
         sim.assign_effects([effects] * self._count)
         sim.set_params(np.arange(1), sim.parameters.to_array(parameters)[None])
         return sim.batch.get_model(0)
 
     def measured(self, recording: Recording) -> Measured:
-        """The part of a recording that a diagnosis uses; RecordingError says what it lacks."""
+        """The part of a recording that a diagnosis uses.
+
+        Raises:
+            RecordingError: says what the recording lacks.
+        """
         actions = self.actions(recording)
         if self.signal not in recording.signals:
             raise RecordingError(f"the recording has no signal {self.signal!r}; it has {', '.join(recording.names)}")
@@ -245,7 +298,7 @@ class Robot(ABC):
             )
         _check_clocks(self.signal, given.time, [command.time for command in recording.commands.values()])
         begin = self.begins(recording)
-        times = begin + self.control_timestep * np.arange(1, len(actions) + 1)
+        times = np.asarray(begin + self.control_timestep * np.arange(1, len(actions) + 1), float)
         values = resampled(given, times).values.reshape(-1, *self.shape)
         values[~sampled(given.time, times)] = np.nan
         first = given.values[0].reshape(self.shape)
@@ -254,20 +307,20 @@ class Robot(ABC):
 
     def simulate(
         self,
-        actions: np.ndarray,
-        parameters: np.ndarray,
+        actions: Floats,
+        parameters: Floats,
         effects: Sequence[Sequence[Effect]],
-        start: np.ndarray | None = None,
+        start: Floats | None = None,
         before_step: Callable[[int], None] | None = None,
-        settings: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """What the sensor would have recorded.
+        settings: Floats | None = None,
+    ) -> Floats:
+        """Replays: the signal that the sensor would record.
 
         Args:
             actions: (T, ...) one per control step.
             parameters: (N, d) values in the order of ``priors``.
             effects: of each of the N replays, physics and faults of measurement.
-            start: (P, D) the signal before the first step, for robots that begin where it does.
+            start: (P, D) the signal before the first step, for robots that begin at it.
             before_step: called with the number of every control step; replay i, of ``SIMULATIONS`` at most, then runs
                 in simulation i.
             settings: (T, S) as ``Measured`` has them.
@@ -280,11 +333,11 @@ class Robot(ABC):
     def simulate_all(
         self,
         drives: Sequence[Drive],
-        parameters: np.ndarray,
+        parameters: Floats,
         effects: Sequence[Sequence[Effect]],
         before_step: Callable[[int], None] | None = None,
-    ) -> list[np.ndarray]:
-        """The same under each of several drives, side by side: (N, T, P, D) of every drive."""
+    ) -> list[Floats]:
+        """Replays under each of several drives, side by side: (N, T, P, D) of every drive. See :meth:`simulate`."""
         effects = [(*self.known, *each) for each in effects]
         # what differs only in the sensor is simulated once
         physics = [tuple(e for e in each if e.location.kind != "sensor") for each in effects]
@@ -292,11 +345,11 @@ class Robot(ABC):
         first = range(len(keys)) if before_step else [keys.index(key) for key in keys]
         work = {i: 0 if before_step else between_steps(physics[i]) for i in sorted(set(first))}
 
-        def alike(job):
+        def alike(job: tuple[int, int]) -> tuple[int, int]:
             return work[job[1]], len(drives[job[0]].actions)
 
-        def rolled_out(robot, parts):
-            found = {}
+        def rolled_out(robot: Robot, parts: Sequence[list[tuple[int, int]]]) -> dict[tuple[int, int], Floats]:
+            found: dict[tuple[int, int], Floats] = {}
             for jobs in parts:
                 driven, rows = [drives[k] for k, _ in jobs], [i for _, i in jobs]
                 values = robot._roll_out(driven, parameters[rows], [physics[i] for i in rows], before_step)
@@ -313,7 +366,7 @@ class Robot(ABC):
         else:
             found = [rolled_out(self, parts)]
         values = {job: each for some in found for job, each in some.items()}
-        times = [self.control_timestep * np.arange(len(drive.actions) + 1) for drive in drives]
+        times = [np.asarray(self.control_timestep * np.arange(len(drive.actions) + 1), float) for drive in drives]
         return [
             np.stack([
                 distorted(MEASUREMENT, each, time, values[k, i], self.signal)[1:]
@@ -322,14 +375,21 @@ class Robot(ABC):
             for k, time in enumerate(times)
         ]
 
-    def _roll_out(self, drives, parameters, physics, before_step):
-        """(n, 1 + T, P, D) of replays, each with its own drive of T steps: before the first, and after every one."""
+    def _roll_out(
+        self,
+        drives: Sequence[Drive],
+        parameters: Floats,
+        physics: Sequence[Sequence[Effect]],
+        before_step: Callable[[int], None] | None,
+    ) -> Floats:
+        """(n, 1 + T, P, D) signals of n replays, each with its own drive of T steps, before the first and after every
+        step."""
         n, actions = len(drives), np.stack([drive.actions for drive in drives])
         start, settings = drives[0].start, drives[0].settings  # all drives have them, or none
         if start is not None:
-            start = np.stack([drive.start for drive in drives])
+            start = np.stack([drive.start for drive in drives if drive.start is not None])
         if settings is not None:
-            settings = np.stack([drive.settings for drive in drives])
+            settings = np.stack([drive.settings for drive in drives if drive.settings is not None])
         self.simulation.assign_effects([*physics, *[()] * (self._count - n)])
         self._begin(parameters, start)
         lost, values = np.zeros(n, bool), []
@@ -350,9 +410,27 @@ class Robot(ABC):
         return np.stack(values, axis=1)
 
 
-def _check_clocks(name, times, commands) -> None:
+def _length_unit(model: mujoco.MjModel, actuator: int) -> str:
+    """ "rad" for an actuator that turns a hinge, directly or by a tendon round joints, else "m"."""
+    hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
+    of_joint = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    target, transmission = model.actuator_trnid[actuator, 0], model.actuator_trntype[actuator]
+    if transmission in of_joint:
+        return "m" if model.jnt_type[target] == int(mujoco.mjtJoint.mjJNT_SLIDE) else "rad"
+    if transmission == int(mujoco.mjtTrn.mjTRN_TENDON):
+        path = slice(model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target])
+        joints = model.wrap_objid[path][model.wrap_type[path] == int(mujoco.mjtWrap.mjWRAP_JOINT)]
+        return "rad" if len(joints) and (model.jnt_type[joints] == hinge).all() else "m"
+    return "m"
+
+
+def _check_clocks(name: str, times: Floats, commands: Sequence[Floats]) -> None:
     """Refuse commands that are all after a signal, or before it by more than it lasts; some come only where they
-    change."""
+    change.
+
+    Raises:
+        RecordingError: they are.
+    """
     start, end = times[0], times[-1]
     first, last = (least([stamps[i] for stamps in commands], default=start) for i, least in ((0, min), (-1, max)))
     if first > end or last < start - (end - start):

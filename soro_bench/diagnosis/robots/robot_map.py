@@ -30,18 +30,21 @@ deviation = 0.3                   # of the prior: of the logarithm, or in the un
 
 import re
 import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 
+from soro_bench.arrays import Floats, Ints
 from soro_bench.diagnosis.robots.priors import Prior
 from soro_bench.effects.elements import AUXILIARY
 from soro_bench.models.simulation import FieldWrite
 from soro_bench.recording.importers.units import UNITS
-from soro_bench.recording.recording import Recording, RecordingError, latest
+from soro_bench.recording.recording import Recording, RecordingError, Signal, latest
 from soro_bench.recording.untrusted import read_bytes
 
 _MAX_BYTES = 1_000_000
@@ -68,8 +71,8 @@ _OBJECTS = {
 }
 _DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_length0", "tendon_invweight0")
 _WIDTH = {"mjJNT_FREE": 6, "mjJNT_BALL": 3}  # degrees of freedom of a joint; others have one
-_SOME = 20  # names in a message
-_FAR = 100.0  # deviations, the bounds of a parameter that is added
+_MOST_NAMES = 20  # in a message
+_FAR = 100.0  # prior deviations, bounds of a shifted parameter
 
 
 class ModelError(ValueError):
@@ -81,29 +84,33 @@ class _Entry:
     """One field that a parameter changes: some rows of it, in one column or all."""
 
     field: str
-    rows: np.ndarray
+    rows: Ints
     column: int | None
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What is known of a recording: a number of its metadata, or a command of one column. It has the value 1 where the
-    number is the reference."""
+    """A known property of a recording, as a multiple of ``reference``: a number of its metadata, or a command of one
+    column."""
 
     metadata: str | None
     command: str | None
     reference: float
 
-    def values(self, recording: Recording, times: np.ndarray) -> np.ndarray:
-        """(T,) values at times [s]; RecordingError says what the recording lacks."""
+    def values(self, recording: Recording, times: Floats) -> Floats:
+        """(T,) values at times [s].
+
+        Raises:
+            RecordingError: says what the recording lacks.
+        """
         if self.command:
             values = held(recording, self.command, times, 1)[:, 0]
             if not (np.isfinite(values) & (values >= 0)).all():
                 raise RecordingError(f"the command {self.command!r} is a setting; it has to be finite and not negative")
             return values / self.reference
-        text = recording.metadata.get(self.metadata)
+        text = recording.metadata.get(self.metadata or "")
         try:
-            value = float(text)
+            value = float(text)  # type: ignore[arg-type]
         except (TypeError, ValueError):
             value = np.nan
         if not 0.0 <= value < np.inf:
@@ -115,11 +122,11 @@ class Setting:
 class Fields:
     """Parameters and settings as changes of model fields."""
 
-    def __init__(self, model, entries: dict[str, list[_Entry]], added: set[str]):
+    def __init__(self, model: mujoco.MjModel, entries: dict[str, list[_Entry]], added: set[str]):
         self._model, self._entries, self._added = model, entries, added
 
-    def writes(self, params):
-        """The changed fields, each with all its changes."""
+    def writes(self, params: Mapping[str, Floats]) -> list[FieldWrite]:
+        """The changed fields, each with all its changes, for values (N,) of each parameter and setting."""
         found: dict[str, np.ndarray] = {}
         for name, entries in self._entries.items():
             for entry in entries:
@@ -131,7 +138,7 @@ class Fields:
         return [FieldWrite(field, np.arange(values.shape[1]), values) for field, values in found.items()]
 
 
-def read_mapping(path) -> dict:
+def read_mapping(path: str | Path) -> dict[str, Any]:
     """The mapping, checked for its sections and entries; those left out are empty."""
     try:
         table = tomllib.loads(read_bytes(path, _MAX_BYTES).decode())
@@ -147,7 +154,7 @@ def read_mapping(path) -> dict:
     return table
 
 
-def accurate_of(settings, mapping) -> Path | None:
+def accurate_of(settings: dict[str, Any], mapping: str | Path) -> Path | None:
     """The finer model that the section [robot] of a mapping names, from the mapping's folder."""
     name = settings.get("accurate")
     if name is None:
@@ -159,9 +166,10 @@ def accurate_of(settings, mapping) -> Path | None:
     return path
 
 
-def commands_of(model, table) -> list[tuple[str, list[int], str | None]]:
-    """The commands, each with MuJoCo's numbers of its actuators and its unit, None if that is not said."""
-    found, taken = [], set()
+def commands_of(model: mujoco.MjModel, table: dict[str, Any]) -> list[tuple[str, list[int], str | None]]:
+    """Name, MuJoCo's actuator ids and unit of each command; None for one without a unit."""
+    found: list[tuple[str, list[int], str | None]] = []
+    taken: set[str] = set()
     for name, entry in table.items():
         actuators = names_of(f"commands.{name}", entry, "actuators")
         _check_keys(f"[commands.{name}]", entry, _COMMAND)
@@ -180,15 +188,23 @@ def commands_of(model, table) -> list[tuple[str, list[int], str | None]]:
     return found
 
 
-def check_unit(command, name: str, unit: str | None) -> None:
-    """Refuse a command that is not in a unit, by default the SI unit of what it is."""
+def check_unit(command: Signal, name: str, unit: str | None) -> None:
+    """Refuse a command in another unit than ``unit``, by default the SI unit of its own.
+
+    Raises:
+        RecordingError: it is in another one.
+    """
     expected = unit or UNITS.get(command.unit, (command.unit,))[0]
     if command.unit != expected:
         raise RecordingError(f"the command {name!r} is in {command.unit!r}; expected is {expected!r}")
 
 
-def held(recording, name, times, columns) -> np.ndarray:
-    """(T, columns) the last numbers of a command until each of the times [s], or the first ones."""
+def held(recording: Recording, name: str, times: Floats, columns: int) -> Floats:
+    """(T, columns) the latest numbers of a command at each of the times [s]; before its first, those.
+
+    Raises:
+        RecordingError: the recording has no such command, or not in so many columns, or numbers are missing.
+    """
     if name not in recording.commands:
         raise RecordingError(f"no command {name!r}, which the mapping names; there are {sorted(recording.commands)}")
     command = recording.commands[name]
@@ -201,9 +217,10 @@ def held(recording, name, times, columns) -> np.ndarray:
     return held
 
 
-def settings_of(model, table) -> tuple[list[Setting], dict[str, list[_Entry]]]:
+def settings_of(model: mujoco.MjModel, table: dict[str, Any]) -> tuple[list[Setting], dict[str, list[_Entry]]]:
     """Settings, and the fields that each of them scales."""
-    settings, entries = [], {}
+    settings: list[Setting] = []
+    entries: dict[str, list[_Entry]] = {}
     for name, entry in table.items():
         label = f"[settings.{name}]"
         if not isinstance(entry, dict):
@@ -218,9 +235,12 @@ def settings_of(model, table) -> tuple[list[Setting], dict[str, list[_Entry]]]:
     return settings, entries
 
 
-def parameters_of(model, table, scaled: dict[str, list[_Entry]]) -> tuple[tuple[Prior, ...], Fields]:
-    """Priors, and what they and the settings, whose fields are ``scaled``, change."""
-    priors, entries, added = [], dict(scaled), set()
+def parameters_of(
+    model: mujoco.MjModel, table: dict[str, Any], scaled: dict[str, list[_Entry]]
+) -> tuple[tuple[Prior, ...], Fields]:
+    """Priors of the parameters, and the fields that these and the settings change; settings change ``scaled``."""
+    priors: list[Prior] = []
+    entries, added = dict(scaled), set()
     for name, entry in table.items():
         label = f"[parameters.{name}]"
         if not isinstance(entry, dict):
@@ -245,16 +265,16 @@ def parameters_of(model, table, scaled: dict[str, list[_Entry]]) -> tuple[tuple[
     return tuple(priors), Fields(model, entries, added)
 
 
-def _entry(model, label, text) -> _Entry:
-    """What "field[column]:element" means."""
+def _entry(model: mujoco.MjModel, label: str, text: str) -> _Entry:
+    """The field, rows and column of "field[column]:element"."""
     match = _FIELD.fullmatch(text)
     kind = match["field"].split("_")[0] if match else ""
-    field = getattr(model, match["field"], None) if kind in _OBJECTS else None
-    if not isinstance(field, np.ndarray) or not field.ndim:
+    field = getattr(model, match["field"], None) if match and kind in _OBJECTS else None
+    if match is None or not isinstance(field, np.ndarray) or not field.ndim:
         raise ModelError(f"{label} has {text!r}; expected field:element of {', '.join(_OBJECTS)}: body_mass:arm")
     if field.dtype.kind != "f" or match["field"] in _DERIVED:
         raise ModelError(f"{label}: {match['field']} is no number that a model is made of")
-    column = match["column"] and int(match["column"])
+    column = int(match["column"]) if match["column"] else None
     if column is not None and (field.ndim < 2 or column >= field.shape[1]):
         raise ModelError(f"{label}: {match['field']} has no column {column}; its shape is {field.shape}")
     if match["element"] == "*":
@@ -267,8 +287,8 @@ def _entry(model, label, text) -> _Entry:
     return _Entry(match["field"], np.array(numbers), column)
 
 
-def _check_scaled(model, label, text, entry) -> None:
-    """Refuse what no factor changes: it would get an interval all the same."""
+def _check_scaled(model: mujoco.MjModel, label: str, text: str, entry: _Entry) -> None:
+    """Refuse a field of zeros, which no factor changes: its factor would get an interval all the same."""
     values = getattr(model, entry.field)[entry.rows]
     if not (values if entry.column is None else values[..., entry.column]).any():
         raise ModelError(
@@ -276,8 +296,8 @@ def _check_scaled(model, label, text, entry) -> None:
         )
 
 
-def _matching(model, kind, count, name, label) -> list[int]:
-    """MuJoCo's numbers of the element with a name, or of those, of ``count``, that match one with a star in it."""
+def _matching(model: mujoco.MjModel, kind: str, count: int, name: str, label: str) -> list[int]:
+    """MuJoCo's ids of the element with a name, or of those of ``count`` that match a name with a star."""
     if "*" not in name:
         return [element(model, _OBJECTS[kind], name)]
     names = [mujoco.mj_id2name(model, _OBJECTS[kind], i) for i in range(count)]
@@ -287,37 +307,37 @@ def _matching(model, kind, count, name, label) -> list[int]:
     return found
 
 
-def _springs(model) -> int:
-    """How many tendons are none of the model's; they come last."""
+def _springs(model: mujoco.MjModel) -> int:
+    """Number of tendons that were added for effects; they come last."""
     names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TENDON, i) for i in range(model.ntendon)]
     return sum(bool(name) and name.startswith(AUXILIARY) for name in names)
 
 
-def element(model, kind, name) -> int:
-    """MuJoCo's number of an element."""
+def element(model: mujoco.MjModel, kind: mujoco.mjtObj, name: object) -> int:
+    """MuJoCo's id of an element; ModelError if there is none."""
     if not isinstance(name, str) or (number := mujoco.mj_name2id(model, kind, name)) < 0:
         raise ModelError(f"the model has no {kind.name[6:].lower()} {name!r}; it has {_names(model, kind)}")
     return number
 
 
-def _names(model, kind) -> str:
-    """Those of the model's elements of a kind, or the first of many."""
+def _names(model: mujoco.MjModel, kind: mujoco.mjtObj) -> str:
+    """Names of the model's elements of a kind, or the first of many."""
     label = kind.name[6:].lower()
     count = getattr(model, {"joint": "njnt", "actuator": "nu"}.get(label, f"n{label}"))
     found = [mujoco.mj_id2name(model, kind, i) for i in range(count)]
     own = [name for name in found if name and not name.startswith(AUXILIARY)]
-    return ", ".join(own[:_SOME] + ["..."] * (len(own) > _SOME)) or "none with a name"
+    return ", ".join(own[:_MOST_NAMES] + ["..."] * (len(own) > _MOST_NAMES)) or "none with a name"
 
 
-def joint(model, name) -> int:
-    """MuJoCo's number of a joint with one degree of freedom."""
+def joint(model: mujoco.MjModel, name: object) -> int:
+    """MuJoCo's id of a joint with one degree of freedom; ModelError for another one."""
     number = element(model, mujoco.mjtObj.mjOBJ_JOINT, name)
     if mujoco.mjtJoint(model.jnt_type[number]).name in _WIDTH:
         raise ModelError(f"joint {name!r} has several degrees of freedom; one is needed")
     return number
 
 
-def names_of(label, entry, key) -> list[str]:
+def names_of(label: str, entry: object, key: str) -> list[str]:
     """The list of names that an entry of a section has; ModelError for anything else."""
     values = entry.get(key) if isinstance(entry, dict) else None
     if not isinstance(values, list) or not values or not all(isinstance(value, str) for value in values):
@@ -327,14 +347,15 @@ def names_of(label, entry, key) -> list[str]:
     return values
 
 
-def number(label, value, low, high) -> float:
+def number(label: str, value: object, low: float, high: float) -> float:
     """A value that is a number within bounds; ModelError for anything else."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
         raise ModelError(f"{label} is {value!r}; expected a number from {low:g} to {high:g}")
     return float(value)
 
 
-def _check_keys(label, table, allowed) -> None:
+def _check_keys(label: str, table: dict[str, Any], allowed: Sequence[str]) -> None:
+    """Refuse entries of a section that are not allowed."""
     for key in table:
         if key not in allowed:
             raise ModelError(f"unknown entry {key!r} in {label}; there are {', '.join(allowed)}")

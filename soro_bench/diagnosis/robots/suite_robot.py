@@ -1,30 +1,30 @@
-"""The robots of the suite: what is known of them for a diagnosis."""
+"""The robots of the suite, for a diagnosis: their locations, priors and signals."""
 
 import mujoco
 import numpy as np
 
+from soro_bench.arrays import Bools, Floats
 from soro_bench.diagnosis.robots.priors import Baseline, Prior
 from soro_bench.diagnosis.robots.robot import SIMULATIONS, Robot
+from soro_bench.diagnosis.settings import RobotSettings
 from soro_bench.effects.elements import instrument
+from soro_bench.parameters import Parameter
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.simulated import COMMAND, recorded_actions
 from soro_bench.registration import make_task, task_type
 
 _TRUNK = ("tendon", "actuator", "body", "model")  # its necks have no friction of their own
-# where something may be missing; the nodes of a mesh are no bodies that anything could be attached to
+# kinds of locations that candidate terms may have; nothing can be attached to the nodes of a mesh
 _KINDS = {
     "TrunkReach-v0": _TRUNK,
     "TrunkPush-v0": (*_TRUNK, "geom"),
     "TrunkLift-v0": (*_TRUNK, "geom"),
     "MultiGait-v0": ("actuator", "flex", "geom", "model"),
 }
-# how far a calibrated robot may be from its nominal parameters: a quarter for what scales, 0.03 for Poisson's ratio,
-# 1 cm for a wall
-_SCALE_DEVIATION = 0.25
-_DEVIATIONS = {"poisson_ratio": 0.03, "pdms_poisson_ratio": 0.03, "ecoflex_poisson_ratio": 0.03, "wall_offset": 0.01}
-# of the solver, as flex has it: with 1e-8 keypoints of cable are elsewhere by 0.1 um (rms of 30 s of TrunkReach), and a
-# step costs a sixth more
-_TOLERANCE = 1e-5
+_SETTINGS = RobotSettings()
+_POISSON = ("poisson_ratio", "pdms_poisson_ratio", "ecoflex_poisson_ratio")
+# prior deviations of the parameters that have no normal logarithm
+_DEVIATIONS = {name: _SETTINGS.poisson_deviation for name in _POISSON} | {"wall_offset": _SETTINGS.wall_deviation}
 
 
 class SuiteRobot(Robot):
@@ -35,7 +35,7 @@ class SuiteRobot(Robot):
         model: its model or mesh; the cheap one by default.
         threads: 0 for all processors; results do not depend on it.
         shorter: how many times shorter the model's time step is made.
-        earlier: what is known of the robot from an earlier diagnosis.
+        baseline: result of a baseline diagnosis of the same robot.
     """
 
     def __init__(
@@ -50,11 +50,11 @@ class SuiteRobot(Robot):
             raise ValueError(f"{env_id!r} cannot be diagnosed; allowed are {', '.join(_KINDS)}")
         kind = task_type(env_id)
         self.name = self.env_id = env_id
-        self.threads, self.model_name, self._earlier = threads, model or kind.cheap, baseline
+        self.threads, self.model_name, self._baseline = threads, model or kind.cheap, baseline
         self.shorter = shorter
         self._task = make_task(env_id, SIMULATIONS, threads, self.model_name, action="continuous", effects=())
         self._task.refine(shorter)
-        self._task.sim.batch.expand("opt.tolerance")[...] = _TOLERANCE
+        self._task.sim.batch.expand("opt.tolerance")[...] = _SETTINGS.solver_tolerance
         self.simulation, self.control_timestep = self._task.sim, self._task.control_timestep
         self.kinds, self.pneumatic = _KINDS[env_id], env_id == "MultiGait-v0"
         self.signal = kind.inferred_from[0]
@@ -65,11 +65,11 @@ class SuiteRobot(Robot):
 
     def shortened(self, factor: int) -> Robot:
         """The same robot with shorter time steps."""
-        return SuiteRobot(self.env_id, self.model_name, self.threads, factor, self._earlier)
+        return SuiteRobot(self.env_id, self.model_name, self.threads, factor, self._baseline)
 
     def accurate(self) -> Robot | None:
-        """By the accurate model of the suite, unless its signal has other points, as those of another mesh are."""
-        other = SuiteRobot(self.env_id, task_type(self.env_id).accurate, self.threads, baseline=self._earlier)
+        """The same robot by the suite's accurate model; None if its signal has other points, as on another mesh."""
+        other = SuiteRobot(self.env_id, task_type(self.env_id).accurate, self.threads, baseline=self._baseline)
         return other if other.shape == self.shape else None
 
     def spec(self) -> mujoco.MjSpec:
@@ -77,12 +77,16 @@ class SuiteRobot(Robot):
         return instrument(self._task.spec())
 
     @property
-    def moves(self) -> np.ndarray:
+    def moves(self) -> Floats:
         """(A, nu) 1 where a number of an action moves an actuator, else 0."""
         return self._task.moves
 
-    def actions(self, recording: Recording) -> np.ndarray:
-        """Rates of the cables, as the environment takes them."""
+    def actions(self, recording: Recording) -> Floats:
+        """(T, ...) actions of the environment, one per control step.
+
+        Raises:
+            RecordingError: they are of another environment, or not continuous.
+        """
         env_id, actions = recorded_actions(recording)
         if env_id != self.env_id or recording.metadata["action"] != "continuous":
             raise RecordingError(
@@ -95,22 +99,23 @@ class SuiteRobot(Robot):
             raise RecordingError(str(error)) from error
 
     def begins(self, recording: Recording) -> float:
-        """With the first action."""
+        """When the first action begins [s]."""
         return recording.control_steps([COMMAND], self.control_timestep)[0]
 
-    def _begin(self, parameters, start):
+    def _begin(self, parameters: Floats, start: Floats | None) -> None:
         n, names = len(parameters), [prior.name for prior in self.priors]
         options = [{"params": dict(zip(names, row, strict=True))} for row in parameters.tolist()]
         self._task.reset(np.arange(n), [np.random.default_rng(0)] * n, options)
 
-    def _step(self, actions):
+    def _step(self, actions: Floats) -> Bools:
         return self._task.hold(np.arange(len(actions)), actions)[1]
 
-    def _read(self, count):
+    def _read(self, count: int) -> Floats:
         return self._task.signals(np.arange(count))[self.signal]
 
 
-def _prior(parameter) -> Prior:
-    deviation = _DEVIATIONS.get(parameter.name, _SCALE_DEVIATION)
+def _prior(parameter: Parameter) -> Prior:
+    """The prior of a parameter of the suite, about its nominal value."""
+    deviation = _DEVIATIONS.get(parameter.name, _SETTINGS.suite_deviation)
     logarithmic = parameter.name not in _DEVIATIONS
     return Prior(parameter.name, parameter.unit, parameter.nominal, deviation, logarithmic, parameter.bounds)
