@@ -15,10 +15,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from soro_bench.assets import mjcf_path
+from soro_bench.diagnosis.baseline import baseline
 from soro_bench.diagnosis.estimation.data_quality import audit
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.pipeline import unexplained
-from soro_bench.diagnosis.report import baseline
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import FITTED
 from soro_bench.diagnosis.selection.forward_selection import nominal_fit

@@ -16,8 +16,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from soro_bench.diagnosis.pipeline import Diagnosis, diagnose
-from soro_bench.diagnosis.report import report_of
+from soro_bench.blind_benchmark.report import report_of
+from soro_bench.diagnosis.assembly.build import build_result
+from soro_bench.diagnosis.pipeline import Diagnosis, run_diagnosis
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.markdown import header, row
 from soro_bench.recording.recording import Recording, Signal
@@ -76,7 +77,7 @@ def recording(truth: dict[str, float], rng: np.random.Generator) -> Recording:
 
 def intervals(found: Diagnosis) -> dict[str, tuple[float, float]]:
     """90 % intervals of the parameters and of the friction, if that is the answer."""
-    report = report_of(found)
+    report = report_of(build_result(found))
     ends = {name: tuple(each["ci90"]) for name, each in report["parameters"].items()}
     first = report["effects"][0]["parameters"]
     return ends | ({"friction": tuple(first["friction"]["ci90"])} if "friction" in first else {})
@@ -101,7 +102,9 @@ def main() -> None:
         for seed in range(options.arms):
             rng = np.random.default_rng(seed)
             truth = {name: float(np.exp(deviation * rng.standard_normal())) for name, (deviation, _) in FIELDS.items()}
-            found = diagnose(ModelRobot(model, mapping, threads=1), [recording(truth, rng)], [recording(truth, rng)])
+            found = run_diagnosis(
+                ModelRobot(model, mapping, threads=1), [recording(truth, rng)], [recording(truth, rng)]
+            )
             both, name = (intervals(found), intervals(of_slopes(found))), " with ".join(found.best.names) or "nothing"
             for what, value in {**truth, "friction": FRICTION}.items():
                 ends = [each.get(what, (np.nan, np.nan)) for each in both]

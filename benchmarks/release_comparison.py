@@ -18,8 +18,9 @@ from pathlib import Path
 from soro_bench.blind_benchmark.ablations import ENV_ID
 from soro_bench.blind_benchmark.cases import build
 from soro_bench.blind_benchmark.draw import Case, draw_cases
-from soro_bench.diagnosis.pipeline import diagnose
-from soro_bench.diagnosis.report import report_of
+from soro_bench.blind_benchmark.report import report_of
+from soro_bench.diagnosis.assembly.build import build_result
+from soro_bench.diagnosis.pipeline import run_diagnosis
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.files import read_json, write_json
 from soro_bench.leaderboard.release import Release
@@ -59,8 +60,8 @@ def recordings(case: Case, folder: Path) -> list[Recording]:
 def diagnosed(case: Case, out: Path) -> None:
     """Diagnose a case, and write what is found into ``out``."""
     train, heldout = recordings(case, out / "cases")
-    found = diagnose(SuiteRobot(ENV_ID, threads=processors()), [train], [heldout])
-    write_json(out / f"{case.id}.json", report_of(found))
+    found = run_diagnosis(SuiteRobot(ENV_ID, threads=processors()), [train], [heldout])
+    write_json(out / f"{case.id}.json", report_of(build_result(found)))
 
 
 def answer(report: dict) -> dict:

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
+from soro_bench.blind_benchmark.report import report_of
 from soro_bench.blind_benchmark.residual_network import residual_rms
 from soro_bench.blind_benchmark.unseen import unseen
+from soro_bench.diagnosis.assembly.build import build_result
 from soro_bench.diagnosis.estimation.data_quality import data_quality
-from soro_bench.diagnosis.pipeline import diagnose, unexplained
-from soro_bench.diagnosis.report import report_of
+from soro_bench.diagnosis.pipeline import run_diagnosis, unexplained
 from soro_bench.diagnosis.robots.robot import FITTED, REFINED, Robot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.selection.forward_selection import nominal_fit
@@ -73,9 +74,9 @@ def without_joint_fit(robot: SuiteRobot, case: Path) -> dict:
 
 def on_task_motion(robot: SuiteRobot, case: Path) -> dict:
     """A recording of smooth motion like that of a task, instead of an excitation; then no motion is left unseen."""
-    return report_of(diagnose(robot, [load(case / "task.parquet")], [load(case / "heldout.parquet")])) | {
-        "unseen": None
-    }
+    return report_of(
+        build_result(run_diagnosis(robot, [load(case / "task.parquet")], [load(case / "heldout.parquet")]))
+    ) | {"unseen": None}
 
 
 def network_only(robot: SuiteRobot, case: Path) -> dict:
@@ -120,7 +121,7 @@ def ablated(name: str, case: Path, path: Path) -> None:
 
 
 def _report(robot: SuiteRobot, case: Path) -> dict:
-    found = diagnose(robot, [load(case / "train.parquet")], [load(case / "heldout.parquet")])
+    found = run_diagnosis(robot, [load(case / "train.parquet")], [load(case / "heldout.parquet")])
     # all are measured alike: numerical error is taken off of motion that has not been seen, whatever was fitted with
     same = replace(found, robot=SuiteRobot(robot.env_id, threads=robot.threads))
-    return report_of(found) | {"unseen": unseen(same, load(case / "task.parquet"))}
+    return report_of(build_result(found)) | {"unseen": unseen(same, load(case / "task.parquet"))}

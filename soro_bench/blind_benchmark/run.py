@@ -9,11 +9,12 @@ from soro_bench.blind_benchmark import ablation_score
 from soro_bench.blind_benchmark.ablation_score import ablation_rows
 from soro_bench.blind_benchmark.ablations import ABLATIONS, ENV_ID, ablated
 from soro_bench.blind_benchmark.cases import sealed_seed, write_cases
+from soro_bench.blind_benchmark.report import report_of
 from soro_bench.blind_benchmark.score import opened_labels, scored
 from soro_bench.blind_benchmark.scorecard import markdown
 from soro_bench.blind_benchmark.unseen import unseen
-from soro_bench.diagnosis.pipeline import diagnose
-from soro_bench.diagnosis.report import report_of
+from soro_bench.diagnosis.assembly.build import build_result
+from soro_bench.diagnosis.pipeline import run_diagnosis
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.version import method_version
 from soro_bench.files import read_json, replacing, write_json
@@ -88,5 +89,5 @@ def _read_all(folder: Path) -> dict[str, dict]:
 def diagnosed(case: Path, path: Path) -> None:
     """Write the report of a case, and how it does on motion that it has not seen."""
     robot = SuiteRobot(ENV_ID, threads=processors())
-    found = diagnose(robot, [load(case / "train.parquet")], [load(case / "heldout.parquet")])
-    write_json(path, report_of(found) | {"unseen": unseen(found, load(case / "task.parquet"))})
+    found = run_diagnosis(robot, [load(case / "train.parquet")], [load(case / "heldout.parquet")])
+    write_json(path, report_of(build_result(found)) | {"unseen": unseen(found, load(case / "task.parquet"))})

@@ -2,12 +2,12 @@
 
 import itertools
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from soro_bench.diagnosis.candidates import terms
+from soro_bench.diagnosis.candidates import Term, terms
 from soro_bench.diagnosis.estimation.data_quality import DataQuality, data_quality, noise, outliers
 from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
 from soro_bench.diagnosis.estimation.fit import Hypothesis
@@ -30,6 +30,9 @@ LIKELY = 0.05  # probability of an answer, above which it is worth knowing how w
 UNSURE = 0.1  # probability of physics without a name, above which its place is looked for
 
 
+HypothesisKey = tuple[bytes, tuple[Term, ...]]
+
+
 @dataclass(frozen=True)
 class Outliers:
     """Samples left out because they are alone and far off: share of all points that there are, and the rms distance of
@@ -45,6 +48,8 @@ class Diagnosis:
 
     places: of what has no name, the best first; none where a name explains it, or no force at one place anything.
     proposal: what to record next; None where nothing is left to be told apart.
+    tested, tested_residuals: the problem of the held-out recordings, and its residuals (M,) by :func:`key_of` of the
+        hypotheses that were compared.
     """
 
     robot: Robot
@@ -55,6 +60,8 @@ class Diagnosis:
     ranked_locations: tuple[RankedLocation, ...]
     proposal: Proposal | None
     seconds: float
+    tested: Problem | None = None
+    tested_residuals: Mapping[HypothesisKey, np.ndarray] = field(default_factory=dict)
 
     @property
     def detected(self) -> bool:
@@ -68,18 +75,18 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """One of the verdicts of report.json: what is likeliest, as its first effect."""
+        """One of the verdicts of a result: what is likeliest, as its first effect."""
         if not self.detected:
-            return "measurement_fault" if self.outliers.share else "none_detected"
+            return "measurement_fault" if self.outliers.share else "adequate"
         if self.comparison.unknown > self.comparison.likeliest:
-            return "unknown_physics"
+            return "outside_catalogue"
         faults = all(s.location.kind == "sensor" for s in self.best.hypothesis.terms)
-        return "measurement_fault" if faults else "missing_physics"
+        return "measurement_fault" if faults else "discrepancy"
 
 
 @one_blas_thread
 @quiet()
-def diagnose(
+def run_diagnosis(
     robot: Robot,
     recordings: Sequence[Recording],
     heldout: Sequence[Recording] = (),
@@ -113,7 +120,9 @@ def diagnose(
         problem, nominal = _with_noise(problem, nominal, max(a.least for a in data_qualities))
     explanation = explained(problem, nominal, robot, refined, terms(robot), seed, progress)
     progress("comparison")
-    comparison = compared(explanation, tried_on(explanation, tested, refined, shortlist(explanation)))
+    hypotheses = shortlist(explanation)
+    trial = tried_on(explanation, tested, refined, hypotheses)
+    comparison = compared(explanation, trial)
     explanation, comparison = _with_covariances(explanation, comparison, seed)
     found = Diagnosis(robot, data_qualities, found_outliers, explanation, comparison, (), None, 0.0)
     if comparison.detected and comparison.unknown > UNSURE:
@@ -123,7 +132,16 @@ def diagnose(
         )
     progress("next recording")
     proposal = _proposal(found, seed)
-    return replace(found, proposal=proposal, seconds=time.perf_counter() - start)
+    found = replace(found, proposal=proposal, seconds=time.perf_counter() - start)
+    if trial is None:
+        return found
+    rows = {key_of(h): row for h, row in zip(hypotheses, trial[1], strict=True)}
+    return replace(found, tested=trial[0], tested_residuals=rows)
+
+
+def key_of(hypothesis: Hypothesis) -> HypothesisKey:
+    """What tells a hypothesis from others of the same robot: its coordinates and terms."""
+    return hypothesis.x.tobytes(), tuple(hypothesis.terms)
 
 
 def _with_covariances(explanation: Explanation, comparison: Comparison, seed: int) -> tuple[Explanation, Comparison]:
@@ -172,7 +190,7 @@ def _proposal(found: Diagnosis, seed: int) -> Proposal | None:
     if not found.detected or not found.robot.channels:
         return None
     unknown = (
-        found.ranked_locations[0].location if found.verdict == "unknown_physics" and found.ranked_locations else None
+        found.ranked_locations[0].location if found.verdict == "outside_catalogue" and found.ranked_locations else None
     )
     return proposed(found.explanation.problem, found.comparison, unknown, seed)
 

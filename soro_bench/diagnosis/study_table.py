@@ -62,6 +62,6 @@ def _known(summary: dict) -> str:
 
 def named(effect: dict) -> str:
     """An effect of a summary and its location, in words."""
-    location = effect["where"]
+    location = effect.get("location") or effect["where"]  # as older summaries have it
     point = "" if location.get("index") is None else f"[{location['index']}]"
     return f"{effect['name']} at {location['name']}{point}"

@@ -50,7 +50,7 @@ def patch(diagnosis: Diagnosis) -> list[Effect]:
     recordings that it was fitted to: if held-out ones keep ``KEPT`` of what it explains.
     """
     best = diagnosis.best
-    wanted = {"unknown_physics": keeps(best), "none_detected": False}.get(diagnosis.verdict, True)
+    wanted = {"outside_catalogue": keeps(best), "adequate": False}.get(diagnosis.verdict, True)
     if not wanted or rejected(diagnosis):
         return []
     return best.hypothesis.effects(diagnosis.explanation.problem.parameters)

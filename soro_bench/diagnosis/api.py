@@ -1,0 +1,33 @@
+"""Diagnose a robot: from recordings to a result."""
+
+from collections.abc import Callable, Sequence
+
+from soro_bench.diagnosis.assembly.build import build_result
+from soro_bench.diagnosis.pipeline import run_diagnosis
+from soro_bench.diagnosis.result import Result
+from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.recording.recording import Recording
+
+
+def diagnose(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    heldout: Sequence[Recording] = (),
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Result:
+    """Say which physics the simulation of a robot lacks, from recordings of the real one.
+
+    Args:
+        robot: simulated; a :class:`~soro_bench.diagnosis.robots.suite_robot.SuiteRobot` or a
+            :class:`~soro_bench.diagnosis.robots.model_robot.ModelRobot` of any MJCF file.
+        recordings: to explain, in SI units.
+        heldout: of another motion, to test the explanation on.
+        seed: of the random numbers; the same seed gives the same result.
+        progress: called with the name of every stage.
+
+    Raises:
+        RecordingError: a recording lacks something; the message says what.
+        SimulationError: the simulation diverges.
+    """
+    return build_result(run_diagnosis(robot, recordings, heldout, seed, progress), seed)
