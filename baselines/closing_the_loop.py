@@ -23,8 +23,8 @@ from soro_bench.blind_benchmark.closed_loop import final_distances
 from soro_bench.blind_benchmark.manoeuvre import manoeuvre
 from soro_bench.blind_benchmark.robot import CONTROL_TIMESTEP, Law, Robot
 from soro_bench.cli import plain_errors
-from soro_bench.diagnosis.page import write_reports
-from soro_bench.diagnosis.pipeline import diagnose
+from soro_bench.diagnosis.api import diagnose
+from soro_bench.diagnosis.render import render
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.version import method_version
 from soro_bench.effects.effect import EVERY, Effect, Location, save_effects
@@ -96,7 +96,7 @@ def diagnosed(name: str, folder: Path) -> None:
         points = robot.run(rows).at(CONTROL_TIMESTEP * np.arange(len(rows) + 1))
         recordings[role] = recording(rows, points, np.random.default_rng([k, 2]))
     found = diagnose(SuiteRobot(ENV_ID), [recordings["train"]], [recordings["heldout"]])
-    write_reports(found, [recordings["train"]], folder)
+    render(found, folder)
     write_json(folder / "method.json", {"method": METHOD})
 
 

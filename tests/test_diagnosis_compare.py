@@ -22,10 +22,10 @@ def test_a_lead_like_those_of_nulls_is_no_detection():
 @pytest.mark.parametrize(
     ("answers", "unknown", "verdict"),
     [
-        ([(0.8, "none"), (0.1, "payload")], 0.1, "none_detected"),
-        ([(0.3, "payload"), (0.2, "none")], 0.5, "unknown_physics"),
-        ([(0.35, "payload"), (0.2, "none")], 0.45, "unknown_physics"),
-        ([(0.3, "payload"), (0.3, "payload"), (0.0, "none")], 0.4, "missing_physics"),
+        ([(0.8, "none"), (0.1, "payload")], 0.1, "adequate"),
+        ([(0.3, "payload"), (0.2, "none")], 0.5, "outside_catalogue"),
+        ([(0.35, "payload"), (0.2, "none")], 0.45, "outside_catalogue"),
+        ([(0.3, "payload"), (0.3, "payload"), (0.0, "none")], 0.4, "discrepancy"),
         ([(0.6, "sensor_delay"), (0.1, "none")], 0.3, "measurement_fault"),
     ],
 )

@@ -14,7 +14,6 @@ from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.selection import experiment_design as propose
 from soro_bench.diagnosis.selection.experiment_design import (
-    Proposal,
     competing,
     motions,
     predictions,
@@ -22,7 +21,6 @@ from soro_bench.diagnosis.selection.experiment_design import (
     separations,
 )
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, Fit
-from soro_bench.diagnosis.verdict import _what_next
 from soro_bench.effects.effect import Location
 from soro_bench.inference.statistical_linearisation import LowRank
 
@@ -167,14 +165,3 @@ def test_a_pair_of_improbable_answers_decides_less():
     rivals = answers(0.6, 0.35, 0.05)
     probable, improbable = (propose._rated(rivals, e, 100.0) for e in ([10, 900, 900], [900, 900, 10]))
     assert probable < improbable
-
-
-def test_a_sentence_says_what_to_record_and_what_for():
-    motion = motions((2,), NAMES, 0.05)[0]
-    both, one = (("a", "b"), ("a", "c"), ("b", "c")), (("a", "c"),)
-    said = _what_next(Proposal(motion, ("a", "b", "c"), both, 400.0), unknown=False)
-    assert said == ("a cannot be told from b or c with this recording: "
-                    "record next_actions.csv (fast triangles of cable 2) to separate them.")  # fmt: skip
-    assert "to separate a from c." in _what_next(Proposal(motion, ("a", "b", "c"), one, 400.0), unknown=False)
-    assert "nor by any motion of 10 s" in _what_next(Proposal(motion, ("a", "b"), (), 4.0), unknown=False)
-    assert "to see more of it" in _what_next(Proposal(motion, ("a", "b"), (), 4.0), unknown=True)

@@ -8,9 +8,10 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
+from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.estimation.data_quality import data_quality
 from soro_bench.diagnosis.estimation.unit_check import check_scale
-from soro_bench.diagnosis.pipeline import diagnose, unexplained
+from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from tests.arm import ARM, MAP, recording

@@ -9,7 +9,7 @@ import joblib
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from soro_bench import parallel
-from soro_bench.diagnosis.pipeline import diagnose
+from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.inference.methods import infer
 from soro_bench.inference.replay import SIMULATIONS, Replay

@@ -48,7 +48,7 @@ def robot():
     return SuiteRobot("TrunkReach-v0", threads=1)
 
 
-def diagnosis(robot, effects, heldout=(2.0, 1.0), verdict="missing_physics"):
+def diagnosis(robot, effects, heldout=(2.0, 1.0), verdict="discrepancy"):
     """A diagnosis with a known answer; the nominal fit is at the origin."""
     best = SimpleNamespace(x=X, effects=lambda parameters: list(effects))
     answer = SimpleNamespace(hypothesis=best, train=Fit(2.0, 1.0, 0.0), heldout=heldout and Fit(*heldout, 0.0))
@@ -144,9 +144,9 @@ def test_what_a_model_cannot_hold_is_in_a_file_of_its_own(robot, tmp_path):
     "case",
     [
         {"heldout": (1.0, 2.0)},
-        {"verdict": "none_detected"},
-        {"verdict": "unknown_physics", "heldout": None},
-        {"verdict": "unknown_physics", "heldout": (2.0, 1.7)},
+        {"verdict": "adequate"},
+        {"verdict": "outside_catalogue", "heldout": None},
+        {"verdict": "outside_catalogue", "heldout": (2.0, 1.7)},
     ],
 )
 def test_without_a_patch_the_model_has_the_parameters_that_were_fitted_without_one(robot, case):
@@ -159,7 +159,7 @@ def test_without_a_patch_the_model_has_the_parameters_that_were_fitted_without_o
 
 
 def test_what_has_no_name_is_patched_by_the_nearest_that_explains_held_out_recordings_too(robot):
-    assert patch(diagnosis(robot, [PAYLOAD], verdict="unknown_physics")) == [PAYLOAD]
+    assert patch(diagnosis(robot, [PAYLOAD], verdict="outside_catalogue")) == [PAYLOAD]
 
 
 def test_springs_are_in_the_model_only_where_an_effect_uses_them(robot):

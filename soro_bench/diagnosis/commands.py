@@ -1,4 +1,4 @@
-"""``soro-bench excite``, ``diagnose`` and ``study``."""
+"""``soro-bench excite``, ``diagnose``, ``report`` and ``study``."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,7 +41,7 @@ class Diagnose:
     recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """.parquet; `soro-bench excite` writes the actions for a good one."""
     out: Path
-    """Folder for report.html, report.json, effects.json, posterior.json, patched_model.xml, comparison.rrd,
+    """Folder for report.html, result.json, effects.json, posterior.json, patched_model.xml, comparison.rrd,
     next_actions.csv."""
     env: str | None = None
     """Environment whose robot was recorded."""
@@ -57,8 +57,8 @@ class Diagnose:
     seed: int = 0
 
     def run(self) -> None:
-        from soro_bench.diagnosis.page import write_reports
-        from soro_bench.diagnosis.pipeline import diagnose
+        from soro_bench.diagnosis.api import diagnose
+        from soro_bench.diagnosis.render import render
         from soro_bench.recording.parquet import load
 
         if not self.recordings:
@@ -66,14 +66,14 @@ class Diagnose:
         with results_folder(self.out), StageStatus() as status:
             robot = self._robot()
             recordings, heldout = ([load(path) for path in paths] for paths in (self.recordings, self.heldout))
-            found = diagnose(robot, recordings, heldout, self.seed, status)
+            result = diagnose(robot, recordings, heldout, self.seed, status)
             status("report")
-            text = write_reports(found, recordings, self.out)
-        console.print(text, soft_wrap=True)
-        console.print(f"{self.out / 'report.html'}, {self.out / 'report.json'}; {found.seconds:.0f} s", soft_wrap=True)
+            text = render(result, self.out)
+        console.print(text, soft_wrap=True, highlight=False)
+        console.print(f"{self.out / 'report.html'}, {self.out / 'result.json'}; {result.seconds:.0f} s", soft_wrap=True)
 
     def _robot(self):
-        from soro_bench.diagnosis.report import baseline
+        from soro_bench.diagnosis.baseline import baseline
         from soro_bench.diagnosis.robots.model_robot import ModelRobot
         from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 
@@ -83,6 +83,25 @@ class Diagnose:
         if self.model and self.map and not self.env:
             return ModelRobot(self.model, self.map, baseline=known)
         raise ValueError("say which robot was recorded: --env ENV, or --model ROBOT.xml --map MAP.toml")
+
+
+@dataclass
+class Report:
+    """Render an earlier result again: report.html, comparison.rrd, the files for programs, and the summary."""
+
+    result: Annotated[Path, tyro.conf.Positional]
+    """result.json of a diagnosis."""
+    out: Path
+    """Folder for what is rendered."""
+
+    def run(self) -> None:
+        from soro_bench.diagnosis.render import render
+        from soro_bench.diagnosis.result import Result
+
+        result = Result.load(self.result)
+        with results_folder(self.out):
+            text = render(result, self.out)
+        console.print(text, soft_wrap=True, highlight=False)
 
 
 @dataclass

@@ -6,7 +6,7 @@ from pathlib import Path
 from soro_bench.envs.episode import Episode
 from soro_bench.recording.distances import distances, measured_points
 from soro_bench.recording.recording import Recording
-from soro_bench.recording.rerun_log import require_rerun
+from soro_bench.recording.rerun_stream import require_rerun
 from soro_bench.recording.simulated import replay, replay_begins
 
 

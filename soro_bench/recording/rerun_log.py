@@ -5,29 +5,18 @@ one timeline "time" that starts at 0 s: a reviewer steps through the episodes by
 together in the first one. A robot comes in as a :class:`soro_bench.recording.drawing.Drawing`.
 """
 
-import hashlib
-import importlib.util
 import os
 import subprocess
 import sys
-import uuid
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
 
 from soro_bench.envs.episode import Episode
-from soro_bench.files import replacing
 from soro_bench.recording.drawing import Drawing
+from soro_bench.recording.rerun_stream import identity, recorded, require_rerun
 from soro_bench.recording.trunk_drawing import draw_trunk
 from soro_bench.recording.walker_drawing import draw_walker
 
-if TYPE_CHECKING:
-    import rerun
-
-APPLICATION_ID = "soro_bench"
 DRAWINGS = {"Trunk": draw_trunk, "MultiGait": draw_walker}  # by how the environment's id begins
 
 
@@ -48,23 +37,6 @@ def write_recording(path: str | Path, episodes: Sequence[Episode], title: str) -
         recording.send_blueprint(layout(episodes, drawings))
         recording.flush()  # what comes now must not overtake it
         log_episodes(recording, episodes, drawings, title)
-
-
-@contextmanager
-def recorded(path: str | Path, title: str, recording_id: str) -> Iterator["rerun.RecordingStream"]:
-    """A stream whose content becomes the file ``path`` when the block ends, and nothing if it fails."""
-    require_rerun()
-    import rerun as rr
-
-    # without properties, which hold the time of writing; in memory, so that a full disk raises below
-    stream = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id, send_properties=False)
-    if not rr.is_enabled(stream):
-        raise ValueError("rerun is switched off by the environment variable RERUN; unset it")
-    memory = stream.memory_recording()
-    stream.send_recording_name(title)
-    yield stream
-    with replacing(path) as temporary:
-        temporary.write_bytes(memory.drain_as_bytes())
 
 
 # python -m rerun_cli (0.41) succeeds whatever becomes of the viewer
@@ -94,23 +66,9 @@ def viewer_environment() -> dict[str, str]:
     return {**environment, "CI": "true"}
 
 
-def require_rerun() -> None:
-    """Raise ImportError if rerun, an optional dependency, is not installed."""
-    if importlib.util.find_spec("rerun") is None:
-        raise ImportError("recordings need rerun: pip install soro_bench[view]")
-
-
 def draw(episode: Episode) -> Drawing:
     """The drawing of an episode; ValueError if there is none of its robot."""
     for prefix, draw in DRAWINGS.items():
         if episode.env_id.startswith(prefix):
             return draw(episode)
     raise ValueError(f"{episode.env_id} has no drawing; there are drawings of {', '.join(DRAWINGS)}")
-
-
-def identity(title: str, content: Iterable[np.ndarray]) -> str:
-    """The id of a recording: the viewer takes files of one id for parts of one recording."""
-    digest = hashlib.sha256(title.encode())
-    for array in content:
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return str(uuid.UUID(bytes=digest.digest()[:16]))

@@ -28,7 +28,8 @@ from soro_bench.recording.rerun_entities import (
     view_coordinates,
 )
 from soro_bench.recording.rerun_layout import blueprint, painted, plot, plots, view3d
-from soro_bench.recording.rerun_log import draw, identity, recorded
+from soro_bench.recording.rerun_log import draw
+from soro_bench.recording.rerun_stream import identity, recorded
 
 _COLORS = ((214, 39, 40), (31, 119, 180))  # before and after, as in the report
 _MEASURED = "measured"

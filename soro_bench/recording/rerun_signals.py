@@ -1,30 +1,31 @@
-"""A signal of several runs as a rerun recording: for robots that the suite has no drawing of."""
+"""A signal of several runs in a Rerun recording: for robots that the suite has no drawing of."""
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-
-from soro_bench.recording.rerun_log import identity, recorded
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     import rerun
 
 
-def write_signals(path: str | Path, title: str, time: np.ndarray, runs: Mapping[str, np.ndarray]) -> None:
-    """Write the same signal of several runs: coordinates as curves, and points in space as points.
+def log_signal(
+    recording: "rerun.RecordingStream",
+    name: str,
+    time: NDArray[np.floating[Any]],
+    values: NDArray[np.floating[Any]],
+    color: tuple[int, int, int],
+    radius: float,
+    is_body: bool,
+) -> None:
+    """Log a signal of one run: coordinates as curves, points in space as balls or as a body.
 
     Args:
         time: (T,) s.
-        runs: (T, P, D) by name, NaN where missing.
+        values: (T, P, D), NaN where missing.
+        radius: of points in space [m].
+        is_body: whether a thick line joins the points.
     """
-    with recorded(path, title, identity(title, runs.values())) as recording:
-        for name, values in runs.items():
-            _log(recording, name, time, values)
-
-
-def _log(recording: "rerun.RecordingStream", name: str, time: np.ndarray, values: np.ndarray) -> None:
     import rerun as rr
 
     from soro_bench.recording.rerun_entities import TIMELINE
@@ -32,8 +33,15 @@ def _log(recording: "rerun.RecordingStream", name: str, time: np.ndarray, values
     stamps, (steps, points, coordinates) = [rr.TimeColumn(TIMELINE, duration=time)], values.shape
     for p in range(points):
         for c in range(coordinates):
-            columns = rr.Scalars.columns(scalars=values[:, p, c])
-            recording.send_columns(f"plots/point_{p}/{'xyz'[c] if coordinates == 3 else c}/{name}", stamps, columns)
-    if coordinates == 3:
-        columns = rr.Points3D.columns(positions=values.reshape(-1, 3)).partition([points] * steps)
-        recording.send_columns(f"world/{name}", stamps, columns)
+            entity = f"plots/point_{p}/{'xyz'[c] if coordinates == 3 else c}/{name}"
+            recording.log(entity, rr.SeriesLines(colors=[color], names=[name]), static=True)
+            recording.send_columns(entity, stamps, rr.Scalars.columns(scalars=values[:, p, c]))
+    if coordinates != 3:
+        return
+    recording.log(f"world/{name}", rr.Points3D.from_fields(colors=[color], radii=[radius]), static=True)
+    balls = rr.Points3D.columns(positions=values.reshape(-1, 3)).partition([points] * steps)
+    recording.send_columns(f"world/{name}", stamps, balls)
+    if is_body and points > 1:
+        lines = rr.LineStrips3D.columns(strips=list(np.nan_to_num(values)))
+        recording.log(f"world/{name}/body", rr.LineStrips3D.from_fields(colors=[color], radii=[radius]), static=True)
+        recording.send_columns(f"world/{name}/body", stamps, lines)

@@ -1,0 +1,150 @@
+"""report.html: the answer within ten seconds, and below it what it rests on."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, select_autoescape
+
+from soro_bench.diagnosis.render import figures, words
+from soro_bench.diagnosis.render.equations import EQUATIONS
+from soro_bench.diagnosis.result import Finding, Result
+from soro_bench.files import replacing
+
+RANKED = 10  # effects of the table
+
+_TEMPLATES = Environment(
+    loader=PackageLoader("soro_bench.diagnosis.render"), autoescape=select_autoescape(), trim_blocks=True,
+    lstrip_blocks=True,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A picture with its heading and caption; ``image`` is base64 PNG."""
+
+    title: str
+    caption: str
+    image: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table with its heading."""
+
+    title: str
+    head: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+
+
+def write_html(result: Result, path: str | Path) -> None:
+    """Write the report: one file, pictures inside, readable on a phone and in print."""
+    with replacing(path) as temporary:
+        temporary.write_text(html(result), encoding="utf-8")
+
+
+def html(result: Result) -> str:
+    """The report as HTML."""
+    return _TEMPLATES.get_template("report.html").render(
+        result=result,
+        words=words,
+        tone="good" if result.verdict == "adequate" else "bad",
+        laws=[(each, EQUATIONS.get(each.name, "")) for each in words.best_findings(result)],
+        picture=figures.robot(result),
+        figures=[each for each in _figures(result) if each.image],
+        tables=[each for each in _tables(result) if each.rows],
+    )
+
+
+def _figures(result: Result) -> list[Figure]:
+    which = " The first recording." if result.trained_on > 1 else ""
+    found = [
+        Figure("Candidates", "Probability of every effect.", figures.probabilities(result)),
+        Figure("Where and when", "Error of a plain replay with fitted parameters." + which, figures.error_map(result)),
+        Figure(
+            "Before and after",
+            "Measured less simulated at the point with the largest error. The band is two standard deviations of the "
+            f"noise.{which}",
+            figures.before_and_after(result),
+        ),
+    ]
+    if result.best.effects:
+        caption = "Evidence that the best hypothesis gains in every second." + which
+        found.append(Figure("When the law acts", caption, figures.gain(result)))
+    if curve := result.curve:
+        caption = (
+            f"Lines: the fitted law at {curve.effect.location}, which they describe to {100 * curve.share:.0f} %. "
+            "Points: the force that the recordings ask for, to first order, with 90 % intervals. Points beside the "
+            "lines speak for another law."
+        )
+        found.append(Figure(f"Force against state: {words.law(curve.effect.name)}", caption, figures.law_curve(result)))
+    if unknown := result.unknown_input:
+        form = "linear in commands and shape" if unknown.linear_in else "free in time"
+        caption = f"The input at {unknown.location} that explains most, {form}.{which}"
+        found.append(Figure("Unknown input", caption, figures.unknown_input(result)))
+    return found
+
+
+def _tables(result: Result) -> list[Table]:
+    return [
+        Table("Errors", ("recordings", "noise", "plain replay", "without discretisation error"), _errors(result)),
+        Table("Candidates", ("probability", "law", "location", "magnitudes", "drawbacks"), _candidates(result)),
+        Table("Parameters", ("parameter", "value [90 %]", "nominal", "prior sd"), _parameters(result)),
+        Table("Selection", ("on top of", "predicted gain [nats]", "misfit after the fit [nats]"), _rounds(result)),
+        Table("Smallest detectable magnitudes", ("law", "quantity", "magnitude"), _detectable(result)),
+    ]
+
+
+def _errors(result: Result) -> list[tuple[str, ...]]:
+    unit, rows = result.robot.unit, []
+    for name, each in (("training", result.train), ("held out", result.heldout)):
+        if each is not None:
+            noise = words.number(each.noise, unit)
+            rows.append((name, noise, words.errors(each, unit), words.corrected(each, unit)))
+    return rows
+
+
+def _candidates(result: Result) -> list[tuple[str, ...]]:
+    return [_candidate(each) for each in result.findings if each.name not in ("none",)][:RANKED]
+
+
+def _candidate(found: Finding) -> tuple[str, ...]:
+    name = "outside the catalogue" if found.name == "unknown" else words.law(found.name)
+    magnitudes = "; ".join(f"{words.law(each.name)} {words.estimate(each)}" for each in found.estimates)
+    location = str(found.location) if found.location else ""
+    return words.probability(found.probability), name, location, magnitudes, "; ".join(found.drawbacks)
+
+
+def _parameters(result: Result) -> list[tuple[str, ...]]:
+    return [
+        (
+            each.estimate.name,
+            words.estimate(each.estimate),
+            words.number(each.nominal, each.estimate.unit),
+            f"{each.prior_deviations:+.1f}",
+        )
+        for each in result.parameters
+    ]
+
+
+def _rounds(result: Result) -> list[tuple[str, ...]]:
+    return [
+        (
+            " with ".join(map(str, each.on_top_of)) or "fitted parameters",
+            "; ".join(f"{one.term} {one.predicted_gain:.0f}" for one in each.screened),
+            "; ".join(f"{' with '.join(map(str, one.terms))} {one.misfit:.0f}" for one in each.fitted),
+        )
+        for each in result.rounds
+    ]
+
+
+def _detectable(result: Result) -> list[tuple[str, ...]]:
+    rows = [
+        (
+            words.law(each.name),
+            words.law(each.quantity),
+            words.number(each.minimum, each.unit, 2) + (f" off {each.null:g}" if each.null else ""),
+        )
+        for each in result.detectable
+    ]
+    rows += [(words.law(name), "", "not visible in these recordings") for name in result.undetectable]
+    return rows + [(words.law(name), "", "not searched: no location in this robot") for name in result.not_searched]

@@ -1,0 +1,162 @@
+"""Numbers and verdicts in words, the same on the console and in the report."""
+
+import math
+from collections.abc import Iterable
+
+from soro_bench.diagnosis.result import Errors, Estimate, Finding, Result
+
+TINY = 1e-3  # a smaller p-value is printed as "p < 0.001"
+LIKELY = 0.05  # probability from which another hypothesis is mentioned
+CORRECTED = 1.3  # ratio of plain to corrected errors from which the report warns
+FAR = 3.0  # standard deviations of the prior from which a parameter is called far off
+NEAR = 0.9  # of the best location's gain, from which another one explains nearly as much
+_IN_MM = {"m": (1e3, "mm"), "m or rad": (1.0, "m or rad")}
+
+ANSWERS = {
+    "adequate": "Adequate: no discrepancy detected",
+    "discrepancy": "Not adequate: the simulation lacks physics",
+    "outside_catalogue": "Not adequate: a discrepancy outside the catalogue",
+    "measurement_fault": "Sensor fault: the measurement differs, not the robot",
+}
+
+
+def number(value: float, unit: str, digits: int = 3) -> str:
+    """A number with its unit; lengths in mm, "1" is no unit."""
+    scale, shown = _IN_MM.get(unit, (1.0, unit))
+    return f"{scale * value:.{digits}g}{'' if shown == '1' else ' ' + shown}"
+
+
+def shown_unit(unit: str) -> tuple[float, str]:
+    """Factor and name of the unit that a quantity is shown in."""
+    return _IN_MM.get(unit, (1.0, unit))
+
+
+def estimate(found: Estimate) -> str:
+    """A value with its unit and its 90 % interval."""
+    if found.low is None or found.high is None:
+        return number(found.value, found.unit)
+    scale, unit = shown_unit(found.unit)
+    low, high = (f"{scale * each:.3g}" for each in (found.low, found.high))
+    return f"{scale * found.value:.3g} [{low}, {high}]{'' if unit == '1' else ' ' + unit}"
+
+
+def change(before: float, after: float, unit: str) -> str:
+    """An error before and after."""
+    scale, shown = shown_unit(unit)
+    return f"{scale * before:.3g} -> {scale * after:.3g} {shown}"
+
+
+def p_value(result: Result) -> str:
+    """The p-value, never smaller than can be known."""
+    if result.p_value is None:
+        return ""
+    return "p < 0.001" if result.p_value < TINY else f"p = {result.p_value:.2g}"
+
+
+def law(name: str) -> str:
+    """The name of a law as words."""
+    return name.replace("_", " ")
+
+
+def probability(value: float) -> str:
+    """A probability with two digits."""
+    return f"{value:.2f}"
+
+
+def best_findings(result: Result) -> list[Finding]:
+    """The effects of the hypothesis that the report is about."""
+    return [each for each in result.findings if each.is_best]
+
+
+def headline(result: Result) -> str:
+    """The verdict in one line."""
+    if result.verdict == "measurement_fault" and not best_findings(result):
+        return "Adequate but for outliers"
+    return ANSWERS[result.verdict]
+
+
+def where(result: Result) -> str:
+    """The location of a discrepancy outside the catalogue, and of others that explain nearly as much."""
+    if not result.locations:
+        return "no single location"
+    first, *others = result.locations
+    near = [str(each.location) for each in others if each.gain >= NEAR * first.gain]
+    if not near:
+        return str(first.location)
+    more = f" and {len(near) - 3} more" if len(near) > 3 else ""
+    return f"{first.location}; nearly as well {', '.join(near[:3])}{more}"
+
+
+def alternatives(result: Result) -> list[str]:
+    """What else it may be, with probabilities; the most probable first."""
+    found = [
+        f"{' with '.join(str(e) for e in each.effects) or 'no discrepancy'} ({probability(each.probability)})"
+        for each in result.hypotheses[1:]
+        if each.probability >= LIKELY
+    ][:3]
+    if result.verdict != "outside_catalogue" and result.unknown >= LIKELY:
+        found.append(f"outside the catalogue ({probability(result.unknown)})")
+    return found
+
+
+def errors(found: Errors, unit: str) -> str:
+    """Plain replay errors, or that they grew."""
+    if found.after > found.before:
+        return f"makes it worse ({change(found.before, found.after, unit)})"
+    return change(found.before, found.after, unit)
+
+
+def corrected(found: Errors, unit: str) -> str:
+    """Errors without discretisation error, with the share of the variance that is explained."""
+    share = "" if math.isnan(found.explained) else f", {100 * found.explained:.0f} % of the variance above noise"
+    return f"{change(found.corrected_before, found.corrected_after, unit)}{share}"
+
+
+def warnings(result: Result) -> list[str]:
+    """What a reader must know before using the numbers."""
+    said = []
+    pairs = [("training", result.train)] + ([("held-out", result.heldout)] if result.heldout else [])
+    for name, each in pairs:
+        if each.after > CORRECTED * each.corrected_after:
+            ratio = each.after / max(each.corrected_after, 1e-300)
+            said.append(f"On {name} recordings a plain replay errs {ratio:.1f} times as much as the corrected figure: "
+                        "discretisation error takes the difference.")  # fmt: skip
+    if result.patch.state == "rejected":
+        said.append("The patch is rejected: it makes held-out recordings worse.")
+    if result.patch.state == "untested" and result.best.effects:
+        said.append("No recording was held out: nothing tests the patch on another motion.")
+    far = [
+        f"{each.estimate.name} {number(each.nominal, each.estimate.unit)} -> "
+        f"{number(each.estimate.value, each.estimate.unit)} ({each.prior_deviations:+.1f} sd)"
+        for each in result.parameters
+        if abs(each.prior_deviations) > FAR
+    ]
+    if far:
+        origin = "the baseline diagnosis" if result.robot.has_baseline else "their nominal values"
+        said.append(f"Parameters far from {origin}: {', '.join(far)}. Either they are wrong there, or the discrepancy "
+                    "looks like them.")  # fmt: skip
+    for each in best_findings(result):
+        if each.indistinguishable_from:
+            said.append(f"{law(each.name)} and {each.indistinguishable_from} leave the same trace; only clocks or "
+                        "motion without a command tell them apart.")  # fmt: skip
+    return said
+
+
+def next_recording(result: Result) -> str:
+    """What to record next, and what for; empty if nothing is left to tell apart."""
+    found = result.next_recording
+    if found is None:
+        return ""
+    said = f"next_actions.csv: {found.motion}, {found.duration_s:g} s"
+    if not found.separates:
+        if len(found.rivals) < 2:
+            return f"{said}; shows more of the discrepancy."
+        return f"{said}; no motion that was tried separates {listed(found.rivals)}, this one comes nearest."
+    pairs = [f"{a} from {b}" for a, b in found.separates]
+    return f"{said}; would tell {listed(pairs)}."
+
+
+def listed(words: Iterable[str]) -> str:
+    """Words as a list in a sentence."""
+    *first, last = words
+    return f"{', '.join(first)} and {last}" if first else last
