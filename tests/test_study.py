@@ -53,8 +53,8 @@ def test_a_study_writes_reports_summaries_and_a_table_and_goes_on_where_it_was(s
     # the second part begins where the first one ended
     assert first[1]["nominal"]["train"]["mean_absolute"] < 0.3 * first[0]["nominal"]["train"]["mean_absolute"]
     asked = []
-    own = module.diagnose
-    monkeypatch.setattr(module, "diagnose", lambda *arguments: asked.append(1) or own(*arguments))
+    own = module.run_diagnosis
+    monkeypatch.setattr(module, "run_diagnosis", lambda *arguments: asked.append(1) or own(*arguments))
     (tmp_path / "out" / "again" / "summary.json").unlink()
     again = run_study(study, tmp_path / "out", threads=1)
     assert len(asked) == 1
