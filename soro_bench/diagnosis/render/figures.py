@@ -2,6 +2,7 @@
 
 import base64
 import io
+import itertools
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,7 @@ def robot(result: Result) -> str:
 def _draw(ax: Any, line: NDArray[Any], radius: float, strong: bool) -> None:
     color, order = (RED if strong else GREY), (3 if strong else 2)
     if radius > 0:
-        for a, b in zip(line[:-1], line[1:], strict=True) if len(line) > 1 else [(line[0], line[0])]:
+        for a, b in itertools.pairwise(line) if len(line) > 1 else [(line[0], line[0])]:
             across = np.array([a[1] - b[1], b[0] - a[0]])
             across = radius * across / max(float(np.linalg.norm(across)), 1e-12)
             if len(line) > 1:

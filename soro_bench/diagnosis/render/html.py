@@ -4,13 +4,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from jinja2 import Environment, PackageLoader, select_autoescape
+from latex2mathml.converter import convert
+from markupsafe import Markup, escape
 
 from soro_bench.diagnosis.render import figures, words
-from soro_bench.diagnosis.render.equations import EQUATIONS
 from soro_bench.diagnosis.result import Finding, Result
+from soro_bench.effects.equations import EQUATIONS
 from soro_bench.files import replacing
 
 RANKED = 10  # effects of the table
+
+Rows = list[tuple[str, ...]]
 
 _TEMPLATES = Environment(
     loader=PackageLoader("soro_bench.diagnosis.render"), autoescape=select_autoescape(), trim_blocks=True,
@@ -33,7 +37,7 @@ class Table:
 
     title: str
     head: tuple[str, ...]
-    rows: list[tuple[str, ...]]
+    rows: Rows
 
 
 def write_html(result: Result, path: str | Path) -> None:
@@ -48,11 +52,21 @@ def html(result: Result) -> str:
         result=result,
         words=words,
         tone="good" if result.verdict == "adequate" else "bad",
-        laws=[(each, EQUATIONS.get(each.name, "")) for each in words.best_findings(result)],
+        laws=[(each, equation(each.name)) for each in words.best_findings(result)],
         picture=figures.robot(result),
         figures=[each for each in _figures(result) if each.image],
         tables=[each for each in _tables(result) if each.rows],
     )
+
+
+def equation(name: str) -> Markup:
+    """The equation of a law as MathML, with what its parameters' symbols stand for; empty for what has none."""
+    if name not in EQUATIONS:
+        return Markup("")
+    found = EQUATIONS[name]
+    symbols = {**{latex: words.law(each) for each, latex in found.symbols.items()}, **found.other}
+    legend = ", ".join(f"{convert(latex)} {escape(text)}" for latex, text in symbols.items())
+    return Markup(f"{convert(found.latex)}<br><small>{legend}</small>")
 
 
 def _figures(result: Result) -> list[Figure]:
@@ -94,8 +108,9 @@ def _tables(result: Result) -> list[Table]:
     ]
 
 
-def _errors(result: Result) -> list[tuple[str, ...]]:
-    unit, rows = result.robot.unit, []
+def _errors(result: Result) -> Rows:
+    unit = result.robot.unit
+    rows: Rows = []
     for name, each in (("training", result.train), ("held out", result.heldout)):
         if each is not None:
             noise = words.number(each.noise, unit)
@@ -103,7 +118,7 @@ def _errors(result: Result) -> list[tuple[str, ...]]:
     return rows
 
 
-def _candidates(result: Result) -> list[tuple[str, ...]]:
+def _candidates(result: Result) -> Rows:
     return [_candidate(each) for each in result.findings if each.name not in ("none",)][:RANKED]
 
 
@@ -114,7 +129,7 @@ def _candidate(found: Finding) -> tuple[str, ...]:
     return words.probability(found.probability), name, location, magnitudes, "; ".join(found.drawbacks)
 
 
-def _parameters(result: Result) -> list[tuple[str, ...]]:
+def _parameters(result: Result) -> Rows:
     return [
         (
             each.estimate.name,
@@ -126,7 +141,7 @@ def _parameters(result: Result) -> list[tuple[str, ...]]:
     ]
 
 
-def _rounds(result: Result) -> list[tuple[str, ...]]:
+def _rounds(result: Result) -> Rows:
     return [
         (
             " with ".join(map(str, each.on_top_of)) or "fitted parameters",
@@ -137,8 +152,8 @@ def _rounds(result: Result) -> list[tuple[str, ...]]:
     ]
 
 
-def _detectable(result: Result) -> list[tuple[str, ...]]:
-    rows = [
+def _detectable(result: Result) -> Rows:
+    rows: Rows = [
         (
             words.law(each.name),
             words.law(each.quantity),

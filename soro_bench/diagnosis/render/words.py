@@ -135,10 +135,10 @@ def warnings(result: Result) -> list[str]:
         origin = "the baseline diagnosis" if result.robot.has_baseline else "their nominal values"
         said.append(f"Parameters far from {origin}: {', '.join(far)}. Either they are wrong there, or the discrepancy "
                     "looks like them.")  # fmt: skip
-    for each in best_findings(result):
-        if each.indistinguishable_from:
-            said.append(f"{law(each.name)} and {each.indistinguishable_from} leave the same trace; only clocks or "
-                        "motion without a command tell them apart.")  # fmt: skip
+    for finding in best_findings(result):
+        if finding.indistinguishable_from:
+            said.append(f"{law(finding.name)} and {finding.indistinguishable_from} leave the same trace; only clocks "
+                        "or motion without a command tell them apart.")  # fmt: skip
     return said
 
 
