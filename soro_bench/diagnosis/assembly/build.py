@@ -35,9 +35,8 @@ from soro_bench.diagnosis.result import (
 )
 from soro_bench.diagnosis.robots.priors import LIMIT
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
-from soro_bench.diagnosis.selection.experiment_design import DURATION
 from soro_bench.diagnosis.selection.forward_selection import Round
-from soro_bench.diagnosis.selection.model_probabilities import ALPHA, Answer, Comparison
+from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, alpha
 from soro_bench.effects.catalogue import ALL, CATEGORIES
 from soro_bench.effects.effect import Location
 
@@ -57,11 +56,11 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
         robot=_robot(diagnosis),
         verdict=diagnosis.verdict,
         p_value=comparison.p_value,
-        alpha=ALPHA,
+        alpha=alpha(explanation.problem.settings),
         unknown=float(comparison.unknown),
         healthy=float(comparison.nothing),
         predicted_gain=float(explanation.predicted_gain),
-        remaining_gain=float(explanation.left),
+        remaining_gain=float(explanation.remaining_gain),
         recordings=tuple(SignalQuality(a.sigma, a.missing) for a in diagnosis.data_qualities),
         trained_on=len(explanation.problem.recordings),
         outliers=Outliers(diagnosis.outliers.share, diagnosis.outliers.size),
@@ -72,7 +71,7 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
         credible_set=_credible(comparison, "outliers" if _only_outliers(diagnosis) else "none"),
         train=train,
         heldout=heldout,
-        parameters_only=float(explanation.unpatched),
+        parameters_only=float(explanation.parameters_only_rms),
         parameters=_parameters(diagnosis),
         covariance=_covariance(diagnosis),
         trainable=isinstance(diagnosis.robot, SuiteRobot),
@@ -229,7 +228,7 @@ def _unknown_input(diagnosis: Diagnosis) -> UnknownInput | None:
         recording=tuple(int(each) for each in force.recording),
         start_s=tuple(float(each) for each in force.start),
         values=_rows(force.values),
-        rmse_after=float(force.left),
+        rmse_after=float(force.remaining_rms),
         linear_in={name: float(share) for name, share in (force.shares or {}).items()},
     )
 
@@ -266,7 +265,7 @@ def _next_recording(diagnosis: Diagnosis) -> NextRecording | None:
     actions = robot.commanded(proposal.motion.actions, diagnosis.explanation.problem.recorded)
     return NextRecording(
         motion=proposal.motion.words,
-        duration_s=DURATION,
+        duration_s=float(proposal.motion.duration),
         rivals=tuple(proposal.rivals),
         separates=tuple((a, b) for a, b in proposal.separates),
         evidence=float(proposal.evidence),

@@ -141,7 +141,10 @@ def tempered(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:
     """(n, n) covariance of x, under evidence tempered as in the comparison: a model that is wrong knows less than it
     seems. Priors are as they are."""
     problem = diagnosis.explanation.problem
-    temper, prior = temperature(problem.misfit(hypothesis.residual)), np.eye(len(hypothesis.x))
+    temper, prior = (
+        temperature(problem.misfit(hypothesis.residual), problem.settings.probabilities),
+        np.eye(len(hypothesis.x)),
+    )
     return np.linalg.inv((np.linalg.inv(hypothesis.covariance(problem)) - prior) / temper + prior)
 
 

@@ -21,7 +21,7 @@ from soro_bench.diagnosis.assembly.law_evaluation import Servos, Springs, law_si
 from soro_bench.diagnosis.candidates import slices
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Problem
-from soro_bench.diagnosis.localisation.residual_maps import WINDOW, windows
+from soro_bench.diagnosis.localisation.residual_maps import windows
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import Effect
@@ -123,7 +123,8 @@ def _corrections(problem, hypothesis, i, responses) -> tuple[np.ndarray, np.ndar
     discretisation = hypothesis.discretisation(problem).basis
     design = np.concatenate([-responses, hypothesis.jacobian[others], discretisation])
     x = np.concatenate([np.zeros(len(responses)), hypothesis.x[others], np.zeros(len(discretisation))])
-    seconds = min(WINDOW, sum(each.time[-1] for each in problem.recordings) / _LEAST_WINDOWS)
+    duration = sum(each.time[-1] for each in problem.recordings)
+    seconds = min(problem.settings.localisation.map_window, duration / _LEAST_WINDOWS)
     parts = np.split(np.arange(design.shape[1]), np.flatnonzero(np.diff(windows(problem, seconds))) + 1)
     information = np.array([design[:, part] @ design[:, part].T for part in parts])
     pulls = np.array([design[:, part] @ hypothesis.residual[part] for part in parts])

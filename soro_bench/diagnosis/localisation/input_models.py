@@ -1,6 +1,7 @@
-"""Of what form a force at a place is in time: free, or linear in what the robot is told and in how it is shaped.
+"""Input models: how an unknown input changes in time.
 
-Both are Gaussian: values with a prior covariance, and factors of the pushes at a place that are linear in them.
+It is free, or linear in the commands and in the robot's shape. Both are Gaussian: values with a prior covariance, and
+factors of the unit inputs at a location that are linear in these values.
 """
 
 import math
@@ -12,16 +13,14 @@ from scipy.linalg import block_diag
 
 from soro_bench.diagnosis.estimation.problem import Problem
 
-SPACING = 0.1  # s, of nodes; piecewise constant forces of 0.15 s put a base that rocks at 2 Hz into a vertebra
-MEMORY = 0.9  # s, after which a trunk is where it would be without a pulse
-UNKNOWNS = 1000  # of a place; in long recordings nodes are farther apart
-TIMES = (0.2, 0.6, 2.0)  # s, correlation of a force that is free in time
-SHAPES = 8  # principal components of what is measured
-_JITTER = 1e-9
+_JITTER = 1e-9  # of a covariance, so that its Cholesky factor exists
 
 
 class Nodes:
     """Nodes in time with straight lines between them, of all recordings one after the other.
+
+    Args:
+        fewest: control steps between nodes, at least.
 
     Attributes:
         every: control steps between nodes. time: (n,) s of the nodes in their recordings. recording: (n,) the numbers
@@ -29,11 +28,11 @@ class Nodes:
     """
 
     def __init__(self, problem: Problem, fewest: int = 1):
-        timestep = problem.robot.control_timestep
-        self._steps = [len(each.values) for each in problem.recordings]
+        timestep, settings = problem.robot.control_timestep, problem.settings.localisation
+        self._steps = [len(recording.values) for recording in problem.recordings]
         self._sample = int(np.prod(problem.robot.shape))
-        self.every = max(1, round(SPACING / timestep), fewest)
-        self._apart = max(2, math.ceil(MEMORY / (self.every * timestep)))  # nodes between pulses of a replay
+        self.every = max(1, round(settings.node_spacing / timestep), fewest)
+        self._apart = max(2, math.ceil(settings.memory / (self.every * timestep)))  # nodes between pulses of a replay
         self.counts = [(steps - 1) // self.every + 2 for steps in self._steps]
         self._number = np.concatenate([np.arange(count) for count in self.counts])
         self.time = timestep * self.every * self._number
@@ -41,28 +40,32 @@ class Nodes:
 
     def factors(self, values: np.ndarray) -> list[np.ndarray]:
         """(T, K) in every control step of each recording, of values (n, K) at the nodes."""
-        found = []
+        factors = []
         for steps, part in zip(self._steps, np.split(values, np.cumsum(self.counts)[:-1]), strict=True):
-            at = np.arange(steps) / self.every
-            low = at.astype(int)
-            found.append(part[low] + (at - low)[:, None] * (part[low + 1] - part[low]))
-        return found
+            position = np.arange(steps) / self.every
+            before = position.astype(int)
+            factors.append(part[before] + (position - before)[:, None] * (part[before + 1] - part[before]))
+        return factors
 
     def values(self, factors: Sequence[np.ndarray]) -> np.ndarray:
         """(n, K) at the nodes, of factors (T, K) in every control step of each recording."""
-        found = []
-        for part, count in zip(factors, self.counts, strict=True):
-            found.append(part[np.minimum(self.every * np.arange(count), len(part) - 1)])
-        return np.concatenate(found)
+        values = [
+            part[np.minimum(self.every * np.arange(count), len(part) - 1)]
+            for part, count in zip(factors, self.counts, strict=True)
+        ]
+        return np.concatenate(values)
 
     def pulses(self) -> list[list[np.ndarray]]:
-        """Factors (T, 1) of each of P replays: pulses at nodes that are a memory of the robot apart share one."""
+        """Factors (T, 1) in each recording, of each of P replays.
+
+        Pulses at nodes that are a memory of the robot apart share a replay.
+        """
         return [
             self.factors((self._number % self._apart == comb)[:, None].astype(float)) for comb in range(self._apart)
         ]
 
     def owners(self) -> Iterator[tuple[int, int, slice]]:
-        """Every node, the replay that has a pulse there, and the samples in which that shows."""
+        """Every node, the replay that has a pulse there, and the samples in which the pulse shows."""
         first, node = 0, 0
         for steps, count in zip(self._steps, self.counts, strict=True):
             for number in range(count):
@@ -74,13 +77,18 @@ class Nodes:
 
 
 class Free:
-    """(n, K) values of K pushes at nodes in time; in long recordings these are farther apart."""
+    """(n, K) values of K unit inputs at nodes in time; in long recordings these are farther apart.
+
+    Args:
+        components: K.
+    """
 
     linear = False
 
     def __init__(self, problem: Problem, components: int):
-        steps = sum(len(each.values) for each in problem.recordings)
-        self.nodes = Nodes(problem, math.ceil(components * steps / UNKNOWNS))
+        settings, steps = problem.settings.localisation, sum(len(each.values) for each in problem.recordings)
+        self._correlation_times = settings.correlation_times
+        self.nodes = Nodes(problem, math.ceil(components * steps / settings.most_values))
         self.size = len(self.nodes.time)
 
     def factors(self, values: np.ndarray) -> list[np.ndarray]:
@@ -88,11 +96,11 @@ class Free:
         return self.nodes.factors(values)
 
     def pulses(self) -> list[list[np.ndarray]]:
-        """Factors (T, 1) of each of P replays."""
+        """Factors (T, 1) in each recording, of each of P replays."""
         return self.nodes.pulses()
 
     def parts(self, rows: np.ndarray) -> sp.csr_array:
-        """(n K, M) what each value changes, of what replays of pulses do (K, P, M)."""
+        """(n K, M) change by each value, from the changes by replays of pulses (K, P, M)."""
         values, columns, ends = [], [], [0]
         for _, comb, shown in self.nodes.owners():
             for row in rows[:, comb]:
@@ -103,20 +111,21 @@ class Free:
         return sp.csr_array((np.concatenate(values), np.concatenate(columns), ends), shape=shape)
 
     def covariances(self) -> list[np.ndarray]:
-        """(n, n) of one push, some: Matern 3/2 in each recording."""
-        found = []
-        for correlation in TIMES:
+        """(n, n) prior covariances of one component, for each correlation time: Matern 3/2 in each recording."""
+        covariances = []
+        for correlation in self._correlation_times:
             blocks = []
             for time in np.split(self.nodes.time, np.cumsum(self.nodes.counts)[:-1]):
                 lag = np.abs(np.subtract.outer(time, time)) / correlation
                 blocks.append((1.0 + lag) * np.exp(-lag))
-            found.append(block_diag(*blocks) + _JITTER * np.eye(self.size))
-        return found
+            covariances.append(block_diag(*blocks) + _JITTER * np.eye(self.size))
+        return covariances
 
 
 class Linear:
-    """(F, K) weights of features, for K pushes: a constant, the setpoints, and principal components of what is
-    measured, each with a mean square of one.
+    """(F, K) weights of features, for K unit inputs.
+
+    Features are a constant, the setpoints, and principal components of the signal, each with a mean square of one.
 
     Args:
         setpoints: (T, nu) of the actuators in every control step of each recording.
@@ -129,14 +138,15 @@ class Linear:
     linear = True
 
     def __init__(self, problem: Problem, setpoints: Sequence[np.ndarray], names: Sequence[str]):
-        told = np.concatenate(setpoints)
+        commanded = np.concatenate(setpoints)
         shape = np.concatenate([each.values.reshape(len(each.values), -1) for each in problem.recordings])
-        shape = np.nan_to_num(shape - np.nanmean(shape, axis=0))  # what is missing is as usual
-        shape = shape @ np.linalg.svd(shape, full_matrices=False)[2][:SHAPES].T
-        found = np.concatenate([np.ones((len(told), 1)), told - told.mean(axis=0), shape], axis=1)
-        self.features = found / np.maximum(np.sqrt((found**2).mean(axis=0)), 1e-12)
+        shape = np.nan_to_num(shape - np.nanmean(shape, axis=0))  # missing samples count as the mean
+        shape = shape @ np.linalg.svd(shape, full_matrices=False)[2][: problem.settings.localisation.shapes].T
+        features = [np.ones((len(commanded), 1)), commanded - commanded.mean(axis=0), shape]
+        unscaled = np.concatenate(features, axis=1)
+        self.features = unscaled / np.maximum(np.sqrt((unscaled**2).mean(axis=0)), 1e-12)
         self.names = ["constant", *(f"setpoint of {name}" for name in names), *["shape"] * shape.shape[1]]
-        self.size = found.shape[1]
+        self.size = unscaled.shape[1]
         self._parts = np.split(self.features, np.cumsum([len(each) for each in setpoints])[:-1])
 
     def factors(self, values: np.ndarray) -> list[np.ndarray]:
@@ -144,19 +154,25 @@ class Linear:
         return [part @ values for part in self._parts]
 
     def pulses(self) -> list[list[np.ndarray]]:
-        """Factors (T, 1) of each of F replays, one a feature: where cables go slack, sums of others mislead."""
+        """Factors (T, 1) in each recording, of each of F replays: one a feature.
+
+        Cables go slack, so the sum of the responses to pulses is not the response to a feature.
+        """
         return [[part[:, [i]] for part in self._parts] for i in range(self.size)]
 
     def parts(self, rows: np.ndarray) -> np.ndarray:
-        """(F K, M) what each weight changes, of what replays of pulses do (K, F, M)."""
+        """(F K, M) change by each weight, from the changes by replays of features (K, F, M)."""
         return rows.swapaxes(0, 1).reshape(-1, rows.shape[-1])
 
     def covariances(self) -> list[np.ndarray]:
-        """(F, F) of one push: weights are independent."""
+        """(F, F) prior covariance of one component: weights are independent."""
         return [np.eye(self.size)]
 
     def shares(self, values: np.ndarray) -> dict[str, float]:
-        """What part of a force is linear in what, by its weights; all components of the shape together."""
+        """Share of an input that is linear in each feature, by the squares of its weights (F, K); the largest first.
+
+        All components of the shape count together.
+        """
         squares = (values**2).sum(axis=1)
         shares: dict[str, float] = {}
         for name, part in zip(self.names, squares / max(squares.sum(), 1e-300), strict=True):

@@ -1,17 +1,17 @@
-"""Probes: where on the robot something acts, whatever it is.
+"""Ranking of locations: where on the robot an unknown input acts.
 
-A constant force is let act at one place after the other, and the robot replayed: along every tendon, in three
-directions on every body, on the joints of every body, and in three directions on all bodies by their mass, as gravity.
-The setpoint of every actuator is moved as well, since a servo gives way to no force. Cut into short windows, of which
-each may be scaled freely or linearly in what the robot is told and in its shape, these responses stand for anything at
-a place that changes slowly within a window; an offset of each measured point stands for a fault there. No law is
-assumed. That says where to look: at the places at which they explain most of what parameters and numerical error do
-not, forces are found by replays (forces.py), and the one that is more probable than all others says where something
-acts.
+A constant test input acts at one location after the other, and the robot is replayed. Test inputs are forces along
+every tendon, in three directions on every body, on the joints of every body, and on all bodies by their mass, as
+gravity. The setpoint of every actuator moves as well, since a servo hardly gives way to forces. An offset of each
+measured point stands for a sensor fault. No law is assumed.
 
-A body is pushed in three directions where a tendon or an actuator pulls in one, so the windows of those are a third as
-long: every place has as many free numbers. With the same windows for all, a force at the tip explained more of what the
-motor of one cable did to another than that cable.
+The responses are cut into short windows. Each window may be scaled freely, or linearly in the commands and in the
+robot's shape, so they stand for any slow input. That predicts where to look. At the locations with the largest
+predicted gain, inputs are estimated by replays (unknown_inputs.py), and the most probable one says where it acts.
+
+A force on a body has three directions and one along a tendon has one, so windows of the latter are a third as long:
+every location has as many free numbers. With the same windows for all, a force at the tip explained more of a wrong
+cable motor than a force along that cable.
 """
 
 from collections import Counter
@@ -23,26 +23,24 @@ from scipy.linalg import block_diag
 
 from soro_bench.diagnosis.estimation.fit import Hypothesis, normal_equations
 from soro_bench.diagnosis.estimation.problem import Problem
-from soro_bench.diagnosis.localisation.input_models import UNKNOWNS, Nodes
+from soro_bench.diagnosis.localisation.input_models import Linear, Nodes
 from soro_bench.diagnosis.localisation.residual_maps import windows
 from soro_bench.diagnosis.localisation.test_inputs import Source, sources
-from soro_bench.diagnosis.localisation.unknown_inputs import SETTLED, Driven, Search
+from soro_bench.diagnosis.localisation.unknown_inputs import Estimate, Search
 from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.settings import LocalisationSettings
 from soro_bench.effects.effect import Location
-
-WINDOW = 0.15  # s, times the number of directions
-FIRST, OF_A_KIND = 6, 2  # places that are looked at, and of every kind at least
-FINALISTS, ROUNDS = 8, 8  # of the first round of the search for forces, and how many rounds follow, at most
-_SCALES = np.geomspace(0.03, 30.0, 13)  # of a force in a window, standard deviations of the prior in those units
 
 
 @dataclass(frozen=True)
 class Force:
-    """What explains most of what a hypothesis leaves if anything may act at a place.
+    """The unknown input at a location that explains most of a residual.
 
-    components: K names, such as "x" (of the world) or "pull". units: of each. start: (n,) s, nodes with straight lines
-    between them, of all recordings one after the other; recording: (n,) their numbers. values: (n, K). left: rms
-    [signal's unit] of what it does not explain. shares: what part of it is linear in what; empty if it is free in time.
+    components: K names, such as "x" (of the world) or "pull". units: of each.
+    start: (n,) s, nodes with straight lines between them, of all recordings one after the other.
+    recording: (n,) the numbers of the recordings. values: (n, K) in these units.
+    remaining_rms: of the residual that it does not explain [signal's unit].
+    shares: share of it that is linear in each feature; empty if it is free in time.
     """
 
     components: tuple[str, ...]
@@ -50,13 +48,13 @@ class Force:
     start: np.ndarray
     recording: np.ndarray
     values: np.ndarray
-    left: float
+    remaining_rms: float
     shares: dict[str, float]
 
 
 @dataclass(frozen=True)
 class RankedLocation:
-    """A place, the evidence (natural logarithm) that any force there gains, and that force."""
+    """A location, the log evidence that an unknown input there gains [nats], and that input."""
 
     location: Location
     gain: float
@@ -66,126 +64,148 @@ class RankedLocation:
 def ranked_locations(
     problem: Problem, robot: Robot, base: Hypothesis, refined: Sequence[Robot] = ()
 ) -> list[RankedLocation]:
-    """Where forces would explain most of what a hypothesis leaves, the best place first; none if no force gains more
-    than the best of so many forms and places does by chance, or if forces leave more than nothing does.
+    """Locations at which an unknown input explains the residual of a hypothesis, the largest gain first.
+
+    Locations are left out where the gain is not above that of the best of so many by chance, or where the input leaves
+    a larger residual than no input.
 
     Args:
-        robot: that is pushed, with the time steps of its model.
+        robot: on which the inputs act, with the time steps of its model.
         refined: the same simulated more accurately.
     """
     search = Search(problem, robot, base, refined)
     everything, rows = search.sized(sources(problem, robot, base))
-    driven, input_models = [], (False, True)
-    for linear in input_models:
-        gains = [_gain(problem, base, row, search.linear.features if linear else None) for row in rows]
-        driven += search.begin(_screened_candidates(robot, everything, gains), linear)
-    race = _raced(search, driven, everything)
-    best: dict[Location, Driven] = {}
-    chance = np.log(len(input_models) * len(everything))
-    for one in sorted(race.driven, key=lambda one: -one.gain):
-        if one.gain > chance:
-            best.setdefault(one.location, one)
-    found = [RankedLocation(one.location, one.gain, _force(problem, search, one)) for one in best.values()]
-    # parameters make up for some forces to first order, which is far from what they do
-    return [site for site in found if site.force.left < problem.left(base.residual)]
+    entrants: list[Estimate] = []
+    models = (False, True)  # free in time, or linear in commands and shape
+    for linear in models:
+        gains = [_predicted_gain(problem, base, row, search.linear.features if linear else None) for row in rows]
+        entrants += search.begin(_screened(robot, everything, gains, problem.settings.localisation), linear)
+    estimates = _estimated(search, entrants, everything)
+    by_chance = np.log(len(models) * len(everything))
+    best: dict[Location, Estimate] = {}
+    for estimate in sorted(estimates, key=lambda e: -e.gain):
+        if estimate.gain > by_chance:
+            best.setdefault(estimate.location, estimate)
+    ranked = [RankedLocation(e.location, e.gain, _force(problem, search, e)) for e in best.values()]
+    # parameters make up for some inputs to first order, which is far from what they do
+    return [site for site in ranked if site.force.remaining_rms < problem.left(base.residual)]
 
 
-def _screened_candidates(robot: Robot, everything: Sequence[Source], gains: Sequence[float]) -> list[Source]:
-    """What gains most, of every kind but faults of measured points a few, and what else may act on the same cables."""
-    order, kinds, chosen = np.argsort(-np.asarray(gains), kind="stable").tolist(), Counter(), []
+def _screened(
+    robot: Robot, everything: Sequence[Source], gains: Sequence[float], settings: LocalisationSettings
+) -> list[Source]:
+    """Test inputs with the largest predicted gains, a few of every kind, and all others that act on the same cables.
+
+    Sensor faults are screened exactly, so they have to be among the best.
+    """
+    order = np.argsort(-np.asarray(gains), kind="stable").tolist()
+    times: Counter[tuple[str, str]] = Counter()
+    chosen = []
     for rank, i in enumerate(order):
-        one = everything[i]
-        kinds[one.unit_inputs[0].kind, one.location.kind] += 1
-        if rank < FIRST or (not one.measured and kinds[one.unit_inputs[0].kind, one.location.kind] <= OF_A_KIND):
-            chosen.append(one)
-    cables = {robot.channel(one.location) for one in chosen} - {None}
-    return [one for one in everything if one in chosen or robot.channel(one.location) in cables]
+        source = everything[i]
+        times[source.kind, source.location.kind] += 1
+        few = times[source.kind, source.location.kind] <= settings.located_per_kind
+        if rank < settings.located or (not source.measured and few):
+            chosen.append(source)
+    cables = {robot.channel(source.location) for source in chosen} - {None}
+    return [source for source in everything if source in chosen or robot.channel(source.location) in cables]
 
 
-class _Race:
-    """Forces at places that are found in rounds, of which those go on that may still lead."""
+class _Rounds:
+    """Estimates of inputs that improve in rounds, of which those go on that may still become the best."""
 
     def __init__(self, search: Search):
-        self.driven: list[Driven] = []
-        self._search, self._last = search, []  # what each gained last
+        self.estimates: list[Estimate] = []
+        self._search = search
+        self._last_gains: list[float] = []
 
     @property
-    def best(self) -> Driven:
-        """The most probable one."""
-        return max(self.driven, key=lambda one: one.gain)
+    def best(self) -> Estimate:
+        """The one with the largest gain."""
+        return max(self.estimates, key=lambda estimate: estimate.gain)
 
-    def enter(self, driven: Sequence[Driven]) -> None:
-        """A round of some more, the best of which go on."""
-        new = sorted(self._search.better(driven), key=lambda one: -one.gain)
-        self.driven += new
-        self._last += [one.gain if i < FINALISTS else 0.0 for i, one in enumerate(new)]
+    def enter(self, entrants: Sequence[Estimate]) -> None:
+        """A round of new estimates, the best of which go on."""
+        settings = self._search.problem.settings.localisation
+        new = sorted(self._search.better(entrants), key=lambda estimate: -estimate.gain)
+        self.estimates += new
+        self._last_gains += [e.gain if i < settings.finalists else 0.0 for i, e in enumerate(new)]
 
     def run(self) -> None:
-        """As many rounds as those need that would lead if they gained once more what they gained last: of an obstacle
-        that is hit, the next round gains two thirds of that."""
-        for _ in range(ROUNDS):
-            gain, last = np.array([one.gain for one in self.driven]), np.array(self._last)
-            best, chosen = gain.argmax(), np.flatnonzero((gain + last >= gain.max()) & (last > SETTLED))
-            alone = set(chosen) == {best} and last[best] < gain[best]  # and not in its first round
+        """Rounds of all that would become the best if they gained once more what they gained last.
+
+        Where an obstacle is hit, the next round gains two thirds of the last one.
+        """
+        settings = self._search.problem.settings.localisation
+        for _ in range(settings.rounds):
+            gains, last = np.array([e.gain for e in self.estimates]), np.array(self._last_gains)
+            best = gains.argmax()
+            chosen = np.flatnonzero((gains + last >= gains.max()) & (last > settings.least_gain))
+            alone = set(chosen) == {best} and last[best] < gains[best]  # and not in its first round
             if alone or not len(chosen):
                 break
-            for i, one in zip(chosen, self._search.better([self.driven[i] for i in chosen]), strict=True):
-                self._last[i], self.driven[i] = one.gain - self.driven[i].gain, one
+            for i, better in zip(chosen, self._search.better([self.estimates[i] for i in chosen]), strict=True):
+                self._last_gains[i], self.estimates[i] = better.gain - self.estimates[i].gain, better
 
 
-def _raced(search: Search, driven: Sequence[Driven], everything: Sequence[Source]) -> _Race:
-    """A race of some, and then of those beside the best too, as long as one of them is better."""
-    race = _Race(search)
-    race.enter(driven)
-    race.run()
-    while new := _beside(search.robot, race, everything):
-        race.enter(search.begin(new, race.best.input_model.linear))
-        race.run()
-    return race
+def _estimated(search: Search, entrants: Sequence[Estimate], everything: Sequence[Source]) -> list[Estimate]:
+    """Rounds of the entrants, and then of inputs beside the best one too, as long as one of them is better."""
+    rounds = _Rounds(search)
+    rounds.enter(entrants)
+    rounds.run()
+    while new := _beside(search.robot, rounds, everything):
+        rounds.enter(search.begin(new, rounds.best.input_model.linear))
+        rounds.run()
+    return rounds.estimates
 
 
-def _beside(robot: Robot, race: _Race, everything: Sequence[Source]) -> list[Source]:
-    """Those beside the best that have not entered: the linear estimate, which chose where to look, is far from where
-    large forces lead."""
-    best = race.best
-    locations, kind = robot.beside(best.location), best.source.unit_inputs[0].kind
+def _beside(robot: Robot, rounds: _Rounds, everything: Sequence[Source]) -> list[Source]:
+    """Test inputs at the locations beside the best one that have not entered.
+
+    The linear prediction chose where to look, and large inputs are far from linear.
+    """
+    best = rounds.best
+    locations, kind = robot.beside(best.location), best.source.kind
     entered = {
-        (one.location, one.source.unit_inputs[0].kind)
-        for one in race.driven
-        if one.input_model.linear == best.input_model.linear
+        (estimate.location, estimate.source.kind)
+        for estimate in rounds.estimates
+        if estimate.input_model.linear == best.input_model.linear
     }
-    near = [one for one in everything if one.location in locations and one.unit_inputs[0].kind == kind]
-    return [one for one in near if (one.location, kind) not in entered]
+    near = [source for source in everything if source.location in locations and source.kind == kind]
+    return [source for source in near if (source.location, kind) not in entered]
 
 
-def _force(problem, search, one: Driven) -> Force:
-    unit_inputs, nodes = one.source.unit_inputs, Nodes(problem) if one.input_model.linear else one.input_model.nodes
+def _force(problem: Problem, search: Search, estimate: Estimate) -> Force:
+    """An estimate in the units of its components."""
+    unit_inputs, model = estimate.source.unit_inputs, estimate.input_model
+    nodes = Nodes(problem) if isinstance(model, Linear) else model.nodes
     return Force(
-        tuple(apply_input.component for apply_input in unit_inputs),
-        tuple(apply_input.unit for apply_input in unit_inputs),
+        tuple(unit_input.component for unit_input in unit_inputs),
+        tuple(unit_input.unit for unit_input in unit_inputs),
         nodes.time,
         nodes.recording,
-        nodes.values(one.input_model.factors(one.values)) * [apply_input.amount for apply_input in unit_inputs],
-        search.left(one),
-        one.input_model.shares(one.values) if one.input_model.linear else {},
+        nodes.values(model.factors(estimate.values)) * [unit_input.amount for unit_input in unit_inputs],
+        search.remaining_rms(estimate),
+        model.shares(estimate.values) if isinstance(model, Linear) else {},
     )
 
 
-def _gain(problem, base, rows, features=None) -> float:
-    """Of free combinations of rows (K, M) in every window, or of such that are linear in features (T, F); the best of
-    several sizes."""
-    duration = sum(each.time[-1] for each in problem.recordings)
-    window = windows(problem, max(WINDOW * len(rows), duration * len(rows) / UNKNOWNS))
+def _predicted_gain(problem: Problem, base: Hypothesis, rows: np.ndarray, features: np.ndarray | None = None) -> float:
+    """Log evidence that responses (K, M) gain, free in every window or linear in features (T, F).
+
+    The prior deviation is the best of several.
+    """
+    settings = problem.settings.localisation
+    duration = sum(recording.time[-1] for recording in problem.recordings)
+    window = windows(problem, max(settings.window * len(rows), duration * len(rows) / settings.most_values))
     free = _Windowed(rows, window)
     discretisation = base.discretisation(problem)
     hessian, gradient = normal_equations(discretisation, base.jacobian, base.residual, base.x)
-    explained, inner = (
-        free.times(discretisation.basis),
-        np.eye(len(discretisation.basis)) + discretisation.basis @ discretisation.basis.T,
-    )
+    explained = free.times(discretisation.basis)
+    inner = np.eye(len(discretisation.basis)) + discretisation.basis @ discretisation.basis.T
 
-    def product(other):
-        """Of the free combinations with rows (C, M), the floor marginalised."""
+    def product(other: np.ndarray) -> np.ndarray:
+        """(W K, C) of the responses with rows (C, M), the discretisation error marginalised."""
         return free.times(other) - explained @ np.linalg.solve(inner, discretisation.basis @ other.T)
 
     cross = product(base.jacobian)
@@ -193,19 +213,20 @@ def _gain(problem, base, rows, features=None) -> float:
     information = free.squares() - explained @ np.linalg.solve(inner, explained.T) - cross @ reduced
     pull = product(base.residual[None])[:, 0] - reduced.T @ gradient
     if features is not None:
-        one = window[:: len(window) // len(features)]  # of every control step
-        means = np.array([features[one == number].mean(axis=0) for number in np.unique(one)])
+        of_step = window[:: len(window) // len(features)]  # the window of every control step
+        means = np.array([features[of_step == number].mean(axis=0) for number in np.unique(of_step)])
         weights = np.kron(means, np.eye(len(rows)))
         information, pull = weights.T @ information @ weights, weights.T @ pull
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
     values, turned = np.maximum(values, 0.0), vectors.T @ pull
+    scales = np.geomspace(settings.least_scale, settings.screened_scale, settings.screened_scales)
     return max(
-        0.5 * float((turned**2 / (values + scale**-2)).sum() - np.log1p(scale**2 * values).sum()) for scale in _SCALES
+        0.5 * float((turned**2 / (values + scale**-2)).sum() - np.log1p(scale**2 * values).sum()) for scale in scales
     )
 
 
 class _Windowed:
-    """Rows (K, M), each free in every of W windows: W times K rows, a window after the other, zero outside theirs."""
+    """Rows (K, M), each free in every one of W windows: W times K rows, zero outside their windows."""
 
     def __init__(self, rows: np.ndarray, window: np.ndarray):
         first = np.unique(window, return_index=True)[1]  # windows rise

@@ -1,4 +1,4 @@
-"""Localise: when, and under which conditions, a hypothesis explains more than another one."""
+"""Residual maps: when, and under which conditions, a hypothesis explains more than another one."""
 
 from dataclasses import dataclass
 
@@ -6,16 +6,14 @@ import numpy as np
 
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.settings import DEFAULT, LocalisationSettings
 
-WINDOW = 1.0  # s, of maps over time
 WINDOWS = 1_000_000  # more than a recording has
-_WHEN = 0.8  # of what is explained lies in the intervals that are named
-_AFTER_REVERSAL, _STILL = 0.25, 1e-3  # s; share of the fastest rate
 
 
 @dataclass(frozen=True)
 class Regime:
-    """Share of time, and of what is explained, under a condition."""
+    """A condition, the share of time under it, and the share of the improvement then."""
 
     condition: str
     time: float
@@ -23,74 +21,90 @@ class Regime:
 
 
 def residual_map(problem: Problem, residual: np.ndarray) -> np.ndarray:
-    """(windows, points) rms [signal's unit] of what the numerical floor does not explain, of the first recording; NaN
-    where nothing was measured."""
-    left = left_over(problem, residual)
+    """(windows, points) rms [signal's unit] of a residual (M,) less discretisation error, of the first recording.
+
+    NaN where nothing was measured.
+    """
+    physical = left_over(problem, residual)
     size = _samples(problem)
-    count = len(left) // size
-    windows = left[: count * size].reshape(count, size, *left.shape[1:])
+    count = len(physical) // size
+    windows = physical[: count * size].reshape(count, size, *physical.shape[1:])
     seen = np.isfinite(windows).sum(axis=(1, 3))
     return np.sqrt(np.nansum(windows**2, axis=(1, 3)) / np.where(seen, seen, np.nan))
 
 
 def map_window(problem: Problem) -> float:
-    """s, how long the windows of the map are."""
+    """Length of the windows of the map [s]."""
     return _samples(problem) * _spacing(problem)
 
 
-def _samples(problem) -> int:
-    return max(1, round(WINDOW / _spacing(problem)))
+def _samples(problem: Problem) -> int:
+    """Of a window of the map."""
+    return max(1, round(problem.settings.localisation.map_window / _spacing(problem)))
 
 
-def _spacing(problem) -> float:
+def _spacing(problem: Problem) -> float:
+    """Time between samples of the first recording [s]."""
     return float(np.median(np.diff(problem.recordings[0].time)))
 
 
 def left_over(problem: Problem, residual: np.ndarray) -> np.ndarray:
-    """(T, P, D) [signal's unit] what the numerical floor does not explain, of the first recording; NaN where nothing
-    was measured."""
+    """(T, P, D) a residual (M,) less discretisation error [signal's unit], of the first recording.
+
+    NaN where nothing was measured.
+    """
     return problem.split(
         np.where(problem.weight > 0, problem.sigma * problem.discretisation.without(residual), np.nan)
     )[0]
 
 
 def explained_over_time(problem: Problem, before: Hypothesis, after: Hypothesis) -> np.ndarray:
-    """(T,) evidence gained in each sample of the first recording."""
+    """(T,) log evidence [nats] that ``after`` gains over ``before`` in each sample of the first recording."""
     squares = [problem.split(problem.discretisation.without(h.residual))[0] ** 2 for h in (before, after)]
     return 0.5 * (squares[0] - squares[1]).reshape(len(squares[0]), -1).sum(axis=1)
 
 
-def intervals(time: np.ndarray, gain: np.ndarray) -> list[tuple[float, float]]:
-    """The fewest windows with most of the gain, as intervals [s]; none if nothing is gained."""
-    edges = np.arange(0.0, time[-1] + WINDOW, WINDOW)
+def intervals(
+    time: np.ndarray, gain: np.ndarray, settings: LocalisationSettings = DEFAULT.localisation
+) -> list[tuple[float, float]]:
+    """The fewest windows with most of the gain, as intervals [s]; none if nothing is gained.
+
+    Args:
+        time: (T,) s.
+        gain: (T,) log evidence gained in each sample.
+    """
+    edges = np.arange(0.0, time[-1] + settings.map_window, settings.map_window)
     of_window = np.histogram(time - 1e-9, edges, weights=np.maximum(gain, 0.0))[0]
     if not of_window.any():
         return []
     order = np.argsort(of_window)[::-1]
-    enough = int(np.searchsorted(np.cumsum(of_window[order]), _WHEN * of_window.sum())) + 1
-    found: list[tuple[float, float]] = []
+    enough = int(np.searchsorted(np.cumsum(of_window[order]), settings.shown_share * of_window.sum())) + 1
+    joined: list[tuple[float, float]] = []
     for i in sorted(order[:enough]):
         start, end = float(edges[i]), float(min(edges[i + 1], time[-1]))
-        if found and found[-1][1] == start:
-            start = found.pop()[0]
-        found.append((start, end))
-    return found
+        if joined and joined[-1][1] == start:
+            start = joined.pop()[0]
+        joined.append((start, end))
+    return joined
 
 
-def regimes(time: np.ndarray, rates: np.ndarray, gain: np.ndarray) -> list[Regime]:
-    """What is explained while commands move fast or slowly, have just reversed, or rest; and early or late.
+def regimes(
+    time: np.ndarray, rates: np.ndarray, gain: np.ndarray, settings: LocalisationSettings = DEFAULT.localisation
+) -> list[Regime]:
+    """Improvement while commands move fast or slowly, have just reversed, or rest; and early or late.
 
     Args:
         time: (T,) s.
         rates: (T, A) of the commands.
-        gain: (T,) what is explained in each sample.
+        gain: (T,) log evidence gained in each sample.
     """
-    steps = max(1, round(_AFTER_REVERSAL / float(np.median(np.diff(time)))))
+    still = settings.rest_rate
+    steps = max(1, round(settings.after_reversal / float(np.median(np.diff(time)))))
     rates = rates / max(float(np.abs(rates).max(initial=0.0)), 1e-300)
     speed = np.abs(rates).max(axis=1, initial=0.0)
-    moving, fast = speed > _STILL, speed > 0.5 * speed.max()
+    moving, fast = speed > still, speed > settings.fast_rate * speed.max()
     reversal = np.zeros(len(rates), bool)
-    for column in np.sign(np.where(np.abs(rates) > _STILL, rates, 0.0)).T:
+    for column in np.sign(np.where(np.abs(rates) > still, rates, 0.0)).T:
         last = 0.0
         for t, sign in enumerate(column):
             if sign and last and sign != last:
@@ -110,7 +124,7 @@ def regimes(time: np.ndarray, rates: np.ndarray, gain: np.ndarray) -> list[Regim
 
 
 def windows(problem: Problem, length: float) -> np.ndarray:
-    """(M,) the number of the window of that length [s] that a sample is in, rising; ``WINDOWS`` higher for the next
+    """(M,) the number of the window of a length [s] in which each sample is, rising; ``WINDOWS`` higher for the next
     recording."""
     return np.concatenate([
         # a sample at the end of a window belongs to it, as its control step does

@@ -1,7 +1,9 @@
-"""What may act at a place, whatever it is: forces on tendons, bodies, joints and everything; setpoints and sensors that
-are off."""
+"""Test inputs: what may act at a location, without a law.
 
-from collections.abc import Callable, Sequence
+Forces on tendons, bodies, joints and on all bodies at once; offsets of setpoints and of measured points.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,21 +13,27 @@ import numpy as np
 from soro_bench.diagnosis.candidates import term, typical
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.robots.measured import Drive
 from soro_bench.diagnosis.robots.robot import SIMULATIONS, Robot
 from soro_bench.effects.effect import Effect, Location
+from soro_bench.effects.elements import Elements
 
 AXES = "xyz"
-_SHARE = 0.02  # of the robot's weight, a force on a body
-_OFFSET = 2.0  # standard deviations of the noise, an offset of a measured point
-_SETPOINT = "pretension", "offset"  # the law that moves a setpoint
+_SETPOINT = "pretension", "offset"  # the law that moves a setpoint, and its quantity
+
+# adds ``factor`` times an input to the wrenches (nbody, 6) on bodies and generalised forces (nv,) of simulation ``row``
+Act = Callable[[int, float, np.ndarray, np.ndarray], None]
 
 
 @dataclass(frozen=True)
 class UnitInput:
-    """A force [N] or moment [N m] at a place: along a tendon, on a body or all of them in a direction of the world, on
-    a joint of a body or where that has none about an axis of the neck before it. In all it is ``amount`` [unit].
+    """A force [N] or moment [N m] of a factor of one.
 
-    kind: "tendon", "world" or "joint". axis: of the world, or of the neck.
+    It acts along a tendon; on a body, or on all of them, in a direction of the world; on a joint of a body; or, where a
+    body has no joint, about an axis of the neck before it.
+
+    kind: "tendon", "world" or "joint". component: its name. amount: of it in all, in ``unit``. axis: of the world, or
+    of the neck.
     """
 
     location: Location
@@ -35,61 +43,62 @@ class UnitInput:
     amount: float
     axis: int = 0
 
-    def on(self, robot: Robot) -> "Act | None":
-        """What exerts it on a robot; None where that lacks the place."""
+    def on(self, robot: Robot) -> Act | None:
+        """What exerts it on a robot; None where the robot lacks the location."""
         elements = robot.elements
         if self.location not in robot.locations(self.location.kind):
             return None
         if self.kind == "tendon":
             return _pull(robot, elements.id(self.location), self.amount)
         if self.location.kind == "model":
-            return _apply_input(
-                np.arange(1, elements.model.nbody), self.axis, self.amount * elements.model.body_mass[1:]
-            )
+            bodies = np.arange(1, elements.model.nbody)
+            return _force(bodies, self.axis, self.amount * elements.model.body_mass[1:])
         body = elements.id(self.location)
         if self.kind == "world":
-            return _apply_input(np.array([body]), self.axis, np.array([self.amount]))
+            return _force(np.array([body]), self.axis, np.array([self.amount]))
         if self.component in [elements.model.joint(j).name for j in elements.joints_of(body)]:
             return _turn(elements.model.joint(self.component).dofadr, self.amount)
         flex = elements.flex_before(body)
         return None if flex is None else _couple(robot, body, flex, self.axis, self.amount)
 
 
-# adds ``factor`` times a push to the wrenches (nbody, 6) on bodies and generalised forces (nv,) of simulation ``row``
-Act = Callable[[int, float, np.ndarray, np.ndarray], None]
+def _force(bodies: np.ndarray, axis: int, sizes: np.ndarray) -> Act:
+    """Forces of these sizes [N] on bodies, along an axis of the world."""
 
-
-def _apply_input(bodies, axis, sizes) -> Act:
-    def act(row, factor, wrench, force):
+    def act(row: int, factor: float, wrench: np.ndarray, force: np.ndarray) -> None:
         wrench[bodies, axis] += factor * sizes
 
     return act
 
 
-def _turn(dof, size) -> Act:
-    def act(row, factor, wrench, force):
+def _turn(dof: np.ndarray, size: float) -> Act:
+    """A force or moment along a degree of freedom."""
+
+    def act(row: int, factor: float, wrench: np.ndarray, force: np.ndarray) -> None:
         force[dof] += factor * size
 
     return act
 
 
-def _pull(robot, tendon, size) -> Act:
+def _pull(robot: Robot, tendon: int, size: float) -> Act:
+    """A force [N] that shortens a tendon."""
     batch, model = robot.simulation.batch, robot.simulation.model
     entries = model.ten_J_rowadr[tendon] + np.arange(model.ten_J_rownnz[tendon])
     columns = model.ten_J_colind[entries]
 
-    def act(row, factor, wrench, force):
+    def act(row: int, factor: float, wrench: np.ndarray, force: np.ndarray) -> None:
         force[columns] -= factor * size * batch.ten_J[row, entries]
 
     return act
 
 
-def _couple(robot, far, flex, axis, size) -> Act:
+def _couple(robot: Robot, far: int, flex: int, axis: int, size: float) -> Act:
+    """A moment [N m] between the two bodies of a neck, about an axis of the one near the base."""
     batch, model = robot.simulation.batch, robot.simulation.model
     first = model.flex_nodeadr[flex]
     near = model.flex_nodebodyid[first : first + model.flex_nodenum[flex]].min()
 
-    def act(row, factor, wrench, force):
+    def act(row: int, factor: float, wrench: np.ndarray, force: np.ndarray) -> None:
         matrix = np.zeros(9)
         mujoco.mju_quat2Mat(matrix, batch.xquat[row, near])
         moment = factor * size * matrix.reshape(3, 3)[:, axis]
@@ -114,12 +123,13 @@ class Offset:
 
     @property
     def kind(self) -> str:
+        """The kind of its location."""
         return self.location.kind
 
-    def on(self, robot: Robot) -> "Act | None":
-        """What moves a setpoint of a robot on which ``Source.effects`` are."""
+    def on(self, robot: Robot) -> Act | None:
+        """What moves a setpoint of a robot that has the effects of its ``Source``."""
 
-        def act(row, factor, wrench, force):
+        def act(row: int, factor: float, wrench: np.ndarray, force: np.ndarray) -> None:
             robot.simulation.change(_SETPOINT[0], row, self.location, _SETPOINT[1], factor * self.amount)
 
         return act
@@ -127,67 +137,76 @@ class Offset:
 
 @dataclass(frozen=True)
 class Source:
-    """What acts at a place in K directions at once."""
+    """A test input: K unit inputs that act at a location at once."""
 
     unit_inputs: tuple[UnitInput | Offset, ...]
 
     @property
     def location(self) -> Location:
+        """Where it acts."""
         return self.unit_inputs[0].location
 
     @property
+    def kind(self) -> str:
+        """Of its unit inputs."""
+        return self.unit_inputs[0].kind
+
+    @property
     def measured(self) -> bool:
-        """Whether it is a fault of a sensor, which needs no replay."""
+        """Whether it is a sensor fault, which needs no replay."""
         return self.location.kind == "sensor"
 
     @cached_property
     def effects(self) -> list[Effect]:
-        """What has to be among the effects of a robot on which it acts."""
-        moved = [apply_input.location for apply_input in self.unit_inputs if apply_input.location.kind == "actuator"]
+        """Effects that a robot needs for it to act."""
+        moved = [unit_input.location for unit_input in self.unit_inputs if unit_input.location.kind == "actuator"]
         return [Effect(_SETPOINT[0], location, {_SETPOINT[1]: 0.0}) for location in moved]
 
     def times(self, factor: float) -> "Source":
-        """The same, so many times as large."""
-        return Source(
-            tuple(replace(apply_input, amount=factor * apply_input.amount) for apply_input in self.unit_inputs)
-        )
+        """The same, ``factor`` times as large."""
+        return Source(tuple(replace(each, amount=factor * each.amount) for each in self.unit_inputs))
 
     def rows(self, problem: Problem) -> np.ndarray:
-        """(K, M) change of the residual under each offset of a measured point."""
-        one = np.zeros((len(self.unit_inputs), int(np.prod(problem.robot.shape))))
-        for row, apply_input in zip(one, self.unit_inputs, strict=True):
-            row[apply_input.column] = -apply_input.amount / problem.sigma
-        return np.tile(one, sum(len(each.values) for each in problem.recordings)) * problem.weight
+        """(K, M) change of the residual by each offset of a measured point."""
+        rows = np.zeros((len(self.unit_inputs), int(np.prod(problem.robot.shape))))
+        for row, offset in zip(rows, self.unit_inputs, strict=True):
+            if isinstance(offset, Offset):
+                row[offset.column] = -offset.amount / problem.sigma
+        return np.tile(rows, sum(len(recording.values) for recording in problem.recordings)) * problem.weight
 
 
 def sources(problem: Problem, robot: Robot, base: Hypothesis) -> list[Source]:
-    """Everything that may act on a robot with the effects of a hypothesis."""
+    """Every test input of a robot with the effects of a hypothesis."""
+    share = problem.settings.localisation.weight_share
     return [
-        *(Source((apply_input,)) for apply_input in _on_tendons(robot)),
-        *_on_bodies(robot),
-        *(Source(unit_inputs) for unit_inputs in _on_everything(robot)),
+        *(Source((pull,)) for pull in _on_tendons(robot)),
+        *_on_bodies(robot, share),
+        *(Source(accelerations) for accelerations in _on_everything(robot, share)),
         *(Source((offset,)) for offset in _on_setpoints(problem, robot, base)),
-        *(Source(offsets) for offsets in _measured(problem)),
+        *(Source(offsets) for offsets in _on_sensor(problem)),
     ]
 
 
-def _weight(robot) -> float:
+def _weight(robot: Robot) -> float:
+    """Of all bodies [N]."""
     return _gravity(robot) * float(robot.elements.model.body_mass.sum())
 
 
-def _gravity(robot) -> float:
+def _gravity(robot: Robot) -> float:
+    """Its size in the model [m/s^2], or that on earth where the model has none."""
     return float(np.linalg.norm(robot.elements.model.opt.gravity)) or 9.81
 
 
-def _on_tendons(robot):
+def _on_tendons(robot: Robot) -> Iterator[UnitInput]:
+    """A pull of every tendon."""
     elements = robot.elements
     for location in robot.locations("tendon"):
         yield UnitInput(location, "tendon", "pull", "N", elements.scale(location, "force"))
 
 
-def _on_bodies(robot):
-    """Forces on every body, and on those of its joints that have a name."""
-    elements, size = robot.elements, _SHARE * _weight(robot)
+def _on_bodies(robot: Robot, share: float) -> Iterator[Source]:
+    """Forces of a share of the robot's weight on every body, and on those of its joints that have a name."""
+    elements, size = robot.elements, share * _weight(robot)
     for location in robot.locations("body"):
         body = elements.id(location)
         yield Source(tuple(UnitInput(location, "world", axis, "N", size, i) for i, axis in enumerate(AXES)))
@@ -196,82 +215,99 @@ def _on_bodies(robot):
             yield Source(tuple(_on_joint(elements, location, joint) for joint in joints))
 
 
-def _on_joint(elements, location, joint) -> UnitInput:
+def _on_joint(elements: Elements, location: Location, joint: int) -> UnitInput:
+    """A moment about a hinge, or a force along a slide."""
     model = elements.model
     name, turns = model.joint(joint).name, model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE
-    size = elements.scale(Location("joint", name), "force")
-    return UnitInput(
-        location, "joint", name, "N m" if turns else "N", size, int(np.abs(model.jnt_axis[joint]).argmax())
-    )
+    size, axis = elements.scale(Location("joint", name), "force"), int(np.abs(model.jnt_axis[joint]).argmax())
+    return UnitInput(location, "joint", name, "N m" if turns else "N", size, axis)
 
 
-def _on_everything(robot):
-    """Forces on all bodies by their mass, as gravity."""
+def _on_everything(robot: Robot, share: float) -> Iterator[tuple[UnitInput, ...]]:
+    """Forces on all bodies by their mass, as a share of gravity."""
     for location in robot.locations("model"):
-        size = _SHARE * _gravity(robot)
+        size = share * _gravity(robot)
         yield tuple(UnitInput(location, "world", axis, "m/s^2", size, i) for i, axis in enumerate(AXES))
 
 
-def _on_setpoints(problem, robot, base):
+def _on_setpoints(problem: Problem, robot: Robot, base: Hypothesis) -> Iterator[Offset]:
+    """An offset of every setpoint that can have one beside the effects of the hypothesis."""
     for location in robot.locations("actuator"):
         moved = term(robot, _SETPOINT[0], location)
         if robot.accepts([*base.effects(problem.parameters), typical(moved)]):
             yield Offset(location, moved.quantities[0].name, robot.setpoint_unit, moved.typical[0])
 
 
-def _measured(problem):
+def _on_sensor(problem: Problem) -> Iterator[tuple[Offset, ...]]:
+    """Offsets of every measured point."""
     robot = problem.robot
     points, dimension = robot.shape
     names = AXES if dimension == len(AXES) else [str(k) for k in range(dimension)]
+    size = problem.settings.localisation.sensor_offset * problem.sigma
     for i in range(points):
         location = Location("sensor", robot.signal, i)
-        yield tuple(
-            Offset(location, name, robot.unit, _OFFSET * problem.sigma, i * dimension + k)
-            for k, name in enumerate(names)
-        )
+        yield tuple(Offset(location, name, robot.unit, size, i * dimension + k) for k, name in enumerate(names))
 
 
-# parameters (d,), what acts, and (T, K) factors in every control step of each recording
+# parameters (d,), the test input, and (T, K) factors in every control step of each recording
 Acting = tuple[np.ndarray, Source, Sequence[np.ndarray]]
 
 
 def replayed(problem: Problem, robot: Robot, base: Hypothesis, acting: Sequence[Acting]) -> np.ndarray:
-    """(N, M) simulated [signal's unit], of a hypothesis with what acts on it in each of N replays; NaN where the robot
-    lacks the place."""
+    """(N, M) signal [signal's unit] of N replays of a hypothesis under test inputs.
+
+    NaN where the robot lacks the location.
+
+    Args:
+        acting: of each replay: parameters (d,), the test input, and its factors (T, K) in each recording.
+    """
     for name in ("ten_J", "xfrc_applied", "qfrc_applied", "xquat"):
         robot.simulation.batch.bind(name)
     parameters = np.array([list(robot.parameters(x[: problem.parameters]).values()) for x, _, _ in acting])
     effects = base.effects(problem.parameters)
-    found = np.full((len(acting), problem.weight.size), np.nan)
-    acts = [[apply_input.on(robot) for apply_input in source.unit_inputs] for _, source, _ in acting]
-    possible = [i for i, some in enumerate(acts) if None not in some]
+    signals = np.full((len(acting), problem.weight.size), np.nan)
+    acts = [_acts(robot, source) for _, source, _ in acting]
+    possible = [i for i, own in enumerate(acts) if own is not None]
     for first in range(0, len(possible), SIMULATIONS):
-        some = possible[first : first + SIMULATIONS]
-        given, parts = [[*effects, *acting[i][1].effects] for i in some], []
-        for k, each in enumerate(problem.recordings):
-            pushed = [(acts[i], acting[i][2][k]) for i in some]
-            parts.append(_simulated(robot, each.drive, parameters[some], given, pushed))
-        found[some] = np.concatenate(parts, axis=1)
-    return found
+        batch = possible[first : first + SIMULATIONS]
+        given, parts = [[*effects, *acting[i][1].effects] for i in batch], []
+        for k, recording in enumerate(problem.recordings):
+            inputs = [(acts[i] or [], acting[i][2][k]) for i in batch]
+            parts.append(_simulated(robot, recording.drive, parameters[batch], given, inputs))
+        signals[batch] = np.concatenate(parts, axis=1)
+    return signals
 
 
-def _simulated(robot, drive, parameters, effects, pushed) -> np.ndarray:
-    """(N, M) while acts with factors (T, K) push each of N simulations."""
+def _acts(robot: Robot, source: Source) -> list[Act] | None:
+    """What exerts the unit inputs of a test input on a robot; None where it lacks the location."""
+    acts = [unit_input.on(robot) for unit_input in source.unit_inputs]
+    possible = [act for act in acts if act is not None]
+    return possible if len(possible) == len(acts) else None
+
+
+def _simulated(
+    robot: Robot,
+    drive: Drive,
+    parameters: np.ndarray,
+    effects: Sequence[Sequence[Effect]],
+    inputs: Sequence[tuple[list[Act], np.ndarray]],
+) -> np.ndarray:
+    """(N, M) signal while acts with factors (T, K) are exerted in each of N simulations."""
     batch = robot.simulation.batch
-    baseline = np.zeros((len(pushed), *batch.xfrc_applied.shape[1:]))
+    before = np.zeros((len(inputs), *batch.xfrc_applied.shape[1:]))
 
-    def apply_input(step):
-        wrench, force = np.zeros_like(baseline), np.zeros((len(pushed), batch.qfrc_applied.shape[1]))
-        for row, (acts, factors) in enumerate(pushed):
+    def exert(step: int) -> None:
+        wrench, force = np.zeros_like(before), np.zeros((len(inputs), batch.qfrc_applied.shape[1]))
+        for row, (acts, factors) in enumerate(inputs):
             for act, factor in zip(acts, factors[step], strict=True):
                 act(row, factor, wrench[row], force[row])
-        batch.xfrc_applied[: len(pushed)] += wrench - baseline  # effects of the robot may push the same bodies
-        batch.qfrc_applied[: len(pushed)] = force
-        baseline[:] = wrench
+        batch.xfrc_applied[: len(inputs)] += wrench - before  # effects of the robot may act on the same bodies
+        batch.qfrc_applied[: len(inputs)] = force
+        before[:] = wrench
 
-    simulated = robot.simulate_all([drive], parameters, effects, apply_input)[0]
+    simulated = robot.simulate_all([drive], parameters, effects, exert)[0]
     batch.xfrc_applied[:] = batch.qfrc_applied[:] = 0.0
-    return simulated.reshape(len(pushed), -1)
+    return simulated.reshape(len(inputs), -1)
 
 
 def setpoints(problem: Problem, robot: Robot, base: Hypothesis) -> list[np.ndarray]:
@@ -279,16 +315,17 @@ def setpoints(problem: Problem, robot: Robot, base: Hypothesis) -> list[np.ndarr
     batch, model = robot.simulation.batch, robot.simulation.model
     for name in ("act", "ctrl"):
         batch.bind(name)
-    parameters, found = np.array([list(robot.parameters(base.x).values())]), []
+    parameters, middles = np.array([list(robot.parameters(base.x).values())]), []
     own = model.actuator_actnum > 0  # where the setpoint is the activation
-    for each in problem.recordings:
-        rows = []
+    for recording in problem.recordings:
+        rows: list[np.ndarray] = []
 
-        def note(step, rows=rows):
+        def note(step: int, rows: list[np.ndarray] = rows) -> None:
             rows.append(batch.ctrl[0].copy())
             rows[-1][own] = batch.act[0, model.actuator_actadr[own]]
 
-        robot.simulate_all([each.drive], parameters, [base.effects(problem.parameters)], note)
+        robot.simulate_all([recording.drive], parameters, [base.effects(problem.parameters)], note)
         after = np.array([*rows[1:], np.where(own, rows[-1], batch.ctrl[0])])
-        found.append(np.where(own, 0.5 * (np.array(rows) + after), after))  # a control is held from before the step on
-    return found
+        # a control is held from before the step on
+        middles.append(np.where(own, 0.5 * (np.array(rows) + after), after))
+    return middles

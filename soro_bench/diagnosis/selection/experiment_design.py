@@ -1,8 +1,8 @@
-"""Propose: which next recording of 10 s would best tell the answers apart that are left?
+"""Experiment design: which next recording would best tell the remaining answers apart?
 
 Candidate motions of the channels that the answers name are simulated under every answer as fitted. The evidence that a
-recording of one would give, on average, is half the squared distance of what two answers predict, in units of the noise
-(Box, Hill, "Discrimination among mechanistic models", 1967), less what other parameters and numerical error could do.
+recording would give, on average, is half the squared distance of two answers' predictions, in units of the noise (Box,
+Hill, "Discrimination among mechanistic models", 1967), less what other parameters and discretisation error could do.
 """
 
 import itertools
@@ -17,33 +17,31 @@ from soro_bench.diagnosis.estimation.fit import Hypothesis, bounds
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, temperature
+from soro_bench.diagnosis.settings import DEFAULT, ExperimentDesignSettings
 from soro_bench.effects.effect import Location
 from soro_bench.inference.statistical_linearisation import LowRank
 from soro_bench.recording.excitation import in_turn, loops, multisine, step_and_hold, triangles
 
-DURATION, HOLD = 10.0, 4.0  # s
-CLOSE = 0.05  # probability of an answer that is left
-RIVALS = 3  # answers that are told apart, at most
-FINALISTS, DIRECTIONS = 2, 2  # motions, and combinations of unknowns for which they are simulated again
-APART = math.log(20.0)  # tempered evidence that tells two answers apart
-_REST = 0.05  # of the duration, before and after a motion
-_STROKE, _SLOW, _SLOW_LOOPS = 3, 10, 4  # time steps of full rate, and how much slower than that
-
 
 @dataclass(frozen=True)
 class Motion:
-    """A candidate: actions (T, nu), rates that sum to zero, and what they are in words."""
+    """A candidate motion.
+
+    words: what it is. actions: (T, nu) rates that sum to zero, as the robot begins where it ends. duration: s.
+    """
 
     words: str
     actions: np.ndarray
+    duration: float
 
 
 @dataclass(frozen=True)
 class Proposal:
     """The motion to record next.
 
-    rivals: the answers that are left, the most probable first. separates: pairs of them that it would tell apart.
-    evidence: what it would give on average [nats], for the pair of these (where there is none, of all) that is closest.
+    rivals: the answers that remain, the most probable first. separates: pairs of them that it would tell apart.
+    evidence: that it would give on average [nats], for the closest of these pairs; where there are none, of
+    all pairs.
     """
 
     motion: Motion
@@ -55,76 +53,91 @@ class Proposal:
 def proposed(
     problem: Problem, comparison: Comparison, unknown: Location | None = None, seed: int = 0
 ) -> Proposal | None:
-    """The motion that best tells the answers apart that are left; None where one stands alone.
+    """The motion that best tells the remaining answers apart; None where there is only one.
 
     Args:
-        unknown: where physics without a name acts, if that is the answer: then motion of the channels there.
+        unknown: where a discrepancy outside the catalogue acts, if that is the answer: then the channels there move.
         seed: of the motions' random phases.
     """
-    rivals = competing(comparison)
+    settings = problem.settings.experiment_design
+    rivals = competing(comparison, settings)
     if len(rivals) < 2 and unknown is None:
         return None
     robot, as_fitted = problem.robot, [(a.hypothesis.x, a.hypothesis.terms) for a in rivals]
-    temper = temperature(min(problem.misfit(a.hypothesis.residual) for a in comparison.answers))
-    tried = motions(_candidates_at(robot, rivals, unknown), robot.channels, robot.control_timestep, seed)
+    least_misfit = min(problem.misfit(a.hypothesis.residual) for a in comparison.answers)
+    tempered_by = temperature(least_misfit, problem.settings.probabilities)
+    channels = _channels(robot, rivals, unknown)
+    tried = motions(channels, robot.channels, robot.control_timestep, seed, settings)
     predicted = [predictions(problem, motion.actions, as_fitted) for motion in tried]
-    first = [_rated(rivals, separations(problem, rivals, rows), temper) for rows in predicted]
-    finalists = sorted(range(len(tried)), key=lambda i: -first[i])[:FINALISTS]
-    found = [separations(problem, rivals, predicted[i], _changes(problem, rivals, tried[i].actions, predicted[i]))
-             for i in finalists]  # fmt: skip
-    best = max(range(len(found)), key=lambda i: _rated(rivals, found[i], temper))
-    return _proposal(tried[finalists[best]], rivals, found[best], temper)
+    first = [_rated(rivals, separations(problem, rivals, rows), tempered_by) for rows in predicted]
+    finalists = sorted(range(len(tried)), key=lambda i: -first[i])[: settings.finalists]
+    separated = [
+        separations(problem, rivals, predicted[i], _changes(problem, rivals, tried[i].actions, predicted[i]))
+        for i in finalists
+    ]
+    best = max(range(len(separated)), key=lambda i: _rated(rivals, separated[i], tempered_by))
+    enough = math.log(settings.separating_odds) * tempered_by
+    return _proposal(tried[finalists[best]], rivals, separated[best], enough)
 
 
-def competing(comparison: Comparison) -> list[Answer]:
-    """The answers that are left, or the best of all improbable ones."""
-    merged: dict[frozenset, Answer] = {}  # those that differ in where their fits began are one
+def competing(comparison: Comparison, settings: ExperimentDesignSettings = DEFAULT.experiment_design) -> list[Answer]:
+    """The answers that remain, the most probable first; the best one if all are improbable."""
+    merged: dict[frozenset[tuple[str, Location]], Answer] = {}  # fits that only began elsewhere are one answer
     for answer in comparison.answers:
-        first = merged.get(_locations(answer))
-        chance = answer.probability + (first.probability if first else 0.0)
-        merged[_locations(answer)] = replace(first or answer, probability=chance)
+        first = merged.get(_laws(answer))
+        probability = answer.probability + (first.probability if first else 0.0)
+        merged[_laws(answer)] = replace(first or answer, probability=probability)
     answers = sorted(merged.values(), key=lambda a: -a.probability)
-    return [a for a in answers if a.probability >= CLOSE][:RIVALS] or answers[:1]
+    return [a for a in answers if a.probability >= settings.least_probability][: settings.rivals] or answers[:1]
 
 
-def motions(channels: Sequence[int], names: Sequence[str], timestep: float, seed: int = 0) -> list[Motion]:
+def motions(
+    channels: Sequence[int],
+    names: Sequence[str],
+    timestep: float,
+    seed: int = 0,
+    settings: ExperimentDesignSettings = DEFAULT.experiment_design,
+) -> list[Motion]:
     """Candidates that move some channels, of those that fit into the duration.
 
     Args:
-        channels: which.
+        channels: indices of those that move.
         names: of all nu channels.
         timestep: s between actions.
         seed: of the phases of the multisine.
     """
-    total = round(DURATION / timestep)
-    room = total - 2 * int(_REST * total)
+    total = round(settings.duration / timestep)
+    room = total - 2 * int(settings.rest * total)
     groups, some = np.eye(len(names))[list(channels)], len(channels) < len(names)
     together = groups.sum(axis=0, keepdims=True)
     others = 1.0 - together if some else together
-    triangle, hold = triangles(_STROKE, (1,)), step_and_hold(round(HOLD / timestep))
+    triangle, hold = triangles(settings.stroke, (1,)), step_and_hold(round(settings.hold / timestep))
     parts = {
         "fast triangles of {}": _slowed(triangle, 1, groups, room),
-        "slow triangles of {}": _slowed(triangle, _SLOW, groups, room),
-        "slow nested loops of {}": _slowed(loops(), _SLOW_LOOPS, groups, room),
-        f"steps of {{}} with holds of {HOLD:g} s": _slowed(hold, 1, together, room),
+        "slow triangles of {}": _slowed(triangle, settings.slow, groups, room),
+        "slow nested loops of {}": _slowed(loops(), settings.slow_loops, groups, room),
+        f"steps of {{}} with holds of {settings.hold:g} s": _slowed(hold, 1, together, room),
         f"slow triangles of {{}} with {'the others' if some else 'all'} pulled a little": np.concatenate([
-            others, _slowed(triangle, _SLOW, groups, room - 2 * len(others)), -others
+            others, _slowed(triangle, settings.slow, groups, room - 2 * len(others)), -others
         ]),
         "sums of sines of {}": multisine(room, len(groups), timestep, seed) @ groups,
     }  # fmt: skip
     what = " and ".join(names[i] for i in channels) if some else "every channel"
-    return [Motion(words.format(what), _padded(part, total)) for words, part in parts.items() if part.any()]
+    before = int(settings.rest * total)
+    return [
+        Motion(words.format(what), np.pad(part, ((before, total - before - len(part)), (0, 0))), total * timestep)
+        for words, part in parts.items()
+        if part.any()
+    ]
 
 
-def _candidates_at(robot: Robot, rivals, unknown) -> Sequence[int]:
-    """The channels at the places of effects that not all rivals have, or where unknown physics acts; all if none."""
-    ranked_locations = [_locations(answer) for answer in rivals]
-    location = (
-        [unknown]
-        if unknown
-        else [site for _, site in frozenset.union(*ranked_locations) - frozenset.intersection(*ranked_locations)]
-    )
-    return sorted({robot.channel(site) for site in location} - {None}) or range(len(robot.channels))
+def _channels(robot: Robot, rivals: Sequence[Answer], unknown: Location | None) -> Sequence[int]:
+    """The channels at the locations of terms that not all rivals have, or of an unknown discrepancy; all if none."""
+    laws = [_laws(answer) for answer in rivals]
+    differing = frozenset.union(*laws) - frozenset.intersection(*laws)
+    locations = [unknown] if unknown else [location for _, location in differing]
+    channels = {robot.channel(location) for location in locations}
+    return sorted(channel for channel in channels if channel is not None) or range(len(robot.channels))
 
 
 def predictions(
@@ -132,14 +145,14 @@ def predictions(
 ) -> np.ndarray:
     """(N, M) what the sensor would record under actions (T, nu), in units of its noise, less its mean over time.
 
-    A constant difference would show at rest as well, and a bias or the way a robot came to rest make one: it is no
+    A constant difference would show at rest as well, and a bias or the way a robot came to rest cause one. It is no
     reason to move.
 
     Args:
-        points: unknowns, and suspects they belong to.
+        points: unknowns, and the terms they belong to.
     """
     first = problem.recordings[0]
-    seen = np.isfinite(first.values).any(axis=0)  # not what it never sees
+    seen = np.isfinite(first.values).any(axis=0)  # points that are never measured tell nothing
     asked = replace(problem, recordings=(first.under(problem.robot.commanded(actions, problem.recorded)),))
     values = asked.simulated(problem.robot, points).reshape(len(points), len(actions), *seen.shape)
     values = values[:, :, seen] - values[:, :, seen].mean(axis=1, keepdims=True)
@@ -155,25 +168,28 @@ def separations(
         predicted: (R, M) by each of R answers.
         changes: of each answer (K, M), what else it could predict.
     """
-    changes, found = changes or [np.zeros((0, predicted.shape[1]))] * len(rivals), []
+    changes = changes or [np.zeros((0, predicted.shape[1]))] * len(rivals)
+    evidence = []
     for i, j in itertools.combinations(range(len(rivals)), 2):
-        difference = np.nan_to_num(predicted[[i]] - predicted[[j]])  # what diverges tells nothing
+        difference = np.nan_to_num(predicted[[i]] - predicted[[j]])  # a simulation that diverges tells nothing
         covariance = LowRank(np.concatenate([changes[i], changes[j]]))
         squares = float(covariance.product(difference, difference)[0, 0])
-        found.append(0.5 * squares * _told(problem, rivals[i].hypothesis, rivals[j].hypothesis))
-    return np.array(found)
+        evidence.append(0.5 * squares * _physical_share(problem, rivals[i].hypothesis, rivals[j].hypothesis))
+    return np.array(evidence)
 
 
-def _changes(problem, rivals, actions, predicted) -> list[np.ndarray]:
-    """Of each answer (DIRECTIONS, M): a standard deviation along the combinations of its unknowns that are known least.
+def _changes(
+    problem: Problem, rivals: Sequence[Answer], actions: np.ndarray, predicted: np.ndarray
+) -> list[np.ndarray]:
+    """Of each answer (K, M): changes of its predictions (R, M) along the K widest directions of its posterior.
 
-    These few of the posterior's directions are those along which an answer can change most. The others are known from
-    the recordings at hand.
+    Along these an answer can change most. The other directions are known from the recordings at hand.
     """
-    points, ends = [], []
+    points: list[tuple[np.ndarray, Sequence[Term]]] = []
+    ends = []
     for hypothesis in (answer.hypothesis for answer in rivals):
-        variances, combinations = np.linalg.eigh(hypothesis.covariance(problem))
-        steps = (np.sqrt(variances) * combinations)[:, -DIRECTIONS:].T
+        variances, directions = np.linalg.eigh(hypothesis.covariance(problem))
+        steps = (np.sqrt(variances) * directions)[:, -problem.settings.experiment_design.directions :].T
         allowed = bounds(problem, hypothesis.terms)
         points += [(np.clip(hypothesis.x + step, *allowed), hypothesis.terms) for step in steps]
         ends.append(len(points))
@@ -181,50 +197,58 @@ def _changes(problem, rivals, actions, predicted) -> list[np.ndarray]:
     return [np.nan_to_num(moved - own) for moved, own in zip(rows, predicted, strict=True)]
 
 
-def _told(problem, a: Hypothesis, b: Hypothesis) -> float:
-    """The share of a difference that is no numerical error.
+def _physical_share(problem: Problem, first: Hypothesis, second: Hypothesis) -> float:
+    """The share of a difference that is no discretisation error.
 
-    How refined models move is not simulated, which would cost more than all the rest: the share is the one that the
-    numerical floor leaves of the difference in the recordings at hand.
+    How refined models move is not simulated, which would cost more than all the rest. The share is that of the
+    difference in the recordings at hand.
     """
-    difference = (a.residual - b.residual)[None]
+    difference = (first.residual - second.residual)[None]
     squares = float((difference**2).sum())
     return float(problem.discretisation.product(difference, difference)[0, 0]) / squares if squares else 1.0
 
 
-def _rated(rivals, evidence, temper) -> float:
-    """Of the pair that is mistaken most easily: minus the logarithm of a bound (Bhattacharyya's) on the chance to take
-    one for the other, which is smaller for answers that are improbable at any rate. Evidence is tempered."""
+def _rated(rivals: Sequence[Answer], evidence: np.ndarray, temperature: float) -> float:
+    """How well a motion tells the closest pair of answers apart.
+
+    That is minus the logarithm of Bhattacharyya's bound on the chance to take one for the other, which is smaller for
+    improbable answers. The evidence (pairs,) is divided by the temperature.
+    """
     chances = [a.probability * b.probability for a, b in itertools.combinations(rivals, 2)]
-    return min((e / (4.0 * temper) - 0.5 * math.log(max(c, 1e-300)) for e, c in zip(evidence, chances, strict=True)),
-               default=0.0)  # fmt: skip
+    ratings = (
+        e / (4.0 * temperature) - 0.5 * math.log(max(chance, 1e-300))
+        for e, chance in zip(evidence, chances, strict=True)
+    )
+    return min(ratings, default=0.0)
 
 
-def _proposal(motion, rivals, evidence, temper) -> Proposal:
+def _proposal(motion: Motion, rivals: Sequence[Answer], evidence: np.ndarray, enough: float) -> Proposal:
+    """A motion that tells pairs of rivals apart if their evidence (pairs,) is enough [nats]."""
     names = labels(rivals)
-    apart = [pair for pair, e in zip(itertools.combinations(names, 2), evidence, strict=True) if e >= APART * temper]
-    enough = evidence[evidence >= APART * temper]
-    return Proposal(motion, tuple(names), tuple(apart), float(min(enough if len(enough) else evidence, default=0.0)))
+    apart = [pair for pair, e in zip(itertools.combinations(names, 2), evidence, strict=True) if e >= enough]
+    large = evidence[evidence >= enough]
+    return Proposal(motion, tuple(names), tuple(apart), float(min(large if len(large) else evidence, default=0.0)))
 
 
 def labels(rivals: Sequence[Answer]) -> list[str]:
-    """Names of the effects of every answer, with their places where the names do not tell them apart; "none"."""
+    """Names of the effects of every answer, with their locations where the names alone are the same; "none"."""
     names = [" with ".join(a.names) or "none" for a in rivals]
-    ranked_locations = [" with ".join(f"{s.name} at {s.location}" for s in a.hypothesis.terms) for a in rivals]
-    return [site if names.count(name) > 1 else name for name, site in zip(names, ranked_locations, strict=True)]
+    located = [" with ".join(f"{term.name} at {term.location}" for term in a.hypothesis.terms) for a in rivals]
+    return [full if names.count(name) > 1 else name for name, full in zip(names, located, strict=True)]
 
 
-def _locations(answer):
-    return frozenset((s.name, s.location) for s in answer.hypothesis.terms)
+def _laws(answer: Answer) -> frozenset[tuple[str, Location]]:
+    """Its laws with their locations."""
+    return frozenset((term.name, term.location) for term in answer.hypothesis.terms)
 
 
-def _slowed(rates, slowness, groups, room) -> np.ndarray:
-    """(n, nu) rates of one group of channels after the other, as slow as fits and as often; empty if none does."""
+def _slowed(rates: np.ndarray, slowness: int, groups: np.ndarray, room: int) -> np.ndarray:
+    """(n, nu) rates (k,) of one group of channels (G, nu) after the other, as slow and as often as fits.
+
+    Args:
+        slowness: how many times slower than full rate, at most.
+        room: control steps that there are; the result is empty if the motion needs more at full rate.
+    """
     once = len(rates) * len(groups)
     slowness = max(1, min(slowness, room // once))
     return in_turn(np.tile(np.repeat(rates / slowness, slowness), room // (once * slowness)), groups)
-
-
-def _padded(part, total) -> np.ndarray:
-    before = int(_REST * total)
-    return np.pad(part, ((before, total - before - len(part)), (0, 0)))

@@ -1,7 +1,8 @@
-"""Which effects explain recordings: from the nominal robot one effect further as long as much is left.
+"""Forward selection: from the nominal robot one term further as long as the predicted gain is worth it.
 
-Each round screens every suspect on top of the best hypothesis so far (and, once there are two, every pair on top of the
-nominal robot), refits the leads, and computes the numerical floor of the best anew with their effects.
+Each round screens every candidate term beside the best hypothesis so far; from the second round on also every pair of
+terms beside the nominal robot. It fits the best of them, and computes the discretisation error again with
+their effects.
 """
 
 import itertools
@@ -15,12 +16,12 @@ from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, fit
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.moves import (
-    CLEAN,
-    RIVAL,
+    Laws,
     distinct,
     indistinguishable,
     iterate_to_convergence,
     laws,
+    move_radii,
     refine,
     refitted,
     revisit_rivals,
@@ -29,38 +30,26 @@ from soro_bench.diagnosis.selection.moves import (
     unique,
     without_one,
 )
-from soro_bench.diagnosis.selection.screening import evidence, pairs, responses, singles
+from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate, evidence, pairs, responses, singles
 from soro_bench.effects.catalogue import CATEGORIES
+from soro_bench.effects.effect import Location
 
-SEEDS = 10_000  # of clouds, for each seed of a diagnosis
-# radii of the clouds of the nominal fit after each numerical floor, and of the last fit of a hypothesis, in standard
-# deviations of the priors
-RADII, LAST = ((0.7, 0.3), (0.15,), (0.05, 0.05)), 0.07
-FAR_DRAWS, FAR = 3, 0.7  # replays of each refined robot at first, and their standard deviation
-NEAR = (0.15, 0.05)  # of the one near each fit but the last
-# polishes at most, and the share that one more has to take off; and their radii: a cloud as wide as the nominal fit's
-# at first, as parameters that have absorbed an effect may be far from where they belong
-REFINEMENTS, ENOUGH = 4, 0.1
-# nats, and per sample of long recordings: an excess of the nominal robot far beyond that of nulls, so that polishing
-# supplies no physics
-LACKING = (10_000.0, 0.26)
-WIDE, NARROW = (0.7, 0.15), (0.3, 0.1)
-MOST = 3  # effects
-# leads that are tried, the share of the best one's promise that they have to make, and hypotheses of a round with
-# floors of their own
-LEADS, LEAST_SHARE_OF_GAIN, DISCRETISATIONS = 6, 0.3, 2
-# natural logarithm of the evidence that a lead has to promise (40 nulls promise 85 at most, but for one); the share of
-# what is left: where physics has no name in the catalogue, one effect after the other would explain a little of it; and
-# the share of what is explained: no law is quite right (what still promises 0.2 per cent is called unknown, compare.py)
-WORTH, WORTH_SHARE, LAW_SHARE = 400.0, 0.05, 0.005
+SEEDS = 10_000  # of samples, for each seed of a diagnosis
+_FIRST_SEED, _SEED_STEP = 10, 10  # after those of the nominal fit, and between those of two calls
+
+Progress = Callable[[str], None]  # is told the name of each stage
+
+
+def _silent(stage: str) -> None:
+    """Progress that nobody looks at."""
 
 
 @dataclass(frozen=True)
 class Round:
-    """What one more effect promised, and what became of it.
+    """What one more term was predicted to gain, and what became of it.
 
-    on: the suspects on top of which it was looked for. promised: the best suspects, with the evidence that each
-    promised. fitted: the suspects of every hypothesis that was kept, with the excess that it leaves.
+    on: the terms beside which it was looked for. predicted_gain: the best candidates, with the log evidence that each
+    was predicted to gain. fitted: the terms of every hypothesis that was kept, with its misfit.
     """
 
     on: tuple[Term, ...]
@@ -72,67 +61,96 @@ class Round:
 class Explanation:
     """Hypotheses about recordings.
 
-    problem: with the numerical floor under which all hypotheses are compared.
-    nominal: no effect.
-    found: those that were refitted, the last round first and of each round the most probable first; empty where nothing
-        is missing.
-    unpatched: rms [signal's unit] that the nominal robot leaves under its own numerical floor, before any effect has
-        had a say in that.
-    promised: the evidence that the best lead promised on top of the nominal robot.
-    left: the same on top of the best of all.
-    minimum: of each suspect, the coordinate of its first magnitude that would just have been worth a look beside the
+    problem: with the discretisation error under which all hypotheses are compared.
+    nominal: has no term.
+    found: the fitted hypotheses, the last round first and of each round the most probable first; empty where no term
+        is worth a fit.
+    parameters_only_rms: rms residual [signal's unit] of the nominal robot with fitted parameters, less discretisation
+        error, before any term is fitted.
+    predicted_gain: in log evidence, of the best candidate beside the nominal robot [nats].
+    remaining_gain: the same beside the best hypothesis.
+    minimum: of each candidate, the coordinate of its first magnitude that would just have been worth a fit beside the
         best hypothesis.
-    rounds: how it came about.
-    looked_for: names of the effects that were tried anywhere.
+    rounds: how the hypotheses came about.
+    looked_for: names of the effects that were screened anywhere.
     """
 
     problem: Problem
     nominal: Hypothesis
     found: tuple[Hypothesis, ...]
-    unpatched: float
+    parameters_only_rms: float
     predicted_gain: float
-    left: float
+    remaining_gain: float
     minimum: tuple[tuple[Term, float], ...]
     rounds: tuple[Round, ...] = ()
     looked_for: frozenset[str] = frozenset()
 
 
-def nominal_fit(problem: Problem, refined: Sequence[Robot], seed: int, progress=lambda *_: None):
-    """The problem with its numerical floor, and the nominal robot fitted: floor and fit in turns, ever closer."""
-    rng, d = np.random.default_rng(seed), problem.parameters
-    draws = FAR * rng.standard_normal((FAR_DRAWS, d))
+def nominal_fit(
+    problem: Problem, refined: Sequence[Robot], seed: int, progress: Progress = _silent
+) -> tuple[Problem, Hypothesis]:
+    """The problem with its discretisation error, and the nominal robot fitted to it, in turns.
+
+    Args:
+        refined: the robot simulated more accurately.
+        seed: of the samples around the fit.
+        progress: is told the name of each stage.
+    """
+    settings, rng, d = problem.settings.selection, np.random.default_rng(seed), problem.parameters
+    draws = settings.nominal_radius * rng.standard_normal((settings.nominal_replays, d))
     draws[0] = 0.0
     guess = Guess(np.zeros(d))
-    for k, radii in enumerate(RADII):
-        progress("numerical floor and joint fit of the parameters")
+    near, last = settings.nominal_radius_near, settings.nominal_radius_last
+    stages = ((settings.nominal_radius, settings.nominal_radius_second), (near,), (last, last))
+    for k, radii in enumerate(stages):
+        progress("discretisation error and joint fit of the parameters")
         if k > 0:
-            draws = np.clip(guess.x + NEAR[k - 1] * rng.standard_normal((1, d)), -2, 2)
+            reach = settings.nominal_reach
+            draws = np.clip(guess.x + radii[0] * rng.standard_normal((1, d)), -reach, reach)
         points = [(x, ()) for x in draws]
         problem, (fit,) = fitted_under_discretisation(problem, refined, points, [guess], radii, SEEDS * seed + k)
         problem, (fit,) = allowing(problem, fit, [fit])
         guess = Guess(fit.x, jacobian=fit.jacobian)
     if problem.misfit_dominated:
-        (fit,) = iterate_to_convergence(problem, [fit], SEEDS * seed + len(RADII))
+        (fit,) = iterate_to_convergence(problem, [fit], SEEDS * seed + len(stages))
         problem, (fit,) = allowing(problem, fit, [fit])
     return problem, fit
 
 
 def explained(
-    problem: Problem, nominal: Hypothesis, robot: Robot, refined: Sequence[Robot], candidates: Sequence[Term],
-    seed: int, progress=lambda *_: None,
-) -> Explanation:  # fmt: skip
-    """One effect further as long as a lead promises enough.
+    problem: Problem,
+    nominal: Hypothesis,
+    robot: Robot,
+    refined: Sequence[Robot],
+    candidates: Sequence[Term],
+    seed: int,
+    progress: Progress = _silent,
+) -> Explanation:
+    """One term further as long as a candidate's predicted gain is worth a fit.
+
+    A term may only lead the parameters out of a local minimum. Then the search starts again from those parameters, a
+    few times at most (``SelectionSettings.restarts``).
 
     Args:
-        robot: with the time steps of its model, for the responses.
+        nominal: the fit without a term.
+        robot: with the time steps of its model, for screening.
+        refined: the robot simulated more accurately.
+        candidates: the terms that are screened.
+        seed: of the samples around fits.
+        progress: is told the name of each stage.
     """
-    seeds = itertools.count(SEEDS * seed + 10, 10)
-    search = _Search(problem, nominal, robot, refined, candidates, seeds, progress)
-    search.begin()
-    while len(search.rounds) < MOST and search.is_worth_a_round():
-        search.add_one_effect()
-        if search.local_minimum:
-            return explained(search.problem, search.nominal, robot, refined, candidates, seed + 1, progress)
+    settings = problem.settings.selection
+    for restart in itertools.count():
+        seeds = itertools.count(SEEDS * (seed + restart) + _FIRST_SEED, _SEED_STEP)
+        search = _Search(problem, nominal, robot, refined, candidates, seeds, progress)
+        search.begin()
+        while len(search.rounds) < settings.most_terms and search.is_worth_a_round():
+            search.add_one_term()
+            if search.local_minimum and restart < settings.restarts:
+                break
+        else:
+            break
+        problem, nominal = search.problem, search.nominal
     return search.explanation()
 
 
@@ -140,10 +158,10 @@ def explained(
 class _Search:
     """Hypotheses on their way to an explanation.
 
-    best: the most probable one. tried: all that were refitted, the last round first. possible: the suspects that the
-    robot can have besides those of the best; found: their responses; screened: what they promise on top of it, the
-    best of them ``left``. misled: the first effect has only led to parameters that explain as much without it, and
-    those are now the nominal ones.
+    best: the most probable one. tried: all that were fitted, the last round first. possible: the candidates that the
+    robot can have beside the best hypothesis. responses: theirs. screened: their predicted gains, the largest of which
+    is ``remaining_gain``. first: the same beside the nominal robot. local_minimum: the first term has only led to
+    parameters that explain as much without it, and those are now the nominal ones.
     """
 
     problem: Problem
@@ -152,42 +170,52 @@ class _Search:
     refined: Sequence[Robot]
     candidates: Sequence[Term]
     seeds: Iterator[int]
-    progress: Callable
+    progress: Progress
     tried: list[Hypothesis] = field(default_factory=list)
     rounds: list[Round] = field(default_factory=list)
     local_minimum: bool = False
+    best: Hypothesis = field(init=False)
+    possible: Sequence[Term] = field(init=False)
+    responses: list[np.ndarray] = field(init=False)
+    screened: Evidence = field(init=False)
+    first: Evidence = field(init=False)
+    parameters_only_rms: float = field(init=False)
+    predicted_gain: float = field(init=False)
+    remaining_gain: float = field(init=False)
 
     @property
     def worth(self) -> float:
+        """The least predicted gain that is worth a fit [nats]."""
         return _worth(self.problem, self.nominal, self.best)
 
     def begin(self) -> None:
         """The nominal robot, fitted and screened."""
-        lacking = max(LACKING[0], LACKING[1] * self.problem.weight.sum())
-        far = self.problem.misfit(self.nominal.residual) >= lacking
-        self._start(refine=not self.problem.misfit_dominated and not far)
-        if (
-            not self.problem.misfit_dominated and far and self.left < self.worth
-        ):  # no physics promises what seems to be lacking
-            self._start(refine=True)
-        self.first, self.predicted_gain = self.screened, self.left
+        settings, samples = self.problem.settings.selection, self.problem.weight.sum()
+        limit = max(settings.discrepant_misfit, settings.discrepant_misfit_per_sample * samples)
+        discrepant = self.problem.misfit(self.nominal.residual) >= limit
+        self._start(refining=not self.problem.misfit_dominated and not discrepant)
+        # parameters may cause so large a misfit after all, if no term is predicted to explain it
+        if not self.problem.misfit_dominated and discrepant and self.remaining_gain < self.worth:
+            self._start(refining=True)
+        self.first, self.predicted_gain = self.screened, self.remaining_gain
 
-    def _start(self, refine: bool) -> None:
-        if refine:
+    def _start(self, refining: bool) -> None:
+        if refining:
             self.progress("joint fit of the parameters")
             self.problem, (self.nominal,) = _refined_in_turns(self.problem, self.refined, [self.nominal], self.seeds)
-        self.unpatched = self.problem.left(self.nominal.residual)
+        self.parameters_only_rms = self.problem.left(self.nominal.residual)
         self.best, self.possible = self.nominal, self.candidates
         self._screen()
 
     def is_worth_a_round(self) -> bool:
-        if self.rounds and not self.problem.misfit_dominated and self.left >= self.worth:
+        """Whether the predicted gain of one more term is worth a fit."""
+        if self.rounds and not self.problem.misfit_dominated and self.remaining_gain >= self.worth:
             self.possible = _compatible(self.robot, self.best, self.candidates)
             self._screen()  # anew, where the best hypothesis is
-        return self.left >= self.worth
+        return self.remaining_gain >= self.worth
 
-    def add_one_effect(self) -> None:
-        """One round: fit the leads, compare them with what there was, and see what is left."""
+    def add_one_term(self) -> None:
+        """One round: fit the best candidates, compare them with earlier hypotheses, and screen beside the best."""
         base, offered, number = self.best, singles(self.screened), len(self.rounds) + 1
         self.progress(f"refits with {number} effect{'s' * (number > 1)}")
         new = self._fitted(offered)
@@ -196,9 +224,9 @@ class _Search:
         else:
             self._keep(new)
         self.best = self.tried[0]
-        self._judge()
+        self._predict_gains()
         self.rounds.append(_round(self.problem, base, offered, self.tried[: len(new)]))
-        self.nominal = _again(self.problem, self.nominal)
+        self.nominal = _under_present_error(self.problem, self.nominal)
         without = without_one(self.problem, self.best, self.nominal, next(self.seeds))
         others = without if number > 1 else []
         known = {laws(h) for h in self.tried}
@@ -206,31 +234,39 @@ class _Search:
         self.tried[1:1] = others
         if number == 1:
             before, self.nominal = self.nominal, min(self.nominal, *without, key=lambda h: h.cost)
-            gained = before.cost - self.nominal.cost
-            self.local_minimum = (
-                not self.problem.misfit_dominated and gained > WORTH > self.nominal.cost - self.best.cost
-            )
+            by_parameters, by_term = before.cost - self.nominal.cost, self.nominal.cost - self.best.cost
+            least = self.problem.settings.selection.least_gain
+            self.local_minimum = not self.problem.misfit_dominated and by_parameters > least > by_term
 
     def explanation(self) -> Explanation:
-        minimum, found = self.screened.detectable(self.worth), tuple(_cheapest(self.tried))
-        return Explanation(self.problem, self.nominal, found, self.unpatched, self.predicted_gain, self.left, minimum,
-                           tuple(self.rounds), frozenset(one.name for one in self.candidates))  # fmt: skip
+        """The hypotheses so far."""
+        return Explanation(
+            self.problem,
+            self.nominal,
+            tuple(_cheapest(self.tried)),
+            self.parameters_only_rms,
+            self.predicted_gain,
+            self.remaining_gain,
+            self.screened.detectable(self.worth),
+            tuple(self.rounds),
+            frozenset(term.name for term in self.candidates),
+        )
 
-    def _screen(self):
+    def _screen(self) -> None:
         self.progress("screening")
-        self.found = responses(self.problem, self.best, self.possible, self.robot)
-        self._judge()
+        self.responses = responses(self.problem, self.best, self.possible, self.robot)
+        self._predict_gains()
 
-    def _judge(self):
-        self.screened = evidence(self.problem, self.best, self.possible, self.found)
-        self.left = singles(self.screened)[0].gain
+    def _predict_gains(self) -> None:
+        self.screened = evidence(self.problem, self.best, self.possible, self.responses)
+        self.remaining_gain = singles(self.screened)[0].gain
 
-    def _fitted(self, offered) -> list[Hypothesis]:
-        """Hypotheses of the best leads, the most probable first."""
-        screened_candidates = _screened_candidates(self.problem, self.screened, offered)
+    def _fitted(self, offered: Sequence[ScreenedCandidate]) -> list[Hypothesis]:
+        """Hypotheses of the best candidates, the most probable first."""
+        guesses = _guesses(self.problem, self.screened, offered)
         if len(self.rounds) == 1 and not self.problem.misfit_dominated:
-            screened_candidates += _screened_candidates(self.problem, self.first, pairs(self.first))
-        new = refitted(self.problem, screened_candidates, self.screened, next(self.seeds))
+            guesses += _guesses(self.problem, self.first, pairs(self.first))
+        new = refitted(self.problem, guesses, self.screened, next(self.seeds))
         if self.rounds:
             new += revisit_rivals(self.problem, new[0], self.tried, next(self.seeds))
         if self.problem.misfit_dominated:
@@ -240,99 +276,123 @@ class _Search:
         self.problem, new = _with_own_discretisation(self.problem, self.refined, new, next(self.seeds))
         return sorted(new, key=lambda h: -h.log_evidence(self.problem))
 
-    def _keep(self, new) -> None:
+    def _keep(self, new: list[Hypothesis]) -> None:
+        """The new hypotheses before the others, refined; and the candidates that are possible beside the best one."""
         self.problem, new = _refined_in_turns(self.problem, self.refined, new, self.seeds)
-        self.tried = [_again(self.problem, h) for h in new + self.tried]
+        self.tried = [_under_present_error(self.problem, h) for h in new + self.tried]
         allowed = _compatible(self.robot, self.tried[0], self.possible)
-        self.found = [rows for c, rows in zip(self.possible, self.found, strict=True) if c in allowed]
+        kept = zip(self.possible, self.responses, strict=True)
+        self.responses = [response for term, response in kept if term in allowed]
         self.possible = allowed
 
-    def _keep_misfit_dominated(self, new) -> None:
+    def _keep_misfit_dominated(self, new: list[Hypothesis]) -> None:
         """The same where the best hypothesis says how large the noise is; the nominal robot is compared under it."""
         others = [self.nominal, *new, *self.tried]
         self.problem, (self.nominal, *self.tried) = allowing(self.problem, new[0], others)
         self.possible = _compatible(self.robot, self.tried[0], self.candidates)
-        self.found = responses(self.problem, self.tried[0], self.possible, self.robot)
+        self.responses = responses(self.problem, self.tried[0], self.possible, self.robot)
 
 
-def _cheapest(hypotheses):
-    """Those with the same suspects once, in the place of the first and as the one that fits best."""
-    best = {}
+def _cheapest(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Those with the same terms once: at the position of the first, as the one with the least cost."""
+    best: dict[Laws, Hypothesis] = {}
     for h in sorted(hypotheses, key=lambda h: h.cost):
         best.setdefault(laws(h), h)
     return [best[laws(h)] for h in unique(hypotheses)]
 
 
-def _round(problem, base, offered, fitted) -> Round:
-    predicted_gain = tuple(
-        (screened_candidate.terms[-1], screened_candidate.gain) for screened_candidate in offered[:LEADS]
+def _round(
+    problem: Problem, base: Hypothesis, offered: Sequence[ScreenedCandidate], fitted: Sequence[Hypothesis]
+) -> Round:
+    """What is told of a round that began at ``base``."""
+    best = offered[: problem.settings.selection.candidates]
+    return Round(
+        base.terms,
+        tuple((candidate.terms[-1], candidate.gain) for candidate in best),
+        tuple((h.terms, problem.misfit(h.residual)) for h in fitted),
     )
-    return Round(base.terms, predicted_gain, tuple((h.terms, problem.misfit(h.residual)) for h in fitted))
 
 
-def _refined_in_turns(problem, refined, hypotheses, seeds):
-    """Fit and numerical floor in turns, as long as the best hypothesis, which comes first, leaves more than nulls and
-    that helps: at first of its rivals too, which may only have farther to go, and then of the best."""
-    for k in range(REFINEMENTS):
+def _refined_in_turns(
+    problem: Problem, refined: Sequence[Robot], hypotheses: list[Hypothesis], seeds: Iterator[int]
+) -> tuple[Problem, list[Hypothesis]]:
+    """Fit and discretisation error in turns, as long as the misfit is larger than that of healthy cases and falls.
+
+    The best hypothesis comes first. The first turn is of its rivals too, which may only have farther to go. It samples
+    as widely as the nominal fit, as parameters that have absorbed an effect may be far from where they belong.
+    """
+    settings = problem.settings.selection
+    for turn in range(settings.refinements):
         before = problem.misfit(hypotheses[0].residual)
-        if before < CLEAN:
+        if before < settings.healthy_misfit:
             break
-        wide = k == 0 and len(hypotheses[0].terms) > 0
-        some = sum(problem.misfit(h.residual) < RIVAL * before for h in hypotheses[:DISCRETISATIONS]) if wide else 1
-        better = refine(problem, hypotheses[:some], WIDE if wide else NARROW, next(seeds))
+        count, radii = 1, move_radii(settings)
+        wide = turn == 0 and len(hypotheses[0].terms) > 0
+        if wide:
+            limit = settings.rival_misfit * before
+            count = sum(problem.misfit(h.residual) < limit for h in hypotheses[: settings.discretisations])
+            radii = settings.nominal_radius, settings.nominal_radius_near
+        better = refine(problem, hypotheses[:count], radii, next(seeds))
         problem, better = _with_own_discretisation(problem, refined, better, next(seeds))
-        rest = [_again(problem, h) for h in hypotheses[some:]]
+        rest = [_under_present_error(problem, h) for h in hypotheses[count:]]
         hypotheses = sorted([*better, *rest], key=lambda h: -h.log_evidence(problem))
-        if not wide and problem.misfit(hypotheses[0].residual) > (1.0 - ENOUGH) * before:
+        if not wide and problem.misfit(hypotheses[0].residual) > (1.0 - settings.refinement_gain) * before:
             break
     return problem, hypotheses
 
 
-def _compatible(robot, hypothesis, candidates):
-    """The candidates that the robot can have besides the effects of a hypothesis."""
+def _compatible(robot: Robot, hypothesis: Hypothesis, candidates: Sequence[Term]) -> list[Term]:
+    """The candidates that the robot can have beside the effects of a hypothesis."""
     effects = hypothesis.effects(len(robot.priors))
-    return [c for c in candidates if robot.accepts([*effects, typical(c)])]
+    return [term for term in candidates if robot.accepts([*effects, typical(term)])]
 
 
-def _screened_candidates(problem, screened, screened_candidates):
-    """Where to begin the fits of the best leads, and of the twins of the first: what is promised comes of slopes, of
-    which one law may have steeper ones than another that fits better."""
-    best = [
-        screened_candidate
-        for screened_candidate in distinct(screened_candidates, LEADS, problem.robot)
-        if screened_candidate.gain > LEAST_SHARE_OF_GAIN * screened_candidates[0].gain
-    ]
-    taken = {screened_candidate.chosen for screened_candidate in best}
+def _guesses(problem: Problem, screened: Evidence, offered: Sequence[ScreenedCandidate]) -> list[Guess]:
+    """Where to begin the fits of the best candidates, and of those that look like the very best.
+
+    Predicted gains are linear: one law may be predicted to gain more than another one that fits better.
+    """
+    settings = problem.settings.selection
+    limit = settings.least_share_of_gain * offered[0].gain if offered else 0.0
+    best = [candidate for candidate in distinct(offered, problem.robot, settings) if candidate.gain > limit]
+    taken = {candidate.chosen for candidate in best}
     others = [
-        screened_candidate
-        for screened_candidate in screened_candidates
-        if best
-        and indistinguishable(problem.robot, screened_candidate, best[0])
-        and screened_candidate.chosen not in taken
+        candidate
+        for candidate in offered
+        if best and indistinguishable(problem.robot, candidate, best[0]) and candidate.chosen not in taken
     ]
-    best += [screened_candidate for screened_candidate in others if problem.robot.accepts(screened_candidate.effects)]
-    return [screened.guess(screened_candidate) for screened_candidate in best]
+    best += [candidate for candidate in others if problem.robot.accepts(candidate.effects)]
+    return [screened.guess(candidate) for candidate in best]
 
 
-def _worth(problem, nominal, best):
-    """What one more effect has to promise."""
-    left, all_of_it = (problem.misfit(h.residual) for h in (best, nominal))
-    if problem.misfit_dominated:  # then all that is left is taken for noise
-        return max(WORTH_SHARE * 0.5 * float(problem.weight.sum()), LAW_SHARE * (all_of_it - left))
-    return max(WORTH, WORTH_SHARE * left, LAW_SHARE * (all_of_it - left))
+def _worth(problem: Problem, nominal: Hypothesis, best: Hypothesis) -> float:
+    """The least predicted gain of one more term beside the best hypothesis that is worth a fit [nats]."""
+    settings = problem.settings.selection
+    remaining, of_nominal = (problem.misfit(h.residual) for h in (best, nominal))
+    of_explained = settings.least_gain_of_explained * (of_nominal - remaining)
+    if problem.misfit_dominated:  # then the whole residual counts as noise
+        return max(settings.least_gain_of_misfit * 0.5 * float(problem.weight.sum()), of_explained)
+    return max(settings.least_gain, settings.least_gain_of_misfit * remaining, of_explained)
 
 
-def _with_own_discretisation(problem, refined, hypotheses, seed):
-    """Numerical error with the effects of the hypotheses, under which they are fitted once more. It is the same for
-    laws of one class at one place."""
-    points: dict[tuple, tuple] = {}
+def _with_own_discretisation(
+    problem: Problem, refined: Sequence[Robot], hypotheses: Sequence[Hypothesis], seed: int
+) -> tuple[Problem, list[Hypothesis]]:
+    """The problem with the discretisation error of the hypotheses too, and these fitted once more under it.
+
+    Laws of one class at one location have the same error.
+    """
+    settings = problem.settings.selection
+    points: dict[tuple[tuple[str, Location], ...], tuple[np.ndarray, tuple[Term, ...]]] = {}
     for h in hypotheses:
-        points.setdefault(tuple((CATEGORIES[s.name], s.location) for s in h.terms), (h.x, h.terms))
-    chosen, guesses = list(points.values())[:DISCRETISATIONS], [Guess(h.x, h.terms, h.jacobian) for h in hypotheses]
-    problem, again = fitted_under_discretisation(problem, refined, chosen, guesses, (LAST,), seed)
-    before = [_again(problem, h) for h in hypotheses]
+        points.setdefault(tuple((CATEGORIES[term.name], term.location) for term in h.terms), (h.x, h.terms))
+    chosen = list(points.values())[: settings.discretisations]
+    guesses = [Guess(h.x, h.terms, h.jacobian) for h in hypotheses]
+    problem, again = fitted_under_discretisation(problem, refined, chosen, guesses, (settings.fit_radius_last,), seed)
+    before = [_under_present_error(problem, h) for h in hypotheses]
     return problem, [min(pair, key=lambda h: h.cost) for pair in zip(before, again, strict=True)]
 
 
-def _again(problem, hypothesis):
+def _under_present_error(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+    """The hypothesis with its cost under the discretisation error that the problem has now."""
     return replace(hypothesis, cost=problem.cost(hypothesis.residual, hypothesis.x))

@@ -1,12 +1,11 @@
-"""Compare: which hypothesis, how probable, and whether it holds on recordings that it was not fitted to.
+"""Which hypothesis, how probable, and whether it holds on recordings that it was not fitted to.
 
-Evidence is a sum over thousands of samples, and a simulation is never right to the last of them: taken at its word it
-would call everything certain. It is tempered by what the best hypothesis leaves unexplained (``TEMPER``), which is how
-wrong the models are at any rate. The constants are from development sets and from final sets that are open.
+Log evidence is a sum over thousands of samples, and no simulation is right to the last of them. Taken at its word it
+would call everything certain. So it is divided by a temperature (a power posterior: Friel, Pettitt, "Marginal
+likelihood estimation via power posteriors", 2008), which grows with the misfit that the best hypothesis leaves.
 """
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -15,37 +14,18 @@ from scipy.special import expit
 
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Problem
-from soro_bench.diagnosis.selection.forward_selection import WORTH, Explanation
-
-# evidence that the best lead promises where nothing is missing (40 cases: at most 85, but for one whose nominal fit had
-# not found its parameters), with some to spare: a Gumbel distribution
-GUMBEL_LOCATION, GUMBEL_SCALE = 60.0, 60.0
-EFFECT, UNKNOWNS = 100.0, 50.0  # nats that a rugged fit gains by chance from one more effect, from each unknown of it
-# of what is explained, by which each unknown of an effect has to improve on laws with fewer: what a law has not quite
-# right, one that contains it can always take up (up to 0.9 per cent by two more; 2 to 8 where they are real:
-# docs/archive/diagnosis_development.md)
-SPARE = 0.006
-TEMPERATURE = (100.0, 0.1)  # nats, and share of the excess
-# share of the excess left where the physics is as likely unknown as not, width, and what nulls leave of what was fitted
-# (nats per sample, 0.02 to 0.06 but for two of 160)
-UNKNOWN = (0.25, 0.06, 0.066)
-# evidence that one more effect still promises where the physics is as likely unknown as not: nats, and share of what is
-# explained, as no law is right to the last per mille; and the width in its logarithm. Right laws leave a promise of a
-# third of that and two thirds at most (55 cases), nameless physics beyond the limit above 0.7 to 8 times as much.
-STILL = (500.0, 0.006, 0.2)
-BLUNDER = 0.03  # of answers that seem certain, how many are wrong all the same (5 of 111)
-# what is left without any effect and still there LAG later [s], as noise is not: its variance, in units of that of the
-# rest, at which something is missing as likely as nothing, whatever promises to explain it; the same of few samples,
-# in standard deviations; and the power with which more gets rarer (docs/archive/diagnosis_development.md). No sample
-# counts more than FAR standard deviations of the noise, as it may be an outlier that has not been recognised
-SLOW, FEW, POWER, LAG, FAR = 0.12, 5.0, 5.0, 0.15, 4.0
-COMPARED = 6  # hypotheses that are simulated on held-out recordings
+from soro_bench.diagnosis.selection.forward_selection import Explanation
+from soro_bench.diagnosis.settings import DEFAULT, ProbabilitySettings, Settings
+from soro_bench.effects.effect import Location
 
 
 @dataclass(frozen=True)
 class Fit:
-    """How a hypothesis fits recordings, before and after: rms of a coordinate [signal's unit], numerical error taken
-    off; and the noise."""
+    """How a hypothesis fits recordings.
+
+    before, after: rms residual of a coordinate [signal's unit] without and with its terms, less discretisation error.
+    noise: of the sensor [signal's unit].
+    """
 
     before: float
     after: float
@@ -62,9 +42,10 @@ class Fit:
 class Answer:
     """A hypothesis and how probable it is.
 
-    evidence: natural logarithm, of all recordings, less what its effects gain by chance and by what no law has quite
-        right, but for a common constant.
-    heldout: None where no recording is held out. excess: what is left of all recordings over white noise [nats].
+    evidence: natural logarithm, of all recordings, but for a common constant; less what its terms gain by chance and
+        what they take up of other laws' errors.
+    train: its fit of the recordings that it was fitted to. heldout: of others; None where there are none.
+    misfit: above white noise, of all recordings [nats].
     """
 
     hypothesis: Hypothesis
@@ -76,15 +57,17 @@ class Answer:
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(s.name for s in self.hypothesis.terms)
+        """Of its terms."""
+        return tuple(term.name for term in self.hypothesis.terms)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Answers, the most probable first, the nominal robot among them; and the probability that it is none of them.
+    """Answers, the most probable first, the nominal robot among them.
 
-    p_value: of the least probable of what is promised and what is left where nothing is missing; None where more is
-        taken for noise than the sensor's, as nobody has counted false alarms there.
+    unknown: probability that none of them is right, as the discrepancy is outside the catalogue.
+    p_value: of a healthy robot, for the largest predicted gain and for slow residuals, the smaller one; None where the
+        misfit dominates, as nobody has counted false alarms there.
     """
 
     answers: tuple[Answer, ...]
@@ -93,8 +76,8 @@ class Comparison:
 
     @property
     def likeliest(self) -> float:
-        """The probability of the likeliest effect at a place, whatever comes with it."""
-        return max(self._chances().values(), default=0.0)
+        """The probability of the likeliest term, whatever comes with it."""
+        return max(self._probabilities().values(), default=0.0)
 
     @property
     def nothing(self) -> float:
@@ -103,17 +86,17 @@ class Comparison:
 
     @property
     def detected(self) -> bool:
-        """Whether something is missing: whether nothing else is likelier."""
+        """Whether a discrepancy is likelier than none."""
         return max(self.likeliest, self.unknown) > self.nothing
 
     @property
     def best(self) -> Answer:
-        """The most probable answer; where something is missing, of those that have its likeliest effect."""
-        chances = self._chances()
-        if not self.detected or not chances:
+        """The most probable answer; where a discrepancy is detected, of those with the likeliest term."""
+        probabilities = self._probabilities()
+        if not self.detected or not probabilities:
             return self.answers[0]
-        likeliest = max(chances, key=chances.get)
-        return next(a for a in self.answers if likeliest in [(s.name, s.location) for s in a.hypothesis.terms])
+        likeliest = max(probabilities, key=lambda term: probabilities[term])
+        return next(a for a in self.answers if likeliest in [(t.name, t.location) for t in a.hypothesis.terms])
 
     @property
     def ranked(self) -> tuple[Answer, ...]:
@@ -121,132 +104,174 @@ class Comparison:
         best = self.best
         return (best, *(answer for answer in self.answers if answer is not best))
 
-    def _chances(self) -> Counter:
-        chances = Counter()
+    def _probabilities(self) -> dict[tuple[str, Location], float]:
+        """Of each law at a location, summed over the answers that have it."""
+        probabilities: dict[tuple[str, Location], float] = {}
         for answer in self.answers:
             for term in answer.hypothesis.terms:
-                chances[term.name, term.location] += answer.probability
-        return chances
+                key = term.name, term.location
+                probabilities[key] = probabilities.get(key, 0) + answer.probability
+        return probabilities
 
 
-def p_value(gain: float) -> float:
-    """Probability that one more effect gains so much evidence where nothing is missing."""
-    return float(-np.expm1(-np.exp(-(gain - GUMBEL_LOCATION) / GUMBEL_SCALE)))
+def p_value(gain: float, settings: ProbabilitySettings = DEFAULT.probabilities) -> float:
+    """Probability that one more term is predicted to gain so much where nothing is missing: a Gumbel distribution.
+
+    Args:
+        gain: log evidence [nats].
+    """
+    return float(-np.expm1(-np.exp(-(gain - settings.gumbel_location) / settings.gumbel_scale)))
 
 
-ALPHA = p_value(WORTH)  # of the least that is worth a fit: with it, nothing missing is as likely as something
+def alpha(settings: Settings = DEFAULT) -> float:
+    """The p-value at which a discrepancy is as likely as none: that of the least gain that is worth a fit."""
+    return p_value(settings.selection.least_gain, settings.probabilities)
 
 
-def p_left(slow: float, pairs: float) -> float:
-    """Probability that nothing is missing and the variance of what is left and slow is as large, of pairs of samples;
-    in units of that of the rest."""
-    limit = max(SLOW, FEW / math.sqrt(max(pairs, 1.0)))
-    return min(1.0, ALPHA * (limit / slow) ** POWER) if slow > 0 else 1.0
+def p_slow(slow: float, pairs: float, settings: Settings = DEFAULT) -> float:
+    """Probability that a healthy robot leaves so much slow variance.
+
+    Args:
+        slow: variance of the slow residual, in units of that of the fast one.
+        pairs: number of pairs of samples that it is estimated from.
+    """
+    group = settings.probabilities
+    limit = max(group.slow_variance, group.slow_deviations / math.sqrt(max(pairs, 1.0)))
+    return min(1.0, alpha(settings) * (limit / slow) ** group.slow_power) if slow > 0 else 1.0
 
 
-def slowness(left: Sequence[tuple[Problem, np.ndarray]]) -> tuple[float, float]:
-    """Of residuals (M,) of problems: the variance of what is still there ``LAG`` later, in units of that of the rest;
-    and the number of pairs of samples that say so."""
-    squares, count, products, pairs = np.sum([_products(*each) for each in left], axis=0)
+def slow_variance(residuals: Sequence[tuple[Problem, np.ndarray]]) -> tuple[float, float]:
+    """The variance of slow residuals, in units of that of fast ones, and the number of pairs of samples behind it.
+
+    Slow is what is still there after a lag (``ProbabilitySettings.slow_lag``), as white noise is not.
+
+    Args:
+        residuals: problems, and a residual (M,) of each.
+    """
+    squares, count, products, pairs = np.sum([_products(*each) for each in residuals], axis=0)
     slow = products / max(pairs, 1.0)
     return slow / max(squares / max(count, 1.0) - slow, 1e-9), pairs
 
 
-def _products(problem, residual):
-    """Sums of squares and of products with what is ``LAG`` later, of what the numerical floor does not explain; each
-    with its number."""
-    near, found = np.clip(problem.discretisation.without(residual), -FAR, FAR), np.zeros(4)
+def _products(problem: Problem, residual: np.ndarray) -> np.ndarray:
+    """(4,) of a residual less discretisation error: sum of squares, their number, sum of products with the residual a
+    lag later, and their number."""
+    settings = problem.settings.probabilities
+    largest, sums = settings.largest_sample, np.zeros(4)
+    near = np.clip(problem.discretisation.without(residual), -largest, largest)
     parts = zip(problem.split(near), problem.split(problem.weight), problem.recordings, strict=True)
-    for part, weight, each in parts:
+    for part, weight, recording in parts:
         sampled = weight.any(axis=(1, 2))
-        part, weight, time = part[sampled], weight[sampled], each.time[sampled]
-        lag = math.ceil(LAG / float(np.median(np.diff(time))) - 1e-6)
+        part, weight, time = part[sampled], weight[sampled], recording.time[sampled]
+        lag = math.ceil(settings.slow_lag / float(np.median(np.diff(time))) - 1e-6)
         later = (part[lag:] * part[:-lag]).sum(), (weight[lag:] * weight[:-lag]).sum()
-        found += [(part**2).sum(), weight.sum(), *later]
-    return found
+        sums += [(part**2).sum(), weight.sum(), *later]
+    return sums
 
 
-def temperature(misfit: float) -> float:
-    """By which evidence is divided where the best hypothesis leaves that excess."""
-    return TEMPERATURE[0] + TEMPERATURE[1] * max(misfit, 0.0)
+def temperature(misfit: float, settings: ProbabilitySettings = DEFAULT.probabilities) -> float:
+    """By which log evidence is divided where the best hypothesis leaves that misfit [nats]."""
+    return settings.temperature + settings.temperature_of_misfit * max(misfit, 0.0)
 
 
-def shortlist(found: Explanation) -> list[Hypothesis]:
+def shortlist(explanation: Explanation) -> list[Hypothesis]:
     """The hypotheses that are compared: the nominal robot, and of the others those with most evidence."""
-    problem, hypotheses = found.problem, [found.nominal, *found.found]
-    scores = _evidence(problem, hypotheses) - _spare(hypotheses, [problem.misfit(h.residual) for h in hypotheses])
-    order = np.argsort(-scores[1:], kind="stable")[:COMPARED]
-    return [found.nominal, *(found.found[i] for i in order)]
+    problem, hypotheses = explanation.problem, [explanation.nominal, *explanation.found]
+    misfits = [problem.misfit(h.residual) for h in hypotheses]
+    scores = _evidence(problem, hypotheses) - _of_law_errors(problem, hypotheses, misfits)
+    order = np.argsort(-scores[1:], kind="stable")[: problem.settings.probabilities.compared]
+    return [explanation.nominal, *(explanation.found[i] for i in order)]
 
 
-def compared(found: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> Comparison:
+def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> Comparison:
     """Probabilities of the hypotheses of an explanation, and their fits.
 
     Args:
         heldout: the problem of the held-out recordings, and its residuals (H, M) under the short list.
     """
-    problem, hypotheses = found.problem, shortlist(found)
+    problem, hypotheses = explanation.problem, shortlist(explanation)
+    settings = problem.settings
     scores = _evidence(problem, hypotheses)
-    # what was promised, and where the simulation was too far off for a promise, what has been gained
-    chance = p_value(max(found.predicted_gain, *(scores - scores[0])))
-    train, unexplained = [problem.left(h.residual) for h in hypotheses], [(problem, hypotheses[0].residual)]
-    tested, left = [None] * len(hypotheses), [problem.misfit(h.residual) for h in hypotheses]
+    # the predicted gain, and where the simulation was too far off for a prediction, what has been gained
+    p = p_value(max(explanation.predicted_gain, *(scores - scores[0])), settings.probabilities)
+    train, of_nominal = [problem.left(h.residual) for h in hypotheses], [(problem, hypotheses[0].residual)]
+    misfits = [problem.misfit(h.residual) for h in hypotheses]
+    tested: list[Fit | None] = [None] * len(hypotheses)
     if heldout is not None:
         unfitted, residuals = heldout
-        misfit = [unfitted.misfit(row) for row in residuals]
-        scores, left = scores - misfit, [a + b for a, b in zip(left, misfit, strict=True)]
-        tested = [unfitted.left(row) for row in residuals]
-        unexplained.append((unfitted, residuals[0]))
-    # where much more is left than the sensor's noise something is missing, whether or not a law explains it
-    chance = 0.0 if problem.misfit_dominated else min(chance, p_left(*slowness(unexplained)))
-    nothing = chance / (chance + ALPHA)
-    scores = scores - _spare(hypotheses, left)
-    chances = _chances(scores, nothing, min(left))
-    answers = [
-        Answer(h, p, e, Fit(train[0], a, problem.sensor), None if b is None else Fit(tested[0], b, problem.sensor), c)
-        for h, p, e, a, b, c in zip(hypotheses, chances, scores.tolist(), train, tested, left, strict=True)
-    ]
-    unknown = float(np.clip((1.0 - nothing) * _unknown(problem, hypotheses, found.left), BLUNDER, 1.0 - BLUNDER))
+        unfitted_misfits = [unfitted.misfit(row) for row in residuals]
+        scores, misfits = scores - unfitted_misfits, [a + b for a, b in zip(misfits, unfitted_misfits, strict=True)]
+        rms = [unfitted.left(row) for row in residuals]
+        tested = [Fit(rms[0], after, problem.sensor) for after in rms]
+        of_nominal.append((unfitted, residuals[0]))
+    # where the misfit is far above the sensor's noise something is missing, whether or not a law explains it
+    p = 0.0 if problem.misfit_dominated else min(p, p_slow(*slow_variance(of_nominal), settings))
+    nothing = p / (p + alpha(settings))
+    scores = scores - _of_law_errors(problem, hypotheses, misfits)
+    probabilities = _probabilities(scores, nothing, temperature(min(misfits), settings.probabilities))
+    mistaken = settings.probabilities.wrong_when_certain
+    unknown = (1.0 - nothing) * _probability_of_unknown(problem, hypotheses, explanation.remaining_gain)
+    unknown = float(np.clip(unknown, mistaken, 1.0 - mistaken))
+    fits = [Fit(train[0], after, problem.sensor) for after in train]
+    rows = zip(hypotheses, probabilities, scores.tolist(), fits, tested, misfits, strict=True)
+    answers = [Answer(h, chance, *rest) for h, chance, *rest in rows]
     answers = [replace(a, probability=a.probability * (1.0 - unknown)) for a in answers]
     ranked = tuple(sorted(answers, key=lambda a: -a.probability))
-    return Comparison(ranked, unknown, None if problem.misfit_dominated else chance)
+    return Comparison(ranked, unknown, None if problem.misfit_dominated else p)
 
 
-def _evidence(problem, hypotheses) -> np.ndarray:
-    """(H,) of what they were fitted to, less what their effects gain by chance."""
-    chance = [EFFECT * len(h.terms) + UNKNOWNS * _unknowns(h) for h in hypotheses]
-    return np.array([h.log_evidence(problem) for h in hypotheses]) - chance
+def _evidence(problem: Problem, hypotheses: Sequence[Hypothesis]) -> np.ndarray:
+    """(H,) of the recordings that they were fitted to, less what their terms gain by chance."""
+    settings = problem.settings.probabilities
+    by_chance = [settings.gain_of_term * len(h.terms) + settings.gain_of_unknown * _unknowns(h) for h in hypotheses]
+    return np.array([h.log_evidence(problem) for h in hypotheses]) - by_chance
 
 
-def _spare(hypotheses, left) -> np.ndarray:
-    """(H,) what a law that is not quite right leaves for others with more unknowns, where hypotheses, the nominal robot
-    first, leave ``left``."""
-    return SPARE * (left[0] - min(left)) * np.array([_unknowns(h) for h in hypotheses])
+def _of_law_errors(problem: Problem, hypotheses: Sequence[Hypothesis], misfits: Sequence[float]) -> np.ndarray:
+    """(H,) log evidence that terms gain as other laws are not quite right, by the number of their unknowns.
+
+    Args:
+        hypotheses: the nominal robot first.
+        misfits: of each [nats].
+    """
+    explained = misfits[0] - min(misfits)
+    return problem.settings.probabilities.law_error * explained * np.array([_unknowns(h) for h in hypotheses])
 
 
-def _unknowns(hypothesis) -> int:
+def _unknowns(hypothesis: Hypothesis) -> int:
+    """How many its terms have."""
     return sum(term.size for term in hypothesis.terms)
 
 
-def _chances(scores, nothing, misfit):
-    """Tempered probabilities; the first is that of nothing missing, which what is promised decides."""
+def _probabilities(scores: np.ndarray, nothing: float, temperature: float) -> np.ndarray:
+    """(H,) from log evidence (H,); the first is that of nothing missing, which is known."""
     if len(scores) == 1:
         return np.ones(1)
-    tempered = scores[1:] / temperature(misfit)
+    tempered = scores[1:] / temperature
     others = np.exp(tempered - tempered.max())
     return np.concatenate([[nothing], (1.0 - nothing) * others / others.sum()])
 
 
-def _unknown(problem, hypotheses, predicted_gain) -> float:
-    """Probability that the physics has no name: of what the nominal robot leaves, the first, all leave much; or one
-    more effect, on top of the best of all, still promises more than where the laws are right."""
+def _probability_of_unknown(problem: Problem, hypotheses: Sequence[Hypothesis], remaining_gain: float) -> float:
+    """Probability that a discrepancy is outside the catalogue.
+
+    Then all hypotheses leave a large share of the nominal robot's misfit; or one more term beside the best of them is
+    predicted to gain more than where the laws are right.
+
+    Args:
+        hypotheses: the nominal robot first.
+        remaining_gain: predicted for one more term [nats].
+    """
     if len(hypotheses) == 1:
-        return 1.0  # if anything is missing: nothing promised to explain enough of it to be tried
-    samples, more = float(problem.weight.sum()), (problem.sigma / problem.sensor) ** 2
-    left = [0.5 * ((2.0 * problem.misfit(h.residual) + samples) * more - samples) for h in hypotheses]
-    share, width, least = UNKNOWN[0], UNKNOWN[1], UNKNOWN[2] * samples
-    named = expit((share - (min(left) - least) / max(left[0] - least, 1.0)) / width)
-    if not problem.misfit_dominated:  # where all that is left is taken for noise, promises are small
-        explained = problem.misfit(hypotheses[0].residual) - min(problem.misfit(h.residual) for h in hypotheses)
-        named *= expit(math.log((STILL[0] + STILL[1] * explained) / max(predicted_gain, 1.0)) / STILL[2])
-    return 1.0 - float(named)
+        return 1.0  # if anything is missing: no term was worth a fit
+    settings = problem.settings.probabilities
+    misfits = [problem.misfit(h.residual) for h in hypotheses]
+    samples, larger = float(problem.weight.sum()), (problem.sigma / problem.sensor) ** 2
+    above_sensor = [0.5 * ((2.0 * misfit + samples) * larger - samples) for misfit in misfits]
+    healthy = settings.healthy_misfit_per_sample * samples
+    share = (min(above_sensor) - healthy) / max(above_sensor[0] - healthy, 1.0)
+    known = expit((settings.unknown_share - share) / settings.unknown_share_width)
+    if not problem.misfit_dominated:  # where the whole residual counts as noise, predicted gains are small
+        limit = settings.unknown_gain + settings.unknown_gain_of_explained * (misfits[0] - min(misfits))
+        known *= expit(math.log(limit / max(remaining_gain, 1.0)) / settings.unknown_gain_width)
+    return 1.0 - float(known)

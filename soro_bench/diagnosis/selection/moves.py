@@ -1,8 +1,13 @@
-"""Refits: leads become hypotheses, fitted together with all parameters; those that fall behind are dropped."""
+"""Moves: screened candidates become hypotheses, fitted together with all parameters; weak ones are dropped.
+
+A fit may end in a local minimum. The moves begin it again from elsewhere: from a neighbouring location, from a rival's
+or a nested model's parameters, with a simpler law, without one of the terms, or with another delay.
+"""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -12,290 +17,363 @@ from soro_bench.diagnosis.estimation.gauss_newton import descended
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate
+from soro_bench.diagnosis.settings import SelectionSettings
 from soro_bench.effects.catalogue import CATEGORIES
+from soro_bench.effects.effect import Location
 
-SCALE, KEPT = 0.15, 3  # of the cloud, and how many hypotheses remain
-_SIZES = (0.1, 0.3, 1.0, 3.0, 10.0)  # shares of typical magnitudes at which plainer laws are tried
-_TRIED, _LENGTHS = 4, (0.5, 1.0)  # how many leads are fitted, and shares of their magnitudes at which all are tried
-_LITTLE = 0.1  # of magnitudes: nearly none, but not so little that slopes vanish
-_REFINE = (0.3, 0.1)  # radii
-_ROUNDS, _HELPS = 5, 0.1  # of fits that go on, at most, and the share of the cost by which one has to help
-_PER_NAME = 2  # leads that differ in their places only
-RIVAL = 2.0  # a hypothesis that leaves less than so many times what the best one leaves
-CLEAN = 1000.0  # nats, the excess below which nothing has to be better: nulls leave as much
+Laws = frozenset[tuple[str, Location]]  # of a hypothesis
+WithTerms = TypeVar("WithTerms", Guess, Hypothesis)
 
 
-def distinct(screened_candidates: Sequence[ScreenedCandidate], count: int, robot: Robot) -> list[ScreenedCandidate]:
-    """The first ``count`` leads that the robot can have, of which at most two have the same names."""
-    chosen, seen = [], Counter()
-    for screened_candidate in screened_candidates:
-        if len(chosen) == count:
+def distinct(
+    candidates: Sequence[ScreenedCandidate], robot: Robot, settings: SelectionSettings
+) -> list[ScreenedCandidate]:
+    """The first candidates that the robot can have, few of the same laws."""
+    chosen: list[ScreenedCandidate] = []
+    times: Counter[tuple[str, ...]] = Counter()
+    for candidate in candidates:
+        if len(chosen) == settings.candidates:
             break
-        if seen[screened_candidate.names] < _PER_NAME and robot.accepts(screened_candidate.effects):
-            seen[screened_candidate.names] += 1
-            chosen.append(screened_candidate)
+        if times[candidate.names] < settings.candidates_per_law and robot.accepts(candidate.effects):
+            times[candidate.names] += 1
+            chosen.append(candidate)
     return chosen
 
 
 def refitted(problem: Problem, guesses: Sequence[Guess], screened: Evidence, seed: int) -> list[Hypothesis]:
-    """The hypotheses that remain, the best first.
+    """The hypotheses that are kept, the most probable first.
 
     Args:
-        screened: what the responses of all suspects say, for those that a hypothesis may change its place with.
+        screened: the responses of all candidates, for terms that move to another location.
     """
-    found = unique(sorted(fitted(problem, _tried(problem, guesses), (SCALE,), seed), key=lambda h: h.cost))
-    found = _shift_location(problem, _warm_start_nested(problem, found, seed), screened, seed + 1)
-    ranked = unique(sorted(found, key=lambda h: -h.log_evidence(problem)))
-    return _diversify(problem.robot, ranked, range(len(ranked)), KEPT)
+    settings = problem.settings.selection
+    hypotheses = fitted(problem, _begun_best(problem, guesses), (settings.fit_radius,), seed)
+    hypotheses = unique(sorted(hypotheses, key=lambda h: h.cost))
+    hypotheses = _shift_location(problem, _warm_start_nested(problem, hypotheses, seed), screened, seed + 1)
+    ranked = unique(sorted(hypotheses, key=lambda h: -h.log_evidence(problem)))
+    return _diversify(problem.robot, ranked, range(len(ranked)), settings.kept)
 
 
 def unique(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """The first of those that name the same laws at the same places, which began elsewhere."""
-    first = {}
-    for h in hypotheses:
-        first.setdefault(laws(h), h)
+    """The first of those with the same laws at the same locations, whose fits began elsewhere."""
+    first: dict[Laws, Hypothesis] = {}
+    for hypothesis in hypotheses:
+        first.setdefault(laws(hypothesis), hypothesis)
     return list(first.values())
 
 
-def laws(hypothesis: Hypothesis | Guess) -> frozenset:
-    """Its laws with their places."""
-    return frozenset((s.name, s.location) for s in hypothesis.terms)
+def laws(hypothesis: Hypothesis | Guess) -> Laws:
+    """Its laws with their locations."""
+    return frozenset((term.name, term.location) for term in hypothesis.terms)
+
+
+def move_radii(settings: SelectionSettings) -> tuple[float, float]:
+    """Of the samples of the two fits after a move, in prior deviations."""
+    return settings.move_radius, settings.move_radius_second
 
 
 def refine(problem: Problem, hypotheses: Sequence[Hypothesis], radii: Sequence[float], seed: int) -> list[Hypothesis]:
-    """The hypotheses, each fitted on with slopes of its own, since those from elsewhere mislead; never worse."""
+    """The hypotheses, each fitted further with a Jacobian of its own; never worse.
+
+    Args:
+        radii: of the samples, in prior deviations.
+    """
     better = fitted(problem, [Guess(h.x, h.terms) for h in hypotheses], radii, seed)
     return [min(pair, key=lambda h: h.cost) for pair in zip(hypotheses, better, strict=True)]
 
 
 def iterate_to_convergence(problem: Problem, hypotheses: Sequence[Hypothesis], seed: int) -> list[Hypothesis]:
-    """The hypotheses, each fitted on as long as that helps it; never worse.
+    """The hypotheses, each fitted further as long as that helps it; never worse.
 
-    For fits that are far from the recordings, where slopes from elsewhere mislead.
+    For fits that are far from the recordings, where a Jacobian from elsewhere points in a wrong direction.
     """
-    found, going = list(hypotheses), list(range(len(hypotheses)))
-    for k in range(_ROUNDS):
-        own = [found[i].jacobian if k else None for i in going]
-        guesses = [Guess(found[i].x, found[i].terms, jacobian) for i, jacobian in zip(going, own, strict=True)]
-        better = fitted(problem, guesses, _REFINE, seed + k)
-        helped = [i for i, h in zip(going, better, strict=True) if h.cost < (1.0 - _HELPS) * found[i].cost]
-        for i, h in zip(going, better, strict=True):
-            found[i] = min(found[i], h, key=lambda h: h.cost)
+    settings = problem.settings.selection
+    best, going = list(hypotheses), list(range(len(hypotheses)))
+    for k in range(settings.convergence_fits):
+        guesses = [Guess(best[i].x, best[i].terms, best[i].jacobian if k else None) for i in going]
+        further = dict(zip(going, fitted(problem, guesses, move_radii(settings), seed + k), strict=True))
+        helped = [i for i, h in further.items() if h.cost < (1.0 - settings.convergence_gain) * best[i].cost]
+        for i, hypothesis in further.items():
+            best[i] = min(best[i], hypothesis, key=lambda h: h.cost)
         if not (going := helped):
             break
-    return descended(problem, found)
+    return descended(problem, best)
 
 
 def without_one(problem: Problem, hypothesis: Hypothesis, nominal: Hypothesis, seed: int) -> list[Hypothesis]:
-    """The hypotheses that have one effect less, fitted from where this one is."""
+    """The hypotheses that have one term less, fitted from where this one is.
+
+    Args:
+        nominal: has no term; its parameters are tried too where the misfit dominates.
+    """
     guesses = []
     for i, part in enumerate(slices(hypothesis.terms, problem.parameters)):
         kept = np.ones(len(hypothesis.x), bool)
         kept[part] = False
         rest = hypothesis.terms[:i] + hypothesis.terms[i + 1 :]
         guesses.append(Guess(hypothesis.x[kept], rest, hypothesis.jacobian[kept]))
+    radii = move_radii(problem.settings.selection)
     if not problem.misfit_dominated:
-        return fitted(problem, guesses, _REFINE, seed)
+        return fitted(problem, guesses, radii, seed)
     nearer = [_nearer(problem, guess, nominal) for guess in guesses]
-    return descended(problem, fitted(problem, nearer, _REFINE, seed))
+    return descended(problem, fitted(problem, nearer, radii, seed))
 
 
-def revisit_rivals(problem: Problem, best: Hypothesis, baseline: Sequence[Hypothesis], seed: int) -> list[Hypothesis]:
-    """The best hypothesis with each close rival of earlier rounds instead of the law at its place that they went on
-    with, fitted from where either ended: two laws that leave as much alone may not beside a third one."""
+def revisit_rivals(problem: Problem, best: Hypothesis, tried: Sequence[Hypothesis], seed: int) -> list[Hypothesis]:
+    """The best hypothesis with a close rival of an earlier round in place of the law that won that round.
+
+    Each is fitted from where either ended: two laws that leave the same misfit alone may not beside a third one.
+
+    Args:
+        tried: all hypotheses of earlier rounds.
+    """
     guesses, d = [], problem.parameters
-    for h in baseline:
-        k = len(h.terms) - 1
-        taken = best.terms[: k + 1]
-        if 0 <= k < len(best.terms) - 1 and _there(h.terms, taken) and _close(problem, h, baseline):
-            remaining = best.x[slices(best.terms, d)[k].stop :]
-            for robot in (best.x[:d], h.x[:d]):
-                guesses.append(Guess(np.concatenate([robot, h.x[d:], remaining]), (*h.terms, *best.terms[k + 1 :])))
-    guesses = [g for g in guesses if problem.robot.accepts(effects_at(g.x[d:], g.terms))]
-    return fitted(problem, guesses, _REFINE, seed) if guesses else []
+    for rival in tried:
+        k = len(rival.terms) - 1
+        won = best.terms[: k + 1]
+        if 0 <= k < len(best.terms) - 1 and _differ_in_last_law(rival.terms, won) and _is_close(problem, rival, tried):
+            later = best.x[slices(best.terms, d)[k].stop :]
+            terms = (*rival.terms, *best.terms[k + 1 :])
+            for parameters in (best.x[:d], rival.x[:d]):
+                guesses.append(Guess(np.concatenate([parameters, rival.x[d:], later]), terms))
+    guesses = [guess for guess in guesses if problem.robot.accepts(effects_at(guess.x[d:], guess.terms))]
+    return fitted(problem, guesses, move_radii(problem.settings.selection), seed) if guesses else []
 
 
 def simplify(
     problem: Problem, best: Hypothesis, others: Sequence[Hypothesis], candidates: Sequence[Term], seed: int
 ) -> list[Hypothesis]:
-    """The best hypothesis with laws of fewer quantities, of the class of its last one and at its place, that none of
-    the others has there, fitted from its parameters: what they promise far from there is not what they explain."""
+    """The best hypothesis with simpler laws in place of its last one: of the same class, at the same location.
+
+    They are fitted from its parameters, as screening predicts little so far from where they were screened.
+
+    Args:
+        others: hypotheses whose laws are not tried again.
+    """
     last, known = best.terms[-1], {laws(h) for h in others}
     rest, guesses = best.x[: -last.size], []
-    for one in candidates:
-        terms = (*best.terms[:-1], one)
-        if _trace(problem.robot, one) == _trace(problem.robot, last) and one.size < last.size:
-            points = [np.concatenate([rest, share * one.simulated]) for share in _SIZES]
-            guess = Guess(_cheapest(problem, points, terms), terms)
+    settings = problem.settings.selection
+    for simpler in candidates:
+        terms = (*best.terms[:-1], simpler)
+        if _trace(problem.robot, simpler) == _trace(problem.robot, last) and simpler.size < last.size:
+            points = [np.concatenate([rest, size * simpler.simulated]) for size in settings.simplified_starts]
+            guess = Guess(_point_of_least_cost(problem, points, terms), terms)
             if laws(guess) not in known:
                 guesses.append(guess)
-    return iterate_to_convergence(problem, fitted(problem, guesses, _REFINE, seed), seed + 1) if guesses else []
+    if not guesses:
+        return []
+    return iterate_to_convergence(problem, fitted(problem, guesses, move_radii(settings), seed), seed + 1)
 
 
-def _there(one, other):
-    """Whether suspects differ in the law of the last only."""
-    return one[:-1] == other[:-1] and one[-1].location == other[-1].location and one[-1].name != other[-1].name
+def _differ_in_last_law(first: Sequence[Term], second: Sequence[Term]) -> bool:
+    """Whether terms differ in the law of the last only."""
+    *before, one = first
+    *before_other, other = second
+    return before == before_other and one.location == other.location and one.name != other.name
 
 
-def _close(problem, hypothesis, others):
-    """Whether it leaves hardly more than the best one with as many effects."""
-    least = min(problem.misfit(h.residual) for h in others if len(h.terms) == len(hypothesis.terms))
-    return problem.misfit(hypothesis.residual) < RIVAL * max(least, CLEAN)
+def _is_close(problem: Problem, hypothesis: Hypothesis, tried: Sequence[Hypothesis]) -> bool:
+    """Whether its misfit is hardly larger than that of the best one with as many terms."""
+    settings = problem.settings.selection
+    least = min(problem.misfit(h.residual) for h in tried if len(h.terms) == len(hypothesis.terms))
+    return problem.misfit(hypothesis.residual) < settings.rival_misfit * max(least, settings.healthy_misfit)
 
 
 def swap_delays(
-    problem: Problem, hypotheses: Sequence[Hypothesis], candidates: Sequence[Term], known: set, seed: int
+    problem: Problem,
+    hypotheses: Sequence[Hypothesis],
+    candidates: Sequence[Term],
+    known: Collection[Laws],
+    seed: int,
 ) -> list[Hypothesis]:
-    """The hypotheses with a delay of all commands instead of one of all measurements, and the other way round, fitted
-    from where they are; but for those whose laws are known."""
-    robot, guesses = problem.robot, {}
-    late_ones = [s for s in candidates if late(robot, s.name, s.location)]
+    """The hypotheses with a delay of all commands in place of one of all measurements, or the other way round.
+
+    Args:
+        known: laws of hypotheses that are not fitted again.
+    """
+    robot = problem.robot
+    guesses: dict[Laws, Guess] = {}
+    delays = [term for term in candidates if late(robot, term.name, term.location)]
     for h in hypotheses:
-        for i, (one, part) in enumerate(zip(h.terms, slices(h.terms, problem.parameters), strict=True)):
-            for other in [each for each in late_ones if each != one] if one in late_ones else ():
-                x, jacobian, factor = h.x.copy(), h.jacobian.copy(), float(one.deviations[0] / other.deviations[0])
+        for i, (term, part) in enumerate(zip(h.terms, slices(h.terms, problem.parameters), strict=True)):
+            for other in [delay for delay in delays if delay != term] if term in delays else ():
+                x, jacobian, factor = h.x.copy(), h.jacobian.copy(), float(term.deviations[0] / other.deviations[0])
                 x[part], jacobian[part] = x[part] * factor, jacobian[part] / factor  # of their only number
                 guess = Guess(x, (*h.terms[:i], other, *h.terms[i + 1 :]), jacobian)
                 if laws(guess) not in known and robot.accepts(effects_at(x[problem.parameters :], guess.terms)):
                     guesses.setdefault(laws(guess), guess)
     if not guesses:
         return []
-    found = fitted(problem, list(guesses.values()), _REFINE, seed)
-    return descended(problem, found) if problem.misfit_dominated else found
+    swapped = fitted(problem, list(guesses.values()), move_radii(problem.settings.selection), seed)
+    return descended(problem, swapped) if problem.misfit_dominated else swapped
 
 
-def _nearer(problem, guess, nominal):
-    """The guess, or one from the nominal robot's parameters if that is nearer to the recordings: without an effect that
-    did most, parameters that went with it may be worse than those of no effect at all."""
-    others = [_scaled(np.concatenate([nominal.x, guess.x[problem.parameters :]]), problem.parameters, length)
-              for length in (_LITTLE, *_LENGTHS)]  # fmt: skip
-    best = _cheapest(problem, [guess.x, *others], guess.terms)
+def _nearer(problem: Problem, guess: Guess, nominal: Hypothesis) -> Guess:
+    """The guess, or one from the nominal robot's parameters if that is nearer to the recordings.
+
+    Parameters that were fitted beside a strong term may be worse without it than those of no term at all.
+    """
+    settings, d = problem.settings.selection, problem.parameters
+    from_nominal = np.concatenate([nominal.x, guess.x[d:]])
+    shares = (settings.smallest_start, settings.smaller_start, 1.0)
+    others = [_with_share_of_terms(from_nominal, d, share) for share in shares]
+    best = _point_of_least_cost(problem, [guess.x, *others], guess.terms)
     return guess if best is guess.x else Guess(best, guess.terms)
 
 
-def _cheapest(problem, points, terms):
-    """The one of points (n,) that costs least."""
+def _point_of_least_cost(problem: Problem, points: Sequence[np.ndarray], terms: Sequence[Term]) -> np.ndarray:
+    """The one of points (n,) whose cost is least."""
     residuals = problem.residuals([(x, terms) for x in points])
     return min(zip(points, residuals, strict=True), key=lambda pair: problem.cost(pair[1], pair[0]))[0]
 
 
-def _warm_start_nested(problem, hypotheses, seed):
-    """The hypotheses; where the last law of one contains that of another, the one that leaves more is fitted anew from
-    where the other ended.
+def _warm_start_nested(problem: Problem, hypotheses: Sequence[Hypothesis], seed: int) -> list[Hypothesis]:
+    """The hypotheses; of two nested models, the one with the larger cost is fitted again from where the other ended.
 
-    A law with more unknowns begins farther off, and can explain all that the contained one does; whether the contained
-    one explains as little as it seems is to be seen near the other.
+    A law with more unknowns begins farther off, and can explain all that a nested one does. Whether the nested one
+    really explains less shows only near the other.
     """
-    found = list(hypotheses)
-    pairs = [(i, better) for i, h in enumerate(found) if (better := _best_nested(h, found))]
+    best = list(hypotheses)
+    pairs = [(i, better) for i, h in enumerate(best) if (better := _best_nested(h, best))]
     if pairs:
-        guesses = [_begun(problem, found[i].terms, better) for i, better in pairs]
-        for (i, _), h in zip(pairs, fitted(problem, guesses, _REFINE, seed), strict=True):
-            found[i] = min(found[i], h, key=lambda h: h.cost)
-    return found
+        guesses = [_begun_at_nested(problem, best[i].terms, better) for i, better in pairs]
+        again = fitted(problem, guesses, move_radii(problem.settings.selection), seed)
+        for (i, _), hypothesis in zip(pairs, again, strict=True):
+            best[i] = min(best[i], hypothesis, key=lambda h: h.cost)
+    return best
 
 
-def _best_nested(hypothesis, others) -> Hypothesis | None:
-    """Of the hypotheses that leave less and contain this one, or are contained in it, the best."""
-    nested_in = [o for o in others if o.cost < hypothesis.cost and _are_nested(hypothesis.terms, o.terms)]
-    return min(nested_in, key=lambda h: h.cost, default=None)
+def _best_nested(hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> Hypothesis | None:
+    """The best of the hypotheses with less cost that this one contains, or that contain this one."""
+    nested = [other for other in others if other.cost < hypothesis.cost and _are_nested(hypothesis.terms, other.terms)]
+    return min(nested, key=lambda h: h.cost, default=None)
 
 
-def _are_nested(one, other):
-    """Whether suspects differ in the law of the last only, and one of these has all quantities of the other."""
-    first, second = ({q.name for q in terms[-1].quantities} for terms in (one, other))
-    return one[:-1] == other[:-1] and one[-1].location == other[-1].location and (first < second or first > second)
+def _are_nested(first: Sequence[Term], second: Sequence[Term]) -> bool:
+    """Whether terms differ in the law of the last only, one of which has all quantities of the other."""
+    quantities, others = ({q.name for q in terms[-1].quantities} for terms in (first, second))
+    same = first[:-1] == second[:-1] and first[-1].location == second[-1].location
+    return same and (quantities < others or quantities > others)
 
 
-def _begun(problem, terms, nested_in) -> Guess:
-    """Suspects with the values of a hypothesis that is akin; what that lacks is typical, or least."""
-    last, known = terms[-1], nested_in.effects(problem.parameters)[-1].parameters
-    rest, at = nested_in.x[: -nested_in.terms[-1].size], last.coordinates(known)
-    points = [np.concatenate([rest, at])]
-    if any(lacks := [q.name not in known for q in last.quantities]):
-        points.append(np.concatenate([rest, np.where(lacks, last.bounds[0], at)]))
-    return Guess(_cheapest(problem, points, terms), terms)
+def _begun_at_nested(problem: Problem, terms: tuple[Term, ...], nested: Hypothesis) -> Guess:
+    """Terms with the values of a nested hypothesis; quantities that it lacks are typical, or as small as can be."""
+    last, values = terms[-1], nested.effects(problem.parameters)[-1].parameters
+    rest, x = nested.x[: -nested.terms[-1].size], last.coordinates(values)
+    points = [np.concatenate([rest, x])]
+    if any(lacks := [q.name not in values for q in last.quantities]):
+        points.append(np.concatenate([rest, np.where(lacks, last.bounds[0], x)]))
+    return Guess(_point_of_least_cost(problem, points, terms), terms)
 
 
-def _shift_location(problem, hypotheses, screened, seed):
-    """The hypotheses, the best one and its rivals with their last effect one segment or measured point further as long
-    as that helps.
+def _shift_location(
+    problem: Problem, hypotheses: Sequence[Hypothesis], screened: Evidence, seed: int
+) -> list[Hypothesis]:
+    """The hypotheses, with the last term of the best one and of its rivals moved to a neighbour as long as that helps.
 
-    Screening sees the robot without the effect, and so far from it neighbours leave other traces: what it promises
-    decides between laws, and hardly between segments.
+    Screening simulates the robot without the term. So far from it, neighbouring locations have other responses: the
+    predicted gain tells laws apart, and hardly locations.
     """
-    found, tried = list(hypotheses), {laws(h) for h in hypotheses}
+    settings = problem.settings.selection
+    best, tried = list(hypotheses), {laws(h) for h in hypotheses}
     responses = dict(zip(screened.candidates, screened.responses, strict=True))
-    left = [problem.misfit(h.residual) for h in found]
-    going = [i for i, each in enumerate(left) if each < RIVAL * max(min(left), CLEAN)]
-    while sides := [(i, g) for i in going for g in _beside(problem, found[i], responses) if laws(g) not in tried]:
+    misfits = [problem.misfit(h.residual) for h in best]
+    limit = settings.rival_misfit * max(min(misfits), settings.healthy_misfit)
+    going = {i for i, misfit in enumerate(misfits) if misfit < limit}
+    while sides := [
+        (i, guess)
+        for i in sorted(going)
+        for guess in _at_neighbours(problem, best[i], responses)
+        if laws(guess) not in tried
+    ]:
         tried |= {laws(guess) for _, guess in sides}
         going = set()
-        for (i, _), h in zip(sides, fitted(problem, [g for _, g in sides], _REFINE, seed), strict=True):
-            if h.cost < found[i].cost:
-                found[i] = h
+        moved = fitted(problem, [guess for _, guess in sides], move_radii(settings), seed)
+        for (i, _), hypothesis in zip(sides, moved, strict=True):
+            if hypothesis.cost < best[i].cost:
+                best[i] = hypothesis
                 going.add(i)
         seed += 1
-    return found
+    return best
 
 
-def _beside(problem, hypothesis, responses) -> list[Guess]:
-    """The same with its last effect one body or measured point up and down, as large as leaves the same trace."""
+def _at_neighbours(problem: Problem, hypothesis: Hypothesis, responses: Mapping[Term, np.ndarray]) -> list[Guess]:
+    """The same with its last term at the neighbouring bodies or measured points, as large as gives the same response.
+
+    Args:
+        responses: (k, M) of the candidates.
+    """
     *others, last = hypothesis.terms
-    found, magnitudes = [], len(hypothesis.x) - last.size + np.flatnonzero(last.magnitudes)
+    guesses, magnitudes = [], len(hypothesis.x) - last.size + np.flatnonzero(last.magnitudes)
     for location in problem.robot.beside(last.location):
-        other = replace(last, location=location)
-        if last in responses and other in responses:
+        neighbour = replace(last, location=location)
+        if last in responses and neighbour in responses:
             x, jacobian = hypothesis.x.copy(), hypothesis.jacobian.copy()
-            trace = x[magnitudes] @ responses[last]
-            x[magnitudes] = np.linalg.lstsq(responses[other].T, trace)[0]
-            jacobian[magnitudes] = responses[other]
-            guess = Guess(x, (*others, other), jacobian)
+            response = x[magnitudes] @ responses[last]
+            x[magnitudes] = np.linalg.lstsq(responses[neighbour].T, response)[0]
+            jacobian[magnitudes] = responses[neighbour]
+            guess = Guess(x, (*others, neighbour), jacobian)
             if problem.robot.accepts(effects_at(x[problem.parameters :], guess.terms)):
-                found.append(guess)
-    return found
+                guesses.append(guess)
+    return guesses
 
 
-def _tried(problem, guesses):
-    """The laws that really explain most, where each promises most, begun where it does: at shares of its estimated
-    magnitudes, or, as laws that set in at a threshold may do nothing there, at those with which its last suspect was
-    screened."""
-    starts = [[*(_scaled(g.x, problem.parameters, length) for length in _LENGTHS), _screened(g)] for g in guesses]
-    points = [(x, g.terms) for g, some in zip(guesses, starts, strict=True) for x in some]
+def _begun_best(problem: Problem, guesses: Sequence[Guess]) -> list[Guess]:
+    """The laws that explain most when they are replayed, each begun where it explains most.
+
+    That may be at a share of its estimated magnitudes. A law that sets in at a threshold may do nothing there, so it
+    may also begin at the magnitudes with which it was screened.
+    """
+    settings, d = problem.settings.selection, problem.parameters
+    starts = [
+        [*(_with_share_of_terms(guess.x, d, share) for share in (settings.smaller_start, 1.0)), _as_screened(guess)]
+        for guess in guesses
+    ]
+    points = [(x, guess.terms) for guess, own in zip(guesses, starts, strict=True) for x in own]
     costs = [problem.cost(row, x) for row, (x, _) in zip(problem.residuals(points), points, strict=True)]
-    best = np.reshape(costs, (len(guesses), -1))
-    started = [replace(g, x=some[int(k)]) for g, some, k in zip(guesses, starts, best.argmin(axis=1), strict=True)]
-    return _diversify(problem.robot, started, best.min(axis=1), _TRIED)
+    costs_of = np.reshape(costs, (len(guesses), -1))
+    begun = [
+        replace(guess, x=own[int(k)]) for guess, own, k in zip(guesses, starts, costs_of.argmin(axis=1), strict=True)
+    ]
+    return _diversify(problem.robot, begun, costs_of.min(axis=1), settings.fitted)
 
 
-def _diversify(robot, given, costs, count):
-    """The best so many of different laws, each at the first of its places, the best of other places, and the twins of
-    the very best. The best first."""
-    firsts = {}
-    for i, each in enumerate(given):
-        firsts.setdefault(frozenset(s.name for s in each.terms), i)
-    order = np.argsort(costs, kind="stable")
-    kept = [i for i in order if i in firsts.values()][:count] + [i for i in order if i not in firsts.values()][:1]
+def _diversify(
+    robot: Robot, given: Sequence[WithTerms], costs: Sequence[float] | np.ndarray, count: int
+) -> list[WithTerms]:
+    """The best ``count`` of different laws, the best other location, and all that look like the very best.
+
+    Each law is at the first of its locations; the least cost comes first.
+    """
+    first_of: dict[frozenset[str], int] = {}
+    for i, hypothesis in enumerate(given):
+        first_of.setdefault(frozenset(term.name for term in hypothesis.terms), i)
+    order = np.argsort(np.asarray(costs), kind="stable").tolist()
+    firsts = set(first_of.values())
+    kept = [i for i in order if i in firsts][:count] + [i for i in order if i not in firsts][:1]
     return [given[i] for i in order if i in kept or indistinguishable(robot, given[i], given[order[0]])]
 
 
 def indistinguishable(
-    robot: Robot, one: Guess | Hypothesis | ScreenedCandidate, other: Guess | Hypothesis | ScreenedCandidate
+    robot: Robot, first: Guess | Hypothesis | ScreenedCandidate, second: Guess | Hypothesis | ScreenedCandidate
 ) -> bool:
-    """Whether they are laws of the same classes at the same places, or delays of everything, which leave nearly the
-    same traces."""
-    first, second = (Counter(_trace(robot, s) for s in each.terms) for each in (one, other))
-    return first == second
+    """Whether their responses are nearly the same: laws of the same classes at the same locations, or delays of
+    everything."""
+    traces, others = (Counter(_trace(robot, term) for term in each.terms) for each in (first, second))
+    return traces == others
 
 
-def _trace(robot, term):
+def _trace(robot: Robot, term: Term) -> str | tuple[str, Location]:
+    """What terms with nearly the same response have in common."""
     return "late" if late(robot, term.name, term.location) else (CATEGORIES[term.name], term.location)
 
 
-def _screened(guess):
+def _as_screened(guess: Guess) -> np.ndarray:
+    """(n,) unknowns with the last term as it was screened."""
     last = guess.terms[-1]
     return np.concatenate([guess.x[: -last.size], last.simulated])
 
 
-def _scaled(x, parameters, length):
-    return np.concatenate([x[:parameters], length * x[parameters:]])
+def _with_share_of_terms(x: np.ndarray, parameters: int, share: float) -> np.ndarray:
+    """(n,) unknowns with only a share of the coordinates of terms."""
+    return np.concatenate([x[:parameters], share * x[parameters:]])

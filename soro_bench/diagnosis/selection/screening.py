@@ -1,7 +1,7 @@
-"""Screening: how much of what is left would each effect explain?
+"""Screening: how much of the misfit would each candidate term explain?
 
-Each suspect is simulated once at a typical magnitude. The response, less what a change of parameters or numerical error
-would do too, is compared with the residual: a linear estimate of its magnitude and of the evidence gained.
+Each term is simulated once at a typical magnitude. Its response is compared with the residual, less what parameters or
+discretisation error can change as well. That is a linear estimate of its magnitude and of the log evidence it gains.
 """
 
 from collections.abc import Sequence
@@ -11,17 +11,18 @@ import numpy as np
 
 from soro_bench.diagnosis.candidates import Term, effects_at
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, normal_equations
-from soro_bench.diagnosis.estimation.problem import DIVERGED, Problem
+from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.settings import ScreeningSettings
 from soro_bench.effects.effect import Effect
 
 
 @dataclass(frozen=True)
 class ScreenedCandidate:
-    """Suspects that explain some of what a hypothesis leaves.
+    """Terms that explain some of the misfit of a hypothesis, to first order.
 
-    suspects: of the hypothesis, and those to be added. gain: log evidence gained. x: (n,) estimate of all unknowns.
-    chosen: which candidates these are.
+    terms: of the hypothesis, and those to be added. gain: predicted gain in log evidence. x: (n,) estimate of all
+    unknowns. chosen: indices of the added terms among the candidates.
     """
 
     terms: tuple[Term, ...]
@@ -31,20 +32,25 @@ class ScreenedCandidate:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Sorted names of the suspects."""
-        return tuple(sorted(s.name for s in self.terms))
+        """Sorted names of the terms."""
+        return tuple(sorted(term.name for term in self.terms))
 
     @property
     def effects(self) -> list[Effect]:
-        """The suspects as estimated."""
-        return effects_at(self.x[len(self.x) - sum(s.size for s in self.terms) :], self.terms)
+        """The terms as estimated."""
+        return effects_at(self.x[len(self.x) - sum(term.size for term in self.terms) :], self.terms)
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What K response rows say together, parameters and floor marginalised: the evidence gained by magnitudes m (K,) is
-    -pull m - m matrix m / 2. ``bounds`` (2, K) of them, and ``blocks`` are the rows of each candidate. With magnitudes
-    m the best unknowns of the hypothesis move by step - shift m, where step is (n,) and shift (n, K)."""
+    """What the responses of all candidates say together, with parameters and discretisation error marginalised.
+
+    Magnitudes m (K,) gain the log evidence -pull m - m matrix m / 2, and the best unknowns of the hypothesis move by
+    step - shift m.
+
+    base: the hypothesis. responses: (k, M) of each candidate. matrix: (K, K). pull: (K,). bounds: (2, K) of the
+    magnitudes. blocks: which of the K magnitudes each candidate has. step: (n,). shift: (n, K).
+    """
 
     base: Hypothesis
     candidates: tuple[Term, ...]
@@ -55,100 +61,116 @@ class Evidence:
     blocks: tuple[np.ndarray, ...]
     step: np.ndarray
     shift: np.ndarray
+    settings: ScreeningSettings
 
     def screened_candidate(self, chosen: Sequence[int]) -> ScreenedCandidate:
         """The best magnitudes of some candidates together."""
         rows = np.concatenate([self.blocks[i] for i in chosen])
         matrix, pull, bounds = self.matrix[np.ix_(rows, rows)], self.pull[rows], self.bounds[:, rows]
-        at, free = np.zeros(len(rows)), np.ones(len(rows), bool)
-        for _ in rows:  # what would cross its bound stays there, and the rest is solved again
-            rest = pull[free] + matrix[np.ix_(free, ~free)] @ at[~free]
-            at[free] = -np.linalg.solve(matrix[np.ix_(free, free)], rest)
-            inside = np.clip(at, *bounds)
-            crossing = inside != at
+        magnitudes, free = np.zeros(len(rows)), np.ones(len(rows), bool)
+        for _ in rows:  # a magnitude that would cross its bound stays there, and the rest is solved again
+            rest = pull[free] + matrix[np.ix_(free, ~free)] @ magnitudes[~free]
+            magnitudes[free] = -np.linalg.solve(matrix[np.ix_(free, free)], rest)
+            inside = np.clip(magnitudes, *bounds)
+            crossing = inside != magnitudes
             if not crossing.any():
                 break
             free &= ~crossing
-            at = inside
-        gain = -float(pull @ at + 0.5 * at @ matrix @ at) - 0.5 * float(np.linalg.slogdet(matrix)[1])
-        x = self.base.x + np.clip(self.step - self.shift[:, rows] @ at, -1, 1)
+            magnitudes = inside
+        gain = -float(pull @ magnitudes + 0.5 * magnitudes @ matrix @ magnitudes)
+        gain -= 0.5 * float(np.linalg.slogdet(matrix)[1])
+        largest = self.settings.largest_step
+        x = self.base.x + np.clip(self.step - self.shift[:, rows] @ magnitudes, -largest, largest)
         ends = np.cumsum([len(self.blocks[i]) for i in chosen])[:-1]
         added = [self.candidates[i] for i in chosen]
-        parts = [_coordinates(s, part) for s, part in zip(added, np.split(at, ends), strict=True)]
+        parts = [_coordinates(term, part) for term, part in zip(added, np.split(magnitudes, ends), strict=True)]
         return ScreenedCandidate((*self.base.terms, *added), gain, np.concatenate([x, *parts]), tuple(chosen))
 
-    def guess(self, screened_candidate: ScreenedCandidate) -> Guess:
-        """Where to begin a fit: what shapes a response without being its magnitude has no slope yet."""
+    def guess(self, candidate: ScreenedCandidate) -> Guess:
+        """Where to begin a fit. Unknowns that only shape a response have no column of the Jacobian yet."""
         jacobian = [self.base.jacobian]
-        for i in screened_candidate.chosen:
+        for i in candidate.chosen:
             rows = np.zeros((self.candidates[i].size, self.base.jacobian.shape[1]))
             rows[list(self.candidates[i].magnitudes)] = self.responses[i]
             jacobian.append(rows)
-        return Guess(screened_candidate.x, screened_candidate.terms, np.concatenate(jacobian))
+        return Guess(candidate.x, candidate.terms, np.concatenate(jacobian))
 
     def detectable(self, gain: float) -> tuple[tuple[Term, float], ...]:
-        """Of each candidate, the coordinate of its first magnitude that gains as much if nothing else is missing."""
+        """Of each candidate, the coordinate of its first magnitude that gains so much if nothing else is missing.
+
+        Args:
+            gain: log evidence [nats].
+        """
         rows = np.array([block[0] for block in self.blocks])
         information = np.maximum(np.diag(self.matrix)[rows] - 1.0, 1e-12)
         return tuple(zip(self.candidates, np.sqrt(2.0 * gain / information).tolist(), strict=True))
 
 
 def responses(problem: Problem, base: Hypothesis, candidates: Sequence[Term], robot: Robot) -> list[np.ndarray]:
-    """(k, M) of each suspect: change of the residual of ``robot`` per standard deviation of each of its k magnitudes.
+    """(k, M) of each candidate: change of the residual per prior deviation of each of its k magnitudes.
 
-    These are differences of two replays, which a simulation with longer time steps than the fitted one gives as well.
+    Args:
+        base: the hypothesis beside which each candidate is simulated.
+        robot: that is simulated. These are differences of two replays, so time steps may be longer than in fits.
     """
-    points, shares = [], []
+    points: list[tuple[np.ndarray, tuple[Term, ...]]] = []
+    magnitudes = []
     for candidate in candidates:
         for column in np.flatnonzero(candidate.magnitudes):
             x = np.where(np.arange(candidate.size) == column, candidate.simulated, 0.0)
             points.append((np.concatenate([base.x, x]), (*base.terms, candidate)))
-            shares.append(x[column])
+            magnitudes.append(x[column])
     without, *simulated = problem.simulated(robot, [(base.x, base.terms), *points])
-    found = (without - np.array(simulated)) / problem.sigma * problem.weight / np.array(shares)[:, None]
-    found = np.nan_to_num(found, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED)
-    ends = np.cumsum([sum(c.magnitudes) for c in candidates])
-    return np.split(found, ends[:-1])
+    rows = (without - np.array(simulated)) / problem.sigma * problem.weight / np.array(magnitudes)[:, None]
+    diverged = problem.settings.likelihood.diverged
+    rows = np.nan_to_num(rows, nan=diverged, posinf=diverged, neginf=-diverged)
+    ends = np.cumsum([sum(candidate.magnitudes) for candidate in candidates])
+    return np.split(rows, ends[:-1])
 
 
-def evidence(problem: Problem, base: Hypothesis, candidates: Sequence[Term], found) -> Evidence:
-    """What the responses ``found`` of the candidates say about the residual of a hypothesis."""
-    discretisation, rows = base.discretisation(problem), np.concatenate(found)
+def evidence(
+    problem: Problem, base: Hypothesis, candidates: Sequence[Term], simulated: Sequence[np.ndarray]
+) -> Evidence:
+    """What the simulated responses of candidates say about the residual of a hypothesis.
+
+    Args:
+        simulated: (k, M) of each candidate, as ``responses`` returns them.
+    """
+    discretisation, rows = base.discretisation(problem), np.concatenate(simulated)
     hessian, gradient = normal_equations(discretisation, base.jacobian, base.residual, base.x)
     cross = discretisation.product(rows, base.jacobian)
     shift, step = np.linalg.solve(hessian, cross.T), -np.linalg.solve(hessian, gradient)
     return Evidence(
         base,
         tuple(candidates),
-        found,
+        simulated,
         discretisation.product(rows, rows) + np.eye(len(rows)) - cross @ shift,
         discretisation.product(rows, base.residual[None])[:, 0] + cross @ step,
-        np.concatenate([c.bounds[:, list(c.magnitudes)] for c in candidates], axis=1),
-        tuple(np.split(np.arange(len(rows)), np.cumsum([len(each) for each in found])[:-1])),
+        np.concatenate([term.bounds[:, list(term.magnitudes)] for term in candidates], axis=1),
+        tuple(np.split(np.arange(len(rows)), np.cumsum([len(response) for response in simulated])[:-1])),
         step,
         shift,
+        problem.settings.screening,
     )
 
 
-def singles(found: Evidence) -> list[ScreenedCandidate]:
-    """One candidate at a time, the best first."""
-    return sorted(
-        (found.screened_candidate([i]) for i in range(len(found.candidates))),
-        key=lambda screened_candidate: -screened_candidate.gain,
-    )
+def singles(screened: Evidence) -> list[ScreenedCandidate]:
+    """One candidate at a time, the largest predicted gain first."""
+    alone = [screened.screened_candidate([i]) for i in range(len(screened.candidates))]
+    return sorted(alone, key=lambda candidate: -candidate.gain)
 
 
-def pairs(found: Evidence, firsts: int = 20) -> list[ScreenedCandidate]:
-    """Two candidates at a time, the best first: each of the best singles with every other one."""
-    gains = [found.screened_candidate([i]).gain for i in range(len(found.candidates))]
+def pairs(screened: Evidence) -> list[ScreenedCandidate]:
+    """Two candidates at a time, the largest predicted gain first: each of the best singles with every other one."""
+    gains = [screened.screened_candidate([i]).gain for i in range(len(screened.candidates))]
     order = np.argsort(gains)[::-1]
-    screened_candidates = [
-        found.screened_candidate([i, j]) for n, i in enumerate(order[:firsts]) for j in order[n + 1 :]
-    ]
-    return sorted(screened_candidates, key=lambda screened_candidate: -screened_candidate.gain)
+    firsts = order[: screened.settings.paired]
+    paired = [screened.screened_candidate([i, j]) for n, i in enumerate(firsts) for j in order[n + 1 :]]
+    return sorted(paired, key=lambda candidate: -candidate.gain)
 
 
-def _coordinates(candidate, magnitudes):
-    x = np.zeros(candidate.size)
-    x[list(candidate.magnitudes)] = magnitudes
+def _coordinates(term: Term, magnitudes: np.ndarray) -> np.ndarray:
+    """(size,) coordinates of a term with these magnitudes, and what is typical otherwise."""
+    x = np.zeros(term.size)
+    x[list(term.magnitudes)] = magnitudes
     return x
