@@ -1,4 +1,4 @@
-"""What a development set says about the constants of the diagnosis (compare.py, explain.py).
+"""What a development set says about the settings of model probabilities (``ProbabilitySettings``).
 
     soro-bench prove --out FOLDER --count 40 --seed 1    # any seed but that of a final set
     python benchmarks/diagnosis_thresholds.py FOLDER
@@ -13,9 +13,11 @@ import numpy as np
 from scipy.stats import gumbel_r
 
 from soro_bench.blind_benchmark.score import opened_labels
-from soro_bench.diagnosis.selection.model_probabilities import STILL, UNKNOWN
+from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.files import read_json
 from soro_bench.markdown import table
+
+SETTINGS = DEFAULT.probabilities
 
 
 def left(hypothesis: dict) -> float:
@@ -30,9 +32,9 @@ def nominal_of(report: dict) -> dict:
 
 def shares(report: dict) -> tuple[float, float, float]:
     """Excess of the nominal robot and of the best hypothesis [nats], and the share that decides about unknown physics
-    (``UNKNOWN``)."""
+    (``unknown_share``)."""
     nominal, best = left(nominal_of(report)), min(map(left, report["hypotheses"]))
-    least = UNKNOWN[2] * nominal_of(report)["samples"]
+    least = SETTINGS.healthy_misfit_per_sample * nominal_of(report)["samples"]
     return nominal, best, (best - least) / max(nominal - least, 1.0)
 
 
@@ -59,7 +61,8 @@ def cases_table(cases) -> str:
         hidden = " + ".join(e.get("law", e["name"]) for e in label["effects"]) or "none"
         nominal, best, share = shares(report)
         cells = [label["id"], label["group"], hidden, said[0] if said else "none", ahead, f"{nominal:.0f}"]
-        still = report["still_promised"] / (STILL[0] + STILL[1] * (nominal - best))
+        limit = SETTINGS.unknown_gain + SETTINGS.unknown_gain_of_explained * (nominal - best)
+        still = report["still_promised"] / limit
         rows.append((*cells, f"{best:.0f}", f"{share:.2f}", f"{still:.2f}"))
     heads = ("case", "group", "hidden", "first answer", "evidence over the next", "excess, nominal", "best", "share")
     return table((*heads, "still promised / limit"), rows)
@@ -83,7 +86,7 @@ def log_loss(cases, nats: float, share: float) -> float:
 
 
 def temper(cases) -> str:
-    """Markdown: surprise for choices of ``TEMPER``."""
+    """Markdown: surprise for choices of the temperature."""
     shares_tried = (0.0, 0.03, 0.1, 0.3)
     rows = [(nats, *(f"{log_loss(cases, nats, s):.3f}" for s in shares_tried)) for nats in (1, 3, 10, 30, 100, 300)]
     return table(("nats", *(f"share {s:g}" for s in shares_tried)), rows)

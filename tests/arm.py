@@ -1,12 +1,16 @@
 """An arm of one joint, and recordings of it with other parameters and hidden effects."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.effects.effect import Effect
+from soro_bench.inference.statistical_linearisation import LowRank
 from soro_bench.recording.recording import Recording, Signal
 
 ARM = """<mujoco><option timestep="0.005" integrator="implicitfast"/>
@@ -38,9 +42,10 @@ unit = "N m"
 deviation = 0.02
 """
 TRUTH = np.array([[1.2, 0.8, 0.01]])
+SIGMA = 5e-4  # rad, of the noise
 
 
-def recording(paths: tuple[Path, Path], hidden: Sequence[Effect], seed: int, noise: float = 5e-4) -> Recording:
+def recording(paths: tuple[Path, Path], hidden: Sequence[Effect], seed: int, noise: float = SIGMA) -> Recording:
     """Of an arm with other parameters, half the time step and hidden effects."""
     rng = np.random.default_rng(seed)
     goals = np.repeat(rng.uniform(-0.6, 0.6, 15), 15)[:, None]
@@ -49,3 +54,18 @@ def recording(paths: tuple[Path, Path], hidden: Sequence[Effect], seed: int, noi
     values = np.concatenate([start[None], values]) + noise * rng.standard_normal((len(goals) + 1, 1, 1))
     times = 0.02 * np.arange(len(values))
     return Recording({"goal": Signal(times[:-1], goals)}, {"angle": Signal(times, values[:, 0, 0], "rad")})
+
+
+def problem(
+    paths: tuple[Path, Path],
+    hidden: Sequence[Effect] = (),
+    seed: int = 0,
+    settings: Settings = DEFAULT,
+    steps: int = 90,
+) -> Problem:
+    """The beginning of a recording of the arm, to be explained with the time step that it was simulated with."""
+    robot = ModelRobot(*paths, threads=1, shorter=2)
+    whole = robot.measured(recording(paths, hidden, seed))
+    measured = replace(whole, actions=whole.actions[:steps], time=whole.time[:steps], values=whole.values[:steps])
+    size = measured.values.size
+    return Problem(robot, (measured,), SIGMA, np.ones(size), LowRank(np.zeros((0, size))), settings=settings)

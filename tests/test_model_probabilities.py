@@ -1,0 +1,218 @@
+"""How probable hypotheses are, and what is said where none of them is right."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from soro_bench.diagnosis.candidates import Term
+from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.pipeline import Diagnosis, Outliers
+from soro_bench.diagnosis.selection.forward_selection import Explanation
+from soro_bench.diagnosis.selection.model_probabilities import (
+    Answer,
+    Comparison,
+    Fit,
+    alpha,
+    compared,
+    p_slow,
+    p_value,
+    shortlist,
+    slow_variance,
+    temperature,
+)
+from soro_bench.diagnosis.settings import DEFAULT
+from soro_bench.effects.effect import Location
+from tests.trunk import SIGMA, problem
+
+CABLE, FIT = Location("tendon", "L0"), Fit(1.0, 1.0, 1.0)
+GAIN = Term("actuator_gain", Location("actuator", "L0"), (0.85,), (True,))
+COULOMB = Term("coulomb_friction", CABLE, (1.0, 1e-3), (True, False))
+STRIBECK = Term("stribeck_friction", CABLE, (1.0, 1.5, 0.01, 1e-3), (True, False, False, False))
+
+
+@pytest.fixture(scope="module")
+def given(robot, actions):
+    """A recording of the trunk."""
+    return problem(robot, actions)
+
+
+def noise(given):
+    """(M,) white, of the size of the sensor's."""
+    return np.random.default_rng(0).standard_normal(given.weight.size)
+
+
+def hypothesis(given, residual, *terms):
+    """A hypothesis with a residual (M,), whose parameters nothing is known of."""
+    size = given.parameters + sum(one.size for one in terms)
+    none = np.zeros((size, residual.size))
+    return Hypothesis(terms, np.zeros(size), residual, given.cost(residual, np.zeros(size)), none, none[:0])
+
+
+def leaving(given, misfit, *terms):
+    """A hypothesis with a misfit [nats]."""
+    white = noise(given)
+    return hypothesis(given, white * np.sqrt((white.size + 2.0 * misfit) / (white @ white)), *terms)
+
+
+def comparison(given, nominal, *others, predicted=0.0, remaining=0.0, heldout=None):
+    """Of hypotheses, by the gains in log evidence that screening predicts at first and at last."""
+    return compared(Explanation(given, nominal, others, 0.0, predicted, remaining, ()), heldout)
+
+
+def answer(probability, *names):
+    """An answer with effects of these names."""
+    kinds = {"sensor_delay": Location("sensor", "keypoints")}
+    terms = tuple(Term(name, kinds.get(name, Location("body", "vertebra4")), (0.1,), (True,)) for name in names)
+    size = len(terms)
+    none = np.zeros((size, 1))
+    return Answer(Hypothesis(terms, np.zeros(size), np.zeros(1), 0.0, none, none), probability, 0.0, FIT, None, 0.0)
+
+
+def test_a_gain_like_those_of_healthy_robots_is_no_detection():
+    assert p_value(100.0) > 0.1
+    assert p_value(1000.0) < 1e-3
+    gumbel = DEFAULT.probabilities
+    assert p_value(gumbel.gumbel_location) == pytest.approx(1.0 - math.exp(-1.0))  # of a Gumbel distribution
+
+
+def test_the_temperature_grows_with_the_misfit_and_evidence_below_the_noise_does_not_cool_it():
+    settings = DEFAULT.probabilities
+    assert temperature(-50.0) == temperature(0.0) == settings.temperature
+    assert temperature(1000.0) == settings.temperature + 1000.0 * settings.temperature_of_misfit
+
+
+@pytest.mark.parametrize(
+    ("answers", "unknown", "verdict"),
+    [
+        ([(0.8,), (0.1, "payload")], 0.1, "adequate"),
+        ([(0.3, "payload"), (0.2,)], 0.5, "outside_catalogue"),
+        ([(0.35, "payload"), (0.2,)], 0.45, "outside_catalogue"),
+        ([(0.3, "payload"), (0.3, "payload"), (0.0,)], 0.4, "discrepancy"),
+        ([(0.6, "sensor_delay"), (0.1,)], 0.3, "measurement_fault"),
+    ],
+)
+def test_the_verdict_is_what_is_likeliest(answers, unknown, verdict):
+    compared = Comparison(tuple(answer(*each) for each in answers), unknown, 0.0)
+    found = Diagnosis(None, (), Outliers(0.0, 0.0), None, compared, (), None, 0.0)
+    assert found.verdict == verdict
+
+
+def test_the_report_is_of_the_likeliest_effect_even_if_nothing_is_the_first_answer():
+    """It is likelier than nothing in two answers together, and in neither of them."""
+    answers = answer(0.35), answer(0.32, "payload"), answer(0.3, "payload", "actuator_gain")
+    found = Comparison(answers, 0.03, 0.5)
+    assert found.detected
+    assert found.best is answers[1]
+    assert Comparison(answers[:2], 0.33, 0.5).best is answers[0]
+
+
+def test_the_answer_that_the_report_is_of_comes_first():
+    answers = (
+        answer(0.34, "payload", "backlash"),
+        answer(0.33, "actuator_lag", "compliance"),
+        answer(0.3, "actuator_lag", "actuator_gain"),
+    )
+    assert Comparison(answers, 0.03, 0.0).ranked == (answers[1], answers[0], answers[2])
+
+
+def test_a_misfit_that_no_law_explains_is_unknown_and_one_that_a_law_explains_is_not(given):
+    nominal, poor, good = (leaving(given, misfit, *terms) for misfit, terms in ((4e4, ()), (4e4, [GAIN]), (0, [GAIN])))
+    assert comparison(given, nominal, poor, predicted=1e4).unknown > 0.95
+    assert comparison(given, nominal, good, predicted=1e4).unknown < 0.05
+    # a law explains most, and one more is predicted to gain much: a discrepancy that no law describes
+    assert comparison(given, nominal, good, predicted=1e4, remaining=3000.0).unknown > 0.95
+
+
+def test_where_no_law_was_worth_a_fit_a_discrepancy_is_unknown(given):
+    assert comparison(given, leaving(given, 4e4), predicted=1e5).unknown > 0.95
+
+
+def test_a_misfit_far_above_the_sensors_noise_that_no_law_explains_is_unknown_and_not_nothing(given):
+    """Even if no law is predicted to gain anything."""
+    dominated = given.allowing(20 * SIGMA)
+    white = noise(given)
+    found = comparison(dominated, hypothesis(dominated, white), hypothesis(dominated, 0.99 * white, GAIN))
+    assert found.p_value is None
+    assert found.unknown > 0.9
+
+
+RESIDUALS = {
+    "white noise of twice its size": False,
+    "noise that remembers a sample": False,
+    "three outliers": False,
+    "motion as slow as the commands": True,
+}
+
+
+def residual_of(given, kind):
+    """(M,) of a kind."""
+    (recording,) = given.recordings
+    white = noise(given).reshape(recording.values.shape)
+    slow = 2.0 * np.sin(2.0 * np.pi * 0.4 * recording.time)[:, None, None]
+    return {
+        "white noise of twice its size": 2.0 * white,
+        "noise that remembers a sample": (white + np.roll(white, 1, axis=0)) / np.sqrt(2.0),
+        "three outliers": white + 40.0 * (np.arange(white.size).reshape(white.shape) < 3),
+        "motion as slow as the commands": white + slow,
+    }[kind].ravel()
+
+
+@pytest.mark.parametrize(("kind", "unknown"), RESIDUALS.items())
+def test_a_residual_is_unknown_if_it_is_slower_than_noise_even_if_no_law_is_predicted_to_gain(given, kind, unknown):
+    found = comparison(given, hypothesis(given, residual_of(given, kind)), predicted=50.0, remaining=50.0)
+    assert found.detected == unknown
+    assert (found.unknown > 0.9) == unknown
+
+
+def test_the_slow_variance_is_that_of_the_motion_in_units_of_the_noise(given):
+    """A sine of amplitude 2 has a variance of 2, and a lag of 0.15 s turns it by 22 degrees."""
+    slow, pairs = slow_variance([(given, residual_of(given, "motion as slow as the commands"))])
+    assert slow == pytest.approx(2.0 * math.cos(2.0 * math.pi * 0.4 * 0.15), rel=0.3)
+    assert 0.9 * given.weight.size < pairs < given.weight.size
+    white, _ = slow_variance([(given, noise(given))])
+    assert abs(white) < 0.1
+
+
+def test_slow_variance_is_as_likely_as_not_at_its_setting():
+    limit = DEFAULT.probabilities.slow_variance
+    assert p_slow(limit, 1e6) == pytest.approx(alpha())
+    assert p_slow(2 * limit, 1e6) < p_slow(limit, 1e6) < p_slow(limit, 100.0)  # few samples say little
+
+
+@pytest.mark.parametrize(("share", "first"), [(0.009, "coulomb_friction"), (0.04, "stribeck_friction")])
+def test_a_law_with_more_unknowns_has_to_explain_more_than_what_no_law_has_quite_right(given, share, first):
+    """Stribeck friction contains Coulomb friction, so it never explains less."""
+    nominal, whole = leaving(given, 1e5), leaving(given, 0.0, STRIBECK)
+    found = comparison(given, nominal, whole, leaving(given, share * 1e5, COULOMB), predicted=1e5)
+    assert found.answers[0].names == (first,)
+
+
+def test_recordings_that_were_held_out_decide_between_hypotheses_that_fit_as_well(given):
+    nominal, first, second = leaving(given, 1e5), leaving(given, 100.0, GAIN), leaving(given, 100.0, COULOMB)
+    heldout = [leaving(given, misfit).residual for misfit in (1e5, 5e4, 100.0)]
+    found = comparison(given, nominal, first, second, predicted=1e5, heldout=(given, np.array(heldout)))
+    assert found.best.names == ("coulomb_friction",)
+    assert found.best.heldout.explained == pytest.approx(1.0, abs=0.01)
+
+
+def test_what_is_compared_has_most_evidence_whatever_round_it_is_of(given):
+    """The right law is of the first round. Later rounds have more hypotheses than are compared, with one term more:
+    they gain no more than a law with more unknowns always gains."""
+    nominal, right = leaving(given, 2e5), leaving(given, 2000.0, COULOMB)
+    count = DEFAULT.probabilities.compared
+    later = [leaving(given, 900.0 + k, COULOMB, GAIN) for k in range(count)]
+    explanation = Explanation(given, nominal, (*later, right), 0.0, 0.0, 0.0, ())
+    assert shortlist(explanation) == [nominal, right, *later[:-1]]
+    settings = replace(DEFAULT, probabilities=replace(DEFAULT.probabilities, compared=1))
+    assert shortlist(replace(explanation, problem=replace(given, settings=settings))) == [nominal, right]
+
+
+@pytest.mark.parametrize("misfit", [0.0, 1e6])
+def test_answers_are_never_certain_and_probabilities_add_up(given, misfit):
+    """However clear it is: of those that seemed so, a few were wrong."""
+    found = comparison(given, leaving(given, misfit), predicted=misfit)
+    mistaken = DEFAULT.probabilities.wrong_when_certain
+    assert mistaken <= found.unknown <= 1.0 - mistaken
+    assert found.unknown + sum(a.probability for a in found.answers) == pytest.approx(1.0)
