@@ -37,7 +37,9 @@ def test_values_at_the_nodes_are_those_that_made_the_factors(problem):
     model = Free(problem, 2)
     values = np.random.default_rng(1).standard_normal((model.size, 2))
     back = model.nodes.values(model.factors(values))
-    inside = np.concatenate([model.nodes.every * np.arange(n) < steps for n, steps in zip(model.nodes.counts, STEPS)])
+    inside = np.concatenate([
+        model.nodes.every * np.arange(n) < steps for n, steps in zip(model.nodes.counts, STEPS, strict=True)
+    ])
     np.testing.assert_allclose(back[inside], values[inside])
 
 

@@ -233,9 +233,9 @@ def _on_everything(robot: Robot, share: float) -> Iterator[tuple[UnitInput, ...]
 def _on_setpoints(problem: Problem, robot: Robot, base: Hypothesis) -> Iterator[Offset]:
     """An offset of every setpoint that can have one beside the effects of the hypothesis."""
     for location in robot.locations("actuator"):
-        moved = term(robot, _SETPOINT[0], location)
+        moved = term(robot, _SETPOINT[0], location, problem.settings.priors)
         if robot.accepts([*base.effects(problem.parameters), typical(moved)]):
-            yield Offset(location, moved.quantities[0].name, robot.setpoint_unit, moved.typical[0])
+            yield Offset(location, moved.quantities[0].name, robot.setpoint_unit_at(location), moved.typical[0])
 
 
 def _on_sensor(problem: Problem) -> Iterator[tuple[Offset, ...]]:
