@@ -9,12 +9,10 @@ from soro_bench.arrays import Floats
 from soro_bench.diagnosis.candidates import Term, effects_at
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.settings import DEFAULT, LikelihoodSettings, Settings
+from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.inference.statistical_linearisation import LowRank
 
 Points = Sequence[tuple[Floats, Sequence[Term]]]  # unknowns, and the candidate terms that they belong to
-
-DIVERGED = LikelihoodSettings().diverged
 
 
 class SimulationError(ValueError):
