@@ -6,6 +6,7 @@ from soro_bench.diagnosis.assembly.build import build_result
 from soro_bench.diagnosis.pipeline import run_diagnosis
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.recording.recording import Recording
 
 
@@ -15,6 +16,7 @@ def diagnose(
     heldout: Sequence[Recording] = (),
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
+    settings: Settings = DEFAULT,
 ) -> Result:
     """Say which physics the simulation of a robot lacks, from recordings of the real one.
 
@@ -25,9 +27,10 @@ def diagnose(
         heldout: of another motion, to test the explanation on.
         seed: of the random numbers; the same seed gives the same result.
         progress: called with the name of every stage.
+        settings: numbers of the method, one group per stage.
 
     Raises:
         RecordingError: a recording lacks something; the message says what.
         SimulationError: the simulation diverges.
     """
-    return build_result(run_diagnosis(robot, recordings, heldout, seed, progress), seed)
+    return build_result(run_diagnosis(robot, recordings, heldout, seed, progress, settings), seed)

@@ -2,13 +2,16 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from soro_bench.files import check_output, results_folder
 from soro_bench.options import EnvId
 from soro_bench.progress import StageStatus, console
+
+if TYPE_CHECKING:
+    from soro_bench.diagnosis.robots.robot import Robot
 
 
 @dataclass
@@ -72,7 +75,7 @@ class Diagnose:
         console.print(text, soft_wrap=True, highlight=False)
         console.print(f"{self.out / 'report.html'}, {self.out / 'result.json'}; {result.seconds:.0f} s", soft_wrap=True)
 
-    def _robot(self):
+    def _robot(self) -> "Robot":
         from soro_bench.diagnosis.baseline import baseline
         from soro_bench.diagnosis.robots.model_robot import ModelRobot
         from soro_bench.diagnosis.robots.suite_robot import SuiteRobot

@@ -1,4 +1,4 @@
-"""The whole diagnosis of a robot: from recordings to what is missing in its simulation."""
+"""The stages of a diagnosis, from recordings to the discrepancies of a simulation."""
 
 import itertools
 import time
@@ -20,15 +20,11 @@ from soro_bench.diagnosis.robots.robot import FITTED, Robot
 from soro_bench.diagnosis.selection.experiment_design import Proposal, proposed
 from soro_bench.diagnosis.selection.forward_selection import Explanation, explained, nominal_fit
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, compared, shortlist
+from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.inference.statistical_linearisation import LowRank
 from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
 from soro_bench.recording.recording import Recording, RecordingError
-
-MOST_NUMBERS = 300_000  # of all samples: four minutes of a trunk, of which every suspect is one more
-LIKELY = 0.05  # probability of an answer, above which it is worth knowing how well its unknowns are known
-UNSURE = 0.1  # probability of physics without a name, above which its place is looked for
-
 
 HypothesisKey = tuple[bytes, tuple[Term, ...]]
 
@@ -92,27 +88,24 @@ def run_diagnosis(
     heldout: Sequence[Recording] = (),
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
+    settings: Settings = DEFAULT,
 ) -> Diagnosis:
-    """Explain what a simulated robot gets wrong in recordings.
-
-    Args:
-        recordings: to explain.
-        heldout: of other motion, to test the explanations on.
-        progress: called with the name of every stage.
+    """Find out what a simulated robot gets wrong in recordings; the arguments are those of
+    :func:`soro_bench.diagnosis.api.diagnose`.
 
     Raises:
         RecordingError: a recording lacks something; says what.
         SimulationError: the simulation diverges.
     """
     start = time.perf_counter()
-    progress("audit")
+    progress("data quality")
     fitted, refined = robot.shortened(FITTED), robot.refined()
-    measured, tested = _measured(robot, recordings, heldout)
-    data_qualities = tuple(data_quality(each) for each in (*measured, *tested))
+    measured, tested = _measured(robot, settings.report.most_numbers, recordings, heldout)
+    data_qualities = tuple(data_quality(each, settings.data_quality) for each in (*measured, *tested))
     # of one sensor: motion only adds to it
     sigma = max(min(a.sigma for a in data_qualities), max(a.least for a in data_qualities))
-    check_scale(unexplained(robot, measured, sigma))
-    problem, nominal = nominal_fit(unexplained(fitted, measured, sigma), refined, seed, progress)
+    check_scale(unexplained(robot, measured, sigma, settings))
+    problem, nominal = nominal_fit(unexplained(fitted, measured, sigma, settings), refined, seed, progress)
     for each in (robot, fitted):
         problem.check_finite(each, problem.simulated(each, [(nominal.x, ())]))
     problem, nominal, found_outliers = _without_outliers(problem, nominal)
@@ -125,8 +118,8 @@ def run_diagnosis(
     comparison = compared(explanation, trial)
     explanation, comparison = _with_covariances(explanation, comparison, seed)
     found = Diagnosis(robot, data_qualities, found_outliers, explanation, comparison, (), None, 0.0)
-    if comparison.detected and comparison.unknown > UNSURE:
-        progress("place of what has no name")
+    if comparison.detected and comparison.unknown > settings.report.least_unknown:
+        progress("localisation")
         found = replace(
             found, ranked_locations=tuple(ranked_locations(explanation.problem, robot, explanation.nominal, refined))
         )
@@ -149,21 +142,21 @@ def _with_covariances(explanation: Explanation, comparison: Comparison, seed: in
     problem, nominal = explanation.problem, with_covariance(explanation.problem, explanation.nominal, seed)
     answers = [
         replace(a, hypothesis=with_covariance(problem, a.hypothesis, seed))
-        if a is comparison.best or a.probability > LIKELY
+        if a is comparison.best or a.probability > problem.settings.report.least_probability
         else a
         for a in comparison.answers
     ]
     return replace(explanation, nominal=nominal), replace(comparison, answers=tuple(answers))
 
 
-def _named(label: str, function, recording: Recording):
+def _named(label: str, function: Callable[[Recording], Measured], recording: Recording) -> Measured:
     try:
         return function(recording)
     except RecordingError as error:
         raise RecordingError(f"{label}: {error}") from error
 
 
-def _measured(robot, *groups: Sequence[Recording]) -> list[tuple[Measured, ...]]:
+def _measured(robot: Robot, most_numbers: int, *groups: Sequence[Recording]) -> list[tuple[Measured, ...]]:
     """What the diagnosis sees of the recordings to explain, and of held-out ones."""
     if not groups[0]:
         raise RecordingError("there is no recording to explain")
@@ -175,15 +168,15 @@ def _measured(robot, *groups: Sequence[Recording]) -> list[tuple[Measured, ...]]
         if _same(robot, i, j):
             raise RecordingError("two of the recordings are the same; what is explained twice is no more certain, and "
                                  "held-out recordings have to be others than those that are explained")  # fmt: skip
-    if (size := sum(each.values.size for group in found for each in group)) > MOST_NUMBERS:
-        raise RecordingError(f"{size} numbers to explain; at most {MOST_NUMBERS}, so cut the recordings")
+    if (size := sum(each.values.size for group in found for each in group)) > most_numbers:
+        raise RecordingError(f"{size} numbers to explain; at most {most_numbers}, so cut the recordings")
     return found
 
 
 def _same(robot: Robot, one: Recording, other: Recording) -> bool:
     """Whether two recordings have the same samples of the robot's signal."""
-    signals = [each.signals.get(robot.signal) for each in (one, other)]
-    return None not in signals and np.array_equal(*(each.values for each in signals), equal_nan=True)
+    first, second = (each.signals.get(robot.signal) for each in (one, other))
+    return first is not None and second is not None and np.array_equal(first.values, second.values, equal_nan=True)
 
 
 def _proposal(found: Diagnosis, seed: int) -> Proposal | None:
@@ -195,21 +188,25 @@ def _proposal(found: Diagnosis, seed: int) -> Proposal | None:
     return proposed(found.explanation.problem, found.comparison, unknown, seed)
 
 
-def unexplained(robot: Robot, measured: tuple[Measured, ...], sigma: float) -> Problem:
-    """Recordings of which nothing is explained yet, with noise ``sigma`` and no numerical floor."""
+def unexplained(robot: Robot, measured: tuple[Measured, ...], sigma: float, settings: Settings = DEFAULT) -> Problem:
+    """Recordings of which nothing is explained yet, with noise ``sigma`` and no discretisation error."""
     weight = np.concatenate([np.isfinite(each.values).ravel().astype(float) for each in measured])
-    return Problem(robot, measured, sigma, weight, LowRank(np.zeros((0, weight.size))))
+    return Problem(robot, measured, sigma, weight, LowRank(np.zeros((0, weight.size))), settings=settings)
 
 
 def tried_on(
     found: Explanation, measured: tuple[Measured, ...], refined: Sequence[Robot], hypotheses: Sequence[Hypothesis]
 ) -> tuple[Problem, np.ndarray] | None:
-    """Hypotheses on recordings that none was fitted to: the problem, without outliers and with a numerical floor of its
-    own, and the residuals (H, M); None where there are no recordings."""
+    """Hypotheses on recordings that none was fitted to.
+
+    Returns:
+        The problem, without outliers and with a discretisation error of its own, and the residuals (H, M); None where
+        there are no recordings.
+    """
     if not measured:
         return None
     problem = found.problem
-    tested = replace(unexplained(problem.robot, measured, problem.sigma), noise=problem.noise)
+    tested = replace(unexplained(problem.robot, measured, problem.sigma, problem.settings), noise=problem.noise)
     tested = _masked(tested, _outliers(tested, tested.residuals([(found.nominal.x, ())])[0]))
     points = [(h.x, h.terms) for h in hypotheses]
     discretisation, residuals = discretisation_and_residuals(tested, refined, points, points)
@@ -219,10 +216,12 @@ def tried_on(
 def _outliers(problem: Problem, residual: np.ndarray) -> np.ndarray:
     """(M,) whether a sample belongs to a point that is alone and far off."""
     left = np.where(problem.weight > 0, problem.discretisation.without(residual), np.nan)
-    return np.concatenate([np.repeat(outliers(part).ravel(), part.shape[2]) for part in problem.split(left)])
+    return np.concatenate([
+        np.repeat(outliers(part, problem.settings.data_quality).ravel(), part.shape[2]) for part in problem.split(left)
+    ])
 
 
-def _without_outliers(problem, nominal):
+def _without_outliers(problem: Problem, nominal: Hypothesis) -> tuple[Problem, Hypothesis, Outliers]:
     """The problem and its nominal fit without the samples that are alone and far off."""
     far = _outliers(problem, nominal.residual)
     if not far.any():
@@ -238,10 +237,10 @@ def _masked(problem: Problem, far: np.ndarray) -> Problem:
     return replace(problem, weight=problem.weight * ~far, discretisation=LowRank(problem.discretisation.basis * ~far))
 
 
-def _with_noise(problem, nominal, least):
+def _with_noise(problem: Problem, nominal: Hypothesis, least: float) -> tuple[Problem, Hypothesis]:
     """The same with the noise of what the nominal fit leaves: little of the motion is in it, so it shows better."""
     left = problem.split(np.where(problem.weight > 0, problem.discretisation.without(nominal.residual), np.nan))
-    found = max(noise(part.reshape(len(part), -1)) for part in left)
+    found = max(noise(part.reshape(len(part), -1), problem.settings.data_quality) for part in left)
     factor = 1.0 / min(1.0, max(least / problem.sigma, found))
     problem = replace(
         problem, sigma=problem.sigma / factor, discretisation=LowRank(problem.discretisation.basis * factor)

@@ -252,6 +252,15 @@ class ExperimentDesignSettings:
 
 
 @dataclass(frozen=True)
+class ReportSettings:
+    """What is accepted, and which hypotheses and locations are worth more work at the end."""
+
+    most_numbers: int = setting(300_000, "numbers", "four minutes of a trunk; every candidate term adds as many")
+    least_probability: float = setting(0.05, "1", "of a hypothesis whose intervals are computed by replays")
+    least_unknown: float = setting(0.1, "1", "probability of an unknown law, above which its location is searched")
+
+
+@dataclass(frozen=True)
 class RobotSettings:
     """Simulations of a robot and its commands. A robot has them before it is diagnosed (``Robot.settings``)."""
 
@@ -287,6 +296,7 @@ class Settings:
     probabilities: ProbabilitySettings = ProbabilitySettings()
     localisation: LocalisationSettings = LocalisationSettings()
     experiment_design: ExperimentDesignSettings = ExperimentDesignSettings()
+    report: ReportSettings = ReportSettings()
 
     def listed(self) -> Iterator[tuple[str, str, Any, str, str]]:
         """Stage, name, value, unit and reason of every setting."""

@@ -1,6 +1,7 @@
 """The result of a diagnosis, from its internal state: everything that is shown, as plain numbers and names."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +38,7 @@ from soro_bench.diagnosis.robots.priors import LIMIT
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.selection.forward_selection import Round
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, alpha
+from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.effects.catalogue import ALL, CATEGORIES
 from soro_bench.effects.effect import Location
 
@@ -87,7 +89,14 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
         shapes=shapes(diagnosis),
         seed=seed,
         seconds=round(diagnosis.seconds, 1),
+        settings=_changed(explanation.problem.settings),
     )
+
+
+def _changed(settings: Settings) -> dict[str, Any]:
+    """The settings that differ from their defaults, by "stage.name"."""
+    pairs = zip(settings.listed(), DEFAULT.listed(), strict=True)
+    return {f"{own[0]}.{own[1]}": own[2] for own, usual in pairs if own[2] != usual[2]}
 
 
 def _robot(diagnosis: Diagnosis) -> RobotSummary:

@@ -11,6 +11,7 @@ from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.localisation.residual_maps import Regime, explained_over_time, intervals, regimes
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.result import Estimate, Finding
+from soro_bench.diagnosis.robots.priors import Prior
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer, temperature
 from soro_bench.effects.catalogue import CATEGORIES
@@ -148,7 +149,8 @@ def tempered(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:
     return np.linalg.inv((np.linalg.inv(hypothesis.covariance(problem)) - prior) / temper + prior)
 
 
-def prior_values(priors, x) -> np.ndarray:
+def prior_values(priors: Sequence[Prior], x: np.ndarray) -> np.ndarray:
+    """(d,) values of the parameters at coordinates x (n,), of which they are the first d."""
     return np.array([float(prior.value(value)) for prior, value in zip(priors, x[: len(priors)], strict=True)])
 
 
@@ -168,7 +170,7 @@ def _ahead(best: Answer, answer: Answer, unit: str) -> list[str]:
     if best.train.after < answer.train.after:
         return [f"leaves {length(answer.train.after, unit)}, {name} {length(best.train.after, unit)}"]
     if best.heldout is not None and answer.heldout is not None and best.heldout.after < answer.heldout.after:
-        left, more = (length(each.heldout.after, unit) for each in (best, answer))
+        left, more = (length(each.after, unit) for each in (best.heldout, answer.heldout))
         return [f"leaves {more} of held-out recordings, {name} {left}"]
     ahead = best.evidence - answer.evidence
     return [f"{name} has {ahead:.0f} nats more evidence: it fits as well with less"] if ahead > 0 else []

@@ -36,6 +36,9 @@ _LEAST_SHARE = 0.6  # of the law's squared force that a function of the state ha
 _LEAST_WINDOWS = 10  # that errors are estimated from
 
 
+BeforeStep = Callable[[int], None]  # called with the number of a control step
+
+
 @dataclass(frozen=True)
 class Curve:
     """Force against state at the nodes, of falling and of rising states: arrays are (2, n).
@@ -81,10 +84,11 @@ def _curve(problem: Problem, hypothesis: Hypothesis, i: int, site: Springs | Ser
     change, deviation = _corrections(problem, hypothesis, i, (replays[1:] - replays[0]) / _PUSH)
     law[flat.sum(axis=1) < 1.0] = np.nan
     known = np.where((deviation < _UNKNOWN) & np.isfinite(law), size, np.nan)
-    values = [(site.scale * each).reshape(2, -1) for each in (law, law + known * change, known * deviation)]
+    columns = (law, law + known * change, known * deviation)
+    fitted, measured, spread = ((site.scale * each).reshape(2, -1) for each in columns)
     scale, unit = (1.0, "rad") if site.turns else (1e3, "mm")
     label = f"rate of the {site.state} [{unit}/s]" if of_rate else f"{site.state} [{unit}]"
-    return Curve(effects[i], scale * nodes, *values, share, (label, site.force))
+    return Curve(effects[i], scale * nodes, fitted, measured, spread, share, (label, site.force))
 
 
 def _nodes(tracks: Sequence[np.ndarray], timestep: float, of_rate: bool) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -97,7 +101,8 @@ def _nodes(tracks: Sequence[np.ndarray], timestep: float, of_rate: bool) -> tupl
     slow = _SLOW * np.quantile(np.abs(np.concatenate(rates)), 1.0 - _EXTREME)
     counted = [(np.abs(rate) >= slow) | (not of_rate) for rate in rates]
     sample = np.concatenate([state[which] for state, which in zip(states, counted, strict=True)])
-    nodes, weights = np.linspace(*np.quantile(sample, (_EXTREME, 1.0 - _EXTREME)), _NODES), []
+    low, high = (float(each) for each in np.quantile(sample, (_EXTREME, 1.0 - _EXTREME)))
+    nodes, weights = np.linspace(low, high, _NODES), []
     for state, rate, which in zip(states, rates, counted, strict=True):
         hats = np.stack([np.interp(state, nodes, row) for row in np.eye(_NODES)]) * which
         rising = _rising(rate, slow)
@@ -113,7 +118,9 @@ def _rising(rates: np.ndarray, slow: float) -> np.ndarray:
     return rising
 
 
-def _corrections(problem, hypothesis, i, responses) -> tuple[np.ndarray, np.ndarray]:
+def _corrections(
+    problem: Problem, hypothesis: Hypothesis, i: int, responses: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """(B,) how much of each response (B, M) the recordings ask for, and standard deviations; one is the prior's.
 
     What a function of the state cannot give is no white noise, so the deviations are what one second more or less
@@ -136,11 +143,13 @@ def _corrections(problem, hypothesis, i, responses) -> tuple[np.ndarray, np.ndar
     return -(inverse @ pull)[: len(responses)], np.sqrt(np.diag(covariance))[: len(responses)]
 
 
-def _observed(problem, hypothesis, effects, site) -> tuple[list[np.ndarray], list[np.ndarray]]:
+def _observed(
+    problem: Problem, hypothesis: Hypothesis, effects: Sequence[Sequence[Effect]], site: Springs | Servos
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """States and what the law does there, (T, K) at the end of every step of every recording."""
     found: list[list[np.ndarray]] = []
 
-    def watch(recording):
+    def watch(recording: int) -> BeforeStep:
         found.append([])
         return lambda step: found[recording].append(site.observed())
 
@@ -149,10 +158,13 @@ def _observed(problem, hypothesis, effects, site) -> tuple[list[np.ndarray], lis
     return [track[:, 0] for track in ends], [track[:, 1] for track in ends]
 
 
-def _with_inputs(problem, hypothesis, effects, site, forces, more, weights) -> np.ndarray:
+def _with_inputs(
+    problem: Problem, hypothesis: Hypothesis, effects: Sequence[Effect], site: Springs | Servos,
+    forces: Sequence[np.ndarray], more: np.ndarray, weights: Sequence[np.ndarray],
+) -> np.ndarray:  # fmt: skip
     """(N, M) replays with forces (T, K) of every recording, and more at the nodes (N, B)."""
 
-    def apply_input(recording):
+    def apply_input(recording: int) -> BeforeStep:
         acting = forces[recording] + np.tensordot(more, weights[recording], 1)
         return lambda step: site.apply_input(acting[:, step])
 
@@ -161,7 +173,10 @@ def _with_inputs(problem, hypothesis, effects, site, forces, more, weights) -> n
     return simulated
 
 
-def _replayed(problem, hypothesis, effects, before_step: Callable[[int], Callable[[int], None]]) -> np.ndarray:
+def _replayed(
+    problem: Problem, hypothesis: Hypothesis, effects: Sequence[Sequence[Effect]],
+    before_step: Callable[[int], BeforeStep],
+) -> np.ndarray:  # fmt: skip
     """(N, M) in units of the noise; ``before_step`` gives what to call before the steps of every recording."""
     parameters = np.tile(list(problem.robot.parameters(hypothesis.x).values()), (len(effects), 1))
     parts = [

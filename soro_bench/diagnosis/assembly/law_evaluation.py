@@ -68,13 +68,13 @@ class Springs:
         acting = np.einsum("nk,nkv->nv", forces, self._directions(len(forces)))
         self._batch.qfrc_applied[: len(forces)] = acting
 
-    def _states(self):
+    def _states(self) -> np.ndarray:
         if self._joints is None:
             return self._model.tendon_length0[self._ids] - self._batch.ten_length[0, self._ids]
         angles = [self._batch.qpos[0, self._model.jnt_qposadr[joints]] for joints in self._joints]
         return np.array([np.linalg.norm(each) if len(each) > 1 else each[0] for each in angles])
 
-    def _directions(self, count):
+    def _directions(self, count: int) -> np.ndarray:
         """(count, K, nv) generalised forces of a unit force; the joints of one body bend it together."""
         found, model = np.zeros((count, len(self._ids), self._model.nv)), self._model
         for k, i in enumerate(self._ids):
@@ -103,16 +103,18 @@ class Servos:
         self.scale = 1.0 if self.turns else 1e3
         self.force = f"beside the command by [{'rad' if self.turns else 'mm'}]"
 
-    def observed(self):
+    def observed(self) -> np.ndarray:
+        """As of springs: commands, and what the law adds to them."""
         self._own = self._bias[0, self._ids, 0].copy()
         asked, added = (each[0, self._ids] for each in self._simulation.setpoints)
         mean, self._added = (added - self._added) / self._timestep, added
         return np.stack([asked, mean])
 
-    def apply_input(self, forces):
+    def apply_input(self, forces: np.ndarray) -> None:
+        """As of springs: shift the setpoints (N, K) of the first N simulations."""
         count = len(forces)
         self._bias[:count, self._ids, 0] = self._own + self._gain[:count, self._ids, 0] * forces
 
 
-def _turns(model, joint) -> bool:
+def _turns(model: mujoco.MjModel, joint: int) -> bool:
     return bool(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE)

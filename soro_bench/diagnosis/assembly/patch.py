@@ -138,7 +138,7 @@ def _differing(model: mujoco.MjModel, other: mujoco.MjModel, tolerance: float) -
     return [name for name in names if not _same(_values(model, name), _values(other, name), tolerance)]
 
 
-def _values(model, name) -> np.ndarray:
+def _values(model: mujoco.MjModel, name: str) -> np.ndarray:
     """A field, without what makes no difference: the lengths of quaternions, and where the mass of no mass is."""
     values = np.array(attrgetter(name)(model), float)
     if name in ("body_quat", "body_iquat"):
@@ -148,12 +148,14 @@ def _values(model, name) -> np.ndarray:
     return values
 
 
-def _same(a, b, tolerance) -> bool:
+def _same(a: np.ndarray, b: np.ndarray, tolerance: float) -> bool:
     scale = np.abs(a).max(initial=0.0)
     return a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=tolerance * scale, equal_nan=True)
 
 
-def _comment(robot, parameters, native, remaining) -> str:
+def _comment(
+    robot: Robot, parameters: Mapping[str, float], native: Sequence[Effect], remaining: Sequence[Effect]
+) -> str:
     values = ", ".join(f"{prior.name} {parameters[prior.name]:.6g} {prior.unit}" for prior in robot.priors)
     said = [f"Robot of {robot.name}, model {robot.model_name}, as diagnosed. Parameters: {values}."]
     said.append(f"Effects in this model: {_listed(native)}.")
@@ -164,5 +166,5 @@ def _comment(robot, parameters, native, remaining) -> str:
     return " ".join(said)
 
 
-def _listed(effects) -> str:
+def _listed(effects: Sequence[Effect]) -> str:
     return ", ".join(f"{effect.name} at {effect.location}" for effect in effects) or "none"
