@@ -1,7 +1,5 @@
 """Where an unknown input acts, and what it is."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,6 @@ from soro_bench.diagnosis.localisation.test_inputs import Source, replayed, setp
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
-from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.inference.statistical_linearisation import LowRank
 from tests.arm import ARM, MAP
@@ -63,27 +60,6 @@ def test_a_setpoint_that_wanders_is_found_at_its_actuator(robot, actions):
     best = ranked_locations(given, robot, base)[0]
     assert best.location == Location("actuator", "L2")
     assert best.force.components == ("offset",)
-
-
-def test_neighbours_of_the_only_screened_location_are_tried_until_none_is_better(robot, actions):
-    """The linear prediction chooses where to look; from there the estimates lead on to where the force acts."""
-    location = Location("body", "vertebra5")
-    batch, i = robot.simulation.batch, robot.elements.id(location)
-    batch.bind("xfrc_applied")
-
-    def act(step):
-        batch.xfrc_applied[0, i, 0] = 0.3 * (1.0 + np.sin(step / 5))
-
-    given = problem(robot, actions, before_step=act)
-    batch.xfrc_applied[:] = 0.0
-    few = replace(DEFAULT.localisation, located=1, located_per_kind=0, rounds=2)
-    given = replace(given, settings=replace(DEFAULT, localisation=few))
-    (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1, 0.05), seed=0)
-    found = {site.location.name: site.gain for site in ranked_locations(given, robot, base)}
-    best = max(found, key=found.get)
-    assert best == "vertebra5"
-    beside = {site.name for site in robot.beside(Location("body", best))}
-    assert beside <= found.keys()
 
 
 def test_where_nothing_acts_no_location_is_ranked(robot, actions):
