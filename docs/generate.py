@@ -8,12 +8,14 @@ A page of an environment is written whole; in other pages the text between two m
 import argparse
 import dataclasses
 import inspect
+import json
 import os
 import re
 import textwrap
 import types
 import typing
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import gymnasium
@@ -337,10 +339,23 @@ def settings() -> str:
 
 
 def _settings(stage: str, group) -> str:
-    rows = [(f"`{name}`", f"{value}", unit, reason) for _, name, value, unit, reason in listed(stage, group)]
+    changes = json.loads((DOCS / "results" / "settings_sensitivity.json").read_text())
+    rows = [
+        (f"`{name}`", f"{value}", unit, reason, *_changes(changes.get(f"{stage}.{name}", {}), stage == "robots"))
+        for _, name, value, unit, reason in listed(stage, group)
+    ]
     summary = re.sub(r"\s+", " ", inspect.getdoc(group))
     title = stage.replace("_", " ").capitalize()
-    return f"## {title}\n\n{summary}\n\n{table(('setting', 'value', 'unit', 'reason'), rows)}"
+    return f"## {title}\n\n{summary}\n\n{table(('setting', 'value', 'unit', 'reason', 'halved', 'doubled'), rows)}"
+
+
+def _changes(measured: dict[str, dict[str, str]], of_robot: bool) -> Iterator[str]:
+    """What changes when a setting is halved, and doubled, in the cases of benchmarks/diagnosis_settings.py."""
+    for factor in ("halved", "doubled"):
+        if factor not in measured:
+            yield "not a part of a diagnosis" if of_robot else "not measured"
+        else:
+            yield "; ".join(f"{case}: {text}" for case, text in measured[factor].items()) or "no change"
 
 
 # --- result.json ---

@@ -1,14 +1,15 @@
-"""Every quantity that a diagnosis can print has a unit."""
+"""Every quantity that a diagnosis can print has a unit; questions to a robot do not change it."""
 
+import numpy as np
 import pytest
 
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
-from soro_bench.diagnosis.candidates import terms
+from soro_bench.diagnosis.candidates import terms, typical
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
-from soro_bench.effects.effect import EVERY, Location
+from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.registration import task_type
 from tests.arm import ARM, MAP
 
@@ -40,6 +41,25 @@ def test_every_quantity_of_every_term_of_the_suite_has_a_unit(env_id, model):
     assert found["pretension", "actuator", "offset"] == length
     assert robot.setpoint_unit == length
     assert found["sensor_bias", "sensor", "x"] == "m"
+
+
+@pytest.mark.parametrize(("env_id", "model"), [("TrunkReach-v0", "cable"), ("TrunkReach-v0", "flex"), SUITE[-2]])
+def test_questions_about_effects_do_not_change_what_is_simulated(env_id, model):
+    """Asked in every control step, with every law, beside the law that acts."""
+    robot = SuiteRobot(env_id, model, threads=1)
+    lag = Effect("actuator_lag", Location("actuator", EVERY), {"time_constant": 0.05})
+    laws = {one.name: typical(one) for one in terms(robot) if one.location.kind != "sensor"}
+    actions = np.full((3, len(robot.moves)), 0.4)
+    nominal = np.array([[prior.nominal for prior in robot.priors]])
+
+    def ask(step: int) -> None:
+        for law in laws.values():
+            assert robot.accepts([law])
+            robot.native(law)
+        assert not robot.accepts([lag, lag])
+
+    plain, asked = (robot.simulate(actions, nominal, [[lag]], before_step=each) for each in (lambda step: None, ask))
+    np.testing.assert_array_equal(plain, asked)
 
 
 @pytest.mark.parametrize(
