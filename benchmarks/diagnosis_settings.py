@@ -80,21 +80,28 @@ def main() -> None:
             RememberingRobot.replays = dict(remembered)  # of the defaults only, to bound the memory
             if name in known.get(key, {}):
                 continue
-            found = {case: changed(paths, case, settings, usual[case]) for case in CASES}
+            if isinstance(settings, ValueError):
+                found = {"all": f"refused, {settings}"}
+            else:
+                found = {case: changed(paths, case, settings, usual[case]) for case in CASES}
             known.setdefault(key, {})[name] = {case: text for case, text in found.items() if text}
             write_json(RESULTS, known)
             print(key, name, known[key][name] or "no change", flush=True)
 
 
-def varied(stages: list[str] | None) -> Iterator[tuple[str, str, Settings]]:
-    """Name of a setting, name of the factor, and settings with that one times the factor."""
+def varied(stages: list[str] | None) -> Iterator[tuple[str, str, Settings | ValueError]]:
+    """Name of a setting, name of the factor, and settings with that one times the factor, or why they are refused."""
     for stage, name, value, _, _ in DEFAULT.listed():
         if stages and stage not in stages:
             continue
         for label, factor in FACTORS.items():
             number = round(value * factor) if isinstance(value, int) else value * factor
-            group = replace(getattr(DEFAULT, stage), **{name: number})
-            yield f"{stage}.{name}", label, replace(DEFAULT, **{stage: group})
+            try:
+                group = replace(getattr(DEFAULT, stage), **{name: number})
+            except ValueError as error:
+                yield f"{stage}.{name}", label, error
+            else:
+                yield f"{stage}.{name}", label, replace(DEFAULT, **{stage: group})
 
 
 def outcome(paths: tuple[Path, Path], case: str, settings: Settings) -> dict[str, Any]:
@@ -119,7 +126,7 @@ def answer(best: Any) -> str:
 
 def diagnosed(robot: ModelRobot, train: Any, heldout: Any, settings: Settings) -> Any:
     """The diagnosis with some settings."""
-    run: Any = getattr(pipeline, "run_diagnosis", None) or pipeline.diagnose
+    run: Any = pipeline.run_diagnosis
     if "settings" in inspect.signature(run).parameters:
         return run(robot, [train], [heldout], settings=settings)
     before = {

@@ -39,6 +39,15 @@ class DataQualitySettings:
     outlier_neighbours: int = setting(10, "samples", "on either side, from which the usual jump is taken")
     outlier_return: float = setting(0.5, "1", "share of the jump by which the samples before and after may differ")
 
+    def __post_init__(self) -> None:
+        """Refuse a window whose polynomial goes through all of its samples.
+
+        Raises:
+            ValueError: no number of a window is noise.
+        """
+        if self.window < self.degree + 2:
+            raise ValueError(f"a window of {self.window} samples says nothing beside a polynomial of {self.degree}")
+
 
 @dataclass(frozen=True)
 class UnitCheckSettings:

@@ -120,6 +120,7 @@ def _prefixed(progress: Callable[[str], None], name: str) -> Callable[[str], Non
     """Report stages with the name of a part before them."""
 
     def report(stage: str) -> None:
+        """Report a stage of the part."""
         progress(f"{name}: {stage}")
 
     return report

@@ -134,6 +134,7 @@ def fitted_under_discretisation(
 def _hypotheses(
     problem: Problem, guess: Guess, points: Sequence[Floats], residuals: Floats, line: Line
 ) -> list[Hypothesis]:
+    """Hypotheses at points (N, n) with residuals (N, M), which share a linearisation."""
     return [
         Hypothesis(guess.terms, x, row, problem.cost(row, x), line.jacobian, line.error)
         for x, row in zip(points, residuals, strict=True)
@@ -150,6 +151,7 @@ def replayed(
 def _asked(
     guesses: Sequence[Guess] | Sequence[Hypothesis], groups: Sequence[Sequence[Floats] | Floats]
 ) -> list[tuple[Floats, Sequence[Term]]]:
+    """All points of all guesses, each with its terms."""
     terms = [guess.terms for guess in guesses]
     return [(x, some) for some, points in zip(terms, groups, strict=True) for x in points]
 
@@ -160,6 +162,7 @@ def _split(rows: Floats, groups: Sequence[Sequence[Floats] | Floats]) -> list[Fl
 
 
 def _within(problem: Problem, guesses: Sequence[Guess]) -> list[Guess]:
+    """The guesses with their unknowns inside the bounds."""
     return [replace(g, x=np.clip(g.x, *bounds(problem, g.terms))) for g in guesses]
 
 
@@ -212,4 +215,5 @@ def normal_equations(discretisation: LowRank, jacobian: Floats, residual: Floats
 
 
 def _hessian(discretisation: LowRank, jacobian: Floats) -> Floats:
+    """(n, n) of the linearised cost, with standard normal priors."""
     return discretisation.product(jacobian, jacobian) + np.eye(len(jacobian))

@@ -104,6 +104,7 @@ class Problem:
         return self._with_basis(np.concatenate([self.discretisation.basis, columns / self.sigma * self.weight]))
 
     def _with_basis(self, basis: Floats) -> "Problem":
+        """The same problem with a basis (F, M) of errors; where the misfit dominates, without the negligible ones."""
         if self.misfit_dominated:
             negligible = self.settings.discretisation.negligible
             basis = basis[(basis**2).sum(axis=1) > negligible**2 * self.weight.sum()]

@@ -38,6 +38,7 @@ def _motions(measured: Floats, simulated: Floats) -> tuple[Floats, Floats]:
     count = np.maximum(seen.sum(axis=0), 1)
 
     def centred(samples: Floats) -> Floats:
+        """Shared samples about their means, in a row."""
         mean = np.where(seen, samples, 0.0).sum(axis=0) / count
         return np.where(seen, samples - mean, 0.0).ravel()
 

@@ -241,6 +241,7 @@ class ModelRobot(Robot):
             self.shape = (len(names), width)
 
     def _begin(self, parameters: Floats, start: Floats | None) -> None:
+        """Start the simulations; see :meth:`Robot._begin`."""
         ids = np.arange(len(parameters))
         batch = self.simulation.batch
         self._set_all(ids, parameters, np.ones((len(ids), len(self._settings))))
@@ -250,6 +251,7 @@ class ModelRobot(Robot):
         self.simulation.begin(ids)
 
     def _set(self, ids: Ints, settings: Floats) -> None:
+        """Give simulations their settings; their parameters stay."""
         if len(ids):
             self._set_all(ids, self.simulation.params[ids, : len(self.priors)], settings)
 
@@ -258,17 +260,20 @@ class ModelRobot(Robot):
         self.simulation.set_params(ids, np.hstack([parameters, settings]))
 
     def _step(self, actions: Floats) -> Bools:
+        """Advance the simulations by a control step; (n,) whether each diverged."""
         ids = np.arange(len(actions))
         self.simulation.batch.ctrl[ids] = actions
         self.simulation.step(ids, self._substeps)
         return self.simulation.bad_states(ids)
 
     def _read(self, count: int) -> Floats:
+        """(count, P, D) the signal now."""
         values = getattr(self.simulation.batch, self._source)[:count, self._ids].reshape(count, *self.shape)
         return np.where(np.abs(values) < _SETTINGS.diverged, values, np.nan)
 
 
 def _spec(path: str | Path) -> mujoco.MjSpec:
+    """The model of a file with absolute paths of its files, prepared for effects."""
     spec, folder = mujoco.MjSpec.from_file(str(path)), Path(path).resolve().parent
     # a patched model, which lies elsewhere, finds the same files
     if spec.meshes or spec.hfields or spec.skins:

@@ -346,9 +346,11 @@ class Robot(ABC):
         work = {i: 0 if before_step else between_steps(physics[i]) for i in sorted(set(first))}
 
         def alike(job: tuple[int, int]) -> tuple[int, int]:
+            """Replays that run side by side: as much work between steps, as many steps."""
             return work[job[1]], len(drives[job[0]].actions)
 
         def rolled_out(robot: Robot, parts: Sequence[list[tuple[int, int]]]) -> dict[tuple[int, int], Floats]:
+            """Signals of replays, by drive and row, simulated part by part on a robot."""
             found: dict[tuple[int, int], Floats] = {}
             for jobs in parts:
                 driven, rows = [drives[k] for k, _ in jobs], [i for _, i in jobs]

@@ -103,14 +103,17 @@ class SuiteRobot(Robot):
         return recording.control_steps([COMMAND], self.control_timestep)[0]
 
     def _begin(self, parameters: Floats, start: Floats | None) -> None:
+        """Start the simulations; see :meth:`Robot._begin`."""
         n, names = len(parameters), [prior.name for prior in self.priors]
         options = [{"params": dict(zip(names, row, strict=True))} for row in parameters.tolist()]
         self._task.reset(np.arange(n), [np.random.default_rng(0)] * n, options)
 
     def _step(self, actions: Floats) -> Bools:
+        """Advance the simulations by a control step; (n,) whether each diverged."""
         return self._task.hold(np.arange(len(actions)), actions)[1]
 
     def _read(self, count: int) -> Floats:
+        """(count, P, D) the signal now."""
         return self._task.signals(np.arange(count))[self.signal]
 
 
