@@ -112,7 +112,9 @@ def outcome(paths: tuple[Path, Path], case: str, settings: Settings) -> dict[str
     best = found.best
     deviation = np.sqrt(np.diag(best.hypothesis.covariance(found.explanation.problem)))
     return {
-        "answer": "discrepancy outside the catalogue" if found.verdict == "unknown_physics" else answer(best),
+        "answer": "discrepancy outside the catalogue"
+        if found.detected and found.comparison.unknown > found.comparison.likeliest
+        else answer(best),
         "probability": best.probability,
         "x": best.hypothesis.x,
         "deviation": deviation,
