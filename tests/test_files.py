@@ -9,6 +9,7 @@ from soro_bench.diagnosis.robots.robot_map import read_mapping
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import load_effects
 from soro_bench.files import check_output, read_json, write_json
+from soro_bench.markdown import table
 from soro_bench.randomization import load
 
 
@@ -69,3 +70,8 @@ def test_files_have_the_permissions_that_the_user_wants(tmp_path):
     finally:
         os.umask(before)
     assert (tmp_path / "a.json").stat().st_mode & 0o777 == 0o600
+
+
+def test_a_table_has_a_line_per_row_and_a_vertical_bar_stays_in_its_cell():
+    expected = "| case | answer |\n|---|---|\n| 1 | a\\|b |\n| 2 |  |"
+    assert table(("case", "answer"), [(1, "a|b"), (2, "")]) == expected
