@@ -2,11 +2,11 @@
 
     python baselines/closing_the_loop.py
 
-Three trunks with wrong parameters and concealed physics (soro_bench/proof, which shares no code with the effects) are
+Three trunks with wrong parameters and hidden physics (soro_bench/blind_benchmark, no code of the effects) are
 recorded for 30 s and diagnosed with the cheap model. PPO is trained on TrunkReach four ways: on the nominal robot; on a
 random box of the search space (UDR); on the patched robot, with the effects and the distribution that the diagnosis
 wrote; and on the true robot (oracle: the true parameters and effect, in the catalogue's terms). Every policy is run on
-the concealed robot, to the 27 fixed goals. Writes results.json and results.md into --out; an interrupted run goes on.
+the hidden robot, to the 27 fixed goals. Writes results.json and results.md into --out; an interrupted run goes on.
 """
 
 import argparse
@@ -49,8 +49,8 @@ METHOD_NAMES = ("nominal", "udr", "patched", "oracle")
 
 
 @dataclass(frozen=True)
-class Concealed:
-    """Factors of the nominal parameters, a law of the concealed robot, and the same in the catalogue's terms."""
+class Hidden:
+    """Factors of the nominal parameters, a law of the hidden robot, and the same in the catalogue's terms."""
 
     factors: dict[str, float]
     law: Callable[[], Law]
@@ -62,18 +62,18 @@ class Concealed:
         return {p.name: p.nominal * self.factors.get(p.name, 1.0) for p in trunk.PARAMETERS}
 
 
-CONCEALED = {
-    "delay": Concealed(
+HIDDEN = {
+    "delay": Hidden(
         {"trunk_mass": 1.2, "young_modulus": 0.85},
         lambda: command_laws.Delay(0.15),
         Effect("actuator_delay", Location("actuator", EVERY), {"delay": 0.15}),
     ),
-    "weak_cable": Concealed(
+    "weak_cable": Hidden(
         {"trunk_mass": 0.85, "young_modulus": 1.2},
         lambda: command_laws.Gain(0, 0.5),
         Effect("actuator_gain", Location("actuator", geo.CABLE_NAMES[0]), {"gain": 0.5}),
     ),
-    "payload": Concealed(
+    "payload": Hidden(
         {"trunk_mass": 1.1, "young_modulus": 0.8},
         lambda: body_laws.Payload(8, 0.1),
         Effect("payload", Location("body", "vertebra8"), {"mass": 0.1}),
@@ -82,11 +82,11 @@ CONCEALED = {
 
 
 def diagnosed(name: str, folder: Path) -> None:
-    """The report of a concealed robot, in a folder; what is there is kept if it is of this version of the method."""
+    """The report of a hidden robot, in a folder; what is there is kept if it is of this version of the method."""
     if (folder / "method.json").exists():  # which is written last
         _same(folder / "method.json", {"method": METHOD})
         return
-    robot, recordings = Robot(KIND, CONCEALED[name].parameters, [CONCEALED[name].law()]), {}
+    robot, recordings = Robot(KIND, HIDDEN[name].parameters, [HIDDEN[name].law()]), {}
     space = make_task(ENV_ID, 1, 1, MODEL, action="continuous").single_action_space
     actions = {
         "train": excitation(space, CONTROL_TIMESTEP, DURATIONS["train"]),
@@ -114,15 +114,15 @@ def training(name: str, method: str, seed: int, folder: Path) -> tuple[Distribut
         return load(folder / "report" / "posterior.json"), folder / "report" / "effects.json"
     if method == "oracle":
         path = folder / "truth.json"
-        save_effects([CONCEALED[name].effect], path)
-        return holding(None, CONCEALED[name].parameters), path
+        save_effects([HIDDEN[name].effect], path)
+        return holding(None, HIDDEN[name].parameters), path
     return METHODS["udr" if method == "udr" else "oracle"].distribution(ENV_ID, seed, folder), None
 
 
 def result(
     name: str, method: str, seed: int, folder: Path, steps: int, progress: Callable[[int, int, dict[str, float]], None]
 ) -> dict:
-    """Train one policy and run it on the concealed robot; what is there is read."""
+    """Train one policy and run it on the hidden robot; what is there is read."""
     path = folder / name / method / f"seed{seed}.json"
     about = {"robot": name, "method": method, "seed": seed, "steps": steps, "trainer": TRAINER,
              "diagnosis": METHOD}  # fmt: skip
@@ -134,7 +134,7 @@ def result(
         # those that know nothing of the robot serve for all of them
         policy = folder / ("all" if effects is None else name) / "policies" / f"{method}_seed{seed}"
         train(config, policy, distribution, progress)
-        robot = Robot(KIND, CONCEALED[name].parameters, [CONCEALED[name].law()])
+        robot = Robot(KIND, HIDDEN[name].parameters, [HIDDEN[name].law()])
         distances = final_distances(Policy.load(policy).act, robot)
         with_effects = [effect.name for effect in effects_of(str(effects)) or ()] if effects else []
         write_json(path, about | {"effects": with_effects, "distances_m": distances.tolist()})
@@ -156,7 +156,7 @@ def gaps(results: list[dict]) -> str:
         closed = f"{(means['nominal'] - means['patched']) / gap:.0%}" if gap > 0 else "no gap"
         patch = next(r["effects"] for r in results if (r["robot"], r["method"]) == (name, "patched"))
         rows.append((name, *cells, closed, ", ".join(patch) or "nothing"))
-    return table(("concealed", "nominal", "UDR", "patched", "oracle", "gap closed", "patched with"), rows)
+    return table(("hidden", "nominal", "UDR", "patched", "oracle", "gap closed", "patched with"), rows)
 
 
 def main() -> None:
@@ -177,7 +177,7 @@ def close_the_loop(options: argparse.Namespace) -> None:
         check_seed(seed)
     results = []
     with Progress() as bars:
-        for name in CONCEALED:
+        for name in HIDDEN:
             waiting = bars.add_task(f"{name} diagnosis", total=1)
             diagnosed(name, options.out / name / "report")
             bars.update(waiting, completed=1)

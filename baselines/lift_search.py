@@ -244,7 +244,7 @@ class Judge:
         }
 
 
-def polish(
+def refine(
     judge: Judge,
     start: np.ndarray,
     best: float,
@@ -328,7 +328,7 @@ def search(options: argparse.Namespace) -> None:
         if before["elevation_held_mm"] >= options.enough:
             return
         stored = judge.worth_of(np.array(before["actions"], np.float32)[None])[0]
-    polish(judge, plans[worth.argmax()], stored, options, begin + 60 * options.minutes, found)
+    refine(judge, plans[worth.argmax()], stored, options, begin + 60 * options.minutes, found)
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 from soro_bench.assets import mjcf_path
 from soro_bench.diagnosis.baseline import baseline
-from soro_bench.diagnosis.estimation.data_quality import audit
+from soro_bench.diagnosis.estimation.data_quality import data_quality
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
@@ -58,7 +58,9 @@ def main() -> None:
     measured = [robot.measured(import_recording(folder / f"beam_{kind}_V2_{run}.csv", mapping)) for run in "ab"]
     x = np.zeros(len(robot.priors))
     if not found:
-        _, nominal = nominal_fit(unexplained(robot, (measured[0],), audit(measured[0]).sigma), robot.refined(), seed=0)
+        _, nominal = nominal_fit(
+            unexplained(robot, (measured[0],), data_quality(measured[0]).sigma), robot.refined(), seed=0
+        )
         x = nominal.x
     print("; ".join(map(str, robot.known)) or "no effects")
     print(", ".join(f"{name} {value:.4g}" for name, value in robot.parameters(x).items()))

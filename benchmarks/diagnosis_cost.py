@@ -1,6 +1,6 @@
-"""Seconds and memory of `soro-bench diagnose` on cases of a proof, each in a process of its own.
+"""Seconds and memory of `soro-bench diagnose` on cases of a blind benchmark, each in a process of its own.
 
-    python benchmarks/diagnosis_cost.py FOLDER --cases 20    # as soro-bench prove leaves it
+    python benchmarks/diagnosis_cost.py FOLDER --cases 20    # as soro-bench blind-benchmark leaves it
 
 Run it with nothing beside it. The diagnosis has all processors, or OMP_NUM_THREADS of them. A case that is in
 FOLDER/cost is not diagnosed again. Machines are compared by how often the bare engine could have simulated 30 s of the

@@ -1,5 +1,5 @@
-"""What time steps leave, how much of the accurate trunk the numerical floor explains, with and without a hidden effect,
-and how fits converge.
+"""What time steps leave, how much of the accurate trunk the discretisation error explains, with and
+without a hidden effect, and how fits converge.
 
     python benchmarks/diagnosis_floor.py
 
@@ -57,7 +57,7 @@ def time_steps() -> None:
 
 
 def floor_at(given, refined, points):
-    """(F, M) the numerical floor at points."""
+    """(F, M) the discretisation error at points."""
     return discretisation_and_residuals(given, refined, points, ())[0]
 
 
@@ -87,7 +87,7 @@ def main() -> None:
         print(row((name, f"{plain.misfit(residual):.0f}", f"{both.misfit(residual):.0f}")), flush=True)
 
     given = problem(robot, robot, noise=NOISE)
-    print("\n" + header(("radii of the clouds", "chi2 per sample")))
+    print("\n" + header(("sampling radii", "chi2 per sample")))
     for count in range(1, 5):
         scales = (0.7, 0.4, 0.2, 0.1)[:count]
         (found,) = fitted(given, [Guess(np.zeros(5))], scales, seed=0)

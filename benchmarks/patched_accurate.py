@@ -1,8 +1,8 @@
 """What a diagnosis has found with the cheap model, in the accurate one: errors on motion that it has not seen.
 
-    python benchmarks/patched_accurate.py FOLDER    # as soro-bench prove leaves it, with scored reports
+    python benchmarks/patched_accurate.py FOLDER    # as soro-bench blind-benchmark leaves it, with scored reports
 
-Of robots that are the accurate model with concealed physics, most of what the patched cheap model gets wrong is the
+Of robots that are the accurate model with hidden physics, most of what the patched cheap model gets wrong is the
 difference between the two models. The fitted parameters and effects belong to the robot, not to a model: this puts them
 into the accurate one too. Prints medians over the cases whose report names missing physics.
 """

@@ -33,7 +33,7 @@ def left(summary: dict, fit: dict) -> str:
 
 
 def unnamed(summary: dict) -> str:
-    """The probability of something without a name, and where it is, if that is the verdict."""
+    """The probability of a discrepancy outside the catalogue, and where it is, if that is the verdict."""
     first = summary["verdict"].splitlines()[0]
     site = re.match(r"Something acts at (.+) that has no name", first)
     return f"{summary['unknown']:.2f}" + (f", {site[1]}" if site else "")

@@ -21,4 +21,4 @@ def plain_errors(program: str) -> Iterator[None]:
             raise
         sys.exit("\n".join(shown(line[:_LINE]) for line in f"{program}: {error}".split("\n")))
     except KeyboardInterrupt:
-        sys.exit(f"{program}: interrupted; train, run, infer, study and prove go on where they were, given again")
+        sys.exit(f"{program}: interrupted; train, run, infer, study and blind-benchmark resume if repeated")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from soro_bench.blind_benchmark.score import GATES
+from soro_bench.blind_benchmark.score import CRITERIA
 from soro_bench.files import write_json
 from soro_bench.leaderboard.boards import BOARDS, Condition
 from soro_bench.leaderboard.entry import evaluated, write_entry
@@ -64,6 +64,6 @@ def put_policy(path: Path, name: str, data: bytes) -> None:
 def gates(false_alarms: float) -> list[dict]:
     """Those of a diagnosis of which only the first has cases."""
     empty = {"cases": 0, "value": None, "interval": None, "met": None}
-    found: list[dict] = [{"gate": name, "bar": bar, "below": below, **empty} for name, _, _, bar, below in GATES]
+    found: list[dict] = [{"gate": name, "bar": bar, "below": below, **empty} for name, _, _, bar, below in CRITERIA]
     found[0] |= {"cases": 20, "value": false_alarms, "interval": [0.0, 0.1], "met": false_alarms <= found[0]["bar"]}
     return found

@@ -135,7 +135,7 @@ def test_by_hand(web, tmp_path, original):
     source = source_of(original=original)
     with pytest.raises(ValueError, match=r"(?s)tree/0123abc.*Columns: t, x.*a\.csv.*" + re.escape(original)):
         fetch(source, tmp_path)
-    assert "0 of 1 files; 1 only by hand" in summary("arm", source, tmp_path)
+    assert "0 of 1 files; 1 not fetched" in summary("arm", source, tmp_path)
     (tmp_path / "a.csv").write_bytes(b"t,x\n0,1\n")
     fetch(source, tmp_path)
     assert web[1] == []

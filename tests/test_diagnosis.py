@@ -1,4 +1,4 @@
-"""What a diagnosis works with, on short recordings of the cheap trunk: fits, floors, suspects and leads."""
+"""What a diagnosis works with, on short recordings of the cheap trunk: fits, errors and candidate terms."""
 
 import numpy as np
 import pytest

@@ -120,7 +120,7 @@ MATERIAL = {
 @pytest.mark.parametrize("name", MATERIAL)
 @pytest.mark.parametrize(("model", "kind"), [("cable", "fine"), ("flex", "flex")])
 def test_a_law_of_the_material_does_what_it_does_in_another_code(name, model, kind, monkeypatch):
-    """That of the concealed robots, which shares nothing with the effects. Bent to and fro by the cables; hysteresis of
+    """That of the hidden robots, which shares nothing with the effects. Bent to and fro by the cables; hysteresis of
     one slider."""
     monkeypatch.setattr(neck_laws, "_YIELDS", np.ones(1))
     monkeypatch.setattr(neck_laws, "_SHARES", np.ones(1))

@@ -138,7 +138,7 @@ def test_observation_is_the_present_state(make, env_id, model):
     ],
 )  # fmt: skip
 def test_potential_gives_published_rewards(initial, distance, reward):
-    """The potential gives the rewards computed from the published formula by hand, within 0.001."""
+    """The potential gives the rewards computed from the published formula, within 0.001."""
     start, end = potential(initial / 1000), potential(distance / 1000)
     assert (start - end) / start - 0.05 == pytest.approx(reward, abs=1e-3)
 

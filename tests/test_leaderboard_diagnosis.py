@@ -15,7 +15,7 @@ from soro_bench.leaderboard.release import Release
 from soro_bench.leaderboard.verify import verify_diagnosis, verify_release
 from tests.entries import edit
 from tests.test_bad_input import says
-from tests.test_proof_score import label, report
+from tests.test_blind_benchmark_score import label, report
 
 
 def _set_of_cases(folder, labels):
@@ -86,7 +86,7 @@ def test_the_command_prove_writes_an_entry_that_verifies(tmp_path, monkeypatch):
     monkeypatch.setattr(score, "BOOTSTRAP", 50)
     labels = [label(0), label(1)]
 
-    def prove(folder, *_):
+    def run(folder, *_):
         _set_of_cases(folder, labels)
         reports = {found["id"]: report() for found in labels}
         for name, content in reports.items():
@@ -94,7 +94,7 @@ def test_the_command_prove_writes_an_entry_that_verifies(tmp_path, monkeypatch):
         write_json(folder / "scorecard.json", score.scored(labels, reports) | {"ablations": []})
         return "scorecard"
 
-    monkeypatch.setattr("soro_bench.blind_benchmark.run.run_blind_benchmark", prove)
+    monkeypatch.setattr("soro_bench.blind_benchmark.run.run_blind_benchmark", run)
     BlindBenchmark(tmp_path).run()
     found = verify_diagnosis(tmp_path / "entry.json", tmp_path / "cases", tmp_path / "reports")
     assert set(found.values()) == {"same"}

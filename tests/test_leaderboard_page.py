@@ -198,9 +198,12 @@ def _invent_gates(results):
         (_shorten, ("udr/seed1.json", "steps is 5", "seed0.json")),
         (_spoil_policy, ("udr/seed1.safetensors", "SHA-256")),
         (partial(_spoil_diagnosis, cases="many"), ("diagnosis/ours.json", "gates.0.cases is 'many'")),
-        (partial(_spoil_diagnosis, bar=0.5, met=True), ("diagnosis/ours.json", "not those of soro-bench prove", "0.5")),
+        (
+            partial(_spoil_diagnosis, bar=0.5, met=True),
+            ("diagnosis/ours.json", "not those of soro-bench blind", "0.5"),
+        ),
         (partial(_spoil_diagnosis, met=True), ("diagnosis/ours.json", "false alarms is 0.05", "cannot be True")),
-        (_invent_gates, ("diagnosis/ours.json", "not those of soro-bench prove", "twice")),
+        (_invent_gates, ("diagnosis/ours.json", "not those of soro-bench blind", "twice")),
         (lambda results: write_json(results / "note.json", {}), ("note.json", "required property")),
     ],
 )

@@ -40,7 +40,7 @@ def test_a_force_without_a_law_is_found_at_its_location(robot, actions, location
     component = best.force.components.index("x" if location.kind == "body" else "pull")
     steps = best.force.start / 0.05
     truth = (0.1 if location.kind == "body" else 1.0) * (1.0 + np.sin(steps / 5))
-    truth, force = truth[:-2], best.force.values[:-2, component]  # little is seen of what acts at the very end
+    truth, force = truth[:-2], best.force.values[:-2, component]  # little is seen of the force at the very end
     assert force.mean() == pytest.approx(truth.mean(), rel=0.2)
     assert np.corrcoef(force, truth)[0, 1] > 0.5
     assert best.force.units[component] == "N"

@@ -91,7 +91,7 @@ def test_control_steps_that_leave_out_most_of_a_command_are_refused(paths):
 
 @pytest.mark.parametrize(("scale", "times"), [(180 / np.pi, "57"), (1e-3, "0.001"), (-1.0, "-1")])
 def test_a_signal_in_a_wrong_unit_or_the_other_way_round_is_refused(paths, scale, times):
-    """It would be explained, as something without a name. Other parameters than the model's are none of that."""
+    """It would be explained, as outside the catalogue. Other parameters than the model's are none of that."""
     given, robot = recording(paths, [], 0), ModelRobot(*paths, threads=1)
     angle = given.signals["angle"]
     check_scale(unexplained(robot, (robot.measured(given),), 1.0))

@@ -1,4 +1,4 @@
-"""Linear models over clouds: the answers of linear algebra, and of simulations that are known."""
+"""Linear models over samples: the answers of linear algebra, and of simulations that are known."""
 
 import numpy as np
 import pytest

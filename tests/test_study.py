@@ -132,4 +132,4 @@ def test_what_has_no_name_comes_first_in_the_table_only_where_no_effect_is_likel
                "known": [], "noise": 1e-3, "unit": "rad"}  # fmt: skip
     shared, nameless = (results([summary | {"unknown": unknown}]).splitlines()[2] for unknown in (0.4, 0.6))
     assert shared.split(" | ")[5] == "viscous_friction at hinge (0.30)"
-    assert nameless.split(" | ")[5] == "something without a name (0.60)"
+    assert nameless.split(" | ")[5] == "outside the catalogue (0.60)"

@@ -1,1 +1,1 @@
-"""Concealed cases: recordings of simulated "real" robots with hidden physics, and their sealed labels."""
+"""Hidden cases: recordings of simulated "real" robots with hidden physics, and their sealed labels."""

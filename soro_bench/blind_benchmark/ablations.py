@@ -24,7 +24,7 @@ FROZEN = 1e-6  # of a parameter's prior standard deviation, where it is not fitt
 
 
 class Unrefined(SuiteRobot):
-    """A robot of which no more accurate simulation is known: there is no numerical floor."""
+    """A robot of which no more accurate simulation is known: there is no discretisation error."""
 
     def refined(self, refinement: int = REFINED) -> list[Robot]:
         """None."""
@@ -60,7 +60,7 @@ class Calibrated(SuiteRobot):
 
 
 def without_discretisation(robot: SuiteRobot, case: Path) -> dict:
-    """No numerical floor."""
+    """No discretisation error."""
     return _report(Unrefined(robot.env_id, threads=robot.threads), case)
 
 

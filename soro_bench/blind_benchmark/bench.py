@@ -1,4 +1,4 @@
-"""The concealed robot of a case: its effects are scaled so that each changes the training recording by a target."""
+"""The hidden robot of a case: its effects are scaled so that each changes the training recording by a target."""
 
 import math
 from collections.abc import Sequence
@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from soro_bench.blind_benchmark.classes import released
 from soro_bench.blind_benchmark.draw import TARGETS, Case
 from soro_bench.blind_benchmark.hidden import ALL, UNKNOWN
 from soro_bench.blind_benchmark.places import Hidden
@@ -40,7 +41,7 @@ class Scaled:
         parameters = self.hidden.parameters(self.magnitude)
         label = {
             "name": "unknown" if self.name in UNKNOWN else self.name,
-            "class": ALL[self.name][0],
+            "class": released(ALL[self.name][0]),
             "where": self.hidden.location,
             "parameters": {name: {"value": float(value), "unit": unit} for name, (value, unit) in parameters.items()},
             "target_mm": self.target,

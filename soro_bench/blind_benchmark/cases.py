@@ -1,4 +1,4 @@
-"""Sets of concealed cases: two recordings of each real robot for everybody, and sealed labels.
+"""Sets of hidden cases: two recordings of each real robot for everybody, and sealed labels.
 
 A case is drawn without simulating anything (``draw_cases``); then its effects are scaled so that each changes the
 training recording's keypoints by a target. Every recording starts from a fresh robot, with the same laws: what has
@@ -71,7 +71,7 @@ def write_cases(
     progress: Callable[[int, int], None] = lambda done, count: None,
     durations: dict[str, float] = DURATIONS,
 ) -> None:
-    """Write the recordings of ``count`` cases, the sealed labels and the commitment to them.
+    """Write the recordings of ``count`` cases, the sealed labels and their digest.
 
     In ``folder``: case_000/train.parquet, heldout.parquet, task.parquet and so on; sealed/labels.json; commitment.txt,
     the SHA-256 of the labels. Called again, it goes on where it stopped; what has been committed to stays.

@@ -1,4 +1,4 @@
-"""A policy on a robot with concealed physics: TrunkReach in closed loop."""
+"""A policy on a robot with hidden physics: TrunkReach in closed loop."""
 
 from collections.abc import Callable
 

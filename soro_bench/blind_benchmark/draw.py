@@ -1,4 +1,4 @@
-"""What is drawn of a set of concealed cases before anything is simulated."""
+"""What is drawn of a set of hidden cases before anything is simulated."""
 
 import math
 from dataclasses import dataclass
@@ -42,11 +42,11 @@ def draw_cases(count: int, seed: int, healthy: int | None = None) -> list[Case]:
     """``count`` cases in random order.
 
     Args:
-        nulls: how many have no effect, a fifth by default; the rest is shared as in the design.
+        healthy: how many have no effect, a fifth by default; the rest is shared as in the design.
     """
     healthy = round(_NULL_SHARE * count) if healthy is None else healthy
     if count < 1 or seed < 0 or not 0 <= healthy <= count:
-        raise ValueError(f"count {count}, seed {seed}, nulls {healthy}: 1, 0 and 0 to count are needed")
+        raise ValueError(f"count {count}, seed {seed}, healthy {healthy}: 1, 0 and 0 to count are needed")
     rng = np.random.default_rng(seed)
     drawn: list[tuple[str, tuple[str, ...], str]] = []
     for group, size in zip(GROUPS, [healthy, *_apportioned(count - healthy)], strict=True):

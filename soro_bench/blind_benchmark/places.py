@@ -23,7 +23,7 @@ class Hidden:
         parameters: value and unit by name, of a magnitude.
         guess: the magnitude that changes keypoints by about 2 mm.
         highest: the largest magnitude that makes sense.
-        description: of what has no name in the catalogue.
+        description: of what is outside the catalogue.
     """
 
     location: Where

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from soro_bench.blind_benchmark.classes import released
 from soro_bench.diagnosis.result import Errors, Estimate, Finding, NamedLocation, Result
 from soro_bench.effects.effect import Location
 
@@ -19,7 +20,7 @@ def report_of(result: Result) -> dict[str, Any]:
         "promised": result.predicted_gain,
         "still_promised": result.remaining_gain,
         "effects": [_effect(each) for each in result.findings],
-        "classes": [{"class": name, "probability": chance} for name, chance in result.categories.items()],
+        "classes": [{"class": released(name), "probability": chance} for name, chance in result.categories.items()],
         "hypotheses": [
             {
                 "names": list(each.names),
@@ -65,7 +66,7 @@ def report_of(result: Result) -> dict[str, Any]:
 def _effect(found: Finding) -> dict[str, Any]:
     return {
         "name": found.name,
-        "class": found.category,
+        "class": released(found.category),
         "probability": found.probability,
         "where": _location(found.location),
         "when": [{"start_s": start, "end_s": end} for start, end in found.intervals],

@@ -1,4 +1,4 @@
-"""The real robot of a concealed case: a trunk in a plain MuJoCo loop, into which laws of hidden physics reach.
+"""The real robot of a hidden case: a trunk in a plain MuJoCo loop, into which laws of hidden physics reach.
 
 No law is shared with what diagnoses; the builder of the trunk is. The robot is stepped by ``mj_step1`` and
 ``mj_step2``, which together are ``mj_step``; between them each law sees the present positions and adds forces, changes

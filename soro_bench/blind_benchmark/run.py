@@ -1,4 +1,4 @@
-"""The blinded challenge: cases with concealed physics are written and committed to, diagnosed, and only then scored."""
+"""The blinded challenge: cases with hidden physics are written and committed to, diagnosed, and only then scored."""
 
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -1,4 +1,4 @@
-"""Scores of diagnoses against the sealed labels: gates with intervals, confusions, calibration."""
+"""Scores of diagnoses against the sealed labels: acceptance criteria with intervals, confusions, calibration."""
 
 import hashlib
 import re
@@ -31,7 +31,7 @@ def opened_labels(folder: Path) -> list[dict]:
     content = read_bytes(path, LABEL_BYTES, links=False)
     found = hashlib.sha256(content).hexdigest()
     if (committed := label_digest(folder)) != found:
-        raise ValueError(f"{path} has the hash {found}, the commitment is {committed}")
+        raise ValueError(f"{path} has the hash {found}, the digest is {committed}")
     labels = parsed_json(content)["cases"]
     for label in labels:
         if not _ID.fullmatch(label["id"]):  # it becomes the name of a file
@@ -54,13 +54,13 @@ def scored(labels: Sequence[dict], reports: dict[str, dict], seed: int = 0) -> d
     """The scorecard: what of ``labels`` the ``reports`` (by id) found.
 
     Returns:
-        {"cases": a row per case, "gates": a row per gate, "confusion": (truth, said, count), "calibration": bins}.
+        {"cases": a row per case, "gates": a row per criterion, "confusion": (truth, said, count), "calibration": bins}.
     """
     rows = [case_row(label, reports[label["id"]]) for label in labels if label["id"] in reports]
     rng = np.random.default_rng(seed)
     return {
         "cases": rows,
-        "gates": [_gate(rows, *gate, rng) for gate in GATES],
+        "gates": [_criterion(rows, *criterion, rng) for criterion in CRITERIA],
         "confusion": _confusion(rows),
         "calibration": _calibration(rows),
     }
@@ -74,10 +74,10 @@ def case_row(label: dict, report: dict) -> dict:
         raise ValueError(f"the probability of {first['name']} is {first['probability']}; allowed: 0 to 1")
     truth, all_of_them = [e["name"] for e in label["effects"]], report["hypotheses"][0]["names"]
     named = next((e for e in label["effects"] if e["name"] == first["name"]), label["effects"][0] if truth else None)
-    concealed = None
+    absorbed_share = None
     if label["group"] in ("one", "two"):
         left = max(report["fit"]["parameters_only"] ** 2 - label["noise"]["value"] ** 2, 0.0)
-        concealed = 1.0 - 3.0 * left / (1e-3 * label["change_mm"]["train"]) ** 2
+        absorbed_share = 1.0 - 3.0 * left / (1e-3 * label["change_mm"]["train"]) ** 2
     error, inside = (named and magnitude_errors(named, first)) or (None, None)
     return {
         "id": label["id"],
@@ -104,7 +104,7 @@ def case_row(label: dict, report: dict) -> dict:
         "fve_unseen_raw": report["unseen"] and _raw_explained(report["unseen"]),
         "error_left": report["unseen"] and report["unseen"]["rmse_after"] / report["unseen"]["rmse_before"],
         "change_unseen_mm": label["change_mm"]["task"],
-        "concealed": concealed,
+        "absorbed": absorbed_share,
         "seconds": report["seconds"],
     }
 
@@ -214,7 +214,7 @@ def _rightly_named(part: str) -> Callable[[dict], bool]:
 
 
 def shows(row: dict) -> bool:
-    """Whether concealed physics changes the unseen motion enough to be explained."""
+    """Whether hidden physics changes the unseen motion enough to be explained."""
     return row["group"] in ("one", "two") and row["change_unseen_mm"] >= _FAINT
 
 
@@ -227,12 +227,12 @@ def _measured(row: dict) -> bool:
 
 
 def absorbed(row: dict, share: float = 0.9) -> bool:
-    """Whether parameters absorb more than a share of what the concealed physics changes."""
-    return row["concealed"] is not None and row["concealed"] > share
+    """Whether parameters absorb more than a share of what the hidden physics changes."""
+    return row["absorbed"] is not None and row["absorbed"] > share
 
 
-# what, of which cases, how it is computed, the bar (None: only reported), and whether it has to be below it
-GATES: tuple[tuple[str, Chosen, Statistic, float | None, bool], ...] = (
+# what, of which cases, how it is computed, the threshold (None: only reported), and whether it has to be below it
+CRITERIA: tuple[tuple[str, Chosen, Statistic, float | None, bool], ...] = (
     ("false alarms", _group("none"), Share("alarm"), 0.03, True),
     ("detected", lambda row: row["group"] != "none", Share("alarm"), 0.95, False),
     ("first answer right", _NAMED, Share("first"), 0.80, False),
@@ -269,7 +269,7 @@ GATES: tuple[tuple[str, Chosen, Statistic, float | None, bool], ...] = (
 )
 
 
-def _gate(
+def _criterion(
     rows: Sequence[dict],
     name: str,
     chosen: Chosen,
@@ -279,7 +279,7 @@ def _gate(
     rng: np.random.Generator,
 ) -> dict:
     members = [row for row in rows if chosen(row)]
-    gate = {
+    criterion = {
         "gate": name,
         "cases": len(members),
         "value": None,
@@ -289,13 +289,13 @@ def _gate(
         "met": None,
     }
     if not members:
-        return gate
+        return criterion
     value, interval = statistic(members), _interval(statistic, members, rng)
-    return gate | {"value": value, "interval": interval, "met": is_met(value, bar, below)}
+    return criterion | {"value": value, "interval": interval, "met": is_met(value, bar, below)}
 
 
 def is_met(value: float | None, bar: float | None, below: bool) -> bool | None:
-    """Whether a gate is met; None if there is no such case, or no bar."""
+    """Whether a criterion is met; None if there is no such case, or no threshold."""
     if value is None or bar is None:
         return None
     return value <= bar if below else value >= bar

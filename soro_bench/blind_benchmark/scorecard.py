@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from soro_bench.markdown import table
 
 _OF_AN_EFFECT = (
-    "concealed", "alone", "first answer right", "and its place", "with another effect", "among the first three",
+    "hidden", "alone", "first answer right", "and its place", "with another effect", "among the first three",
 )  # fmt: skip
 _OF_A_CASE = (
-    "case", "robot", "concealed", "verdict", "first three answers", "p", "unseen explained", "taken up by parameters",
+    "case", "robot", "hidden", "verdict", "first three answers", "p", "unseen explained", "taken up by parameters",
 )  # fmt: skip
 
 
@@ -26,12 +26,12 @@ def markdown(card: dict) -> str:
     calibration = [(f"{b['stated']:.2f}", f"{b['right']:.2f}", b["cases"]) for b in card["calibration"]]
     cases = []
     for row in card["cases"]:
-        truth, said, hides = " + ".join(row["truth"]) or "none", ", ".join(row["said"]), row["concealed"]
+        truth, said, hides = " + ".join(row["truth"]) or "none", ", ".join(row["said"]), row["absorbed"]
         shares = ("" if share is None else f"{share:.2f}" for share in (row["probability"], row["fve_unseen"], hides))
         cases.append((row["id"], row["robot"], truth, row["verdict"], said, *shares))
     tables = (
-        table(("gate", "cases", "value", "95 % interval", "bar", ""), gates),
-        table(("concealed", "first answer", "cases"), confusion),
+        table(("criterion", "cases", "value", "95 % interval", "threshold", ""), gates),
+        table(("hidden", "first answer", "cases"), confusion),
         table(_OF_AN_EFFECT, _by_effect(card["cases"])),
         table(("stated probability", "right", "cases"), calibration),
         table(_OF_A_CASE, cases),
@@ -40,7 +40,7 @@ def markdown(card: dict) -> str:
 
 
 def _by_effect(rows: Sequence[dict]) -> list[tuple]:
-    """Of every concealed effect: in how many of the cases that have it alone the first answer and its place are right,
+    """Of every hidden effect: in how many of the cases that have it alone the first answer and its place are right,
     and in how many that have another one too it is among the first three answers; the worst first."""
     found = []
     for name in sorted({name for row in rows for name in row["truth"] or ["none"]}):

@@ -113,7 +113,7 @@ class Verify:
     labels: tuple[str, ...] = ()
     """Control: which conditions, such as cable; by default all that were entered."""
     cases: Path | None = None
-    """Diagnosis: folder with the sealed labels and the commitment to them."""
+    """Diagnosis: folder with the sealed labels and their digest."""
     reports: Path | None = None
     """Diagnosis: folder with the report of every case."""
     release: Path | None = None

@@ -42,7 +42,7 @@ class Outliers:
 class Diagnosis:
     """What was found; times are in seconds, everything else in the units of the robot and its signal.
 
-    places: of what has no name, the best first; none where a name explains it, or no force at one place anything.
+    places: outside the catalogue, the best first; none where a law explains it, or no force at one place anything.
     proposal: what to record next; None where nothing is left to be told apart.
     tested, tested_residuals: the problem of the held-out recordings, and its residuals (M,) by :func:`key_of` of the
         hypotheses that were compared.

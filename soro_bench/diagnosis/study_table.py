@@ -29,8 +29,8 @@ def results(summaries: Sequence[dict]) -> str:
 
 
 def _answers(summary: dict) -> list[str]:
-    """Answers in words, the verdict's first: that something acts which has no name is one of them."""
-    nameless = f"something without a name ({summary['unknown']:.2f})"
+    """Answers in words, the verdict's first; outside the catalogue is one of them."""
+    nameless = f"outside the catalogue ({summary['unknown']:.2f})"
     named = [_named(a) for i, a in enumerate(summary["answers"]) if i == 0 or a["probability"] >= _SHOWN]
     return [nameless, *named] if summary["unknown"] > _likeliest(summary["answers"]) else [*named, nameless]
 

@@ -24,7 +24,7 @@ class Payload(Law):
 class BaseTilt(Law):
     """The base stands askew: gravity is turned by a rotation vector in world axes."""
 
-    name, category, kinds = "base_tilt", "static_one_sided", ("model",)
+    name, category, kinds = "base_tilt", "static_error", ("model",)
     quantities = tuple(Quantity(f"about_{axis}", "rad", 0.02, (-np.pi, np.pi)) for axis in "xyz")
     fields = ("opt.gravity",)
 

@@ -107,7 +107,7 @@ class FrameMisalignment(Fault):
 
 
 class Outliers(Fault):
-    """Isolated samples that are far off. They have no signature to fit: the audit finds them and leaves them out."""
+    """Isolated samples that are far off. They have no signature to fit: the data-quality check leaves them out."""
 
     name = "outliers"
     quantities = (Quantity("share", "1", 0.01, (0.0, 0.5)), Quantity("size", "signal", 0.02, (0.0, np.inf)))

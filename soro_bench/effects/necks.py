@@ -27,11 +27,11 @@ class AcrossNeck(Law):
     N m in the frame of the near body, without twist.
     """
 
-    twin: ClassVar[type[Law]]  # the law of joints that says the same
+    joint_law: ClassVar[type[Law]]  # the law of joints that says the same
     kinds, stepped, outputs = ("body",), True, ("xquat",)
 
     def __init_subclass__(cls) -> None:
-        cls.name, cls.category, cls.quantities = cls.twin.name, cls.twin.category, cls.twin.quantities
+        cls.name, cls.category, cls.quantities = cls.joint_law.name, cls.joint_law.category, cls.joint_law.quantities
         cls.shared = cls.only_shared = True
 
     def prepare(self, elements: Elements) -> None:
@@ -88,7 +88,7 @@ class AcrossNeck(Law):
 class NeckStiffening(AcrossNeck):
     """k q (1 + beta |q|^2)."""
 
-    twin = Stiffening
+    joint_law = Stiffening
 
     def strain(self, which: Bools, bend: Floats) -> Floats:
         return -self.value("beta", which) * (bend * bend).sum(axis=1, keepdims=True) * bend
@@ -97,7 +97,7 @@ class NeckStiffening(AcrossNeck):
 class NeckMullins(AcrossNeck):
     """Softer below the largest bend so far."""
 
-    twin = MullinsSoftening
+    joint_law = MullinsSoftening
 
     def strain(self, which: Bools, bend: Floats) -> Floats:
         size = _size(bend)
@@ -109,7 +109,7 @@ class NeckMullins(AcrossNeck):
 class NeckHysteresis(AcrossNeck):
     """A Jenkins element: an ideally plastic spring beside the neck."""
 
-    twin = Hysteresis
+    joint_law = Hysteresis
 
     def strain(self, which: Bools, bend: Floats) -> Floats:
         limit = self.value("yield_strain", which)
@@ -122,7 +122,7 @@ class NeckHysteresis(AcrossNeck):
 class NeckCreep(AcrossNeck):
     """A standard linear solid: a spring whose rest follows the bend."""
 
-    twin = ViscoelasticCreep
+    joint_law = ViscoelasticCreep
 
     def strain(self, which: Bools, bend: Floats) -> Floats:
         share = -np.expm1(-self.dt / self.value("time_constant", which))
@@ -133,7 +133,7 @@ class NeckCreep(AcrossNeck):
 class NeckPlasticSet(AcrossNeck):
     """A share of the neck is ideally plastic."""
 
-    twin = PlasticSet
+    joint_law = PlasticSet
 
     def strain(self, which: Bools, bend: Floats) -> Floats:
         softness = self.value("softness", which)
@@ -146,7 +146,7 @@ class NeckPlasticSet(AcrossNeck):
 class NeckRestBend(AcrossNeck):
     """At rest elsewhere."""
 
-    twin = RestBend
+    joint_law = RestBend
 
     def strain(self, which: Bools, bend: Floats) -> Floats:
         x, y = self.values["angle_x"][which], self.values["angle_y"][which]

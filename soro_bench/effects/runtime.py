@@ -160,7 +160,7 @@ class ActiveEffects:
         self.batch.ctrl[ids] = asked
 
     def _choose(self, ids: Ints) -> None:
-        """Look up what acts in simulations ``ids``, which are mostly those of the last step."""
+        """Look up the effects in simulations ``ids``, which are mostly those of the last step."""
         if self._ids is None or not np.array_equal(ids, self._ids):
             self._ids = ids.copy()
             self._which = {law: np.isin(law.rows, ids) for law in self._stepped}

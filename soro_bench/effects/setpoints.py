@@ -42,7 +42,7 @@ class _Following(SetpointLaw):
 class ActuatorGain(SetpointLaw):
     """The actuator goes gain times as far as it is told: a drum of another radius, a broken cable."""
 
-    name, category = "actuator_gain", "static_one_sided"
+    name, category = "actuator_gain", "static_error"
     quantities = (Quantity("gain", "1", 0.85, (0.0, 10.0), null=1.0),)
     shared = True
 
@@ -53,7 +53,7 @@ class ActuatorGain(SetpointLaw):
 class Pretension(SetpointLaw):
     """A constant offset of the setpoint: a cable mounted too short or too long."""
 
-    name, category = "pretension", "static_one_sided"
+    name, category = "pretension", "static_error"
     quantities = (Quantity("offset", "setpoint", 1.0, (-np.inf, np.inf), of="length"),)
 
     def filter(self, which: Bools, setpoint: Floats) -> Floats:
@@ -63,7 +63,7 @@ class Pretension(SetpointLaw):
 class ActuatorDeadband(SetpointLaw):
     """Nothing happens until the setpoint leaves a zone around zero."""
 
-    name, category = "actuator_deadband", "rate_independent_memory"
+    name, category = "actuator_deadband", "hysteresis_or_play"
     quantities = (Quantity("width", "setpoint", 1.0, (0.0, np.inf), of="length"),)
     shared = True
 
@@ -74,7 +74,7 @@ class ActuatorDeadband(SetpointLaw):
 class Backlash(_Following):
     """Play: after a reversal the output waits until the setpoint has come back by the width."""
 
-    name, category = "backlash", "rate_independent_memory"
+    name, category = "backlash", "hysteresis_or_play"
     quantities = (Quantity("width", "setpoint", 1.0, (0.0, np.inf), of="length"),)
     shared = True
 
@@ -198,7 +198,7 @@ class SupplyCoupling(_Pneumatic):
 class Compliance(Law):
     """A spring in series with a servo: a cable, a belt; the servo's stiffness and damping fall by 1 + k c."""
 
-    name, category, kinds = "compliance", "static_one_sided", ("actuator",)
+    name, category, kinds = "compliance", "static_error", ("actuator",)
     quantities = (Quantity("compliance", "m/N or rad/(N m)", 1.0, (0.0, np.inf), of="compliance"),)
     fields: ClassVar = ("actuator_gainprm", "actuator_biasprm")
 

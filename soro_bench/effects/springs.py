@@ -32,7 +32,7 @@ _PRESLIDING = Quantity("presliding", "m or rad", 5e-4, (1e-6, 0.1))  # LuGre bri
 class _Friction(Law):
     """Friction of a tendon or joint: a spring without rest length that yields."""
 
-    category = "dry_loss"
+    category = "friction"
     kinds: ClassVar[tuple[str, ...]] = ("tendon", "joint")
     fields: ClassVar[tuple[str, ...]] = ("tendon_stiffness", "tendon_springyield")
     outputs: ClassVar[tuple[str, ...]] = ("ten_length", "ten_velocity")
@@ -241,7 +241,7 @@ class _SecondSpring(OnJoints):
 class Hysteresis(_SecondSpring):
     """A Jenkins element beside the springs: stiffness ratio times theirs, slipping beyond the yield strain."""
 
-    name, category, shared = "hysteresis", "rate_independent_memory", True
+    name, category, shared = "hysteresis", "hysteresis_or_play", True
     quantities = (
         Quantity("ratio", "1", 0.5, (0.0, 20.0)),
         Quantity("yield_strain", "rad or m", 0.03, (1e-4, 10.0), also=(0.1,)),
@@ -329,7 +329,7 @@ def _bends(model: mujoco.MjModel, tendon: int) -> list[tuple[int, int, Floats, F
 class RestBend(OnJoints):
     """Springs that are at rest elsewhere: a part that was moulded, mounted or stored bent."""
 
-    name, category, bending_only = "rest_bend", "static_one_sided", True
+    name, category, bending_only = "rest_bend", "static_error", True
     quantities = (
         Quantity("angle_x", "rad or m", 0.02, (-3.0, 3.0)),  # of the first joint, or of the only one
         Quantity("angle_y", "rad or m", 0.02, (-3.0, 3.0)),  # of the second one

@@ -1,4 +1,4 @@
-"""Linear models of a rugged simulation, by regression over clouds of points.
+"""Linear models of a rugged simulation, by regression over sampled points.
 
 A cable robot's motion is rugged in its parameters: cables fall slack, things are hit, and the derivative at a point
 says little about the next percent. A regression over a cloud does (statistical linearisation), and what it leaves is an

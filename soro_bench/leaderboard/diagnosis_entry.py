@@ -1,13 +1,21 @@
-"""Entries of the diagnosis track: the scorecard of a method on a set of robots with concealed physics.
+"""Entries of the diagnosis track: the scorecard of a method on a set of robots with hidden physics.
 
-An entry is <results>/diagnosis/<name>.json (diagnosis_entry.schema.json). ``soro-bench prove`` writes one.
+An entry is <results>/diagnosis/<name>.json (diagnosis_entry.schema.json). ``soro-bench blind-benchmark`` writes one.
 """
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from soro_bench.blind_benchmark.score import GATES, LABEL_BYTES, case_row, is_met, label_digest, opened_labels, scored
+from soro_bench.blind_benchmark.score import (
+    CRITERIA,
+    LABEL_BYTES,
+    case_row,
+    is_met,
+    label_digest,
+    opened_labels,
+    scored,
+)
 from soro_bench.files import brief, write_json
 from soro_bench.leaderboard.strict import REPORT_BYTES, check, read_strict
 from soro_bench.results import versions
@@ -20,17 +28,17 @@ def read_entry(path: str | Path) -> dict:
     """A valid entry of the diagnosis track; ValueError names the file, what is wrong and what is allowed."""
     entry = read_strict(path)
     check(entry, SCHEMA, path)
-    _check_gates(entry["gates"], path)
+    _check_criteria(entry["gates"], path)
     return entry
 
 
-def _check_gates(gates: list[dict], path: str | Path) -> None:
-    """ValueError unless the gates are those of the proof, with its bars, and what a value says of one is so."""
+def _check_criteria(gates: list[dict], path: str | Path) -> None:
+    """ValueError unless criteria and thresholds are those of the blind benchmark, and met agrees with the values."""
     given, known = ([(gate["gate"], gate["bar"], gate["below"]) for gate in gates],
-                    [(name, bar, below) for name, _, _, bar, below in GATES])  # fmt: skip
+                    [(name, bar, below) for name, _, _, bar, below in CRITERIA])  # fmt: skip
     if given != known:
         odd = next((one for one in given if one not in known), None) or "too few, twice, or in another order"
-        raise ValueError(f"{path}: gates, bars and whether to be below are not those of soro-bench prove: {brief(odd)}")
+        raise ValueError(f"{path}: criteria and thresholds are not those of soro-bench blind-benchmark: {brief(odd)}")
     for gate in gates:
         if gate["met"] is not is_met(gate["value"], gate["bar"], gate["below"]):
             raise ValueError(f"{path}: {gate['gate']} is {gate['value']}, for which met cannot be {gate['met']}")
@@ -42,7 +50,7 @@ def write_entry(path: str | Path, entry: str, method: str, cases: str | Path, ca
     Args:
         entry: who, or which code base, made the diagnoses.
         method: what it does, in a few words.
-        cases: folder of the cases, their labels and the commitment.
+        cases: folder of the cases, their labels and the digest of these.
         card: what :func:`soro_bench.blind_benchmark.score.scored` gives, with the rows of the ablations, perhaps none.
     """
     about = {"format": FORMAT, "entry": entry, "method": method, "set": opened(Path(cases))}
@@ -52,7 +60,7 @@ def write_entry(path: str | Path, entry: str, method: str, cases: str | Path, ca
 
 
 def opened(cases: Path) -> dict:
-    """Which set of cases a folder holds, after its labels and the commitment to them."""
+    """Which set of cases a folder holds, after its labels and their digest."""
     with _called(path := cases / "sealed" / "labels.json"):
         labels = opened_labels(cases)
         return {

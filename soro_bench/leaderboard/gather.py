@@ -96,8 +96,8 @@ def _check_alike(group: Group) -> None:
                 raise ValueError(f"{path}: {key} is {found!r}; allowed: {value!r}, as in {first}")
     seen: dict[str, Path] = {}
     for path, entry in group.entries:
-        if (twin := seen.setdefault(entry["policy"]["sha256"], path)) != path:
-            raise ValueError(f"{path}: its policy is that of {twin}; every seed needs a training of its own")
+        if (holder := seen.setdefault(entry["policy"]["sha256"], path)) != path:
+            raise ValueError(f"{path}: its policy is that of {holder}; every seed needs a training of its own")
 
 
 def _common(entry: dict) -> dict:

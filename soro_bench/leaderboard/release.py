@@ -24,13 +24,13 @@ class Release:
     """A release as it was scored.
 
     Args:
-        commitment: SHA-256 of the sealed labels, published before the first diagnosis.
+        digest: SHA-256 of the sealed labels, published before the first diagnosis.
         method: version of the method, as ``soro_bench.diagnosis.version`` gives it.
         labels: content of labels.json: seed, count, and what is hidden in every case.
         reports: by the case's id, without the keys that are left out.
     """
 
-    commitment: str
+    digest: str
     method: str
     labels: dict
     reports: dict[str, dict]
@@ -55,15 +55,15 @@ class Release:
         """The release that the blind benchmark left in ``folder``: its cases and a report for each."""
         cases, reports = Path(folder) / "cases", Path(folder) / "reports"
         found = {path.stem: _reduced(read_json(path)) for path in sorted(reports.glob("case_*.json"))}
-        commitment = (cases / "commitment.txt").read_text().strip()
+        digest = (cases / "commitment.txt").read_text().strip()
         labels = read_json(cases / "sealed" / "labels.json", OPENED_BYTES)
-        return cls(commitment, (reports / "method.txt").read_text().strip(), labels, found)
+        return cls(digest, (reports / "method.txt").read_text().strip(), labels, found)
 
     def pack(self, path: str | Path) -> None:
         """Write the release into one file."""
         content = {
             "format": FORMAT,
-            "commitment": self.commitment,
+            "commitment": self.digest,
             "method": self.method,
             "labels": self.labels,
             "reports": self.reports,
@@ -76,7 +76,7 @@ class Release:
         """Write the release into ``folder`` as the blind benchmark does: cases/ with the labels, and reports/."""
         cases, reports = Path(folder) / "cases", Path(folder) / "reports"
         write_json(cases / "sealed" / "labels.json", self.labels)
-        (cases / "commitment.txt").write_text(f"{self.commitment}\n")
+        (cases / "commitment.txt").write_text(f"{self.digest}\n")
         for name, report in self.reports.items():
             if Path(name).name != name:
                 raise ValueError(f"{name!a} is no name of a case")

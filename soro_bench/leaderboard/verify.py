@@ -47,7 +47,7 @@ def verify_diagnosis(path: str | Path, cases: str | Path, reports: str | Path) -
     of the ablations, that they are not verified.
 
     Args:
-        cases: folder with the sealed labels and the commitment to them.
+        cases: folder with the sealed labels and their digest.
         reports: folder with the report of every case, <case>.json.
     """
     entry = read_diagnosis_entry(path)

@@ -3,7 +3,7 @@
     python -m soro_bench.models.real_robots
 
 writes ``assets/mjcf/real``: ``opencr_tdcr.xml`` and ``asl_trunk.xml``, and of each one with twice the links, from which
-the diagnosis takes its numerical floor. The TOML files beside them are written by hand.
+the diagnosis takes its discretisation error. The TOML files beside them are not generated.
 
 Each segment is cut into equal links, and a joint in the middle of each bends about two axes. Tendons run through holes.
 The holes of a segment's tendons lie on rings, bodies without joints in the middle of which the axis passes: turning a

@@ -2,7 +2,7 @@
 
     python -m soro_bench.models.silicone_beam
 
-writes ``assets/mjcf/real/silicone_beam.xml``. The TOML files beside it are written by hand.
+writes ``assets/mjcf/real/silicone_beam.xml``. The TOML files beside it are not generated.
 
 Someone holds the beam straight and lets go, so that it falls and swings about where its weight bends it, alone or with
 a load that hangs on its end. Joints in the middle of each slice bend about two axes, and slides let it shear.
@@ -47,8 +47,8 @@ class Slices:
     timestep: float
 
 
-# With 4 slices the first frequency is 0.4 % above that of many. That is no numerical floor for the diagnosis: a fit of
-# the stiffness takes it up, and as a floor it explains away frequencies that are wrong by 2 %.
+# With 4 slices the first frequency is 0.4 % above that of many. It is no discretisation error for the diagnosis: a fit
+# of the stiffness takes it up, and as a floor it explains away frequencies that are wrong by 2 %.
 COARSE, FINE = Slices(4, 1e-3), Slices(10, 2.5e-4)
 
 

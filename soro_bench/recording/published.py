@@ -31,7 +31,7 @@ class PublishedFile:
 
     @property
     def conversion(self) -> Callable[[bytes], bytes] | None:
-        """What makes the file from its original; None if it has to be made by hand."""
+        """What makes the file from its original; None if it is not fetched by this command."""
         types = PurePosixPath(self.original).suffix, PurePosixPath(self.name).suffix
         return bytes if types[0] == types[1] else _CONVERSIONS.get(types)
 
@@ -84,12 +84,12 @@ def summary(name: str, source: Source, folder: Path) -> str:
     other = [file for file, expected, checksum in found if checksum not in (expected, None)]
     by_hand = sum(file.conversion is None for file in source.files)
     lines = [f"{name}: {source.robot}; {source.licence}", f"    {source.page}"]
-    lines.append(f"    {folder}: {good} of {len(found)} files" + (f"; {by_hand} only by hand" if by_hand else ""))
+    lines.append(f"    {folder}: {good} of {len(found)} files" + (f"; {by_hand} not fetched" if by_hand else ""))
     return "\n".join(lines + [f"    {file} has another checksum" for file in other])
 
 
 def fetch(source: Source, folder: Path) -> None:
-    """Get the files that are not yet in a folder. ValueError: what is wrong with one, or how to get it by hand."""
+    """Get the files that are not yet in a folder. ValueError: what is wrong with one, or how to get it."""
     missing = []
     for file in source.files:
         found, convert = file.checksum(folder), file.conversion
@@ -135,5 +135,8 @@ def _wrong(path: Path, file: PublishedFile, found: str) -> str:
 
 
 def _by_hand(source: Source, files: list[PublishedFile], folder: Path) -> str:
-    lines = [f"these files have to be made by hand and put into {folder}; see {source.page}", source.by_hand]
+    lines = [
+        f"make these files from their originals and put them into {folder}; see {source.page}",
+        source.by_hand,
+    ]
     return "\n".join(lines + [f"{file.name}  {file.original and 'from ' + file.original}".rstrip() for file in files])

@@ -225,7 +225,7 @@ def _patch(diagnosis: Diagnosis) -> Patch:
 
 
 def _unknown_input(diagnosis: Diagnosis) -> UnknownInput | None:
-    """What acts at the best location of a discrepancy outside the catalogue, over time."""
+    """The force at the best location of a discrepancy outside the catalogue, over time."""
     if not diagnosis.ranked_locations:
         return None
     best = diagnosis.ranked_locations[0]

@@ -1,4 +1,4 @@
-"""Force against state: what acts at a place according to the recordings, beside what the fitted law does there.
+"""Force against state: the force estimated at a location from the recordings, beside what the fitted law does there.
 
 Friction is a function of a cable's speed, stiffening one of a neck's bend, a delay one of how fast the command moves.
 The fitted law is observed: the fitted robot is replayed, and after every control step its passive forces are compared
@@ -26,7 +26,7 @@ from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import Effect
 
-_OF_RATE = ("dry_loss", "timing")  # classes of laws that depend on the rate of a state; others on the state
+_OF_RATE = ("friction", "timing")  # classes of laws that depend on the rate of a state; others on the state
 _NODES = 4  # of either direction
 _EXTREME = 0.02  # of the states, beyond the outer nodes at either end
 _SLOW = 0.1  # of the largest rate, below which a state neither rises nor falls

@@ -13,7 +13,7 @@ from soro_bench.effects.setpoints import SetpointLaw
 
 
 def law_site(robot: Robot, term: Term) -> "Springs | Servos | None":
-    """Where a suspect acts; None for what is no passive force and no law of setpoints, or has no place of its own."""
+    """Where a candidate term acts; None for what is no passive force and no law of setpoints, or has no location."""
     elements, model, location = robot.elements, robot.elements.model, term.location
     if location.kind not in ("tendon", "joint", "body", "actuator"):
         return None

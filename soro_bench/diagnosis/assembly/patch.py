@@ -46,7 +46,7 @@ class ModelPatch:
 def patch(diagnosis: Diagnosis) -> list[Effect]:
     """The physics that the simulation should have; none where nothing is missing or held-out recordings got worse.
 
-    Where what acts has no name, the nearest that has one is worth having if it is more than a description of the
+    Outside the catalogue, the nearest law is worth having if it is more than a description of the
     recordings that it was fitted to: if held-out ones keep ``KEPT`` of what it explains.
     """
     best = diagnosis.best

@@ -286,7 +286,7 @@ def _spec(path: str | Path) -> mujoco.MjSpec:
 def _named(spec: mujoco.MjSpec, model: str) -> mujoco.MjSpec:
     """The spec with names for elements without one, since effects need names; each model gets other names.
 
-    Joints of a flex's vertices stay without a name: no effect acts on one alone.
+    Joints of a flex's vertices are not named: no effect acts on one alone.
     """
     vertices = {name for flex in spec.flexes for name in (*flex.vertbody, *flex.nodebody)}
     joints = [joint for joint in spec.joints if joint.parent.name not in vertices]

@@ -1,4 +1,4 @@
-"""Scores of diagnoses, on labels and reports written by hand."""
+"""Scores of diagnoses, on labels and reports written for the test."""
 
 import hashlib
 
@@ -176,7 +176,7 @@ def test_probabilities_that_are_right_have_an_error_of_calibration_by_chance():
 
 def test_parameters_that_hide_an_effect_are_seen():
     _, card = values([label(0)], [report()])
-    assert card["cases"][0]["concealed"] == pytest.approx(1 - 3 * (0.6**2 - 0.5**2) / 2.0**2)
+    assert card["cases"][0]["absorbed"] == pytest.approx(1 - 3 * (0.6**2 - 0.5**2) / 2.0**2)
 
 
 def test_errors_are_compared_apart_for_the_two_kinds_of_robots():
@@ -194,7 +194,7 @@ def test_labels_that_were_changed_after_the_commitment_are_refused(tmp_path):
     (tmp_path / "commitment.txt").write_text(hashlib.sha256(path.read_bytes()).hexdigest() + "\n")
     assert opened_labels(tmp_path) == [label(0)]
     write_json(path, {"cases": [label(1)]})
-    with pytest.raises(ValueError, match="commitment"):
+    with pytest.raises(ValueError, match="digest"):
         opened_labels(tmp_path)
 
 

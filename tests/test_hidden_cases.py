@@ -1,4 +1,4 @@
-"""Concealed cases: the real robots, their hidden physics, and what is written of them."""
+"""Hidden cases: the real robots, their hidden physics, and what is written of them."""
 
 import hashlib
 import json
@@ -210,7 +210,7 @@ def test_mix():
                 assert abs(value - p.nominal) <= 0.03
             else:
                 assert 1 / 1.3 <= value / p.nominal <= 1.3
-    with pytest.raises(ValueError, match="nulls 5"):
+    with pytest.raises(ValueError, match="healthy 5"):
         draw.draw_cases(4, 0, healthy=5)
 
 
