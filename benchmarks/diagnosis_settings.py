@@ -11,20 +11,16 @@ shows as a discrepancy outside the catalogue, since the arm's inertia is a param
 """
 
 import argparse
-import inspect
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
 from soro_bench.arrays import Floats
-from soro_bench.diagnosis import pipeline
-from soro_bench.diagnosis.candidates import terms
-from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.pipeline import run_diagnosis
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import DEFAULT, Settings
@@ -128,25 +124,7 @@ def answer(best: Any) -> str:
 
 def diagnosed(robot: ModelRobot, train: Any, heldout: Any, settings: Settings) -> Any:
     """The diagnosis with some settings."""
-    run: Any = pipeline.run_diagnosis
-    if "settings" in inspect.signature(run).parameters:
-        return run(robot, [train], [heldout], settings=settings)
-    before = {
-        name: getattr(pipeline, name) for name in ("Problem", "terms", "data_quality", "noise", "outliers", "FITTED")
-    }
-    robot.refined = partial(robot.refined, settings.discretisation.reference_refinement)  # type: ignore[method-assign]
-    patched: dict[str, Any] = {
-        name: partial(before[name], settings=settings.data_quality) for name in ("data_quality", "noise", "outliers")
-    }
-    patched |= {"Problem": partial(Problem, settings=settings), "terms": partial(terms, settings=settings.priors)}
-    patched["FITTED"] = settings.discretisation.fitted_refinement
-    try:
-        for name, value in patched.items():
-            setattr(pipeline, name, value)
-        return run(robot, [train], [heldout])
-    finally:
-        for name, value in before.items():
-            setattr(pipeline, name, value)
+    return run_diagnosis(robot, [train], [heldout], settings=settings)
 
 
 def changed(paths: tuple[Path, Path], case: str, settings: Settings, usual: dict[str, Any]) -> str:

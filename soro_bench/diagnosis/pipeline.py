@@ -16,7 +16,7 @@ from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.estimation.unit_check import check_scale
 from soro_bench.diagnosis.localisation.ranking import RankedLocation, ranked_locations
 from soro_bench.diagnosis.robots.measured import Measured
-from soro_bench.diagnosis.robots.robot import FITTED, Robot
+from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.experiment_design import Proposal, proposed
 from soro_bench.diagnosis.selection.forward_selection import Explanation, explained, nominal_fit
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, compared, shortlist
@@ -99,7 +99,8 @@ def run_diagnosis(
     """
     start = time.perf_counter()
     progress("data quality")
-    fitted, refined = robot.shortened(FITTED), robot.refined()
+    fitted = robot.shortened(settings.discretisation.fitted_refinement)
+    refined = robot.refined(settings.discretisation.reference_refinement)
     measured, tested = _measured(robot, settings.report.most_numbers, recordings, heldout)
     data_qualities = tuple(data_quality(each, settings.data_quality) for each in (*measured, *tested))
     # of one sensor: motion only adds to it
@@ -111,7 +112,7 @@ def run_diagnosis(
     problem, nominal, found_outliers = _without_outliers(problem, nominal)
     if not problem.misfit_dominated:
         problem, nominal = _with_noise(problem, nominal, max(a.least for a in data_qualities))
-    explanation = explained(problem, nominal, robot, refined, terms(robot), seed, progress)
+    explanation = explained(problem, nominal, robot, refined, terms(robot, settings.priors), seed, progress)
     progress("comparison")
     hypotheses = shortlist(explanation)
     trial = tried_on(explanation, tested, refined, hypotheses)

@@ -34,7 +34,6 @@ from soro_bench.diagnosis.result import (
     SignalQuality,
     UnknownInput,
 )
-from soro_bench.diagnosis.robots.priors import LIMIT
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.selection.forward_selection import Round
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, alpha
@@ -249,7 +248,7 @@ def detectable(diagnosis: Diagnosis) -> tuple[Detectable, ...]:
     """
     found: dict[str, Detectable] = {}
     for term, x in diagnosis.explanation.minimum:
-        if x > LIMIT:
+        if x > diagnosis.explanation.problem.settings.priors.limit:
             continue
         q = term.quantities[0]
         change = float(term.deviations[0]) * x
