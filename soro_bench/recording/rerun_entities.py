@@ -10,8 +10,8 @@ from soro_bench.envs.episode import Episode
 from soro_bench.markdown import table
 from soro_bench.parameters import ALL_PARAMETERS
 from soro_bench.recording.drawing import Drawing, Mesh, Pose
+from soro_bench.recording.rerun_stream import TIMELINE
 
-TIMELINE = "time"
 OVERVIEW = "episodes"
 
 

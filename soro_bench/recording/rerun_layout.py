@@ -8,7 +8,8 @@ import rerun.blueprint as rrb
 
 from soro_bench.envs.episode import Episode
 from soro_bench.recording.drawing import Drawing
-from soro_bench.recording.rerun_entities import OVERVIEW, TIMELINE, episode_root, result
+from soro_bench.recording.rerun_entities import OVERVIEW, episode_root, result
+from soro_bench.recording.rerun_stream import TIMELINE
 
 _BACKGROUND = (214, 219, 225)
 _RESULT_COLORS = {"solved": (34, 139, 34), "not solved": (90, 100, 115), "diverged": (200, 40, 40)}

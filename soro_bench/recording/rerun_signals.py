@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from soro_bench.recording.rerun_stream import TIMELINE
+
 if TYPE_CHECKING:
     import rerun
 
@@ -27,8 +29,6 @@ def log_signal(
         is_body: whether a thick line joins the points.
     """
     import rerun as rr
-
-    from soro_bench.recording.rerun_entities import TIMELINE
 
     stamps, (steps, points, coordinates) = [rr.TimeColumn(TIMELINE, duration=time)], values.shape
     for p in range(points):

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import rerun
 
 APPLICATION_ID = "soro_bench"
+TIMELINE = "time"
 
 
 @contextmanager

@@ -51,9 +51,10 @@ def html(result: Result) -> str:
     return _TEMPLATES.get_template("report.html").render(
         result=result,
         words=words,
-        tone="good" if result.verdict == "adequate" else "bad",
+        tone="good" if words.headline(result).startswith("Adequate") else "bad",
         laws=[(each, equation(each.name)) for each in words.best_findings(result)],
         picture=figures.robot(result),
+        marked=figures.marked(result),
         figures=[each for each in _figures(result) if each.image],
         tables=[each for each in _tables(result) if each.rows],
     )
@@ -72,8 +73,7 @@ def equation(name: str) -> Markup:
 def _figures(result: Result) -> list[Figure]:
     which = " The first recording." if result.trained_on > 1 else ""
     found = [
-        Figure("Candidates", "Probability of every effect.", figures.probabilities(result)),
-        Figure("Where and when", "Error of a plain replay with fitted parameters." + which, figures.error_map(result)),
+        Figure("Where and when", "Error of a plain replay with fitted parameters." + which, figures.error(result)),
         Figure(
             "Before and after",
             "Measured less simulated at the point with the largest error. The band is two standard deviations of the "
@@ -126,13 +126,13 @@ def _candidate(found: Finding) -> tuple[str, ...]:
     name = "outside the catalogue" if found.name == "unknown" else words.law(found.name)
     magnitudes = "; ".join(f"{words.law(each.name)} {words.estimate(each)}" for each in found.estimates)
     location = str(found.location) if found.location else ""
-    return words.probability(found.probability), name, location, magnitudes, "; ".join(found.drawbacks)
+    return words.probability(found.probability), name, location, magnitudes, words.plain("; ".join(found.drawbacks))
 
 
 def _parameters(result: Result) -> Rows:
     return [
         (
-            each.estimate.name,
+            words.law(each.estimate.name),
             words.estimate(each.estimate),
             words.number(each.nominal, each.estimate.unit),
             f"{each.prior_deviations:+.1f}",
@@ -144,9 +144,9 @@ def _parameters(result: Result) -> Rows:
 def _rounds(result: Result) -> Rows:
     return [
         (
-            " with ".join(map(str, each.on_top_of)) or "fitted parameters",
-            "; ".join(f"{one.term} {one.predicted_gain:.0f}" for one in each.screened),
-            "; ".join(f"{' with '.join(map(str, one.terms))} {one.misfit:.0f}" for one in each.fitted),
+            words.terms(each.on_top_of) or "fitted parameters",
+            "; ".join(f"{words.terms((one.term,))} {one.predicted_gain:.0f}" for one in each.screened),
+            "; ".join(f"{words.terms(one.terms)} {one.misfit:.0f}" for one in each.fitted),
         )
         for each in result.rounds
     ]
@@ -157,7 +157,7 @@ def _detectable(result: Result) -> Rows:
         (
             words.law(each.name),
             words.law(each.quantity),
-            words.number(each.minimum, each.unit, 2) + (f" off {each.null:g}" if each.null else ""),
+            words.detectable(each),
         )
         for each in result.detectable
     ]

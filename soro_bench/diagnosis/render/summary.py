@@ -4,8 +4,14 @@ import textwrap
 
 from soro_bench.diagnosis.render import words
 from soro_bench.diagnosis.result import Finding, Result
+from soro_bench.files import shown
 
 WIDTH = 80
+MENTIONED = 5  # laws in a list; report.html has all of them
+USUAL = (  # in real robots, the most usual first
+    "coulomb_friction", "backlash", "actuator_gain", "payload", "actuator_delay", "local_stiffness", "hysteresis",
+    "viscous_friction", "pressure_leak", "sensor_bias", "sensor_delay",
+)  # fmt: skip
 _LABEL = 13  # columns of the labels
 
 
@@ -20,17 +26,16 @@ def summary(result: Result) -> str:
         lines += _finding(each, nearest=result.verdict == "outside_catalogue")
     if result.verdict == "outside_catalogue":
         lines.append(_line("location", words.where(result)))
-        if (found := result.unknown_input) is not None:
-            left = words.change(result.train.corrected_before, found.rmse_after, unit)
-            lines.append(_line("input", f"an unconstrained input there would reduce the RMSE, {left}"))
+        if unconstrained := words.unconstrained(result):
+            lines.append(_line("", unconstrained))
     lines.append(_line("noise", words.number(result.train.noise, unit)))
     if result.best.effects:
         lines.append(_line("replay", f"RMSE {words.errors(result.train, unit)}"))
         if result.heldout:
             lines.append(_line("held out", f"RMSE {words.errors(result.heldout, unit)}"))
-        lines.append(_line("corrected", f"{words.corrected(result.train, unit)} (without discretisation error)"))
-        if result.heldout:
-            lines.append(_line("", f"{words.corrected(result.heldout, unit)} (held out)"))
+        lines.append(
+            _line("", f"without discretisation error: {words.corrected(result.heldout or result.train, unit)}")
+        )
     else:
         lines.append(_line("replay", f"RMSE {words.number(result.train.after, unit)}"))
         if result.heldout:
@@ -39,6 +44,8 @@ def summary(result: Result) -> str:
         lines += _detectable(result)
     if also := words.alternatives(result):
         lines.append(_line("or", "; ".join(also)))
+    if kind := words.kind(result):
+        lines.append(_line("kind", kind))
     lines += [_line("note", each) for each in words.warnings(result)]
     if then := words.next_recording(result):
         lines.append(_line("record next", then))
@@ -56,7 +63,7 @@ def _confidence(result: Result) -> str:
 
 def _finding(found: Finding, nearest: bool) -> list[str]:
     name = words.law(found.name)
-    lines = [_line("nearest law" if nearest else "law", f"{name} ({words.law(found.category)})")]
+    lines = [_line("nearest law" if nearest else "law", f"{name} ({words.category(found.category)})")]
     if found.location is not None and not nearest:
         lines.append(_line("location", str(found.location)))
     for each in found.estimates:
@@ -69,20 +76,30 @@ def _finding(found: Finding, nearest: bool) -> list[str]:
 def _detectable(result: Result) -> list[str]:
     lines = []
     if result.detectable:
-        shown = [f"{words.law(each.name)} {words.number(each.minimum, each.unit, 2)}" for each in result.detectable]
-        lines.append(_line("detectable", f"smallest detectable magnitudes: {', '.join(shown)}"))
+        least = {each.name: f"{words.law(each.name)} {words.detectable(each)}" for each in result.detectable}
+        lines.append(_line("detectable", f"at least {_some(least)}"))
     if result.undetectable:
-        lines.append(_line("hidden", f"not visible in these recordings: {_laws(result.undetectable)}"))
+        lines.append(_line("invisible", f"in these recordings: {_laws(result.undetectable)}"))
     if result.not_searched:
         lines.append(_line("not searched", f"no location in this robot: {_laws(result.not_searched)}"))
     return lines
 
 
 def _laws(names: tuple[str, ...]) -> str:
-    return ", ".join(map(words.law, names))
+    return _some({name: words.law(name) for name in names})
+
+
+def _some(texts: dict[str, str]) -> str:
+    """The most usual laws of some, and how many more there are."""
+    order = sorted(texts, key=lambda name: (USUAL.index(name) if name in USUAL else len(USUAL), name))
+    more = len(order) - MENTIONED
+    said = ", ".join(texts[name] for name in order[:MENTIONED])
+    return f"{said}; {more} more in report.html" if more > 0 else said
 
 
 def _line(label: str, text: str) -> str:
     indent = " " * (_LABEL + 2)
-    filled = textwrap.fill(text, WIDTH, initial_indent=indent, subsequent_indent=indent, break_long_words=False)
+    text = words.NO_BREAK.join(map(shown, text.split(words.NO_BREAK)))
+    filled = textwrap.fill(text, WIDTH, initial_indent=indent, subsequent_indent=indent)
+    filled = filled.replace(words.NO_BREAK, " ")
     return f"  {label:<{_LABEL}}{filled[_LABEL + 2 :]}" if label else filled

@@ -1,16 +1,27 @@
 """Numbers and verdicts in words, the same on the console and in the report."""
 
 import math
+import re
 from collections.abc import Iterable
 
-from soro_bench.diagnosis.result import Errors, Estimate, Finding, Result
+from soro_bench.diagnosis.result import Detectable, Errors, Estimate, Finding, NamedLocation, Result
+from soro_bench.effects.equations import EQUATIONS
 
+NO_BREAK = "\u00a0"  # the space between a number and its unit
 TINY = 1e-3  # a smaller p-value is printed as "p < 0.001"
 LIKELY = 0.05  # probability from which another hypothesis is mentioned
 CORRECTED = 1.3  # ratio of plain to corrected errors from which the report warns
 FAR = 3.0  # standard deviations of the prior from which a parameter is called far off
 NEAR = 0.9  # of the best location's gain, from which another one explains nearly as much
-_IN_MM = {"m": (1e3, "mm"), "m or rad": (1.0, "m or rad")}
+CLEAR = 0.7  # probability from which a kind of fault is clear
+AHEAD = 0.05  # by which a kind has to be more probable than the law
+KINDS = {
+    "static_one_sided": "static actuator or load error",
+    "dry_loss": "dry friction",
+    "rate_independent_memory": "hysteresis or play",
+}
+_POWERS = {"^2": "²", "^3": "³"}
+_LAWS = re.compile(rf"\b({'|'.join(sorted(EQUATIONS, key=len, reverse=True))})\b")
 
 ANSWERS = {
     "adequate": "Adequate: no discrepancy detected",
@@ -22,28 +33,44 @@ ANSWERS = {
 
 def number(value: float, unit: str, digits: int = 3) -> str:
     """A number with its unit; lengths in mm, "1" is no unit."""
-    scale, shown = _IN_MM.get(unit, (1.0, unit))
-    return f"{scale * value:.{digits}g}{'' if shown == '1' else ' ' + shown}"
+    scale, shown = shown_unit(unit, value)
+    return _joined(f"{scale * value:.{digits}g}", shown)
 
 
-def shown_unit(unit: str) -> tuple[float, str]:
-    """Factor and name of the unit that a quantity is shown in."""
-    return _IN_MM.get(unit, (1.0, unit))
+def shown_unit(unit: str, value: float = 0.0) -> tuple[float, str]:
+    """Factor and name of the unit that a quantity is shown in; MPa for large pressures."""
+    if unit == "m":
+        return 1e3, "mm"
+    if unit == "Pa":
+        return (1e-6, "MPa") if abs(value) >= 1e6 else (1e-3, "kPa")
+    for written, shown in _POWERS.items():
+        unit = unit.replace(written, shown)
+    return 1.0, unit
 
 
 def estimate(found: Estimate) -> str:
     """A value with its unit and its 90 % interval."""
     if found.low is None or found.high is None:
         return number(found.value, found.unit)
-    scale, unit = shown_unit(found.unit)
+    scale, unit = shown_unit(found.unit, found.value)
     low, high = (f"{scale * each:.3g}" for each in (found.low, found.high))
-    return f"{scale * found.value:.3g} [{low}, {high}]{'' if unit == '1' else ' ' + unit}"
+    return _joined(f"{scale * found.value:.3g} [{low}, {high}]", unit)
+
+
+def _joined(value: str, unit: str) -> str:
+    """A value and its unit, which stay on one line."""
+    return value if unit == "1" else f"{value}{NO_BREAK}{unit.replace(' ', NO_BREAK)}"
+
+
+def detectable(found: Detectable) -> str:
+    """The smallest magnitude that would have shown, and what it differs from if that is not zero."""
+    return number(found.minimum, found.unit, 2) + (f" off {found.null:g}" if found.null else "")
 
 
 def change(before: float, after: float, unit: str) -> str:
-    """An error before and after."""
-    scale, shown = shown_unit(unit)
-    return f"{scale * before:.3g} -> {scale * after:.3g} {shown}"
+    """An error before and after; once where it is the same."""
+    first, last = number(before, unit), number(after, unit)
+    return last if first == last else f"{first.split(NO_BREAK)[0]} -> {last}"
 
 
 def p_value(result: Result) -> str:
@@ -56,6 +83,21 @@ def p_value(result: Result) -> str:
 def law(name: str) -> str:
     """The name of a law as words."""
     return name.replace("_", " ")
+
+
+def plain(text: str) -> str:
+    """A sentence in which the names of laws are words; names of the robot's parts stay as they are."""
+    return _LAWS.sub(lambda found: law(found[0]), text)
+
+
+def category(name: str) -> str:
+    """The kind of a law in words."""
+    return KINDS.get(name, law(name))
+
+
+def terms(found: Iterable[NamedLocation]) -> str:
+    """Laws and where they act."""
+    return " with ".join(f"{law(each.name)} at {each.location}" for each in found)
 
 
 def probability(value: float) -> str:
@@ -90,7 +132,7 @@ def where(result: Result) -> str:
 def alternatives(result: Result) -> list[str]:
     """What else it may be, with probabilities; the most probable first."""
     found = [
-        f"{' with '.join(str(e) for e in each.effects) or 'no discrepancy'} ({probability(each.probability)})"
+        f"{terms(each.effects) or 'no discrepancy'} ({probability(each.probability)})"
         for each in result.hypotheses[1:]
         if each.probability >= LIKELY
     ][:3]
@@ -99,17 +141,38 @@ def alternatives(result: Result) -> list[str]:
     return found
 
 
+def kind(result: Result) -> str:
+    """That the kind of fault is clearer than the law, in a sentence; empty where it is not."""
+    found = best_findings(result)
+    if len(found) != 1 or result.verdict == "outside_catalogue":
+        return ""
+    chance = result.categories.get(found[0].category, 0.0)
+    if chance < max(CLEAR, found[0].probability + AHEAD):
+        return ""
+    return f"The kind of fault is clear ({category(found[0].category)}, {probability(chance)}); the exact law is not."
+
+
+def unconstrained(result: Result) -> str:
+    """What an input without a law would leave, in a sentence; empty where none was estimated."""
+    if (found := result.unknown_input) is None:
+        return ""
+    both = change(result.train.corrected_before, found.rmse_after, result.robot.unit).replace(" -> ", " to ")
+    return f"An unconstrained input there would reduce the RMSE from {both}."
+
+
 def errors(found: Errors, unit: str) -> str:
-    """Plain replay errors, or that they grew."""
-    if found.after > found.before:
-        return f"makes it worse ({change(found.before, found.after, unit)})"
-    return change(found.before, found.after, unit)
+    """Plain replay errors, and whether they grew."""
+    return change(found.before, found.after, unit) + (" (worse)" if found.after > found.before else "")
 
 
 def corrected(found: Errors, unit: str) -> str:
     """Errors without discretisation error, with the share of the variance that is explained."""
-    share = "" if math.isnan(found.explained) else f", {100 * found.explained:.0f} % of the variance above noise"
-    return f"{change(found.corrected_before, found.corrected_after, unit)}{share}"
+    said = change(found.corrected_before, found.corrected_after, unit)
+    if found.is_worse:
+        return f"{said} (worse)"
+    if math.isnan(found.explained) or found.corrected_before == found.corrected_after:
+        return said
+    return f"{said}; explains {100 * found.explained:.0f} % of the variance above noise"
 
 
 def warnings(result: Result) -> list[str]:
@@ -126,7 +189,7 @@ def warnings(result: Result) -> list[str]:
     if result.patch.state == "untested" and result.best.effects:
         said.append("No recording was held out: nothing tests the patch on another motion.")
     far = [
-        f"{each.estimate.name} {number(each.nominal, each.estimate.unit)} -> "
+        f"{law(each.estimate.name)} {number(each.nominal, each.estimate.unit)} -> "
         f"{number(each.estimate.value, each.estimate.unit)} ({each.prior_deviations:+.1f} sd)"
         for each in result.parameters
         if abs(each.prior_deviations) > FAR
@@ -137,8 +200,9 @@ def warnings(result: Result) -> list[str]:
                     "looks like them.")  # fmt: skip
     for finding in best_findings(result):
         if finding.indistinguishable_from:
-            said.append(f"{law(finding.name)} and {finding.indistinguishable_from} leave the same trace; only clocks "
-                        "or motion without a command tell them apart.")  # fmt: skip
+            name = law(finding.name).capitalize()
+            said.append(f"{name} and {plain(finding.indistinguishable_from)} leave the same trace; only clocks or "
+                        "motion without a command tell them apart.")  # fmt: skip
     return said
 
 
@@ -151,8 +215,8 @@ def next_recording(result: Result) -> str:
     if not found.separates:
         if len(found.rivals) < 2:
             return f"{said}; shows more of the discrepancy."
-        return f"{said}; no motion that was tried separates {listed(found.rivals)}, this one comes nearest."
-    pairs = [f"{a} from {b}" for a, b in found.separates]
+        return f"{said}; no motion that was tried separates {plain(listed(found.rivals))}, this one comes nearest."
+    pairs = [plain(f"{a} from {b}") for a, b in found.separates]
     return f"{said}; would tell {listed(pairs)}."
 
 

@@ -1,0 +1,151 @@
+"""What is shown of a result: the summary on the console, and the text of report.html."""
+
+import html as markup
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from soro_bench.diagnosis.render import render, words
+from soro_bench.diagnosis.render.html import html
+from soro_bench.diagnosis.render.summary import WIDTH, summary
+from soro_bench.effects import catalogue
+from soro_bench.effects.equations import EQUATIONS
+from tests.results import RESULTS
+
+SNAPSHOTS = Path(__file__).parent / "snapshots" / "render.txt"
+NUMBER = r"[-+]?\d[\d.]*(?:e[-+]?\d+)?"
+UNITS = r"(?:%|mm|rad|N|kg|s|nats|kPa|MPa|sd|N m|N s²/m²)"
+
+
+class _Text(HTMLParser):
+    """The words of a page, a line per block, without its style."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.text, self.hidden = "", False
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        self.hidden = self.hidden or tag == "style"
+        self.text += " " if tag in ("span", "small", "td", "th") or tag.startswith("m") else "\n"
+
+    def handle_endtag(self, tag: str) -> None:
+        self.hidden = self.hidden and tag != "style"
+
+    def handle_data(self, data: str) -> None:
+        self.text += "" if self.hidden else data
+
+
+def text_of(page: str) -> str:
+    parser = _Text()
+    parser.feed(page)
+    return "\n".join(line for each in parser.text.splitlines() if (line := " ".join(each.split())))
+
+
+def shown() -> str:
+    """The summary and the page of every result, as the snapshot has them."""
+    parts = []
+    for name, result in RESULTS.items():
+        parts += [f"== {name}: summary", summary(result()), f"== {name}: report.html", text_of(html(result()))]
+    return "\n".join(parts) + "\n"
+
+
+def test_summary_and_page_are_as_in_the_snapshot() -> None:
+    """`PYTHONPATH=tests python tests/test_render.py` writes the snapshot anew; read what changed in it."""
+    assert shown() == SNAPSHOTS.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_summary_fits_a_console(name: str) -> None:
+    assert max(map(len, summary(RESULTS[name]()).splitlines())) <= WIDTH
+
+
+def test_names_of_a_strangers_robot_do_not_break_the_summary_or_the_page() -> None:
+    """Neither a name of 200 letters, nor escape sequences, nor markup."""
+    data = RESULTS["trunk friction"]().to_json()
+    name = "<script>\x1b[31m" + "x" * 200
+    for each in (data["findings"][0], data["findings"][1]):
+        each["location"]["name"] = name
+    result = type(RESULTS["adequate"]()).from_json(data)
+    lines = summary(result).splitlines()
+    assert max(map(len, lines)) <= WIDTH and "\x1b" not in "".join(lines)
+    assert "<script>" not in html(result) and markup.escape("<script>") in html(result)
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_no_number_that_nobody_can_use(name: str) -> None:
+    """No negative share, no p-value below what can be known, no name of a law with an underscore, no NaN."""
+    for text in (summary(RESULTS[name]()), text_of(html(RESULTS[name]()))):
+        assert not re.search(r"-\d+ %", text)
+        assert not re.search(r"p = \S*e-|\d e-\d{2,}", text)
+        assert not re.search(rf"\b({'|'.join(each for each in catalogue.ALL if '_' in each)})\b", text)
+        assert not re.search(r"\bnan\b", text)
+
+
+def test_p_value_is_never_smaller_than_can_be_known() -> None:
+    assert words.p_value(RESULTS["trunk friction"]()) == "p < 0.001"
+
+
+def test_a_patch_that_makes_it_worse_says_so_with_both_errors() -> None:
+    assert "0.00129 -> 0.00358 rad (worse)" in summary(RESULTS["arm gain"]())
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_every_error_and_magnitude_has_a_unit(name: str) -> None:
+    """Errors have the signal's unit, and estimates have theirs unless they are ratios."""
+    result = RESULTS[name]()
+    unit = words.shown_unit(result.robot.unit)[1]
+    text = " ".join(summary(result).split())
+    errors = re.findall(r"(?:noise|RMSE) ((?:from )?[-+]?\d[\d.e-]*(?: (?:->|to) \S+)?) (\S+)", text)
+    assert len(errors) >= text.count("RMSE") and {each.rstrip(".") for _, each in errors} == {unit}
+    for each in [e for f in result.findings for e in f.estimates if e.unit != "1"]:
+        assert words.estimate(each).endswith(words.NO_BREAK + words.shown_unit(each.unit, each.value)[1])
+    for each in result.detectable:
+        if each.unit != "1":
+            assert re.search(rf"{NUMBER} {UNITS}", words.detectable(each).replace(words.NO_BREAK, " ")), each
+
+
+def test_lengths_are_in_mm_and_pressures_in_kpa_or_mpa() -> None:
+    numbers = ((0.00123, "m"), (2e6, "Pa"), (5e4, "Pa"), (0.19, "N s^2/m^2"), (0.9, "1"))
+    texts = [words.number(*each).replace(words.NO_BREAK, " ") for each in numbers]
+    assert texts == ["1.23 mm", "2 MPa", "50 kPa", "0.19 N s²/m²", "0.9"]
+
+
+def test_every_law_has_an_equation() -> None:
+    assert EQUATIONS.keys() == catalogue.ALL.keys()
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_a_result_becomes_all_files(name: str, tmp_path: Path) -> None:
+    result = RESULTS[name]()
+    assert render(result, tmp_path) == summary(result)
+    expected = {"report.html", "comparison.rrd", "effects.json", "result.json"}
+    expected |= {"posterior.json"} if result.trainable else set()
+    expected |= {"patched_model.xml"} if result.patch.model else set()
+    expected |= {"next_actions.csv"} if result.next_recording else set()
+    assert {each.name for each in tmp_path.iterdir()} == expected
+
+
+def test_renderers_import_neither_robots_nor_models_nor_mujoco(tmp_path: Path) -> None:
+    """In a fresh process that renders all that there is."""
+    RESULTS["trunk friction"]().save(tmp_path / "result.json")
+    program = """
+import sys
+from soro_bench.diagnosis.render import render
+from soro_bench.diagnosis.result import Result
+render(Result.load(sys.argv[1] + "/result.json"), sys.argv[1] + "/out")
+print(*sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", program, str(tmp_path)], capture_output=True, text=True, check=True)
+    stages = ("robots", "estimation", "selection", "localisation", "assembly", "pipeline")
+    forbidden = ("mujoco", "soro_bench.models", "soro_bench.envs", *(f"soro_bench.diagnosis.{each}" for each in stages))
+    loaded = done.stdout.split()
+    assert not [each for each in loaded if each.startswith(tuple(f"{f}." for f in forbidden)) or each in forbidden]
+
+
+if __name__ == "__main__":
+    SNAPSHOTS.parent.mkdir(exist_ok=True)
+    SNAPSHOTS.write_text(shown(), encoding="utf-8")
