@@ -125,7 +125,7 @@ def trunk_friction() -> Result:
     friction, backlash = NamedLocation("coulomb_friction", CABLES[2]), NamedLocation("backlash", CABLES[2])
     law = Finding(
         "coulomb_friction",
-        "dry_loss",
+        "friction",
         0.74,
         CABLES[2],
         (Estimate("friction", 0.8, "N", 0.7, 0.9), Estimate("presliding", 0.0005, "m", 0.0002, 0.0012)),
@@ -137,7 +137,7 @@ def trunk_friction() -> Result:
     )
     rival = Finding(
         "backlash",
-        "rate_independent_memory",
+        "hysteresis_or_play",
         0.2,
         CABLES[2],
         (Estimate("width", 0.0011, "m", 0.0009, 0.0013),),
@@ -157,7 +157,7 @@ def trunk_friction() -> Result:
         unknown=0.06,
         predicted_gain=103.5,
         findings=(law, rival, Finding("unknown", "unknown", 0.06)),
-        categories={"dry_loss": 0.74, "rate_independent_memory": 0.2, "unknown": 0.06},
+        categories={"friction": 0.74, "hysteresis_or_play": 0.2, "unknown": 0.06},
         hypotheses=(_hypothesis((friction,), 0.74, train, heldout), _hypothesis((backlash,), 0.2, train, heldout)),
         rounds=(SelectionRound((), (ScreenedTerm(friction, 103.5),), (FittedTerms((friction,), 12.0),)),),
         credible_set=("coulomb_friction", "backlash"),
@@ -194,9 +194,9 @@ def arm_gain() -> Result:
     train, heldout = _errors(0.0165, 0.0056, 0.0006), _errors(0.00129, 0.00358, 0.0006)
     gain, lag = NamedLocation("actuator_gain", MOTOR), NamedLocation("actuator_saturation", MOTOR)
     best = Finding(
-        "actuator_gain", "static_one_sided", 0.5, MOTOR, (Estimate("gain", 0.9, "1", 0.88, 0.92),), is_best=True
+        "actuator_gain", "static_error", 0.5, MOTOR, (Estimate("gain", 0.9, "1", 0.88, 0.92),), is_best=True
     )
-    other = Finding("actuator_saturation", "static_one_sided", 0.45, MOTOR, (Estimate("loss", 0.1, "1"),))
+    other = Finding("actuator_saturation", "static_error", 0.45, MOTOR, (Estimate("loss", 0.1, "1"),))
     return _of(
         _ARM,
         "discrepancy",
@@ -204,7 +204,7 @@ def arm_gain() -> Result:
         healthy=0.0,
         unknown=0.05,
         findings=(best, other),
-        categories={"static_one_sided": 0.95, "unknown": 0.05},
+        categories={"static_error": 0.95, "unknown": 0.05},
         hypotheses=(_hypothesis((gain,), 0.5, train, heldout), _hypothesis((lag,), 0.45, train, heldout)),
         train=train,
         heldout=heldout,

@@ -329,7 +329,7 @@ def test_damaged_npz(tmp_path):
 
 
 def test_the_mapping_of_the_documentation_imports_its_table(tmp_path):
-    page = (Path(__file__).parents[1] / "docs" / "recordings.md").read_text()
+    page = (Path(__file__).parents[1] / "docs" / "how_to" / "import_a_log.md").read_text()
     (tmp_path / "take7.csv").write_text("Take 7" + page.split("```\nTake 7")[1].split("```")[0])
     (tmp_path / "take7.toml").write_text(page.split("```toml")[1].split("```")[0])
     recording = import_recording(tmp_path / "take7.csv", tmp_path / "take7.toml")

@@ -16,9 +16,9 @@ NEAR = 0.9  # of the best location's gain, from which another one explains nearl
 CLEAR = 0.7  # probability from which a kind of fault is clear
 AHEAD = 0.05  # by which a kind has to be more probable than the law
 KINDS = {
-    "static_one_sided": "static actuator or load error",
-    "dry_loss": "dry friction",
-    "rate_independent_memory": "hysteresis or play",
+    "static_error": "static actuator or load error",
+    "friction": "dry friction",
+    "hysteresis_or_play": "hysteresis or play",
 }
 _POWERS = {"^2": "²", "^3": "³"}
 _LAWS = re.compile(rf"\b({'|'.join(sorted(EQUATIONS, key=len, reverse=True))})\b")
