@@ -193,9 +193,7 @@ def arm_gain() -> Result:
     """A gain of the motor of a user's arm that makes held-out recordings worse; of its kind several laws are likely."""
     train, heldout = _errors(0.0165, 0.0056, 0.0006), _errors(0.00129, 0.00358, 0.0006)
     gain, lag = NamedLocation("actuator_gain", MOTOR), NamedLocation("actuator_saturation", MOTOR)
-    best = Finding(
-        "actuator_gain", "static_error", 0.5, MOTOR, (Estimate("gain", 0.9, "1", 0.88, 0.92),), is_best=True
-    )
+    best = Finding("actuator_gain", "static_error", 0.5, MOTOR, (Estimate("gain", 0.9, "1", 0.88, 0.92),), is_best=True)
     other = Finding("actuator_saturation", "static_error", 0.45, MOTOR, (Estimate("loss", 0.1, "1"),))
     return _of(
         _ARM,

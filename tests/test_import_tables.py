@@ -333,9 +333,9 @@ def test_the_mapping_of_the_documentation_imports_its_table(tmp_path):
     (tmp_path / "take7.csv").write_text("Take 7" + page.split("```\nTake 7")[1].split("```")[0])
     (tmp_path / "take7.toml").write_text(page.split("```toml")[1].split("```")[0])
     recording = import_recording(tmp_path / "take7.csv", tmp_path / "take7.toml")
-    assert recording.commands["action"].values.tolist() == [[0.5, -0.5, *[0.0] * 6]]
-    assert recording.signals["markers"].values[0, 0] == pytest.approx([0.0016, 0.002, 0.1001])
-    assert recording.signals["force"].values == pytest.approx([0.251, 0.253])
+    assert recording.commands["action"].values.tolist() == [[0.0] * 8, [0.5, -0.5, *[0.0] * 6]]
+    assert recording.signals["markers"].values[0, 0] == pytest.approx([0.0015, 0.002, 0.1002])
+    assert recording.signals["force"].values == pytest.approx([0.250, 0.251, 0.253])
 
 
 def test_a_mapping_that_asks_for_one_array_again_and_again_is_refused(tmp_path):
