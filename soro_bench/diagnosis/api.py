@@ -7,9 +7,13 @@ from soro_bench.diagnosis.pipeline import run_diagnosis
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import DEFAULT, Settings
+from soro_bench.models.simulation import quiet
+from soro_bench.parallel import one_blas_thread
 from soro_bench.recording.recording import Recording
 
 
+@one_blas_thread
+@quiet()
 def diagnose(
     robot: Robot,
     recordings: Sequence[Recording],

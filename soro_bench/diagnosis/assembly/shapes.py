@@ -73,7 +73,8 @@ def _geoms(model: mujoco.MjModel, data: mujoco.MjData, thin: float) -> Iterator[
             continue
         body = int(model.geom_bodyid[i])
         drawn.add(body)
-        locations = [*_body_locations(model, body), Location("geom", model.geom(i).name)]
+        own = [Location("geom", name)] if (name := model.geom(i).name) else []
+        locations = [*_body_locations(model, body), *own]
         if kind in _LONG:
             half = size[1] * data.geom_xmat[i].reshape(3, 3)[:, 2]
             yield Shape((_point(centre - half), _point(centre + half)), float(size[0]), tuple(locations))
