@@ -81,3 +81,24 @@ def test_missing_entry_is_named() -> None:
 def test_what_is_no_object_is_no_result() -> None:
     with pytest.raises(ValueError, match=SCHEMA):
         Result.from_json([])
+
+
+@pytest.mark.parametrize(
+    ("part", "change", "said"),
+    [
+        ("verdict", "great", "verdict is 'great'"),
+        ("hypotheses", [], "needs a hypothesis"),
+        ("replay.time", [], "time of a replay has 0 stamps"),
+        ("replay.shape", [10**9, 10**9], "rows of 1000000000000000000 numbers"),
+        ("replay.measured", [[0.0]], "measured of a replay needs"),
+        ("shapes", [{"points": [], "radius": 1.0, "locations": []}], "a shape needs points"),
+        ("shapes", [{"points": [[0, 0, 0]], "radius": 1e300, "locations": []}], "a shape needs points"),
+    ],
+)
+def test_a_result_that_cannot_be_drawn_is_refused(part: str, change: Any, said: str) -> None:
+    """Before anything is written, and before memory is asked for."""
+    data = RESULTS["adequate"]().to_json()
+    *outer, name = part.split(".")
+    (data[outer[0]] if outer else data)[name] = change
+    with pytest.raises(ValueError, match=said):
+        Result.from_json(data)

@@ -15,6 +15,8 @@ from soro_bench.files import brief, read_json, write_json
 
 SCHEMA = "soro-bench/diagnosis/2"
 VERDICTS = ("adequate", "discrepancy", "outside_catalogue", "measurement_fault")
+LONGEST = 1e5  # s, of a replay
+FARTHEST = 1e4  # m, of what is drawn
 DIGITS = 7  # significant ones of numbers in a file; a float32 has as many
 
 
@@ -253,6 +255,19 @@ class Replay:
     after: tuple[tuple[float, ...], ...]
     gain: tuple[float, ...]
 
+    def __post_init__(self) -> None:
+        steps, width = len(self.time), self.shape[0] * self.shape[1]
+        if not steps or not all(math.isfinite(each) and 0 <= each <= LONGEST for each in self.time):
+            raise ValueError(f"time of a replay has {steps} stamps; allowed are 0 to {LONGEST:g} s, one at least")
+        if list(self.time) != sorted(self.time):
+            raise ValueError("time of a replay runs backwards")
+        for name in ("measured", "before", "after"):
+            rows = getattr(self, name)
+            if len(rows) != steps or any(len(row) != width for row in rows):
+                raise ValueError(f"{name} of a replay needs {steps} rows of {width} numbers")
+        if len(self.gain) != steps:
+            raise ValueError(f"gain of a replay has {len(self.gain)} numbers; {steps} are needed")
+
 
 @dataclass(frozen=True)
 class Shape:
@@ -262,6 +277,11 @@ class Shape:
     points: tuple[tuple[float, float, float], ...]
     radius: float
     locations: tuple[Location, ...]
+
+    def __post_init__(self) -> None:
+        numbers = [self.radius, *(each for point in self.points for each in point)]
+        if not self.points or not all(abs(each) <= FARTHEST for each in numbers) or self.radius < 0:
+            raise ValueError(f"a shape needs points and a radius, all finite and at most {FARTHEST:g} m")
 
 
 @dataclass(frozen=True)
@@ -371,6 +391,12 @@ class Result:
     seconds: float
     settings: dict[str, typing.Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        if self.verdict not in VERDICTS:
+            raise ValueError(f"verdict is {brief(self.verdict)}; allowed are {', '.join(VERDICTS)}")
+        if not self.hypotheses:
+            raise ValueError("a result needs a hypothesis")
+
     @property
     def detected(self) -> bool:
         """Whether something is missing or wrong, outliers apart."""
@@ -399,8 +425,9 @@ class Result:
     @classmethod
     def load(cls, path: str | Path) -> "Result":
         """Read a file; ValueError if it is another one."""
+        data = read_json(path)
         try:
-            return cls.from_json(read_json(path))
+            return cls.from_json(data)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 
