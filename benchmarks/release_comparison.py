@@ -26,7 +26,7 @@ from soro_bench.effects.effect import Location
 from soro_bench.files import read_json, write_json
 from soro_bench.leaderboard.release import Release
 from soro_bench.markdown import table
-from soro_bench.parallel import Workers, each, one_blas_thread, processors
+from soro_bench.parallel import Workers, each, processors
 from soro_bench.recording.parquet import load, save
 from soro_bench.recording.recording import Recording
 
@@ -62,7 +62,6 @@ def recordings(case: Case, folder: Path) -> list[Recording]:
     return [load(path) for path in paths]
 
 
-@one_blas_thread
 def diagnosed(case: Case, out: Path) -> None:
     """Diagnose a case, and write all digits of what is compared into ``out``."""
     train, heldout = recordings(case, out / "cases")
