@@ -1,12 +1,40 @@
 """Errors as a command shows them."""
 
+import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from soro_bench.files import shown
 
-_LINE = 1000  # letters of an error: what it quotes may be a stranger's, and long
+_LENGTH = 1000  # letters of an error: what it quotes may be a stranger's, and long
+_HINT = re.compile(  # of NumPy and of PyTorch, to load what could run any code
+    r"(Object arrays cannot|Cannot load file|This file contains pickled).*?(allow_pickle=False|pickle\.load\(\)`\.)"
+    r"|Weights only load failed.*",
+    re.DOTALL,
+)
+_NOT_LOADED = "it holds pickled Python objects, which are never loaded; only numbers are read"
+
+
+class SeveralErrors(ValueError):
+    """Several errors at once; ``messages`` has a line for each."""
+
+    def __init__(self, messages: Sequence[str]) -> None:
+        super().__init__("\n".join(messages))
+        self.messages = tuple(messages)
+
+
+def one_line(error: BaseException | str) -> str:
+    """What an error of any library says, as one printable line of at most 1,000 letters.
+
+    Lines are joined with semicolons. Instead of a hint of NumPy or PyTorch to load pickles it says that they are
+    never loaded. An error without a message is named by its type.
+
+    Args:
+        error: an exception, or its message.
+    """
+    lines = (" ".join(line.split()).strip(" ;") for line in _HINT.sub(_NOT_LOADED, str(error)).splitlines())
+    return shown("; ".join(line for line in lines if line) or type(error).__name__)[:_LENGTH]
 
 
 @contextmanager
@@ -15,10 +43,11 @@ def plain_errors(program: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
-        sys.exit(f"{program}: {error}: pip install 'soro_bench[all]'")
+        sys.exit(f"{program}: {one_line(error)}: pip install 'soro_bench[all]'")
     except (ValueError, OSError, ImportError) as error:
         if sys.flags.dev_mode:  # PYTHONDEVMODE=1: the traceback, to find out where it comes from
             raise
-        sys.exit("\n".join(shown(line[:_LINE]) for line in f"{program}: {error}".split("\n")))
+        messages = error.messages if isinstance(error, SeveralErrors) else [error]
+        sys.exit("\n".join([f"{program}: {one_line(messages[0])}", *map(one_line, messages[1:])]))
     except KeyboardInterrupt:
         sys.exit(f"{program}: interrupted; train, run, infer, study and blind-benchmark resume if repeated")

@@ -8,6 +8,7 @@ from pathlib import Path
 from threading import Event, Thread
 
 from soro_bench.campaign.run import Run, carry_out
+from soro_bench.errors import one_line
 from soro_bench.files import replacing
 from soro_bench.parallel import Workers, each
 
@@ -51,7 +52,7 @@ def attempted(run: Run, work: Path, results: Path) -> str | None:
     except Exception as error:
         with replacing(log) as temporary:
             temporary.write_text(traceback.format_exc())
-        return f"{run.name}: {error}"
+        return f"{run.name}: {one_line(error)}"
     return None
 
 

@@ -158,6 +158,7 @@ def script(options: type[Script[T]], method: T, description: str | None) -> None
 def campaign(runs: "Sequence[Run]", work: Path, results: Path, workers: Workers, only_plan: bool = False) -> None:
     """Carry out what is missing, and write the page that compares all results in ``results``."""
     from soro_bench.campaign.campaign import carry_out_all
+    from soro_bench.errors import SeveralErrors, one_line
     from soro_bench.leaderboard.page import build, gathered
     from soro_bench.leaderboard.table import markdown_table
 
@@ -169,11 +170,11 @@ def campaign(runs: "Sequence[Run]", work: Path, results: Path, workers: Workers,
         return
     with CampaignBar() as bar:
         failures = carry_out_all(runs, work, results, workers, bar)
-    failed = "\n".join([f"{len(failures)} of {len(missing)} runs failed:", *failures]) if failures else ""
+    failed = [f"{len(failures)} of {len(missing)} runs failed:", *failures] if failures else []
     try:
         build(results, work)
     except (ValueError, OSError) as error:
-        raise ValueError("\n".join(filter(None, [failed, f"no page of results: {error}"]))) from error
+        raise SeveralErrors([*failed, f"no page of results: {one_line(error)}"]) from error
     boards, _ = gathered(results, work)
     console.print(markdown_table([group for groups in boards.values() for group in groups]), soft_wrap=True)
     recording = next(iter(sorted(work.rglob("*.rrd"))), "FILE.rrd")
@@ -181,4 +182,4 @@ def campaign(runs: "Sequence[Run]", work: Path, results: Path, workers: Workers,
         f"{work / 'index.html'} shows them; watch what a policy does with: soro-bench view {recording}", soft_wrap=True
     )
     if failed:
-        raise ValueError(failed)
+        raise SeveralErrors(failed)
