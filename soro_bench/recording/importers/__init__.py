@@ -1,15 +1,28 @@
 """Recordings from files of others; docs/reference/recordings.md describes the mapping file."""
 
+import importlib
 import importlib.util
 from collections.abc import Mapping
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from soro_bench.recording.recording import Recording, RecordingError
 
+# by suffix: the module that reads such a file, and there guess(path)
+_MODULES = {
+    ".csv": "csv_table", ".tsv": "csv_table", ".txt": "csv_table", ".mcap": "mcap_file", ".npz": "npz",
+    ".c3d": "c3d_file", ".trc": "motion_capture",
+}  # fmt: skip
+_FUNCTIONS = {
+    "mcap_file": "import_mcap", "npz": "import_npz", "c3d_file": "import_c3d",
+    "motion_capture": "import_motion_capture", "csv_table": "import_csv", "lerobot": "import_lerobot",
+}  # fmt: skip
+_WITH_EPISODES = ("lerobot",)
+
 
 def import_recording(path: str | Path, mapping: str | Path | Mapping | None = None, **selection: Any) -> Recording:
-    """Read a foreign recording: .csv, .tsv or .txt, .npz, .mcap, or the folder of a LeRobot dataset.
+    """Read a foreign recording: a table, arrays, a log, motion capture, or the folder of a LeRobot dataset.
 
     Args:
         mapping: TOML file that says what is what, or what it says; a LeRobot dataset needs none.
@@ -18,25 +31,27 @@ def import_recording(path: str | Path, mapping: str | Path | Mapping | None = No
     Raises:
         RecordingError: the file or the mapping is not as expected; says why.
     """
+    path = Path(path)
+    name, module = _module(path, mapping)
+    if "episode" in selection and name not in _WITH_EPISODES:
+        raise RecordingError(f"{path} has no episodes; only the folder of a LeRobot dataset has")
+    return getattr(module, _FUNCTIONS[name])(path, mapping, **selection)
+
+
+def guess_mapping(path: str | Path) -> str:
+    """A commented mapping (TOML) of everything in a file, to be corrected."""
+    return _module(Path(path), None)[1].guess(path)
+
+
+def _module(path: Path, mapping: str | Path | Mapping | None) -> tuple[str, ModuleType]:
+    """The module that reads a file, and its name."""
     if importlib.util.find_spec("pyarrow") is None:
         raise ImportError("recordings need pyarrow: pip install soro_bench[record]")
-    path = Path(path)
-    if path.is_dir():
-        from soro_bench.recording.importers.lerobot import import_lerobot
+    name = "lerobot" if path.is_dir() else _MODULES.get(path.suffix.lower())
+    if name is None:
+        raise RecordingError(f"{path}: expected {', '.join(_MODULES)} or the folder of a LeRobot dataset")
+    if name == "csv_table":
+        from soro_bench.recording.importers.motion_capture import is_export
 
-        return import_lerobot(path, mapping, **selection)
-    if "episode" in selection:
-        raise RecordingError(f"{path} has no episodes; only the folder of a LeRobot dataset has")
-    if path.suffix.lower() == ".mcap":
-        from soro_bench.recording.importers.mcap_file import import_mcap
-
-        return import_mcap(path, mapping, **selection)
-    if path.suffix.lower() == ".npz":
-        from soro_bench.recording.importers.npz import import_npz
-
-        return import_npz(path, mapping, **selection)
-    if path.suffix.lower() in (".csv", ".tsv", ".txt"):
-        from soro_bench.recording.importers.csv_table import import_csv
-
-        return import_csv(path, mapping, **selection)
-    raise RecordingError(f"{path}: expected .csv, .tsv, .txt, .npz, .mcap or the folder of a LeRobot dataset")
+        name = "motion_capture" if is_export(path, mapping) else name
+    return name, importlib.import_module(f"soro_bench.recording.importers.{name}")
