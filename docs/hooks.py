@@ -1,4 +1,5 @@
-"""What MkDocs calls while it builds the site: equations become MathML, links to source files become text.
+"""What MkDocs calls while it builds the site: the Python reference is made from its list of modules, equations become
+MathML, links to source files become text.
 
 MathML needs no script and no network. Source files are no part of the site, but the same pages are read in a checkout,
 where a link to one works. A link to a file that does not exist ends a strict build.
@@ -11,10 +12,29 @@ from pathlib import Path
 
 from latex2mathml.converter import convert
 
+PYTHON = "reference/python"  # the page that lists the modules, and the folder of those made from it
+GROUP = re.compile(r"(?m)^## (.+)\n\n((?:- `[\w.]+`\n)+)")
 LOG = logging.getLogger("mkdocs.hooks.soro_bench")
 EQUATION = re.compile(r'<(span|div) class="arithmatex">(?:\\\((.*?)\\\)|\\\[(.*?)\\\])</\1>', re.DOTALL)
 ROLE = re.compile(r":(?:mod|class|func|meth|attr|data|exc):(?=<code>|<a)")  # of docstrings in reStructuredText
 LINK = re.compile(r"(?<!!)\[([^\]]+)\]\((?!\w+:|#|/)([^)#\s]+)(#[^)\s]*)?\)")
+
+
+def on_files(files, config):
+    """With a page for each group of modules, in which mkdocstrings puts their docstrings."""
+    from mkdocs.structure.files import File
+
+    for name, content in python_pages((Path(config.docs_dir) / PYTHON / "index.md").read_text()).items():
+        files.append(File.generated(config, f"{PYTHON}/{name}.md", content=content))
+    return files
+
+
+def python_pages(listed: str) -> dict[str, str]:
+    """The pages that a list of modules under headings stands for, by the first words of these headings."""
+    return {
+        title.split()[0].lower(): "\n\n".join([f"# Python: {title.lower()}", *re.sub(r"- `(.+)`", r"::: \1", modules).splitlines()])
+        for title, modules in GROUP.findall(listed)
+    }
 
 
 def on_page_markdown(markdown: str, page, config, files) -> str:
