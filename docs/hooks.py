@@ -32,7 +32,7 @@ def on_files(files, config):
 def python_pages(listed: str) -> dict[str, str]:
     """The pages that a list of modules under headings stands for, by the first words of these headings."""
     return {
-        title.split()[0].lower(): "\n\n".join([f"# Python: {title.lower()}", *re.sub(r"- `(.+)`", r"::: \1", modules).splitlines()])
+        title.split()[0].lower(): f"# Python: {title.lower()}\n\n" + re.sub(r"- `(.+)`\n", r"::: \1\n\n", modules)
         for title, modules in GROUP.findall(listed)
     }
 

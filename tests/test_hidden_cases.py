@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from soro_bench.blind_benchmark import body_laws, cable_laws, closed_loop, command_laws, neck_laws
+from soro_bench.blind_benchmark.draw import manoeuvre
 from soro_bench.blind_benchmark.hidden import ALL, MEASUREMENT, PHYSICS, UNKNOWN
-from soro_bench.blind_benchmark.manoeuvre import manoeuvre
 from soro_bench.blind_benchmark.robot import CONTROL_TIMESTEP, Diverged, Robot, simulate
 from soro_bench.blind_benchmark.sensor_laws import SensorLaw
+from soro_bench.campaign.hidden_robot import HIDDEN, NOISE, PARAMETERS, record_hidden
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.files import write_json
 from soro_bench.models import trunk
@@ -22,6 +23,7 @@ from soro_bench.models import trunk_geometry as geo
 pytest.importorskip("pyarrow")
 from soro_bench.blind_benchmark import bench, cases, draw
 from soro_bench.recording.parquet import load
+from soro_bench.recording.simulated import replay
 
 NOMINAL = {p.name: p.nominal for p in trunk.PARAMETERS}
 DURATIONS = {"train": 1.0, "heldout": 0.5, "task": 0.5}
@@ -325,3 +327,17 @@ def test_an_episode_that_diverges_counts_as_one_without_motion(monkeypatch):
 
     monkeypatch.setattr(closed_loop, "EVALUATION_GOALS", [np.array([0.0, 0.0, 0.12])])
     assert closed_loop.final_distances(lambda observations: np.zeros((1, 8)), Wild()) == pytest.approx([0.12])
+
+
+def test_only_its_own_physics_explains_the_recordings_of_the_hidden_robot(tmp_path):
+    paths = record_hidden(tmp_path)
+    assert [path.name for path in paths] == ["recording.parquet", "heldout.parquet"]
+    for path in paths:
+        recording = load(path)
+        assert recording.parameters.items() >= PARAMETERS.items()
+        measured = recording.signals["keypoints"].values
+        rms = [
+            np.sqrt(np.mean((replay(recording, **options).signals["keypoints"] - measured) ** 2))
+            for options in ({"effects": [HIDDEN]}, {})
+        ]
+        assert abs(rms[0] / NOISE - 1.0) < 0.05 and rms[1] > 3 * NOISE

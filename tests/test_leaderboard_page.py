@@ -9,6 +9,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 pytest.importorskip("jinja2", reason="needs the board extra")
@@ -20,6 +21,7 @@ from soro_bench.leaderboard.entry import write_entry
 from soro_bench.leaderboard.gather import gather_control
 from soro_bench.leaderboard.page import build
 from soro_bench.leaderboard.plots import plot_curves
+from soro_bench.leaderboard.statistics import interquartile_mean, interval, probability_of_improvement
 from soro_bench.leaderboard.verify import verify_control
 from tests.entries import BOARD, edit, gates, policy, put_policy, scores, shrink_board, true_entry
 from tests.test_bad_input import says
@@ -276,3 +278,37 @@ def test_every_entry_of_the_repository_is_valid():
     if not shipped.is_dir():
         pytest.skip("needs a checkout")
     assert "TrunkReach-v0" in gather_control(shipped)
+
+
+def test_the_interquartile_mean_leaves_out_a_quarter_at_either_end():
+    assert interquartile_mean(np.array([[1.0, 2.0, 3.0, 4.0], [5.0, 6.0, 7.0, 100.0]])) == 4.5
+    assert interquartile_mean(np.array([[1.0, 2.0, 9.0]])) == 4.0  # less than four values: their mean
+
+
+@pytest.mark.parametrize(
+    ("values", "reference", "higher", "expected"),
+    [
+        ([[1.0], [2.0]], [[3.0], [4.0]], False, 1.0),
+        ([[1.0], [2.0]], [[3.0], [4.0]], True, 0.0),
+        ([[1.0], [2.0]], [[1.0], [2.0]], False, 0.5),
+        ([[1.0], [3.0], [3.0]], [[2.0]], True, 2 / 3),
+        ([[1.0, 9.0]], [[2.0, 2.0]], False, 0.5),  # better at one start, worse at the other
+    ],
+)
+def test_probability_of_improvement_counts_pairs_and_half_the_ties(values, reference, higher, expected):
+    assert probability_of_improvement(np.array(values), np.array(reference), higher) == pytest.approx(expected)
+
+
+def test_an_interval_is_that_of_the_mean_of_independent_seeds():
+    """And not narrower where seeds differ at all their starts together."""
+    values = np.random.default_rng(1).normal(size=(400, 1))
+    low, high = interval(np.mean, (values,), np.random.default_rng(0))
+    assert low == pytest.approx(values.mean() - 1.96 * values.std() / 20, abs=0.02)
+    assert high == pytest.approx(values.mean() + 1.96 * values.std() / 20, abs=0.02)
+    assert interval(np.mean, (np.repeat(values, 27, axis=1),), np.random.default_rng(0)) == pytest.approx((low, high))
+
+
+def test_one_seed_has_no_interval():
+    rng = np.random.default_rng(0)
+    assert interval(np.mean, (np.ones((1, 5)),), rng) is None
+    assert interval(lambda a, b: 0.0, (np.ones((3, 5)), np.ones((1, 5))), rng) is None

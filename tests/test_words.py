@@ -23,7 +23,7 @@ FORMATS = re.compile(  # names of files, keys and options of releases
 HISTORY = ("CHANGELOG.md", "docs/archive/", "docs/results/", "leaderboard/results/")
 READERS = {  # of old formats and names, and of tables that call an absent number null
     "benchmarks/real_robots.py",
-    "soro_bench/blind_benchmark/classes.py",
+    "soro_bench/blind_benchmark/report.py",
     "soro_bench/cli.py",
     "soro_bench/diagnosis/baseline.py",
     "soro_bench/effects/effect.py",

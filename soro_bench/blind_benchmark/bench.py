@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soro_bench.blind_benchmark.classes import released
 from soro_bench.blind_benchmark.draw import TARGETS, Case
 from soro_bench.blind_benchmark.hidden import ALL, UNKNOWN
 from soro_bench.blind_benchmark.places import Hidden
+from soro_bench.blind_benchmark.report import released
 from soro_bench.blind_benchmark.robot import CONTROL_TIMESTEP, Diverged, Law, Trace, simulate
 from soro_bench.blind_benchmark.sensor_laws import SensorLaw
 from soro_bench.models import trunk_geometry as geo

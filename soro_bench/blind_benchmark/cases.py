@@ -15,8 +15,7 @@ import numpy as np
 from gymnasium import spaces
 
 from soro_bench.blind_benchmark.bench import Bench, change
-from soro_bench.blind_benchmark.draw import Case, draw_cases
-from soro_bench.blind_benchmark.manoeuvre import manoeuvre
+from soro_bench.blind_benchmark.draw import Case, draw_cases, manoeuvre
 from soro_bench.blind_benchmark.robot import CONTROL_TIMESTEP
 from soro_bench.blind_benchmark.score import opened_labels
 from soro_bench.files import read_json, replacing, write_json

@@ -1,13 +1,15 @@
-"""What is drawn of a set of hidden cases before anything is simulated."""
+"""What a case is drawn from: its robot and effects, and the manoeuvre that a diagnosis is tested on."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from soro_bench.blind_benchmark.hidden import MEASUREMENT, PHYSICS, UNKNOWN
-from soro_bench.blind_benchmark.robot import KINDS
+from soro_bench.blind_benchmark.robot import CONTROL_TIMESTEP, KINDS
 from soro_bench.models import trunk
+from soro_bench.models import trunk_geometry as geo
 
 TARGETS = (0.7, 4.0)  # mm, rms change of the keypoints by one effect
 GROUPS = ("none", "one", "two", "measurement", "unknown")
@@ -93,3 +95,33 @@ def _parameters(rng: np.random.Generator) -> dict[str, float]:
     parameters = {p.name: p.nominal * math.exp(rng.uniform(-_SPREAD, _SPREAD)) for p in trunk.PARAMETERS}
     nominal = next(p.nominal for p in trunk.PARAMETERS if p.name == "poisson_ratio")
     return parameters | {"poisson_ratio": nominal + rng.uniform(-_POISSON_SPREAD, _POISSON_SPREAD)}
+
+
+_PAIRS = ((0, 2), (1, 3), (4, 6), (5, 7))  # cables on opposite sides: one is pulled as the other is released
+_AMPLITUDES = ((0.010, 0.035), (0.010, 0.035), (0.005, 0.020), (0.005, 0.020))  # m
+_FREQUENCIES = (0.1, 0.6)  # Hz
+_SINES = 3
+_FADE = 2.0  # s
+_SHARE_OF_RATE = 0.95
+
+
+def manoeuvre(duration: float, seed: int | Sequence[int]) -> np.ndarray:
+    """(T, 8) actions: every pair of cables follows a sum of slow sines, faded in from zero."""
+    rng = np.random.default_rng(seed)
+    time = CONTROL_TIMESTEP * np.arange(round(duration / CONTROL_TIMESTEP) + 1)
+    fade = np.clip(time / _FADE, 0, 1)
+    fade = fade * fade * (3 - 2 * fade)
+    pulls = np.zeros((len(time), len(geo.CABLE_NAMES)))  # m
+    for (a, b), amplitudes in zip(_PAIRS, _AMPLITUDES, strict=True):
+        path = fade * _sines(time, rng)
+        path *= rng.uniform(*amplitudes) / np.abs(path).max()
+        path *= min(1.0, _SHARE_OF_RATE * geo.CABLE_RATE * CONTROL_TIMESTEP / np.abs(np.diff(path)).max())
+        pulls[:, a], pulls[:, b] = path, -path
+    return np.diff(pulls, axis=0) / (geo.CABLE_RATE * CONTROL_TIMESTEP)
+
+
+def _sines(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    low, high = np.log(_FREQUENCIES)
+    frequencies = np.exp(rng.uniform(low, high, _SINES))
+    weights, phases = rng.uniform(0.3, 1.0, _SINES), rng.uniform(0, 2 * np.pi, _SINES)
+    return (weights * np.sin(2 * np.pi * frequencies * time[:, None] + phases)).sum(axis=1)

@@ -1,10 +1,28 @@
 """The report of a case, as the blind benchmark scores it: the format of its first releases."""
 
+import math
 from typing import Any
 
-from soro_bench.blind_benchmark.classes import released
+import numpy as np
+
+from soro_bench.diagnosis.assembly.patch import kept
+from soro_bench.diagnosis.pipeline import Diagnosis, tried_on
 from soro_bench.diagnosis.result import Errors, Estimate, Finding, NamedLocation, Result
+from soro_bench.diagnosis.selection.model_probabilities import Fit
 from soro_bench.effects.effect import Location
+from soro_bench.recording.recording import Recording
+
+_RELEASED = {
+    "friction": "dry_loss",
+    "hysteresis_or_play": "rate_independent_memory",
+    "static_error": "static_one_sided",
+}
+
+
+def released(name: str) -> str:
+    """The name that labels and reports of releases have for a class."""
+    return _RELEASED.get(name, name)
+
 
 SCHEMA = "soro-bench/diagnosis/1"
 VERDICTS = {"adequate": "none_detected", "discrepancy": "missing_physics", "outside_catalogue": "unknown_physics"}
@@ -97,3 +115,26 @@ def _fit(errors: Errors) -> dict[str, float]:
 
 def _share(errors: Errors) -> float | None:
     return errors.explained if errors.explained == errors.explained else None
+
+
+def unseen(found: Diagnosis, recording: Recording) -> dict:
+    """Errors on a recording before (the nominal robot with its parameters fitted) and after (the patched robot).
+
+    Returns:
+        rmse_before, rmse_after: rms of a coordinate [signal's unit], as any replay shows it, numerical error included;
+        noise_floor; fve: the share of the variance above noise and numerical error that the patch explains, 0 where
+        there is none.
+    """
+    robot = found.robot
+    hypotheses = [found.explanation.nominal, kept(found)]
+    tried = tried_on(found.explanation, (robot.measured(recording),), robot.refined(), hypotheses)
+    assert tried is not None  # there is a recording
+    problem, rows = tried
+    before, after = (problem.sigma * float(np.sqrt((row**2).sum() / problem.weight.sum())) for row in rows)
+    share = Fit(problem.left(rows[0]), problem.left(rows[1]), problem.sensor).explained
+    return {
+        "rmse_before": before,
+        "rmse_after": after,
+        "noise_floor": problem.sensor,
+        "fve": 0.0 if math.isnan(share) else share,
+    }

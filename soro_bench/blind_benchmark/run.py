@@ -9,10 +9,9 @@ from soro_bench.blind_benchmark import ablation_score
 from soro_bench.blind_benchmark.ablation_score import ablation_rows
 from soro_bench.blind_benchmark.ablations import ABLATIONS, ENV_ID, ablated
 from soro_bench.blind_benchmark.cases import sealed_seed, write_cases
-from soro_bench.blind_benchmark.report import report_of
+from soro_bench.blind_benchmark.report import report_of, unseen
 from soro_bench.blind_benchmark.score import opened_labels, scored
 from soro_bench.blind_benchmark.scorecard import markdown
-from soro_bench.blind_benchmark.unseen import unseen
 from soro_bench.diagnosis.assembly.build import build_result
 from soro_bench.diagnosis.pipeline import run_diagnosis
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot

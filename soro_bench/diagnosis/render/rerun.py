@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.diagnosis.result import Result
-from soro_bench.recording.rerun_signals import log_signal
-from soro_bench.recording.rerun_stream import identity, recorded
+from soro_bench.recording.rerun_stream import identity, log_signal, recorded
 
 COLORS = {"measured": (120, 120, 120), "before": (214, 39, 40), "after": (31, 119, 180)}
 RADIUS = 0.01  # m, of a body whose thickness is unknown
