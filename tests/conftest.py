@@ -1,10 +1,11 @@
 """Fixtures that run a test for every environment, model and action mode, commands as a shell would, and a trunk
 as the diagnosis sees it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -29,6 +30,20 @@ def model(request: pytest.FixtureRequest) -> str:
 def action(request: pytest.FixtureRequest) -> str:
     """Every action mode."""
     return request.param
+
+
+@pytest.fixture
+def make() -> Iterator[Callable[..., gymnasium.Env]]:
+    """gymnasium.make that closes what it made."""
+    made: list[gymnasium.Env] = []
+
+    def make(*args: Any, **kwargs: Any) -> gymnasium.Env:
+        made.append(gymnasium.make(*args, **kwargs))
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close()
 
 
 @pytest.fixture
