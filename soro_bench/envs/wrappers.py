@@ -6,9 +6,9 @@ from typing import Any, SupportsFloat, cast
 
 import gymnasium
 from gymnasium.utils import RecordConstructorArgs
-from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
+from soro_bench.envs.gymnasium_vector import VectorEnv, VectorWrapper
 from soro_bench.randomization import Distribution, from_dict
 
 
