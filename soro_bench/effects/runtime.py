@@ -1,7 +1,7 @@
 """Effects at work in N simulations, each with its own."""
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -17,6 +17,7 @@ from soro_bench.effects.necks import NECKS
 from soro_bench.effects.setpoints import SetpointLaw
 
 _RANGES = ("actuator_ctrlrange", "actuator_actrange")
+_REMEMBERED = ("setpoint", "added", "beyond", "_starts")  # arrays of N rows
 
 
 class ActiveEffects:
@@ -109,6 +110,32 @@ class ActiveEffects:
         )
         law.values[quantity][i] = value
 
+    def memory(self) -> dict[str, Any]:
+        """Copies of what effects go on from: what they remember, and what their laws read of the last time step."""
+        read = {name for law in self._laws for name in law.outputs}
+        return {
+            "own": {name: getattr(self, name).copy() for name in _REMEMBERED},
+            "laws": [{name: array.copy() for name, array in _arrays(law).items()} for law in self._laws],
+            "outputs": {name: getattr(self.batch, name).copy() for name in sorted(read)},
+        }
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Remember what the same effects of as many simulations did."""
+        for name, values in memory["own"].items():
+            getattr(self, name)[...] = values
+        for law, arrays in zip(self._laws, memory["laws"], strict=True):
+            own = _arrays(law)
+            for name, values in arrays.items():
+                own[name][...] = values
+
+    def show(self, memory: Mapping[str, Any]) -> None:
+        """Let laws read the last time step of the simulations whose memory this is, until the next time step."""
+        for name, values in memory["outputs"].items():
+            output = getattr(self.batch, name)
+            output.flags.writeable = True  # MuJoCo's own memory, which it writes again in the next time step
+            output[...] = values
+            output.flags.writeable = False
+
     def restore(self, ids: Ints) -> None:
         """Model fields that effects changed become nominal again."""
         for field in self._fields:
@@ -197,6 +224,12 @@ class ActiveEffects:
         rows, actuators = np.nonzero(self._touched)
         chosen = np.isin(rows, ids)
         return rows[chosen], actuators[chosen]
+
+
+def _arrays(law: Law) -> dict[str, np.ndarray]:
+    """All arrays of a law, its parameters too."""
+    arrays = {name: value for name, value in vars(law).items() if isinstance(value, np.ndarray)}
+    return {**arrays, **{f"values of {name}": values for name, values in law.values.items()}}
 
 
 class Scaled:

@@ -1,14 +1,15 @@
 """The Gymnasium environment: a task with one simulation."""
 
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from soro_bench.arrays import Floats
-from soro_bench.envs.task import Task, checked_options
+from soro_bench.envs.copying import CopiedWithTask
+from soro_bench.envs.task import checked_options
 
 if TYPE_CHECKING:  # imported when something is drawn
     from soro_bench.envs.rendering import Camera, Viewer
@@ -16,8 +17,8 @@ if TYPE_CHECKING:  # imported when something is drawn
 _ONLY = np.arange(1)
 
 
-class SoftRobotEnv(gymnasium.Env[NDArray[Any], Any]):
-    """One simulation of ``task_type``.
+class SoftRobotEnv(CopiedWithTask, gymnasium.Env[NDArray[Any], Any]):
+    """One simulation of ``task_type``. A copy, by ``copy.deepcopy`` or ``pickle``, goes on with the same bytes.
 
     Args:
         render_mode: None, "human" (MuJoCo's viewer) or "rgb_array" (480 x 640 pixels).
@@ -26,15 +27,14 @@ class SoftRobotEnv(gymnasium.Env[NDArray[Any], Any]):
 
     # Gymnasium declares it as a variable of instances
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 20}  # noqa: RUF012
-    task_type: ClassVar[type[Task]]
 
     def __init__(self, render_mode: str | None = None, **task_options: Any):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"unknown render_mode {render_mode!r}; there are {self.metadata['render_modes']}")
         if several := {"num_envs", "num_threads"} & set(task_options):
             raise TypeError(f"{', '.join(sorted(several))}: gymnasium.make_vec takes this; here is one simulation")
-        build: Callable[..., Task] = self.task_type
-        self.task = build(num_envs=1, **task_options)
+        self._task_options = {"num_envs": 1, **task_options}
+        self.task = self._build_task()
         self.observation_space = self.task.single_observation_space
         self.action_space = self.task.single_action_space
         self.render_mode = render_mode

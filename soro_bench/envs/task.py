@@ -24,6 +24,10 @@ from soro_bench.parameters import Parameter, ParameterSet
 from soro_bench.randomization import Distribution
 
 ACTION_MODES = ("discrete", "continuous")
+# How far beyond its bounds, as a share of them, a number of an action is taken for one at the bound: some roundings of
+# a float32, as gymnasium.wrappers.RescaleAction makes them
+ROUNDING = 1e-6
+_REBUILT = ("sim", "model")  # what a task has that cannot be copied
 STATE = ("qpos", "qvel", "act", "qacc_warmstart")  # what a simulation goes on from; MuJoCo's names
 
 
@@ -103,6 +107,7 @@ class Task(ABC):
                 raise ValueError(f"{name} = {value!r}; an integer of {least} or more is needed")
         self.num_envs = num_envs
         self.model = model
+        self.effects = effects
         self.sim = Simulation(model, self.parameters, maps, num_envs, num_threads, effects)
         self._distribution: Distribution | None = None
         self._substeps = round(self.control_timestep / model.opt.timestep)
@@ -181,6 +186,16 @@ class Task(ABC):
             getattr(self.sim.batch, name)[ids] = state[name]
         self.sim.begin(ids)
 
+    def saved(self) -> dict[str, Any]:
+        """Everything that this task has and one that is just built has not: what a copy resumes from."""
+        own = {name: value for name, value in vars(self).items() if name not in _REBUILT}
+        return {"own": own, "sim": self.sim.saved()}
+
+    def resume(self, saved: Mapping[str, Any]) -> None:
+        """Go on as the task that saved this, which was built with the same arguments, to the last bit."""
+        vars(self).update(saved["own"])
+        self.sim.resume(saved["sim"])
+
     def refine(self, factor: int) -> None:
         """Simulate with time steps that are shorter by a factor; effects, which know the time step, come after this."""
         if not self.sim.native:
@@ -189,7 +204,8 @@ class Task(ABC):
         self._substeps *= factor
 
     def check_actions(self, actions: ArrayLike, count: int) -> NDArray[Any]:
-        """Return ``actions`` as an array of ``count`` valid actions; raise ValueError otherwise."""
+        """Return ``actions`` as an array of ``count`` valid actions, those that a rounding took beyond the bounds at
+        the bounds; raise ValueError otherwise."""
         space = self.single_action_space
         actions = np.asarray(actions)
         low: Any
@@ -203,11 +219,19 @@ class Task(ABC):
             allowed = f"finite numbers from {low.min()} to {high.max()}"
         if actions.dtype.kind not in kinds:
             raise ValueError(f"action {brief(actions.tolist())} is invalid; allowed are {allowed}")
-        if not (valid := (actions >= low) & (actions <= high)).all():  # NaN is not
+        if ((actions >= low) & (actions <= high)).all():
+            return actions
+        if isinstance(space, spaces.Box):
+            inside = np.clip(actions, low, high)
+            valid = np.abs(actions - inside) <= ROUNDING * np.maximum(np.abs(low), np.abs(high))
+        else:
+            inside = actions
+            valid = (actions >= low) & (actions <= high)
+        if not valid.all():  # NaN is not
             first = np.argwhere(~valid)[0].tolist()
             value = f"{brief(actions.tolist())} is invalid: {actions[tuple(first)]} at {first}"
             raise ValueError(f"action {value}; allowed are {allowed}")
-        return actions
+        return inside
 
     def _checked_options(self, options: Mapping[str, Any]) -> Mapping[str, Any]:
         for name in options:

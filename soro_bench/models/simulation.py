@@ -3,11 +3,11 @@
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
+from mujoco.batch import MODEL_FIELDS, Batch
 
 from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.effects.effect import Effect, EffectError, Location
@@ -146,6 +146,33 @@ class Simulation:
         self.batch.forward(ids, stage=mujoco.mjtStage.mjSTAGE_VEL)
         if self._effects:
             self._effects.reset(ids)
+
+    def saved(self) -> dict[str, Any]:
+        """Copies of what ``resume`` needs: parameters, states, counted warnings, model fields and what effects
+        remember."""
+        fields = {name: values.copy() for name in MODEL_FIELDS if (values := self.batch.expanded(name)) is not None}
+        effects = None if self._effects is None else self._effects.memory()
+        return {
+            "params": self.params.copy(),
+            "state": self.batch.state.copy(),
+            "warning": self.batch.warning.copy(),
+            "fields": fields,
+            "effects": effects,
+        }
+
+    def resume(self, saved: Mapping[str, Any]) -> None:
+        """Go on, to the last bit, as the simulations did that saved this; of as many of the same model and effects."""
+        everyone = np.arange(self.batch.nsim)
+        if self._effects is not None:
+            self._effects.recall(saved["effects"])
+        self.set_params(everyone, saved["params"])
+        for name, values in saved["fields"].items():
+            self.batch.expand(name)[...] = values
+        self.batch.state[...] = saved["state"]
+        self.batch.forward(everyone, stage=mujoco.mjtStage.mjSTAGE_VEL)
+        self.batch.warning[...] = saved["warning"]
+        if self._effects is not None:
+            self._effects.show(saved["effects"])
 
     def bad_states(self, ids: Ints) -> Bools:
         """(n,) whether MuJoCo has found a state to be NaN or huge, and reset it, since this was asked last."""
