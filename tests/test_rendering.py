@@ -72,6 +72,43 @@ def test_rgb_array(env_id, arguments, action):
     assert 0.005 < picture["moved"] < 0.5
 
 
+OF_MANY = """
+import gymnasium
+import numpy as np
+import soro_bench
+
+arguments = {"model": "cable", "action": "continuous", "render_mode": "rgb_array"}
+actions = np.array([[1.0] * 8, [-1.0] * 8], np.float32)
+try:
+    envs = gymnasium.make_vec("TrunkReach-v0", num_envs=2, **arguments)
+    envs.reset(seed=0)
+    envs.step(actions)
+    pictures = envs.render()
+except RuntimeError as error:
+    print("missing:", error)
+    raise SystemExit
+for i, action in enumerate(actions):
+    env = gymnasium.make("TrunkReach-v0", **arguments)
+    env.reset(seed=i)
+    env.step(action)
+    print((env.render() == pictures[i]).all(), (envs.call("render")[i] == pictures[i]).all())
+    env.close()
+print((pictures[0] == pictures[1]).all())
+envs.close()
+envs.close()
+"""
+
+
+def test_a_vector_environment_draws_each_simulation_as_the_single_environment_does():
+    run = subprocess.run([sys.executable, "-c", OF_MANY], capture_output=True, text=True, timeout=120)
+    if run.returncode < 0:
+        pytest.skip(f"OpenGL ended the process with signal {-run.returncode}")
+    assert run.returncode == 0, run.stderr
+    if run.stdout.startswith("missing: rendering needs OpenGL"):
+        pytest.skip(run.stdout)
+    assert run.stdout.split() == ["True", "True", "True", "True", "False"]
+
+
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="only Linux can take the display away")
 def test_human_mode_needs_a_display():
     """Without a display the viewer is refused with a hint, instead of ending the process."""

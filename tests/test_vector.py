@@ -356,12 +356,6 @@ def test_a_single_environment_that_was_not_reset_is_not_stepped():
         env.step(0)
 
 
-def test_a_vector_environment_takes_no_render_mode():
-    gymnasium.make_vec("TrunkReach-v0", num_envs=1, model="cable", render_mode=None)
-    with pytest.raises(ValueError, match=r"'rgb_array'.*None"):
-        gymnasium.make_vec("TrunkReach-v0", num_envs=1, model="cable", render_mode="rgb_array")
-
-
 def test_generators_and_seeds_are_those_of_synchronous_environments():
     ours = gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable")
     theirs = gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable", vectorization_mode="sync")

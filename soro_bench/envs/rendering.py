@@ -1,4 +1,4 @@
-"""Pictures of a task's first simulation."""
+"""Pictures of a task's simulations."""
 
 import time
 
@@ -19,17 +19,17 @@ def make_renderer(sim: Simulation, render_mode: str, fps: float) -> "Camera | Vi
 
 
 class _Snapshot:
-    """The first simulation's model and data, refreshed on demand."""
+    """A simulation's model and data, refreshed on demand."""
 
     def __init__(self, sim: Simulation):
         self._sim = sim
         self.model = sim.batch.get_model(0)
         self.data = mujoco.MjData(self.model)
 
-    def update(self) -> None:
-        """Take over the present state."""
-        self._sim.batch.get_model(0, self.model)
-        self._sim.batch.get_data(0, self.data)
+    def update(self, row: int = 0) -> None:
+        """Take over the present state of simulation ``row``."""
+        self._sim.batch.get_model(row, self.model)
+        self._sim.batch.get_data(row, self.data)
         mujoco.mj_fwdPosition(self.model, self.data)
 
 
@@ -44,9 +44,9 @@ class Camera:
             raise RuntimeError(_HINT) from error
         self._camera = self._snapshot.model.camera("review").id
 
-    def render(self) -> Picture:
-        """A picture of the present state."""
-        self._snapshot.update()
+    def render(self, row: int = 0) -> Picture:
+        """A picture of the present state of simulation ``row``."""
+        self._snapshot.update(row)
         self._renderer.update_scene(self._snapshot.data, camera=self._camera)
         return self._renderer.render()
 

@@ -4,12 +4,12 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from soro_bench.arrays import Floats
+from soro_bench.envs.gymnasium_vector import AutoresetMode
 from soro_bench.envs.vector import SoftRobotVectorEnv
 
 
@@ -85,18 +85,26 @@ class SB3VecEnv(VecEnv):
         self.envs.close()
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
-        """An attribute of the vector environment, once for each of ``indices``."""
-        return [getattr(self.envs, attr_name)] * len(self._indices(indices))
+        """An attribute of each simulation of ``indices``; spaces are those of one simulation, as wrappers show them."""
+        if attr_name in ("observation_space", "action_space"):
+            return [getattr(self.envs, f"single_{attr_name}")] * len(self._indices(indices))
+        values = self.envs.unwrapped.get_attr(attr_name)
+        return [values[i] for i in self._indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
-        """AttributeError: nothing can be set."""
-        raise AttributeError(f"{attr_name}: one environment holds all simulations; there is nothing to set for each")
+        """Set an attribute of each simulation of ``indices``; AttributeError for those that simulations share."""
+        chosen = self._indices(indices)
+        self.envs.unwrapped.set_attr(attr_name, [value] * len(chosen), chosen)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """AttributeError: nothing can be called."""
-        raise AttributeError(f"{method_name}: one environment holds all simulations; there is nothing to call on each")
+        """What a method gives in each simulation of ``indices``; AttributeError for reset and step, as for others."""
+        return [method(*method_args, **method_kwargs) for method in self.get_attr(method_name, indices)]
+
+    def get_images(self) -> list[NDArray[np.uint8] | None]:
+        """(480, 640, 3) pixels of every simulation, of environments made with render_mode="rgb_array"."""
+        return list(self.envs.unwrapped.render() or [None] * self.num_envs)
 
     def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
         """Not: wrappers are not around single environments."""

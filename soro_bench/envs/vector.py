@@ -1,36 +1,42 @@
 """The Gymnasium vector environment: a task with many simulations on a thread pool."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, ClassVar
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
 from gymnasium.utils import seeding
-from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from soro_bench.arrays import Bools, Floats, Ints
-from soro_bench.envs.task import Task, checked_options
+from soro_bench.envs.copying import CopiedWithTask
+from soro_bench.envs.gymnasium_vector import AutoresetMode, VectorEnv, need_vector_environments
+from soro_bench.envs.one_of_many import OneOfMany
+from soro_bench.envs.task import checked_options
+
+if TYPE_CHECKING:  # imported when something is drawn
+    from soro_bench.envs.rendering import Camera, Picture
 
 
-class SoftRobotVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
+class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
     """``num_envs`` simulations of ``task_type``, bit-identical to as many single environments.
 
-    Simulation i of ``reset(seed=s)`` is the single environment reset with seed s + i. A reset option may hold one value
-    for all simulations or one per simulation.
+    A copy, by ``copy.deepcopy`` or ``pickle``, goes on with the same bytes. Simulation i of ``reset(seed=s)`` is the
+    single environment reset with seed s + i. A reset option may hold one value for all simulations or one per
+    simulation.
 
     Args:
         num_envs: number of simulations.
         max_episode_steps: steps after which an episode is truncated; -1: never. ``gymnasium.make_vec`` gives the
             registered number unless it is told another.
         num_threads: threads, 0 for all processors; results do not depend on it.
-        render_mode: None; single environments render.
+        render_mode: None, or "rgb_array" (480 x 640 pixels for each simulation).
         autoreset_mode: Gymnasium's "NextStep" (default), "SameStep" or "Disabled".
         task_options: what the task takes: model (or mesh), action, effects.
     """
 
-    task_type: ClassVar[type[Task]]
+    _renderer: "Camera | None" = None
 
     def __init__(
         self,
@@ -41,14 +47,21 @@ class SoftRobotVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         **task_options: Any,
     ):
-        if render_mode is not None:
-            raise ValueError(f"render_mode {render_mode!r}: vector environments render nothing; allowed is None")
-        build: Callable[..., Task] = self.task_type
-        self.task = build(num_envs=num_envs, num_threads=num_threads, **task_options)
+        need_vector_environments()
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f"render_mode {render_mode!r}: of vector environments allowed are None and 'rgb_array'")
+        self._task_options = {"num_envs": num_envs, "num_threads": num_threads, **task_options}
+        self.task = self._build_task()
         self.num_envs = num_envs
+        self.render_mode = render_mode
+        self._added: list[dict[str, Any]] = [{} for _ in range(num_envs)]  # what set_attr has set
         self._max_steps = _limit(max_episode_steps)
         self.autoreset_mode = _mode(autoreset_mode)
-        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self.metadata = {
+            "render_modes": ["rgb_array"],
+            "render_fps": 1 / self.task.control_timestep,
+            "autoreset_mode": self.autoreset_mode,
+        }
         self.single_observation_space = self.task.single_observation_space
         self.single_action_space = self.task.single_action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -131,6 +144,51 @@ class SoftRobotVectorEnv(VectorEnv[Floats, Any, NDArray[Any]]):
                 info["final_obs"][i] = self._observation[i].copy()
             self._restart(done, [{}] * len(done), info)
         return self._observation.copy(), reward, terminated, truncated, info
+
+    def render(self) -> "tuple[Picture, ...] | None":
+        """(480, 640, 3) pixels of every simulation; None, with a warning, without a render_mode."""
+        pictures = [self.picture(i) for i in range(self.num_envs if self.render_mode else 1)]
+        return tuple(each for each in pictures if each is not None) or None
+
+    def picture(self, row: int) -> "Picture | None":
+        """(480, 640, 3) pixels of simulation ``row``; None, with a warning, without a render_mode."""
+        if self.render_mode is None:
+            gymnasium.logger.warn("render() needs render_mode='rgb_array' in gymnasium.make_vec")
+            return None
+        if self._renderer is None:
+            from soro_bench.envs.rendering import Camera
+
+            self._renderer = Camera(self.task.sim)
+        return self._renderer.render(row)
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """What a method gives in each simulation (:class:`soro_bench.envs.one_of_many.OneOfMany`), or an attribute."""
+        found = self.get_attr(name)
+        return tuple(each(*args, **kwargs) if callable(each) else each for each in found)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """An attribute of each simulation, such as the single spaces; AttributeError names those that there are."""
+        return tuple(getattr(each, name) for each in self._simulations())
+
+    def set_attr(self, name: str, values: Any, indices: Sequence[int] | None = None) -> None:
+        """Set an attribute of each simulation, or of ``indices``: one value, or a list or tuple with one for each."""
+        chosen = range(self.num_envs) if indices is None else indices
+        if not isinstance(values, list | tuple):
+            values = [values] * len(chosen)
+        if len(values) != len(chosen):
+            raise ValueError(f"{len(values)} values of {name} for {len(chosen)} environments")
+        simulations = self._simulations()
+        for i, value in zip(chosen, values, strict=True):
+            simulations[i].set_wrapper_attr(name, value)
+
+    def _simulations(self) -> list[OneOfMany]:
+        return [OneOfMany(self, i, added) for i, added in enumerate(self._added)]
+
+    def close_extras(self, **_: Any) -> None:
+        """Close what draws, if something does."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
 
     def _restart(self, ids: Ints, options: Sequence[Mapping[str, Any]], info: dict[str, Any]) -> None:
         """Reset simulations ``ids``; their rows of the observation and of ``info`` become those of the reset."""
