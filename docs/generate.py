@@ -33,7 +33,7 @@ from soro_bench.envs.task import ACTION_MODES, Task
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.markdown import table
 from soro_bench.parameters import ALL_PARAMETERS, Parameter
-from soro_bench.registration import ENV_IDS, task_type
+from soro_bench.registration import CONTINUOUS_IDS, ENV_IDS, task_type
 
 DOCS = Path(__file__).parent
 REFERENCE = DOCS / "reference"
@@ -82,6 +82,7 @@ def overview(env_id: str, task: type[Task], envs: dict[str, gymnasium.Env]) -> s
     boards = {name: board for name, board in BOARDS.items() if board.env_id == env_id}
     rows = [
         ("Make", f'`gymnasium.make("{env_id}")` after `import soro_bench`'),
+        ("With continuous actions by its id", f'`gymnasium.make("{CONTINUOUS_IDS[env_id]}")`'),
         *((f"Action space, {mode}", f"`{made.action_space}`") for mode, made in envs.items()),
         ("Observation space", f"`{env.observation_space}`"),
         ("Episode", f"{env.spec.max_episode_steps} steps of {task.control_timestep:g} s"),

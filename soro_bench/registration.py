@@ -18,10 +18,15 @@ _ENVS = {
     "MultiGait": ("multigait", 6),
 }
 ENV_IDS = tuple(f"{name}-v0" for name in _ENVS)
+# the same with action="continuous", for programs that choose an environment by its id alone
+CONTINUOUS_IDS = {f"{name}-v0": f"{name}Continuous-v0" for name in _ENVS}
 
 
 def task_type(env_id: str) -> "type[Task]":
     """The :class:`soro_bench.envs.task.Task` class of an environment id; ValueError if it is none of the suite's."""
+    if env_id in CONTINUOUS_IDS.values():
+        plain = next(plain for plain, continuous in CONTINUOUS_IDS.items() if continuous == env_id)
+        raise ValueError(f"{env_id} is {plain} with continuous actions: write {plain} here, and the actions beside it")
     if env_id not in ENV_IDS:
         raise ValueError(f"there is no environment {env_id!r}; there are {', '.join(ENV_IDS)}")
     env_type = cast("type[SoftRobotEnv]", load_env_creator(cast("str", gymnasium.spec(env_id).entry_point)))
@@ -47,11 +52,13 @@ def make_task(env_id: str, num_envs: int, num_threads: int, model: str, **option
 
 
 def register_envs() -> None:
-    """Register every environment, single and vector."""
+    """Register every environment, single and vector, also under an id of its own with continuous actions."""
     for name, (module, steps) in _ENVS.items():
-        gymnasium.register(
-            id=f"{name}-v0",
-            entry_point=f"soro_bench.envs.{module}:{name}Env",
-            vector_entry_point=f"soro_bench.envs.{module}:{name}VectorEnv",
-            max_episode_steps=steps,
-        )
+        for env_id, options in ((f"{name}-v0", {}), (CONTINUOUS_IDS[f"{name}-v0"], {"action": "continuous"})):
+            gymnasium.register(
+                id=env_id,
+                entry_point=f"soro_bench.envs.{module}:{name}Env",
+                vector_entry_point=f"soro_bench.envs.{module}:{name}VectorEnv",
+                max_episode_steps=steps,
+                kwargs=options,
+            )

@@ -200,6 +200,7 @@ class MultiGaitEnv(SoftRobotEnv):
     * v0: after the paper. Steps of 0.6 s, as in SofaGym's multigaitrobot-v0; the paper's take 3 s
       (docs/archive/tasks_and_models.md). The published reward is clipped at zero, which also pays for rocking to and
       fro; this one is not. The published observation averages points of the chambers; this is the centre of mass.
+      `MultiGaitContinuous-v0` is v0 with `action="continuous"`, for programs that know ids only.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # see SoftRobotEnv

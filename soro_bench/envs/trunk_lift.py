@@ -100,6 +100,7 @@ class TrunkLiftEnv(SoftRobotEnv):
     ## Version history
     * v0: after the paper, see :class:`TrunkReachEnv`. The wall is not observed, as the paper says (the published code
       writes its position into the goal's x).
+      `TrunkLiftContinuous-v0` is v0 with `action="continuous"`, for programs that know ids only.
     """
 
     task_type = TrunkLiftTask

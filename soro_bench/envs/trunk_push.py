@@ -59,6 +59,7 @@ class TrunkPushEnv(SoftRobotEnv):
     ## Version history
     * v0: after the paper, see :class:`TrunkReachEnv`. The cube has the inertia of a solid cube; the published code
       leaves it at a default of about 1/200 of that. The floor is unbounded, the published one ends 0.3 m out.
+      `TrunkPushContinuous-v0` is v0 with `action="continuous"`, for programs that know ids only.
     """
 
     task_type = TrunkPushTask

@@ -77,6 +77,7 @@ class TrunkReachEnv(SoftRobotEnv):
     * v0: after the paper. Where the published code differs, the paper holds: five cable updates per action (the code
       makes six at some steps) and d0 taken at reset (the code takes it after the first step, whose reward is then 0).
       Commands are clamped to the cables' limits (the code lets them wind up without limit).
+      `TrunkReachContinuous-v0` is v0 with `action="continuous"`, for programs that know ids only.
     """
 
     task_type = TrunkReachTask
