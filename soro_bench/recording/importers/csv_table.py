@@ -24,20 +24,21 @@ def import_csv(path: str | Path, mapping: str | Path | Mapping | None, max_bytes
     """Read a CSV file with a mapping file; RecordingError says what is wrong with either."""
     if mapping is None:
         raise RecordingError(f"{path}: a CSV file needs a mapping file; docs/how_to/import_a_log.md has an example")
-    spec = load_mapping(mapping, _PLACE, ("column", "unit", "interval"), _FORMAT)
+    spec = load_mapping(mapping, _PLACE, ("column", "unit", "interval", "rate", "period"), _FORMAT)
     data = read_bytes(path, max_bytes)
     with named_errors(path):
+        spec.to_seconds()
         table = _Table(data.decode("utf-8-sig"), spec.format)
         time_column = typed("[time]", spec.time, "column", "")
-        to_seconds = spec.to_seconds()
 
-        def read(source: Source) -> tuple[np.ndarray, np.ndarray]:
-            """(T,) times [s] and (T, k) numbers of a signal."""
+        def read(source: Source) -> tuple[np.ndarray, ...]:
+            """(T,) times [s], (T, k) numbers of a signal and (T,) the lines that they are from."""
             column = typed("it has", source.place, "time", time_column)
             cells, lines = table.numbers([*([column] if column else []), *table.names_of(source)])
             if not column:
                 cells = np.column_stack([spec.counted(len(cells)), cells])
-            return _samples(cells, lines, to_seconds if column else 1.0)
+            time, numbers, lines = _samples(cells, lines)
+            return spec.clock(time) if column else time, numbers, lines
 
         table.read(_columns(table, spec, time_column))
         return spec.recording(read, Path(path).name, EXPANSION * max_bytes)
@@ -51,8 +52,8 @@ def _columns(table: "_Table", spec: FileMapping, time_column: str) -> list[str]:
     return names
 
 
-def _samples(cells: np.ndarray, lines: np.ndarray, to_seconds: float) -> tuple[np.ndarray, np.ndarray]:
-    """(T,) times [s] and (T, k) numbers of the rows that have a time and at least one number.
+def _samples(cells: np.ndarray, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(T,) times, (T, k) numbers and (T,) lines of the rows that have a time and at least one number.
 
     Args:
         cells: (rows, 1 + k), time first.
@@ -61,12 +62,7 @@ def _samples(cells: np.ndarray, lines: np.ndarray, to_seconds: float) -> tuple[n
     present = ~np.isnan(cells[:, 0]) & ~np.isnan(cells[:, 1:]).all(axis=1)
     if not present.any():
         raise RecordingError("no row has a time and a number")
-    cells, lines = cells[present], lines[present]
-    time = to_seconds * cells[:, 0]
-    if (late := np.diff(time) <= 0).any():
-        line = lines[1:][late][0]
-        raise RecordingError(f"time does not increase in line {line}")
-    return time, cells[:, 1:]
+    return cells[present, 0], cells[present, 1:], lines[present]
 
 
 class _Table:

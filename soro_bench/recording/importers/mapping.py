@@ -10,53 +10,39 @@ from typing import Any, TypeVar
 import numpy as np
 
 from soro_bench.files import shown
+from soro_bench.recording.importers.clock import ORDERS, chosen, continued, overflowed
+from soro_bench.recording.importers.source import Source, check_keys, positive, read_source, unwrapped
 from soro_bench.recording.importers.units import si
-from soro_bench.recording.recording import MAX_SIGNALS, Recording, RecordingError, Signal, check_name, check_shape
+from soro_bench.recording.recording import MAX_SIGNALS, MAX_TEXT, Recording, RecordingError, Signal, check_name
 from soro_bench.recording.untrusted import named_errors, read_bytes
 
 MAX_BYTES = 1_000_000
+NOTES = "import_notes"  # the metadata that say what an import has changed or seen
 _ROUNDING = 1e-9  # s
 _REGULAR = 1.5  # times the median interval, up to which others are regular too
 _SECTIONS = ("format", "time", "commands", "signals", "parameters", "metadata")
-_VALUE_KEYS = ("unit", "scale", "offset", "frame", "shape", "shift", "leaves")
+_CLOCKS = ("column", "columns", "array", "source", "interval", "rate")  # one of them says when samples are
+_COUNTED = ("interval", "rate")
 
 T = TypeVar("T")
 Numbers = TypeVar("Numbers", np.ndarray, np.number)  # one or many
+Read = Callable[[Source], tuple[np.ndarray, ...]]
 
 
-@dataclass(frozen=True)
-class Source:
-    """Where one command or signal comes from and what its numbers mean.
+class Notes:
+    """What an import has left out, mended or seen; the recording's metadata keep it."""
 
-    The value in SI units is offset + scale * (factor of the unit) * (number in the file).
-    """
+    def __init__(self) -> None:
+        self._labels: dict[str, list[str]] = {}
 
-    unit: str  # as in the file
-    scale: float
-    offset: np.ndarray  # SI; one number, or one per number of a sample
-    frame: str
-    shape: tuple[int, ...] | None  # of a sample; None: as the file has it, and () for one number
-    shift: float  # s, added to its times
-    leaves: float | None  # SI; instead of the value: 1 until it is that far from where it was first, then 0
-    place: Mapping[str, Any]  # what else the importer knows: columns, topic, ...
+    def add(self, label: str, text: str) -> None:
+        """Note a text about a command, a signal or the file; nothing if the text is empty."""
+        if text and label not in self._labels.setdefault(text, []):
+            self._labels[text].append(label)
 
-    def signal(self, time: np.ndarray, numbers: np.ndarray) -> Signal:
-        """The signal for (T,) times [s] and (T, ...) numbers of the file."""
-        unit, factor = si(self.unit)
-        found = math.prod(numbers.shape[1:])
-        shape = self.shape
-        if shape is None:  # one number is no list of one
-            shape = numbers.shape[1:] if found > 1 else ()
-        if math.prod(shape) != found:
-            raise RecordingError(f"shape {list(shape)} does not fit the {found} numbers found")
-        try:
-            offset = np.broadcast_to(self.offset, shape)
-        except ValueError as error:
-            raise RecordingError(f"offset of shape {self.offset.shape} does not fit the shape {shape}") from error
-        values = self.scale * factor * numbers.reshape(len(numbers), *shape) + offset
-        if self.leaves is not None:
-            return _staying(time, values, self.leaves, self.shift)
-        return Signal(time, values, unit, self.frame)
+    def lines(self) -> list[str]:
+        """A line for each text, after what it is about."""
+        return [shown(f"{', '.join(filter(None, labels))}: {text}") for text, labels in self._labels.items()]
 
 
 @dataclass(frozen=True)
@@ -69,62 +55,126 @@ class FileMapping:
     format: dict[str, Any] = field(default_factory=dict)
     parameters: dict[str, float] = field(default_factory=dict)
     metadata: dict[str, str] = field(default_factory=dict)
+    order: str = "refuse"  # one of ORDERS, where [time] says none
+    notes: Notes = field(default_factory=Notes, compare=False)
 
-    def to_seconds(self) -> float:
-        """What a number of [time] unit is [s]."""
-        unit, factor = si(self.time.get("unit", "s"))
-        if unit != "s":
-            raise RecordingError(f"[time] unit = {self.time['unit']!r} is no unit of time")
+    def to_seconds(self, unit: str | None = None) -> float:
+        """What a number of a unit, or of [time] unit, is [s]."""
+        name = unit if unit is not None else self.time.get("unit", "s")
+        dimension, factor = si(name)
+        if dimension != "s":
+            raise RecordingError(f"[time] unit = {name!r} is no unit of time")
         return factor
 
-    def recording(
-        self, read: Callable[[Source], tuple[np.ndarray, np.ndarray]], file_name: str, most: int
-    ) -> Recording:
-        """The recording whose signals ``read(source)`` gives as (T,) times [s] and (T, ...) numbers.
+    def clock(self, numbers: np.ndarray, unit: str | None = None) -> np.ndarray:
+        """(T,) times [s] from the numbers of a clock of that unit, or of [time] unit.
 
-        Time is counted from the first sample of all, or from [time] begin after it; the metadata keep where that was,
-        as "start_time" [s]. Signals of more than ``most`` bytes altogether are refused.
+        A counter that overflows is unwrapped: by [time] period, or where the numbers show it.
         """
-        begin = _positive("[time] begin", self.time["begin"]) if "begin" in self.time else 0.0
-        until, found = _positive("[time] until", self.time.get("until", math.inf)), {}
+        if "period" in self.time:
+            numbers, note = unwrapped(numbers, positive("[time] period", self.time["period"])), ""
+        else:
+            numbers, note = overflowed(numbers)
+        self.notes.add("[time]", note)
+        return self.to_seconds(unit) * numbers
+
+    def counted(self, rows: int) -> np.ndarray:
+        """(rows,) times [s] of a file without any, from [time] interval or rate."""
+        if "rate" in self.time:
+            return np.arange(rows) / positive("[time] rate", self.time["rate"])
+        if "interval" not in self.time:
+            raise RecordingError("no times: [time] says neither where they are nor an interval or rate of rows")
+        return self.to_seconds() * positive("[time] interval", self.time["interval"]) * np.arange(rows)
+
+    def recording(
+        self, read: Read, file_name: str, most: int, unit_of: Callable[[Source], str] | None = None
+    ) -> Recording:
+        """The recording whose signals ``read(source)`` gives as (T,) times and (T, ...) numbers.
+
+        Times are in s, or whole nanoseconds of type int64. A third array, (T,), says in which line of the file each
+        sample is. Time is counted from the first sample of all, or from [time] begin after it; the metadata keep
+        where that was, as "start_time" [s], and the notes. Signals of more than ``most`` bytes altogether are refused.
+
+        Args:
+            unit_of: the unit of a source that has none, from the file.
+        """
+        self._check_effects()
+        found = {}
         for group, sources in (("commands", self.commands), ("signals", self.signals)):
             for name, source in sources.items():
-                time, numbers = _named(f"{group}.{name}", read, source)
+                label = f"{group}.{name}"
+                time, numbers, *rows = _named(label, read, source)
                 most -= numbers.nbytes
                 if most < 0:  # a small file may be asked for the same numbers again and again
                     raise RecordingError("the mapping asks for more numbers than the largest size of the file allows")
-                _named(f"{group}.{name}", _check_order, time)
-                if not source.leaves:  # which shifts by itself
-                    time = _shifted(time, source.shift)
-                found[group, name] = time, numbers
-        start = min((time[0] for time, _ in found.values() if len(time)), default=np.int64(0))
+                found[group, name] = _named(label, self._ordered, label, source, time, numbers, *rows)
+        if len({time.dtype.kind for time, *_ in found.values()}) > 1:
+            found = {key: (_nanoseconds(time), *others) for key, (time, *others) in found.items()}
+        start = min((time[0] for time, *_ in found.values() if len(time)), default=np.int64(0))
         groups: dict[str, dict[str, Signal]] = {"commands": {}, "signals": {}}
-        for (group, name), (time, numbers) in found.items():
-            build, since = getattr(self, group)[name].signal, seconds(time - start) - begin
-            kept = (since > -_ROUNDING) & (since < until - _ROUNDING)
-            if group == "commands" and not (_regular(since) and kept.any()):
-                kept |= _in_force(since)
-            if len(time) and not kept.any():
-                raise RecordingError(f"{group}.{name} has nothing from [time] begin = {begin:g} to until = {until:g}")
-            groups[group][name] = _named(f"{group}.{name}", build, np.maximum(since[kept], 0.0), numbers[kept])
+        for (group, name), samples in found.items():
+            source = getattr(self, group)[name]
+            unit = unit_of(source) if unit_of and source.unit is None else None
+            label = f"{group}.{name}"
+            groups[group][name] = self._signal(label, source, unit, start, *samples)
+        begin = self.time.get("begin", 0.0)
         about = {"source": shown(file_name[:200]), "start_time": repr(float(seconds(start) + begin))}
-        metadata = {**about, **self.metadata}
-        return Recording(**groups, parameters=self.parameters, metadata=metadata)
+        if lines := self.notes.lines():
+            about[NOTES] = "\n".join(lines)[:MAX_TEXT]
+        return Recording(**groups, parameters=self.parameters, metadata={**about, **self.metadata})
 
-    def counted(self, rows: int) -> np.ndarray:
-        """(rows,) times [s] of a file without any, from [time] interval."""
-        if "interval" not in self.time:
-            raise RecordingError("no times: [time] says neither where they are nor an interval between rows")
-        return _positive("[time] interval", self.time["interval"]) * np.arange(rows)
+    def _check_effects(self) -> None:
+        """Refuse entries of [time] that would do nothing."""
+        sources = [*self.commands.values(), *self.signals.values()]
+        own = [source for source in sources if "time" in source.place]
+        counted = [key for key in _COUNTED if key in self.time]
+        if counted and len(own) == len(sources):
+            self.notes.add(f"[time] {counted[0]}", "not used, as every command and signal has a time of its own")
+        for key in ("unit", "period", "order") if counted and not own else ():
+            if key in self.time and not (key == "unit" and "interval" in self.time):
+                raise RecordingError(f"[time] {key} has no effect: {counted[0]} counts rows")
+
+    def _ordered(self, label: str, source: Source, time: np.ndarray, numbers: np.ndarray, *rows: np.ndarray) -> tuple:
+        """Shifted times, numbers and lines, in the order that [time] order asks for."""
+        order, note = self.time.get("order", self.order), ""
+        if not np.isfinite(time).all():
+            raise RecordingError("time is not finite")
+        if order == "continue":
+            time, note = continued(time)
+            self.notes.add(label, note)
+        if order != "refuse":  # which looks at what is left after cutting
+            kept, note = chosen(time, order)
+            self.notes.add(label, note)
+            time, numbers, rows = time[kept], numbers[kept], tuple(each[kept] for each in rows)
+        if not source.leaves:  # which shifts by itself
+            time = _shifted(time, source.shift)
+        return time, numbers, *rows
+
+    def _signal(
+        self, label: str, source: Source, unit: str | None, start: Any, time: np.ndarray, numbers: np.ndarray,
+        *rows: np.ndarray,
+    ) -> Signal:  # fmt: skip
+        """The signal, cut from [time] begin to until."""
+        begin, until = self.time.get("begin", 0.0), self.time.get("until", math.inf)
+        since = seconds(time - start) - begin
+        kept = _between(since, until)
+        if label.startswith("commands.") and not (_regular(since) and kept.size):
+            kept = np.union1d(_in_force(since[: kept[-1] + 1] if kept.size else since), kept)
+        if len(time) and not kept.size:
+            raise RecordingError(f"{label} has nothing from [time] begin = {begin:g} to until = {until:g}")
+        _named(label, chosen, time[kept], "refuse", *(each[kept] for each in rows))
+        if label.startswith("signals.") or source.unwrap:
+            self.notes.add(label, _named(label, source.note, numbers[kept], unit))
+        return _named(label, source.signal, np.maximum(since[kept], 0.0), numbers[kept], unit)
 
 
-def _check_order(time: np.ndarray) -> None:
-    """Refuse what cannot be cut at a time."""
-    if not np.isfinite(time).all():
-        raise RecordingError("time is not finite")
-    if (back := np.flatnonzero(np.diff(time) <= 0)).size:
-        i = back[0]
-        raise RecordingError(f"time has to increase strictly; {time[i + 1]} follows {time[i]} in row {i + 1}")
+def _between(since: np.ndarray, until: float) -> np.ndarray:
+    """The rows from the first one not before zero to the first one not before ``until`` [s], whatever their order."""
+    begun = np.flatnonzero(since > -_ROUNDING)
+    if not begun.size:
+        return begun
+    ended = np.flatnonzero(since[begun[0] :] >= until - _ROUNDING)
+    return np.arange(begun[0], begun[0] + ended[0] if ended.size else len(since))
 
 
 def _regular(since: np.ndarray) -> bool:
@@ -134,10 +184,8 @@ def _regular(since: np.ndarray) -> bool:
 
 
 def _in_force(since: np.ndarray) -> np.ndarray:
-    """(T,) whether a command is the last one until the beginning, at zero."""
-    found = np.zeros(len(since), bool)
-    found[np.flatnonzero(since < _ROUNDING)[-1:]] = True
-    return found
+    """The row of the last command until the beginning, at zero, if there is one."""
+    return np.flatnonzero(since < _ROUNDING)[-1:]
 
 
 def seconds(time: Numbers) -> Numbers:
@@ -145,17 +193,25 @@ def seconds(time: Numbers) -> Numbers:
     return time * 1e-9 if np.asarray(time).dtype.kind == "i" else time
 
 
+def _nanoseconds(time: np.ndarray) -> np.ndarray:
+    return time if time.dtype.kind == "i" else np.rint(1e9 * time).astype(np.int64)
+
+
 def load_mapping(
     mapping: str | Path | Mapping,
     place_keys: tuple[str, ...],
     time_keys: tuple[str, ...] = (),
     format_keys: tuple[str, ...] = (),
+    unit_optional: bool = False,
+    order: str = "refuse",
 ) -> FileMapping:
     """Read a mapping file.
 
     Args:
         mapping: the file, or what one says.
         place_keys, time_keys, format_keys: what the importer knows in a command or signal, in [time] and in [format].
+        unit_optional: whether the file may say the unit.
+        order: what becomes of stamps that do not increase, where [time] order does not say it.
 
     Raises:
         RecordingError: names what is wrong and what is allowed.
@@ -169,29 +225,35 @@ def load_mapping(
         for section in table:
             if not isinstance(table[section], dict):
                 raise RecordingError(f"{section} has to be a section, [{section}]")
-        check_keys("[time]", table.get("time", {}), (*time_keys, "begin", "until"))
         check_keys("[format]", table.get("format", {}), format_keys)
         if (count := sum(len(table.get(group, {})) for group in ("commands", "signals"))) > MAX_SIGNALS:
             raise RecordingError(f"it has {count} commands and signals; expected at most {MAX_SIGNALS}")
         for group in ("commands", "signals"):
             table[group] = {
-                check_name(name): _named(f"{group}.{name}", _source, entry, place_keys)
+                check_name(name): _named(f"{group}.{name}", read_source, entry, place_keys, unit_optional)
                 for name, entry in table.get(group, {}).items()
             }
         if not table["commands"] and not table["signals"]:
             raise RecordingError("the mapping has neither [commands.<name>] nor [signals.<name>]")
+        _check_time(table.get("time", {}), time_keys)
         # numbers are as good as texts there
         table["metadata"] = {
             k: v if type(v) not in (int, float) else repr(v) for k, v in table.get("metadata", {}).items()
         }
-        return FileMapping(**table)
+        return FileMapping(**table, order=order)
 
 
-def check_keys(label: str, table: Mapping, allowed: tuple[str, ...]) -> None:
-    """Raise RecordingError for a key that is not allowed."""
-    for key in table:
-        if key not in allowed:
-            raise RecordingError(f"unknown entry {ascii(key)[:80]} in {label}; there are {', '.join(allowed)}")
+def _check_time(time: Mapping, time_keys: tuple[str, ...]) -> None:
+    """Refuse entries of [time] that are wrong or contradict each other."""
+    check_keys("[time]", time, (*time_keys, "begin", "until", "order"))
+    clocks = [key for key in _CLOCKS if key in time]
+    if len(clocks) > 1:
+        raise RecordingError(f"[time] says both {clocks[0]} and {clocks[1]}; keep the one that is right")
+    for key in ("begin", "until", *_COUNTED, "period"):
+        if key in time:
+            positive(f"[time] {key}", time[key])
+    if "order" in time and time["order"] not in ORDERS:
+        raise RecordingError(f"[time] order = {ascii(time['order'])[:80]}; expected one of {', '.join(ORDERS)}")
 
 
 def texts(label: str, values: object) -> list[str]:
@@ -211,55 +273,9 @@ def typed(label: str, table: Mapping[str, Any], key: str, default: T) -> T:
     return value
 
 
-def _source(entry: object, place_keys: tuple[str, ...]) -> Source:
-    if not isinstance(entry, dict):
-        raise RecordingError(f"is {ascii(entry)[:80]}; expected a section")
-    check_keys("it", entry, (*place_keys, *_VALUE_KEYS))
-    unit = entry.get("unit")
-    if unit is None:
-        raise RecordingError('has no unit; a quantity without one has unit = "1"')
-    si(unit)
-    shape = check_shape(entry["shape"]) if "shape" in entry else None
-    place = {key: entry[key] for key in place_keys if key in entry}
-    scale, offset = _numbers("scale", entry.get("scale", 1.0)), _numbers("offset", entry.get("offset", 0.0))
-    shift = _numbers("shift", entry.get("shift", 0.0))
-    for label, number in (("scale", scale), ("shift", shift)):
-        if number.ndim:
-            raise RecordingError(f"{label} = {number.tolist()}; expected one number")
-    leaves = _positive("leaves", entry["leaves"]) if "leaves" in entry else None
-    return Source(unit, float(scale), offset, entry.get("frame", ""), shape, float(shift), leaves, place)
-
-
-def _staying(time: np.ndarray, values: np.ndarray, distance: float, shift: float) -> Signal:
-    """1 until the values (T, ...) are further than a distance from the first ones, a time [s] after that 0."""
-    rows = values.reshape(len(values), -1)
-    if np.isnan(rows[0]).any():
-        raise RecordingError("its first sample has gaps; leaves counts from it")
-    away = np.linalg.norm(rows - rows[0], axis=1)
-    if not (beyond := np.flatnonzero(away > distance)).size:
-        return Signal(time[:1], np.ones(1), "1")
-    i = beyond[0]
-    share = np.nan_to_num((distance - away[i - 1]) / (away[i] - away[i - 1]))  # 0 where the sample before is missing
-    left = time[i - 1] + share * (time[i] - time[i - 1]) + shift
-    return Signal(np.array([time[0], max(left, np.nextafter(time[0], np.inf))]), np.array([1.0, 0.0]), "1")
-
-
 def _shifted(time: np.ndarray, shift: float) -> np.ndarray:
     """Times [s], or whole nanoseconds, some seconds later."""
     return time + (round(1e9 * shift) if np.asarray(time).dtype.kind == "i" else shift)
-
-
-def _positive(label: str, value: Any) -> float:
-    if type(value) not in (int, float) or not value > 0:
-        raise RecordingError(f"{label} = {ascii(value)[:80]}; expected a positive number")
-    return float(value)
-
-
-def _numbers(label: str, value: object) -> np.ndarray:
-    array = np.asarray(value)
-    if array.dtype.kind not in "fi" or not np.isfinite(array).all():
-        raise RecordingError(f"{label} = {ascii(value)[:80]}; expected finite numbers")
-    return array.astype(float)
 
 
 def _named(label: str, function: Callable[..., T], *arguments: Any) -> T:

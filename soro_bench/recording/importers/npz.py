@@ -27,21 +27,19 @@ def import_npz(path: str | Path, mapping: str | Path | Mapping | None, max_bytes
     """Read an NPZ file with a mapping file; RecordingError says what is wrong with either."""
     if mapping is None:
         raise RecordingError(f"{path}: an NPZ file needs a mapping file; docs/how_to/import_a_log.md has an example")
-    spec = load_mapping(mapping, _PLACE, ("array", "unit", "interval"))
+    spec = load_mapping(mapping, _PLACE, ("array", "unit", "interval", "rate", "period"))
     data = read_bytes(path, max_bytes)
     with named_errors(path):
-        to_seconds = spec.to_seconds()
+        spec.to_seconds()
         try:
             archive = _Archive(data, EXPANSION * max_bytes)
-            read = partial(_samples, archive, spec, to_seconds)
+            read = partial(_samples, archive, spec)
             return spec.recording(read, Path(path).name, EXPANSION * max_bytes)
         except _DAMAGED as error:
             raise RecordingError(f"is no NPZ file: {str(error)[:200]}") from error
 
 
-def _samples(
-    archive: "_Archive", spec: FileMapping, to_seconds: float, source: Source
-) -> tuple[np.ndarray, np.ndarray]:
+def _samples(archive: "_Archive", spec: FileMapping, source: Source) -> tuple[np.ndarray, np.ndarray]:
     """(T,) times [s] and (T, k) numbers: rows of the arrays, one after the other."""
     arrays = archive.arrays(texts("arrays", source.place.get("arrays")))
     if len(rows := {len(array) for array in arrays}) > 1:
@@ -50,10 +48,10 @@ def _samples(
     name = source.place.get("time", spec.time.get("array"))
     if name is None:
         return spec.counted(len(numbers)), numbers
-    time = to_seconds * archive.array(name)
+    time = archive.array(name)
     if time.shape != (len(numbers),):
         raise RecordingError(f"its times {ascii(name)[:80]} have shape {time.shape}; expected ({len(numbers)},)")
-    return time, numbers
+    return spec.clock(time), numbers
 
 
 class _Archive:

@@ -1,0 +1,260 @@
+"""One command or signal of a mapping: what the numbers of a file mean, and the signal that they become."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from soro_bench.files import brief
+from soro_bench.recording.importers.units import si
+from soro_bench.recording.recording import RecordingError, Signal, check_shape
+
+VALUE_KEYS = (
+    "unit", "scale", "sign", "offset", "rotation", "frame", "shape", "shift", "leaves", "unwrap", "period",
+)  # fmt: skip
+_TURN = 2 * math.pi
+_ROTATION_ERROR = 1e-3  # of what has three digits in the mapping
+_WRAPS = 0.75  # of a turn: larger steps within one turn look like wraps
+_FAST = 0.35  # of a period, over which steps may as well be wraps the other way
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where one command or signal comes from and what its numbers mean.
+
+    The value in SI units is offset + rotation * (sign * scale * factor of the unit * number in the file), where the
+    number is unwrapped first.
+    """
+
+    unit: str | None  # as in the file; None: the file says it
+    scale: np.ndarray | float  # one number, or one per number of a sample; with its sign
+    offset: np.ndarray  # SI; one number, or one per number of a sample
+    frame: str
+    shape: tuple[int, ...] | None  # of a sample; None: as the file has it, and () for one number
+    shift: float  # s, added to its times
+    leaves: float | None  # SI; instead of the value: 1 until it is that far from where it was first, then 0
+    place: Mapping[str, Any] = field(default_factory=dict)  # what else the importer knows: columns, topic, ...
+    rotation: np.ndarray | None = None  # (3, 3), of every three numbers into the frame
+    unwrap: bool = False
+    period: float | None = None  # of what wraps, in the numbers of the file; None: a turn
+
+    def signal(self, time: np.ndarray, numbers: np.ndarray, unit: str | None = None) -> Signal:
+        """The signal for (T,) times [s] and (T, ...) numbers of the file, whose unit the file says if nothing does."""
+        unit, factor = si(self.unit or unit or "")
+        found = math.prod(numbers.shape[1:])
+        shape = self.shape
+        if shape is None:  # one number is no list of one
+            shape = numbers.shape[1:] if found > 1 else ()
+        if math.prod(shape) != found:
+            raise RecordingError(f"shape {list(shape)} does not fit the {found} numbers found")
+        scale, offset = _fitting("scale or sign", self.scale, shape), _fitting("offset", self.offset, shape)
+        if self.unwrap:
+            numbers = unwrapped(numbers, self._period(factor, unit))
+        values = scale * factor * numbers.reshape(len(numbers), *shape)
+        if self.rotation is not None:
+            if shape[-1:] != (3,):
+                raise RecordingError(f"rotation is of samples of three numbers; shape is {list(shape)}, write [n, 3]")
+            values = values @ self.rotation.T
+        values = values + offset
+        if self.leaves is not None:
+            return _staying(time, values, self.leaves, self.shift)
+        return Signal(time, values, unit, self.frame)
+
+    def note(self, numbers: np.ndarray, unit: str | None = None) -> str:
+        """What the wraps of (T, ...) numbers of the file give reason to say, or ""."""
+        unit, factor = si(self.unit or unit or "")
+        if self.unwrap:
+            return _told(numbers, self._period(factor, unit))
+        if unit == "rad" and (count := _seen(numbers, _TURN / factor)):
+            return f"jumps by nearly a turn {count} times; if the angle wraps, write unwrap = true"
+        return ""
+
+    def _period(self, factor: float, unit: str) -> float:
+        if self.period is None and unit != "rad":
+            raise RecordingError(f"unwrap = true needs period = ..., the range of a number of unit {self.unit!r}")
+        return _TURN / factor if self.period is None else self.period
+
+
+def unwrapped(numbers: np.ndarray, period: float) -> np.ndarray:
+    """(T, ...) numbers without the jumps of a counter or angle of that period; missing ones stay missing."""
+    columns = np.array(numbers, float).reshape(len(numbers), -1)
+    for column in columns.T:
+        known = np.flatnonzero(np.isfinite(column))
+        turns = -np.cumsum(np.round(np.diff(column[known]) / period))
+        column[known[1:]] += period * turns
+    return columns.reshape(numbers.shape)
+
+
+def order_of(names: Sequence[str], found: Sequence[str]) -> list[int]:
+    """Where each of the wanted names stands among those that a file has; RecordingError names one that it has not."""
+    for name in names:
+        if (count := list(found).count(name)) != 1:
+            there = ", ".join(ascii(each)[1:-1] for each in found)[:200]
+            raise RecordingError(f"names: {ascii(name)[:80]} stands there {count} times; there are {there}")
+    return [list(found).index(name) for name in names]
+
+
+def read_source(entry: object, place_keys: tuple[str, ...], unit_optional: bool) -> Source:
+    """A section [commands.NAME] or [signals.NAME]; RecordingError says what is wrong with it."""
+    if not isinstance(entry, dict):
+        raise RecordingError(f"is {ascii(entry)[:80]}; expected a section")
+    check_keys("it", entry, (*place_keys, *VALUE_KEYS))
+    unit = entry.get("unit")
+    if unit is not None or not unit_optional:
+        if unit is None:
+            raise RecordingError('has no unit; a quantity without one has unit = "1"')
+        si(unit)
+    _check_effects(entry)
+    sign = numbers_of("sign", entry.get("sign", 1.0))
+    if not (np.abs(sign) == 1).all():
+        raise RecordingError(f"sign = {sign.tolist()}; expected 1 or -1, or a list of them")
+    scale, offset = numbers_of("scale", entry.get("scale", 1.0)), numbers_of("offset", entry.get("offset", 0.0))
+    if (shift := numbers_of("shift", entry.get("shift", 0.0))).ndim:
+        raise RecordingError(f"shift = {shift.tolist()}; expected one number")
+    try:
+        scale = scale * sign
+    except ValueError as error:
+        raise RecordingError(f"scale and sign have {scale.size} and {sign.size} numbers; expected as many") from error
+    return Source(
+        unit,
+        scale,
+        offset,
+        entry.get("frame", ""),
+        check_shape(entry["shape"]) if "shape" in entry else None,
+        float(shift),
+        positive("leaves", entry["leaves"]) if "leaves" in entry else None,
+        {key: entry[key] for key in place_keys if key in entry},
+        _rotation(entry["rotation"]) if "rotation" in entry else None,
+        bool(entry.get("unwrap", False)),
+        positive("period", entry["period"]) if "period" in entry else None,
+    )
+
+
+def check_keys(label: str, table: Mapping, allowed: tuple[str, ...]) -> None:
+    """Raise RecordingError for a key that is not allowed."""
+    for key in table:
+        if key not in allowed:
+            there = f"there are {', '.join(allowed)}" if allowed else "a file of this kind needs none"
+            raise RecordingError(f"unknown entry {ascii(key)[:80]} in {label}; {there}")
+
+
+def positive(label: str, value: Any) -> float:
+    """A positive number; RecordingError for anything else."""
+    if type(value) not in (int, float) or not value > 0:
+        raise RecordingError(f"{label} = {ascii(value)[:80]}; expected a positive number")
+    return float(value)
+
+
+def numbers_of(label: str, value: object) -> np.ndarray:
+    """An array of finite numbers; RecordingError for anything else."""
+    try:
+        array = np.asarray(value)
+    except ValueError:  # lists of several lengths
+        array = np.asarray("")
+    if array.dtype.kind not in "fi" or not np.isfinite(array).all():
+        raise RecordingError(f"{label} = {ascii(value)[:80]}; expected finite numbers")
+    return array.astype(float)
+
+
+def _check_effects(entry: Mapping) -> None:
+    """Refuse entries that would do nothing."""
+    if type(entry.get("unwrap", False)) is not bool:
+        raise RecordingError(f"unwrap = {brief(entry['unwrap'])}; expected true or false")
+    if "period" in entry and not entry.get("unwrap"):
+        raise RecordingError("period has no effect without unwrap = true")
+    for key in ("offset", "frame", "rotation"):
+        if key in entry and "leaves" in entry:
+            raise RecordingError(f"{key} has no effect beside leaves, which looks at distances only")
+
+
+def _rotation(value: object) -> np.ndarray:
+    """(3, 3) from a matrix, {quaternion = [w, x, y, z]}, or {rpy = [roll, pitch, yaw], unit = "deg"}."""
+    wanted = 'a 3 x 3 matrix, {quaternion = [w, x, y, z]} or {rpy = [roll, pitch, yaw], unit = "deg"}'
+    if isinstance(value, dict) and value.keys() == {"quaternion"}:
+        q = numbers_of("rotation quaternion", value["quaternion"])
+        if q.shape == (4,) and abs(np.linalg.norm(q) - 1.0) < _ROTATION_ERROR:
+            return _of_quaternion(q / np.linalg.norm(q))
+        raise RecordingError(f"rotation quaternion = {brief(q.tolist())}; expected [w, x, y, z] of length 1")
+    if isinstance(value, dict) and value.keys() == {"rpy", "unit"}:
+        angles = numbers_of("rotation rpy", value["rpy"])
+        unit, factor = si(value["unit"])
+        if angles.shape == (3,) and unit == "rad":
+            return _of_angles(*(factor * angles))
+        raise RecordingError(f"rotation = {brief(value)}; expected {wanted}")
+    if isinstance(value, dict):
+        raise RecordingError(f"rotation = {brief(value)}; expected {wanted}")
+    matrix = numbers_of("rotation", value)
+    if matrix.shape != (3, 3):
+        raise RecordingError(f"rotation has shape {matrix.shape}; expected {wanted}")
+    if np.abs(matrix @ matrix.T - np.eye(3)).max() > _ROTATION_ERROR or np.linalg.det(matrix) < 0:
+        raise RecordingError("rotation is no rotation: its rows have to be orthonormal and right-handed; mirrored "
+                             "axes are for sign")  # fmt: skip
+    return matrix
+
+
+def _of_quaternion(q: np.ndarray) -> np.ndarray:
+    w, x, y, z = q
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+
+
+def _of_angles(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    """About the fixed x, then y, then z axis, as in URDF and ROS."""
+    matrix = np.eye(3)
+    for axis, angle in enumerate((roll, pitch, yaw)):
+        turn, (i, j) = np.eye(3), ((axis + 1) % 3, (axis + 2) % 3)
+        turn[i, i] = turn[j, j] = math.cos(angle)
+        turn[j, i], turn[i, j] = math.sin(angle), -math.sin(angle)
+        matrix = turn @ matrix
+    return matrix
+
+
+def _fitting(label: str, numbers: np.ndarray | float, shape: tuple[int, ...]) -> np.ndarray:
+    """One number, or numbers of a sample: as its shape has them, or one after the other."""
+    numbers = np.asarray(numbers)
+    if numbers.ndim == 1 and len(shape) > 1 and numbers.size == math.prod(shape):
+        numbers = numbers.reshape(shape)
+    try:
+        return np.broadcast_to(numbers, shape)
+    except ValueError as error:
+        raise RecordingError(f"{label} of shape {numbers.shape} does not fit the shape {shape}") from error
+
+
+def _steps(numbers: np.ndarray) -> np.ndarray:
+    """The changes from each sample of a number to its next one that is not missing."""
+    columns = np.asarray(numbers, float).reshape(len(numbers), -1)
+    changes = [np.diff(column[np.isfinite(column)]) for column in columns.T]
+    return np.concatenate(changes) if changes else np.zeros(0)
+
+
+def _seen(numbers: np.ndarray, period: float) -> int:
+    """How often (T, ...) numbers look as if they wrapped: within one period, from about one end to the other."""
+    columns = np.asarray(numbers, float).reshape(len(numbers), -1)
+    finite = [column[np.isfinite(column)] for column in columns.T]
+    within = [column for column in finite if column.size and np.ptp(column) <= period * (1 + 1e-6)]
+    return sum(int((np.abs(np.diff(column)) > _WRAPS * period).sum()) for column in within)
+
+
+def _told(numbers: np.ndarray, period: float) -> str:
+    wraps = int((np.abs(_steps(numbers)) > period / 2).sum())
+    if not wraps:
+        return f"unwrap = true, but nothing wraps at {period:.6g}"
+    left = np.abs(_steps(unwrapped(numbers, period))).max() / period
+    fast = f"; steps of {left:.2f} of a period may as well be wraps the other way" if left > _FAST else ""
+    return f"{wraps} wraps at {period:.6g} unwrapped{fast}"
+
+
+def _staying(time: np.ndarray, values: np.ndarray, distance: float, shift: float) -> Signal:
+    """1 until the values (T, ...) are further than a distance from the first ones, a time [s] after that 0."""
+    rows = values.reshape(len(values), -1)
+    if np.isnan(rows[0]).any():
+        raise RecordingError("its first sample has gaps; leaves counts from it")
+    away = np.linalg.norm(rows - rows[0], axis=1)
+    if not (beyond := np.flatnonzero(away > distance)).size:
+        return Signal(time[:1], np.ones(1), "1")
+    i = beyond[0]
+    share = np.nan_to_num((distance - away[i - 1]) / (away[i] - away[i - 1]))  # 0 where the sample before is missing
+    left = time[i - 1] + share * (time[i] - time[i - 1]) + shift
+    return Signal(np.array([time[0], max(left, np.nextafter(time[0], np.inf))]), np.array([1.0, 0.0]), "1")

@@ -1,0 +1,160 @@
+"""What the entries of a mapping do to numbers and times, and which of them are refused."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pyarrow")
+from soro_bench.recording.importers import import_recording
+from soro_bench.recording.importers.mapping import NOTES
+from soro_bench.recording.recording import Recording, RecordingError
+from tests.recordings import says
+
+CLOCK = '[time]\ncolumn = "t"\n'
+F = '[signals.f]\ncolumns = ["f"]\nunit = "N"\n'
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Reads a table with a mapping, both given as text."""
+
+    def read(table: str, mapping: str) -> Recording:
+        (tmp_path / "a.csv").write_text(table)
+        (tmp_path / "a.toml").write_text(mapping)
+        return import_recording(tmp_path / "a.csv", tmp_path / "a.toml")
+
+    return read
+
+
+@pytest.mark.parametrize(
+    ("time", "expected"),
+    [("interval = 10\nunit = 'ms'", 0.01), ("interval = 0.5", 0.5), ("rate = 50", 0.02)],
+)
+def test_rows_are_counted_in_the_unit_of_time_or_by_a_rate(read, time, expected):
+    np.testing.assert_allclose(read("f\n1\n2\n3\n", f"[time]\n{time}\n{F}").signals["f"].time, expected * np.arange(3))
+
+
+@pytest.mark.parametrize(
+    ("mapping", "parts"),
+    [
+        ("[time]\ncolumn = 't'\ninterval = 0.1\n" + F, ("[time]", "column", "interval")),
+        ("[time]\nrate = 10\ninterval = 0.1\n" + F, ("[time]", "interval", "rate")),
+        ("[time]\nrate = 0\n" + F, ("[time] rate = 0", "positive")),
+        ("[time]\nrate = 10\nunit = 'ms'\n" + F, ("[time] unit has no effect", "rate counts rows")),
+        ("[time]\nrate = 10\norder = 'sort'\n" + F, ("[time] order has no effect", "rate")),
+        (CLOCK + "order = 'any'\n" + F, ("order = 'any'", "keep_first", "continue")),
+        (CLOCK + F + "period = 3\n", ("signals.f", "period has no effect without unwrap")),
+        (CLOCK + F + "unwrap = true\n", ("signals.f", "period = ", "'N'")),
+        (CLOCK + F + "unwrap = 1\n", ("signals.f", "unwrap = 1", "true or false")),
+        (CLOCK + F + "sign = 2\n", ("signals.f", "sign = 2.0", "1 or -1")),
+        (CLOCK + F + "scale = [1, 2]\n", ("signals.f", "scale", "(2,)", "()")),
+        (CLOCK + F + "scale = [[1], [1, 2]]\n", ("signals.f", "scale", "finite numbers")),
+        (CLOCK + F + "leaves = 1\noffset = 1\n", ("signals.f", "offset has no effect beside leaves")),
+        (CLOCK + F + "rotation = [[1, 0], [0, 1]]\n", ("rotation", "(2, 2)", "quaternion", "rpy")),
+        (CLOCK + F + "rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]\n", ("rotation is no rotation", "sign")),
+        (CLOCK + F + "rotation = {quaternion = [1, 1, 0, 0]}\n", ("quaternion", "length 1")),
+        (CLOCK + F + "rotation = {rpy = [0, 0, 90]}\n", ("rotation", "unit")),
+        (CLOCK + F + "rotation = {quaternion = [1, 0, 0, 0]}\n", ("signals.f", "three numbers", "[n, 3]")),
+    ],
+)
+def test_entries_that_contradict_each_other_or_do_nothing_are_refused_by_name(read, mapping, parts):
+    with pytest.raises(RecordingError, match=says(*parts)):
+        read("t,f\n0,1\n1,2\n", mapping)
+
+
+def test_scale_sign_and_offset_of_each_number(read):
+    mapping = (
+        CLOCK + '[signals.q]\ncolumns = ["a", "b"]\nunit = "mm"\nscale = [2, 3]\nsign = [1, -1]\noffset = [0, 1]\n'
+    )
+    np.testing.assert_allclose(read("t,a,b\n0,10,20\n", mapping).signals["q"].values, [[0.02, 0.94]])
+
+
+@pytest.mark.parametrize(
+    "rotation",
+    [
+        "[[0, -1, 0], [1, 0, 0], [0, 0, 1]]",
+        "{quaternion = [0.70710678, 0, 0, 0.70710678]}",
+        '{rpy = [0, 0, 90], unit = "deg"}',
+    ],
+)
+def test_a_rotation_takes_positions_into_the_frame(read, rotation):
+    """A quarter turn about z takes x to y; the offset is in the frame."""
+    place = (
+        f'[signals.m]\ncolumns = ["a", "b", "c", "d", "e", "f"]\nunit = "m"\nshape = [2, 3]\nrotation = {rotation}\n'
+    )
+    values = read("t,a,b,c,d,e,f\n0,1,0,0,0,2,3\n", CLOCK + place + "offset = [0, 0, 1]\n").signals["m"].values
+    np.testing.assert_allclose(values, [[[0, 1, 1], [-2, 0, 4]]], atol=1e-7)
+
+
+def test_roll_pitch_and_yaw_turn_about_fixed_axes(read):
+    """Roll takes y to z, and then pitch takes z to x."""
+    place = '[signals.m]\ncolumns = ["a", "b", "c"]\nunit = "m"\nrotation = {rpy = [90, 90, 0], unit = "deg"}\n'
+    np.testing.assert_allclose(read("t,a,b,c\n0,0,1,0\n", CLOCK + place).signals["m"].values, [[1, 0, 0]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("cells", "entries", "expected"),
+    [
+        ("350 358 6 nan 14 2", 'unit = "deg"\nunwrap = true', np.radians([350, 358, 366, np.nan, 374, 362])),
+        ("0.4 -0.4 0.3", 'unit = "rev"\nunwrap = true', 2 * np.pi * np.array([0.4, 0.6, 0.3])),
+        ("4090 5 4000", 'unit = "1"\nunwrap = true\nperiod = 4096', [4090, 4101, 4000]),
+    ],
+)
+def test_what_wraps_is_unwrapped(read, cells, entries, expected):
+    table = "t,q\n" + "".join(f"{i},{cell}\n" for i, cell in enumerate(cells.split()))
+    recording = read(table.replace("nan", "") + "9,\n", f'{CLOCK}[signals.q]\ncolumns = ["q"]\n{entries}\n')
+    np.testing.assert_allclose(recording.signals["q"].values, np.array(expected)[~np.isnan(expected)])
+    assert "unwrapped" in recording.metadata[NOTES]
+
+
+def test_an_angle_that_seems_to_wrap_is_said(read):
+    table = "t,q\n" + "".join(f"{i},{(300 + 30 * i) % 360}\n" for i in range(20))
+    notes = read(table, CLOCK + '[signals.q]\ncolumns = ["q"]\nunit = "deg"\n').metadata[NOTES]
+    assert notes == "signals.q: jumps by nearly a turn 2 times; if the angle wraps, write unwrap = true"
+    assert NOTES not in read(table, CLOCK + '[signals.q]\ncolumns = ["q"]\nunit = "mm"\n').metadata
+
+
+BACK = "t,f\n0,0\n1,1\n2,2\n1,3\n2,4\n3,5\n"
+
+
+@pytest.mark.parametrize(
+    ("table", "order", "time", "values"),
+    [
+        (BACK, "keep_first", [0, 1, 2, 3], [0, 1, 2, 5]),
+        (BACK, "keep_last", [0, 1, 2, 3], [0, 3, 4, 5]),
+        (BACK, "sort", [0, 1, 2, 3], [0, 3, 4, 5]),
+        (BACK, "continue", [0, 1, 2, 3, 4, 5], [0, 1, 2, 3, 4, 5]),
+        ("t,f\n0,0\n1,1\n1,2\n2,3\n", "keep_first", [0, 1, 2], [0, 1, 3]),
+        ("t,f\n0,0\n1,1\n1,2\n2,3\n", "keep_last", [0, 1, 2], [0, 2, 3]),
+    ],
+)
+def test_stamps_that_repeat_or_go_back(read, table, order, time, values):
+    """They are refused in one line that says what to write, unless the mapping says what to do."""
+    with pytest.raises(RecordingError, match=says("signals.f: time does not increase in line", "order = ", order)):
+        read(table, CLOCK + F)
+    recording = read(table, f'{CLOCK}order = "{order}"\n{F}')
+    np.testing.assert_allclose(recording.signals["f"].time, time)
+    np.testing.assert_allclose(recording.signals["f"].values, values)
+    assert "signals.f" in recording.metadata[NOTES]
+
+
+def test_stamps_are_looked_at_after_cutting(read):
+    """Until a time is until the file first reaches it."""
+    assert read(BACK, CLOCK + "until = 1.5\n" + F).signals["f"].values.tolist() == [0, 1]
+    assert read(BACK, CLOCK + "until = 2\n" + F).signals["f"].values.tolist() == [0, 1]
+    with pytest.raises(RecordingError, match="line 5"):
+        read(BACK, CLOCK + "until = 2.5\n" + F)
+
+
+@pytest.mark.parametrize(("bits", "first"), [(32, 2**32 - 25), (16, 2**16 - 25), (32, 2**31 - 25)])
+def test_a_counter_that_overflows_is_unwrapped_and_said(read, bits, first):
+    """Unsigned, and signed ones that go on from below zero."""
+    low = -(2**31) if first < 2**31 and bits == 32 else 0
+    table = "t,f\n" + "".join(f"{(first - low + 10 * i) % 2**bits + low},{i}\n" for i in range(6))
+    recording = read(table, CLOCK + 'unit = "ms"\n' + F)
+    np.testing.assert_allclose(recording.signals["f"].time, 0.01 * np.arange(6), atol=1e-9)
+    assert f"{bits} bits overflows 1 times" in recording.metadata[NOTES]
+
+
+def test_a_clock_of_another_period_is_unwrapped_on_request(read):
+    recording = read("t,f\n58,0\n59,1\n0,2\n1,3\n", CLOCK + "period = 60\n" + F)
+    np.testing.assert_allclose(recording.signals["f"].time, range(4))
