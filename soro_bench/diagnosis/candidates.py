@@ -115,6 +115,7 @@ def terms(robot: Robot, settings: PriorSettings = _DEFAULT) -> list[Term]:
             continue
         for kind in law.kinds:
             locations = [] if kind == "joint" and "body" in law.kinds else robot.locations(kind)
+            locations += robot.welded() if law.welded and kind == "body" else []
             every = [Location(kind, EVERY)] if law.shared and len(locations) > 1 else []
             for one in _possible(robot, name, every if every and law.only_shared else every + locations, settings):
                 found += variants(one)

@@ -10,9 +10,9 @@ from soro_bench.rotation import rotate_by_vector
 
 
 class Payload(Law):
-    """A point mass at a body's centre of mass."""
+    """A point mass at a body's centre of mass; the body may be fixed to one that moves."""
 
-    name, category, kinds, adds = "payload", "inertia", ("body",), True
+    name, category, kinds, adds, welded = "payload", "inertia", ("body",), True, True
     quantities = (Quantity("mass", "kg", 0.015, (0.0, 1e4)),)
     fields = ("body_mass",)
 

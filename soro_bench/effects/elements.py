@@ -12,6 +12,7 @@ AUXILIARY = "auxiliary:"  # and a joint's name: a spring of the effects, beside 
 FOUND = "found_at_"  # the same in a patched model
 NEVER = 1e9  # m or rad, a yield threshold that is not reached
 _SCALARS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_APART = 1e-9  # m; masses that are closer are at one point
 _SHARE = 0.03  # of a range, what counts as a typical force or length
 _SPEED, _TURN = 0.05, 1.0  # m/s and rad/s, at which a typical damping gives a typical force
 
@@ -67,7 +68,7 @@ class Elements:
 
     model: mujoco.MjModel
     # what was asked for before
-    _ports: dict[tuple[Location, bool], list[Location]] = field(default_factory=dict, repr=False, compare=False)
+    _ports: dict[tuple[Location, bool, bool], list[Location]] = field(default_factory=dict, repr=False, compare=False)
     _joint_ids: dict[tuple[int, bool], Ints] = field(default_factory=dict, repr=False, compare=False)
 
     def locations(self, kind: str) -> list[Location]:
@@ -83,18 +84,41 @@ class Elements:
         }[kind]()
         return [Location(kind, name) for name in names]
 
-    def expand(self, location: Location, elastic: bool = False) -> list[Location]:
+    def welded(self) -> list[Location]:
+        """Bodies without a joint that move with one before them, such as a gripper that is fixed to a hand.
+
+        Of those whose masses are at one point, and at that of a moving body, the first is enough: nothing can tell
+        them apart.
+        """
+        model = self.model
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        root = model.body_weldid
+        found: list[Location] = []
+        kept = {i: [data.xipos[i]] for i in range(model.nbody) if model.body_jntnum[i] > 0}
+        for i in range(model.nbody):
+            near = kept.get(int(root[i]))
+            if root[i] == i or near is None or min(np.abs(data.xipos[i] - each).max() for each in near) < _APART:
+                continue
+            near.append(data.xipos[i])
+            found += [Location("body", model.body(i).name)] if model.body(i).name else []
+        return found
+
+    def expand(self, location: Location, elastic: bool = False, welded: bool = False) -> list[Location]:
         """The ports that one stands for; EffectError if there is no such element.
 
         Args:
             elastic: whether every body is every one that hangs on springs or a flex.
+            welded: whether a body may be one without a joint of its own; every body is none of them.
         """
-        if (location, elastic) not in self._ports:
-            self._ports[location, elastic] = self._expanded(location, elastic)
-        return self._ports[location, elastic]
+        if (location, elastic, welded) not in self._ports:
+            self._ports[location, elastic, welded] = self._expanded(location, elastic, welded)
+        return self._ports[location, elastic, welded]
 
-    def _expanded(self, location: Location, elastic: bool) -> list[Location]:
+    def _expanded(self, location: Location, elastic: bool, welded: bool) -> list[Location]:
         locations = self.locations(location.kind)
+        if welded and location.kind == "body" and location.name != EVERY and location not in locations:
+            locations += [Location("body", name) for name in self._moved()]
         if elastic and location == Location("body", EVERY):
             locations = [p for p in locations if self._hangs(self.id(p))]
         chosen = locations if location.name == EVERY else [p for p in locations if p.name == location.name]
@@ -199,6 +223,12 @@ class Elements:
         model = self.model
         moving = [i for i in range(1, model.nbody) if model.body_jntnum[i] > 0]
         return [model.body(i).name for i in moving if model.body(i).name]
+
+    def _moved(self) -> list[str]:
+        """Bodies without a joint that move with one before them."""
+        model = self.model
+        moved = (model.body_jntnum == 0) & (model.body_jntnum[model.body_weldid] > 0)
+        return [model.body(i).name for i in np.flatnonzero(moved) if model.body(i).name]
 
     def _geoms(self) -> list[str]:
         model = self.model

@@ -32,6 +32,7 @@ class Law:
     shared: ClassVar[bool] = False  # may act at all ports of a kind at once, from one cause such as a slow controller
     only_shared: ClassVar[bool] = False  # a property of the material or the surroundings, the same everywhere
     adds: ClassVar[bool] = False  # may come several times at one port
+    welded: ClassVar[bool] = False  # may act at a body without a joint that moves with one before it
     elastic: ClassVar[bool] = False  # of the material: every body is then every one that hangs on springs or a flex
 
     def __init__(self, run: "ActiveEffects", entries: Sequence[tuple[int, Location, Effect]]):

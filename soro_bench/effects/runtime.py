@@ -50,7 +50,7 @@ class ActiveEffects:
                 complete = checked(effect, law.quantities)
                 if effect.location.kind not in law.kinds:
                     raise EffectError(f"{effect.name} acts on {', '.join(law.kinds)}, not on {effect.location}")
-                for location in self.elements.expand(effect.location, law.elastic):
+                for location in self.elements.expand(effect.location, law.elastic, law.welded):
                     if (row, law, location) in seen and not law.adds:
                         raise EffectError(f"{effect.name} acts twice at {location}; once is allowed")
                     seen.add((row, law, location))

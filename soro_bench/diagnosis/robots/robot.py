@@ -43,6 +43,7 @@ class Robot(ABC):
         from_baseline: whether its priors come from a baseline diagnosis.
         shorter: how many times shorter its time steps are than those of its model.
         settling: control steps under its first action before a recording begins.
+        notes: what a user should know of it before its results, in words.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Robot(ABC):
     from_baseline: bool = False
     shorter: int = 1
     settling: int = 0
+    notes: tuple[str, ...] = ()
 
     def _remember(self, baseline: Baseline | None) -> None:
         """Take priors and known effects from a baseline diagnosis.
@@ -152,6 +154,10 @@ class Robot(ABC):
     def locations(self, kind: str) -> list[Location]:
         """Locations of a kind that candidate terms may have."""
         return self.elements.locations(kind) if kind in self.kinds else []
+
+    def welded(self) -> list[Location]:
+        """Bodies without a joint of their own that candidate terms may have."""
+        return self.elements.welded() if "body" in self.kinds else []
 
     def beside(self, location: Location) -> list[Location]:
         """The neighbours of a body or of a measured point; none for other locations, which have no order."""
