@@ -18,12 +18,12 @@ def paths(tmp_path):
     return tmp_path / "arm.xml", tmp_path / "map.toml"
 
 
-def test_sensors_of_more_than_coordinates_are_refused(paths):
+def test_quaternions_have_no_unit(paths):
     model, mapping = paths
     quaternion = '<sensor><framequat name="s" objtype="body" objname="arm"/></sensor></mujoco>'
     model.write_text(ARM.replace("</mujoco>", quaternion))
     mapping.write_text(MAP.replace('joints = ["hinge"]\nunit', 'sensors = ["s"]\nunit', 1))
-    with pytest.raises(ModelError, match="sensors s have 4 numbers; allowed are 1 to 3"):
+    with pytest.raises(ModelError, match=r"unit is 'rad'; quaternions have \"1\""):
         ModelRobot(model, mapping)
 
 
@@ -33,7 +33,17 @@ def test_sensors_of_more_than_coordinates_are_refused(paths):
         ('actuators = ["motor"]', 'actuators = ["engine"]', "no actuator 'engine'"),
         ('joints = ["hinge"]\nunit', 'joints = ["elbow"]\nunit', "no joint 'elbow'"),
         ('unit = "rad"', "", "needs a name, a unit"),
-        ("control_timestep = 0.02", "control_timestep = 0.003", "no multiple"),
+        ("control_timestep = 0.02", "control_timestep = 0", "control_timestep is 0; expected a number"),
+        ("[robot]", '[robot]\nctrlrange = "wide"', "[robot] ctrlrange is 'wide'; expected \"widen\""),
+        ('["motor"]', '["motor"]\nctrlrange = 3', "[commands.goal] ctrlrange is 3; expected"),
+        ("[signal]", "[fixed]\nmotor = 0.1\n[signal]", "[fixed] motor: actuator motor has a command"),
+        ("[signal]", "[fixed]\nengine = 0.1\n[signal]", "no actuator 'engine'; it has motor"),
+        ("[signal]", '[fixed]\nmotor = "open"\n[signal]', "[fixed] motor is 'open'; expected a number"),
+        ("[initial]", '[initial]\nkeyframe = "home"', "keyframe is 'home'; the model has no keyframes"),
+        ("[initial]", "[initial.signals.speed]\n[initial]", "needs joints or velocities"),
+        ("[initial]", '[initial.signals.a]\njoints = ["hinge"]\n[initial]', "two positions or two velocities"),
+        ("[initial]", '[initial.signals.a]\nvelocities = ["elbow"]\n[initial]', "no joint 'elbow'; it has hinge"),
+        ('joints = ["hinge"]\nunit', 'joints = ["#3"]\nunit', "no joint '#3'; it has hinge"),
         ("control_timestep = 0.02", "timestep = 0.02", "unknown entry 'timestep'"),
         ("dof_damping:hinge", "dof_frictionloss:hinge", "dof_frictionloss:hinge is 0 in the model"),
         ("body_mass:arm", "body_weight:arm", "expected field:element"),
@@ -54,7 +64,7 @@ def test_sensors_of_more_than_coordinates_are_refused(paths):
         ('"body_mass:arm"', '"body_subtreemass:arm"', "body_subtreemass is no number"),
         ('actuators = ["motor"]', 'actuators = ["motor"]\nscale = 0.001', "unknown entry 'scale' in [commands.goal]"),
         ('actuators = ["motor"]', 'actuators = ["motor", "motor"]', "expected each name once"),
-        ("[signal]", '[commands.other]\nactuators = ["motor"]\n[signal]', "'motor', which has a command already"),
+        ("[signal]", '[commands.other]\nactuators = ["#0"]\n[signal]', "'#0', which has a command already"),
         ('[commands.goal]\nactuators = ["motor"]', "", "say what moves them"),
         ("add = true", 'add = "false"', "add is 'false'; expected true or false"),
         ("[initial]", '[settings.zero]\ncommand = "a"\nfields = ["dof_damping:*"]\n[initial]', "name of a setting"),

@@ -286,6 +286,7 @@ class RobotSettings:
     test_range: float = setting(0.3, "1", "share of an actuator's range that a proposed motion uses")
     command_changes: int = setting(3, "changes", "of a command in a control step; more would be left out")
     range_tolerance: float = setting(1e-3, "1", "share of an actuator's range by which a command may exceed it")
+    most_clipped: float = setting(0.5, "1", "share of a command that a model may clip; more is in another unit")
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from soro_bench.arrays import Floats
 class Drive:
     """Input of a replay.
 
-    actions: (T, ...) one per control step. start: (P, D) the signal before the first step. settings: (T, S) what is
-    known of the robot in each control step.
+    actions: (T, ...) one per control step. start: (P, D) the signal before the first step, or (S,) what the recording
+    says of the state then. settings: (T, S) what is known of the robot in each control step.
     """
 
     actions: Floats
@@ -26,8 +26,9 @@ class Measured:
 
     actions: (T, ...) one per control step. time: (T,) s, the ends of the control steps. values: (T, P, D) samples of
     the signal at these times, P points of D coordinates [unit]; NaN where missing. signal, unit: its name and unit.
-    start: (P, D) the first sample of the signal, before the first step. settings: (T, S) what is known of the robot in
-    each control step, for robots that have such settings.
+    start: (P, D) the first sample of the signal, before the first step, or (S,) what several signals say of the state
+    then. settings: (T, S) what is known of the robot in each control step, for robots that have such settings. notes:
+    what a user should know of the recording, in words.
     """
 
     actions: Floats
@@ -37,6 +38,7 @@ class Measured:
     unit: str
     start: Floats | None = None
     settings: Floats | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def drive(self) -> Drive:

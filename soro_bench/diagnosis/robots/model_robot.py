@@ -1,39 +1,37 @@
 """Any robot: a MuJoCo model, and a mapping of its recordings and parameters to it (robot_map.py)."""
 
-from operator import attrgetter
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
-from mujoco.batch import MODEL_FIELDS
 
 from soro_bench.arrays import Bools, Floats, Ints
-from soro_bench.diagnosis.robots.measured import Measured
+from soro_bench.diagnosis.robots.map_parameters import held, parameters_of, settings_of
+from soro_bench.diagnosis.robots.measured import Drive, Measured
+from soro_bench.diagnosis.robots.model_file import ModelError, load_model, load_spec, name_of, number
+from soro_bench.diagnosis.robots.model_state import initial_state, signal_source, unused_keyframes
 from soro_bench.diagnosis.robots.priors import Baseline, Prior
 from soro_bench.diagnosis.robots.robot import SIMULATIONS, Robot
 from soro_bench.diagnosis.robots.robot_map import (
-    ModelError,
     accurate_of,
+    beyond,
     check_unit,
     commands_of,
-    element,
-    held,
-    joint,
-    names_of,
-    number,
-    parameters_of,
+    fixed_of,
     read_mapping,
-    settings_of,
+    time_steps,
+    widened,
 )
 from soro_bench.diagnosis.settings import RobotSettings
-from soro_bench.effects.elements import instrument
-from soro_bench.models.simulation import Simulation
+from soro_bench.effects.effect import Effect
+from soro_bench.models.simulation import Simulation, quiet
 from soro_bench.parameters import Parameter, ParameterSet
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 
 _MOST_STEPS = 100_000  # of a recording; bounds the memory of its replays
-_TIMESTEPS = 1e-6, 1.0  # s, least and longest of a model
+_MOST_NAMES = 10  # in a note
 _SETTINGS = RobotSettings()
 
 
@@ -65,30 +63,39 @@ class ModelRobot(Robot):
         self.shorter = shorter
         table = read_mapping(mapping)
         self.name = self.model_name = Path(model).stem
-        compiled = _compiled(model)
-        self._model = compiled
-        compiled.opt.timestep /= shorter
         settings = table["robot"]
+        with quiet():
+            self._model = compiled = load_model(model)
         self.control_timestep = number("[robot] control_timestep", settings.get("control_timestep"), 1e-5, 100.0)
-        self._substeps = round(self.control_timestep / compiled.opt.timestep)
-        if self._substeps < 1 or abs(self._substeps * compiled.opt.timestep / self.control_timestep - 1) > 1e-6:
-            raise ModelError(f"control_timestep {self.control_timestep} s is no multiple of {compiled.opt.timestep} s")
+        steps, self._timestep = time_steps(self.control_timestep, own := compiled.opt.timestep)
+        self._substeps, compiled.opt.timestep = steps * shorter, self._timestep / shorter
         self.settling = round(number("[robot] settle", settings.get("settle", 0.0), 0, 1e4) / self.control_timestep)
         self._accurate = accurate_of(settings, mapping)
-        self._commands = commands_of(compiled, table["commands"])
-        self._set_signal(table["signal"])
-        wanted = names_of("initial", table["initial"], "joints") if table["initial"] else []
-        self._initial = [joint(compiled, name) for name in wanted]
-        if self._initial and len(self._initial) != self.shape[0] * self.shape[1]:
-            raise ModelError(f"[initial] has {len(self._initial)} joints; the signal has samples of shape {self.shape}")
+        self._commands = commands_of(compiled, table["commands"], widened("[robot]", settings))
+        self._widened = [i for command in self._commands if command.widened for i in command.actuators]
+        compiled.actuator_ctrllimited[self._widened] = False
+        fixed = fixed_of(compiled, table["fixed"], self._commands)
+        if compiled.nu and not self._commands and not fixed:
+            raise ModelError(
+                "the mapping has no [commands.<name>], and the model has actuators; say what moves them, or give "
+                "constant controls in [fixed]"
+            )
+        self._source = signal_source(compiled, table["signal"])
+        self.shape, self.signal = self._source.shape, table["signal"]["name"]
+        self.unit, self.frame = table["signal"]["unit"], table["signal"].get("frame", "")
+        self._initial = initial_state(compiled, table["initial"], self._source, self.signal)
+        self._control = self._initial.control
+        self._control[list(fixed)] = list(fixed.values())
         self._settings, scaled = settings_of(compiled, table["settings"])
         self.priors, fields = parameters_of(compiled, table["parameters"], scaled)
+        self.notes = tuple(self._said(own, set(fixed), unused_keyframes(compiled, table["initial"], self._initial)))
         known = [Prior(name, "1", 1.0, 1.0, True, (0.0, np.inf)) for name in scaled]
         parameters = [Parameter(p.name, p.unit, p.nominal, p.bounds, p.bounds, "") for p in (*self.priors, *known)]
         many = max(_SETTINGS.degrees_of_freedom // max(compiled.nv, 1), SIMULATIONS)
         count = min(many, _SETTINGS.most_simulations)
-        self.simulation = Simulation(compiled, ParameterSet(*parameters), [fields], count, threads, ())
-        self._remember(baseline)
+        with quiet():
+            self.simulation = Simulation(compiled, ParameterSet(*parameters), [fields], count, threads, ())
+            self._remember(baseline)
 
     def shortened(self, factor: int) -> Robot:
         """The same model with time steps shorter by a factor."""
@@ -100,12 +107,42 @@ class ModelRobot(Robot):
             return None
         return ModelRobot(self._accurate, self._paths[1], self.threads, baseline=self._baseline)
 
+    def _said(self, timestep: float, fixed: set[int], keyframes: str | None) -> list[str]:
+        """What a user should know of the model and the mapping.
+
+        Args:
+            timestep: of the model's file [s].
+            fixed: actuators with a constant control of the mapping.
+            keyframes: what there is to say of the model's keyframes.
+        """
+        model, said = self._model, []
+        if self._timestep != timestep:
+            said.append(
+                f"a control step of {self.control_timestep:g} s is no multiple of the model's time step, "
+                f"{timestep:g} s; simulated with {self._timestep:.6g} s"
+            )
+        said += [keyframes] if keyframes else []
+        driven = fixed.union(*(command.actuators for command in self._commands))
+        left = [i for i in range(model.nu) if i not in driven]
+        where = "at their controls in the keyframe" if self._initial.keyframe >= 0 else "at 0"
+        if left:
+            names = _listed(model, mujoco.mjtObj.mjOBJ_ACTUATOR, left)
+            said.append(f"no command drives {names}; held {where}; [fixed] gives other controls")
+        if mocap := [i for i in range(model.nbody) if model.body_mocapid[i] >= 0]:
+            names = _listed(model, mujoco.mjtObj.mjOBJ_BODY, mocap)
+            said.append(f"mocap bodies stay where the model has them: {names}")
+        return said
+
     def spec(self) -> mujoco.MjSpec:
         """The model of the file, prepared for effects."""
-        return _spec(self._paths[0])
+        spec = load_spec(self._paths[0])
+        spec.option.timestep = self._timestep
+        for i in self._widened:
+            spec.actuators[i].ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        return spec
 
     def actions(self, recording: Recording) -> Floats:
-        """(T, nu) setpoints of all actuators, zero for those without a command.
+        """(T, nu) setpoints of all actuators; those without a command are held.
 
         Raises:
             RecordingError: says what is wrong with the commands.
@@ -113,13 +150,14 @@ class ModelRobot(Robot):
         _, steps = recording.control_steps(self._named, self.control_timestep)
         if not 1 <= steps <= _MOST_STEPS:
             raise RecordingError(f"{recording.duration} s are {steps} control steps; expected 1 to {_MOST_STEPS}")
-        actions = np.zeros((steps, self._model.nu))
-        for name, actuators, unit in self._commands:
-            actions[:, actuators] = held(recording, name, self._times(recording, steps), len(actuators))
-            check_unit(recording.commands[name], name, unit)
-            self._check_rate(name, recording.commands[name])
-            for actuator in actuators:
-                self._check_range(name, actuator, actions[:, actuator])
+        actions = np.tile(self._control, (steps, 1))
+        for each in self._commands:
+            command = recording.commands[each.name]
+            actions[:, each.actuators] = held(recording, each.name, self._times(recording, steps), len(each.actuators))
+            check_unit(command, each.name, each.unit)
+            self._check_rate(each.name, command)
+        if mostly := [text for share, text in self._clipped(actions) if share > _SETTINGS.most_clipped]:
+            raise RecordingError(f"{mostly[0]}; most of it would be lost")
         return actions
 
     def _check_rate(self, name: str, command: Signal) -> None:
@@ -133,15 +171,20 @@ class ModelRobot(Robot):
                 f"leaves most of it out; allowed is {_SETTINGS.command_changes} times as long"
             )
 
-    def _check_range(self, command: str, actuator: int, asked: Floats) -> None:
-        """Refuse setpoints (T,) that MuJoCo would cut off."""
-        model, (low, high) = self._model, self._model.actuator_ctrlrange[actuator]
-        beyond = max(low - asked.min(), asked.max() - high)
-        if model.actuator_ctrllimited[actuator] and beyond > _SETTINGS.range_tolerance * (high - low):
-            raise RecordingError(
-                f"the command {command!r} is from {asked.min():g} to {asked.max():g}; the model cuts off what is not "
-                f"within the ctrlrange of actuator {model.actuator(actuator).name!r}, {low:g} to {high:g}"
-            )
+    def _clipped(self, actions: Floats) -> list[tuple[float, str]]:
+        """Which commands MuJoCo clips in setpoints (T, nu): the share of the time, and what to say."""
+        found, model = [], self._model
+        for command in self._commands:
+            for i in command.actuators:
+                asked, (low, high) = actions[:, i], model.actuator_ctrlrange[i]
+                share = float(beyond(model, i, asked, _SETTINGS.range_tolerance).mean())
+                text = (
+                    f"the command {command.name!r} is from {asked.min():g} to {asked.max():g}; the model clips what is "
+                    f"not within the ctrlrange of actuator {model.actuator(i).name!r}, {low:g} to {high:g} "
+                    f'({100 * share:.2g} % of the time); [commands.{command.name}] ctrlrange = "widen" lets it through'
+                )
+                found += [(share, text)] if share else []
+        return found
 
     def settings(self, recording: Recording, steps: int) -> Floats | None:
         """(steps, S) values of the mapping's settings, as multiples of their references; None without settings."""
@@ -154,13 +197,13 @@ class ModelRobot(Robot):
 
     def _setpoint_unit(self, actuator: int) -> str:
         """The unit of the mapping's command, or the one that the model implies if the mapping names none."""
-        named = next((unit for _, actuators, unit in self._commands if actuator in actuators), None)
+        named = next((each.unit for each in self._commands if actuator in each.actuators), None)
         return named or super()._setpoint_unit(actuator)
 
     @property
     def _named(self) -> list[str]:
         """Names of the commands."""
-        return [name for name, _, _ in self._commands]
+        return [command.name for command in self._commands]
 
     def _times(self, recording: Recording, steps: int) -> Floats:
         """(steps,) s, the beginnings of the control steps."""
@@ -170,18 +213,17 @@ class ModelRobot(Robot):
         """The part of a recording that a diagnosis uses.
 
         Raises:
-            RecordingError: as of any robot; or the robot begins at the signal, and its first sample is missing or late.
+            RecordingError: as of any robot; or the robot begins at a signal, and its first sample is missing or late.
         """
-        found = super().measured(recording)
-        if self._initial and found.start is not None and not np.isfinite(found.start).all():
-            raise RecordingError(f"the first sample of {self.signal} has gaps; [initial] needs all of it")
-        later = float(recording.signals[self.signal].time[0]) - self.begins(recording)
-        if self._initial and later > self.control_timestep * (1 + 1e-6):
-            raise RecordingError(
-                f"the first sample of {self.signal} is {later:g} s after the recording begins; [initial] needs one "
-                f"within a control step, {self.control_timestep:g} s"
-            )
-        return found
+        signals = dict(recording.signals)
+        if self.signal in signals:
+            signals[self.signal] = self._source.converted(self.signal, signals[self.signal])
+        found = super().measured(replace(recording, signals=signals))
+        found = replace(found, notes=tuple(text for _, text in self._clipped(found.actions)))
+        if not self._initial.parts:
+            return found
+        start = self._initial.begun(recording, self.begins(recording), self.control_timestep)
+        return replace(found, start=start.reshape(self.shape) if start.size == np.prod(self.shape) else start)
 
     def rates(self, actions: Floats) -> Floats:
         """(T, nu) changes of setpoints in a control step, as shares of the largest; controls, where they are rates."""
@@ -209,45 +251,22 @@ class ModelRobot(Robot):
         slower = np.maximum(np.abs(speeds).max(axis=0) / np.maximum(fastest, 1e-9), 1.0)
         return np.where(integrates, speeds / slower, np.clip(0.0, low + reach, high - reach) + moved)
 
-    def _set_signal(self, table: dict[str, Any]) -> None:
-        """Look up the signal of the mapping in the model.
-
-        Raises:
-            ModelError: says what is wrong.
-        """
-        model, places = self._model, [key for key in ("sites", "joints", "sensors") if key in table]
-        if len(places) != 1 or not isinstance(table.get("name"), str) or not isinstance(table.get("unit"), str):
-            raise ModelError("[signal] needs a name, a unit, and one of sites, joints, sensors")
-        self.signal, self.unit, self.frame = table["name"], table["unit"], table.get("frame", "")
-        names = names_of("signal", table, places[0])
-        self._ids: list[int] | Ints  # of the signal's numbers in its field of MuJoCo's data
-        if places[0] == "sites":
-            self._source, self._ids = "site_xpos", [element(model, mujoco.mjtObj.mjOBJ_SITE, name) for name in names]
-            self.shape = (len(names), 3)
-        elif places[0] == "joints":
-            self._source, self._ids = "qpos", [model.jnt_qposadr[joint(model, name)] for name in names]
-            self.shape = (len(names), 1)
-        else:
-            sensors = [element(model, mujoco.mjtObj.mjOBJ_SENSOR, name) for name in names]
-            if len(widths := {int(model.sensor_dim[i]) for i in sensors}) > 1:
-                raise ModelError(f"[signal] sensors {', '.join(names)} have {sorted(widths)} numbers; all need as many")
-            if max(widths) > 3:
-                raise ModelError(f"[signal] sensors {', '.join(names)} have {max(widths)} numbers; allowed are 1 to 3, "
-                                 "coordinates")  # fmt: skip
-            if (model.sensor_needstage[sensors] > int(mujoco.mjtStage.mjSTAGE_VEL)).any():
-                raise ModelError("[signal] sensors have to depend on positions and velocities only")
-            self._source, (width,) = "sensordata", widths
-            self._ids = np.concatenate([model.sensor_adr[i] + np.arange(width) for i in sensors])
-            self.shape = (len(names), width)
+    def simulate_all(
+        self,
+        drives: Sequence[Drive],
+        parameters: Floats,
+        effects: Sequence[Sequence[Effect]],
+        before_step: Callable[[int], None] | None = None,
+    ) -> list[Floats]:
+        """Replays under several drives, see :meth:`Robot.simulate_all`; MuJoCo logs no warnings."""
+        with quiet():
+            return super().simulate_all(drives, parameters, effects, before_step)
 
     def _begin(self, parameters: Floats, start: Floats | None) -> None:
         """Start the simulations; see :meth:`Robot._begin`."""
         ids = np.arange(len(parameters))
-        batch = self.simulation.batch
         self._set_all(ids, parameters, np.ones((len(ids), len(self._settings))))
-        batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
-        if self._initial and start is not None:
-            batch.qpos[np.ix_(ids, self._model.jnt_qposadr[self._initial])] = start.reshape(len(ids), -1)
+        self._initial.write(self.simulation.batch, ids, start)
         self.simulation.begin(ids)
 
     def _set(self, ids: Ints, settings: Floats) -> None:
@@ -263,55 +282,17 @@ class ModelRobot(Robot):
         """Advance the simulations by a control step; (n,) whether each diverged."""
         ids = np.arange(len(actions))
         self.simulation.batch.ctrl[ids] = actions
-        self.simulation.step(ids, self._substeps)
+        self.simulation.step(ids, self._substeps, self._source.stage)
         return self.simulation.bad_states(ids)
 
     def _read(self, count: int) -> Floats:
         """(count, P, D) the signal now."""
-        values = getattr(self.simulation.batch, self._source)[:count, self._ids].reshape(count, *self.shape)
+        values = self._source.read(self.simulation.batch, count)
         return np.where(np.abs(values) < _SETTINGS.diverged, values, np.nan)
 
 
-def _spec(path: str | Path) -> mujoco.MjSpec:
-    """The model of a file with absolute paths of its files, prepared for effects."""
-    spec, folder = mujoco.MjSpec.from_file(str(path)), Path(path).resolve().parent
-    # a patched model, which lies elsewhere, finds the same files
-    if spec.meshes or spec.hfields or spec.skins:
-        spec.meshdir = str(folder / spec.meshdir)
-    if spec.textures:
-        spec.texturedir = str(folder / spec.texturedir)
-    return instrument(_named(spec, Path(path).stem))
-
-
-def _named(spec: mujoco.MjSpec, model: str) -> mujoco.MjSpec:
-    """The spec with names for elements without one, since effects need names; each model gets other names.
-
-    Joints of a flex's vertices are not named: no effect acts on one alone.
-    """
-    vertices = {name for flex in spec.flexes for name in (*flex.vertbody, *flex.nodebody)}
-    joints = [joint for joint in spec.joints if joint.parent.name not in vertices]
-    for elements in (spec.tendons, joints, spec.actuators, spec.bodies):
-        for i, one in enumerate(elements):
-            one.name = one.name or f"{i} of {model}"
-    return spec
-
-
-def _compiled(path: str | Path) -> mujoco.MjModel:
-    """The model of a file, prepared for effects.
-
-    Raises:
-        ModelError: it is none, or has values that cannot be simulated.
-    """
-    if not Path(path).is_file():
-        raise ModelError(f"there is no model {path}")
-    try:
-        model = _spec(path).compile()
-    except ValueError as error:
-        raise ModelError(f"{path} is no MuJoCo model: {error}") from error
-    for field in MODEL_FIELDS:
-        if np.isnan(attrgetter(field)(model)).any():  # MuJoCo only warns
-            raise ModelError(f"{path}: {field} is not a number somewhere")
-    low, high = _TIMESTEPS
-    if not low <= model.opt.timestep <= high:
-        raise ModelError(f"{path}: timestep is {model.opt.timestep} s; allowed is {low:g} to {high:g} s")
-    return model
+def _listed(model: mujoco.MjModel, kind: mujoco.mjtObj, ids: Sequence[int]) -> str:
+    """Names of elements, the first of many."""
+    names = ", ".join(name_of(model, kind, i) for i in ids[:_MOST_NAMES])
+    more = len(ids) - _MOST_NAMES
+    return f"{names} and {more} more" if more > 0 else names

@@ -1,0 +1,178 @@
+"""A MuJoCo model as a file has it: read, checked, and its elements found by name or number."""
+
+import re
+import warnings
+from operator import attrgetter
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from mujoco.batch import MODEL_FIELDS
+
+from soro_bench.effects.elements import AUXILIARY, instrument
+
+_TIMESTEPS = 1e-6, 1.0  # s, least and longest of a model
+_MOST_NAMES = 20  # in a message
+_LONGEST = 400  # letters of one of MuJoCo's errors
+_NUMBER = re.compile(r"#(\d{1,9})")  # how an unnamed element is called
+_ADVICE = {  # what to do, by what MuJoCo's error says
+    "plugin": "install that plugin where MuJoCo loads it, or take it out of the model",
+    "opening": "a model needs the files that it names, in the folders that it names, beside it",
+    "resource": "a model needs the files that it names, in the folders that it names, beside it",
+    "composite": "write a flexcomp instead, or save the model compiled by an older MuJoCo as XML",
+}
+_COUNTS = {"joint": "njnt", "actuator": "nu", "keyframe": "nkey"}
+_KINDS = {"key": "keyframe"}
+
+
+class ModelError(ValueError):
+    """A model or its mapping cannot be used; says what is wrong and what is allowed."""
+
+
+def load_spec(path: str | Path) -> mujoco.MjSpec:
+    """The model of a file with absolute paths of its files, prepared for effects.
+
+    Raises:
+        ModelError: it is no model; in one line, with what to do.
+    """
+    if not Path(path).is_file():
+        raise ModelError(f"there is no model {path}")
+    folder = Path(path).resolve().parent
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+    except (ValueError, mujoco.FatalError) as error:
+        raise ModelError(f"{path} is no MuJoCo model: {in_one_line(error)}") from error
+    # a patched model, which lies elsewhere, finds the same files
+    if spec.meshes or spec.hfields or spec.skins:
+        spec.meshdir = str(folder / spec.meshdir)
+    if spec.textures:
+        spec.texturedir = str(folder / spec.texturedir)
+    return instrument(_named(spec, Path(path).stem))
+
+
+def load_model(path: str | Path) -> mujoco.MjModel:
+    """The model of a file, prepared for effects.
+
+    Raises:
+        ModelError: it is none, or has values that cannot be simulated.
+    """
+    spec = load_spec(path)
+    try:
+        with warnings.catch_warnings():  # of attributes that a later MuJoCo will not have
+            warnings.simplefilter("ignore")
+            model = spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        raise ModelError(f"{path} is no MuJoCo model: {in_one_line(error)}") from error
+    for field in MODEL_FIELDS:
+        if np.isnan(attrgetter(field)(model)).any():  # MuJoCo only warns
+            raise ModelError(f"{path}: {field} is not a number somewhere")
+    low, high = _TIMESTEPS
+    if not low <= model.opt.timestep <= high:
+        raise ModelError(f"{path}: timestep is {model.opt.timestep} s; allowed is {low:g} to {high:g} s")
+    if not model.nv:
+        raise ModelError(f"{path}: nothing moves in it; a robot has one joint at least")
+    return model
+
+
+def in_one_line(error: Exception) -> str:
+    """What MuJoCo says, in one line, with what to do about it where that is known."""
+    text = " ".join(str(error).split())
+    text = text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
+    advice = next((each for word, each in _ADVICE.items() if word in text.lower()), None)
+    return f"{text}; {advice}" if advice else text
+
+
+def _named(spec: mujoco.MjSpec, model: str) -> mujoco.MjSpec:
+    """The spec with names for elements without one, since effects need names; each model gets other names.
+
+    Joints of a flex's vertices are not named: no effect acts on one alone.
+    """
+    vertices = {name for flex in spec.flexes for name in (*flex.vertbody, *flex.nodebody)}
+    joints = [joint for joint in spec.joints if joint.parent.name not in vertices]
+    for elements in (spec.tendons, joints, spec.actuators, spec.bodies):
+        for i, one in enumerate(elements):
+            one.name = one.name or f"{i} of {model}"
+    return spec
+
+
+def element(model: mujoco.MjModel, kind: mujoco.mjtObj, name: object) -> int:
+    """MuJoCo's id of an element that is called by its name, or "#3" by its number.
+
+    Raises:
+        ModelError: there is none; lists those that there are.
+    """
+    found = mujoco.mj_name2id(model, kind, name) if isinstance(name, str) else -1
+    if found < 0 and isinstance(name, str) and (number := _NUMBER.fullmatch(name)):
+        found = int(number[1]) if int(number[1]) < count(model, kind) else -1
+    if found < 0:
+        raise ModelError(f"the model has no {label(kind)} {name!r}; it has {_names(model, kind)}")
+    return found
+
+
+def label(kind: mujoco.mjtObj) -> str:
+    """What people call a kind of elements."""
+    word = kind.name[6:].lower()
+    return _KINDS.get(word, word)
+
+
+def count(model: mujoco.MjModel, kind: mujoco.mjtObj) -> int:
+    """Number of the model's elements of a kind, those that were added for effects apart."""
+    word = label(kind)
+    found = int(getattr(model, _COUNTS.get(word, f"n{word}")))
+    return found - springs(model) if kind == mujoco.mjtObj.mjOBJ_TENDON else found
+
+
+def name_of(model: mujoco.MjModel, kind: mujoco.mjtObj, number: int) -> str:
+    """The name of an element, or "#3" where it has none."""
+    return mujoco.mj_id2name(model, kind, number) or f"#{number}"
+
+
+def springs(model: mujoco.MjModel) -> int:
+    """Number of tendons that were added for effects; they come last."""
+    names = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_TENDON, i) for i in range(model.ntendon)]
+    return sum(bool(name) and name.startswith(AUXILIARY) for name in names)
+
+
+def _names(model: mujoco.MjModel, kind: mujoco.mjtObj) -> str:
+    """Names of the model's elements of a kind, or the first of many."""
+    found = [name_of(model, kind, i) for i in range(min(count(model, kind), _MOST_NAMES + 1))]
+    return ", ".join(found[:_MOST_NAMES] + ["..."] * (len(found) > _MOST_NAMES)) or "none"
+
+
+def scalar_joint(model: mujoco.MjModel, name: object) -> int:
+    """MuJoCo's id of a joint with one degree of freedom; ModelError for another one."""
+    number = element(model, mujoco.mjtObj.mjOBJ_JOINT, name)
+    if (width := joint_width(model, number)[0]) > 1:
+        raise ModelError(
+            f"joint {name!r} has {width} numbers of different units; give a site or sensors of its body instead"
+        )
+    return number
+
+
+def joint_width(model: mujoco.MjModel, number: int) -> tuple[int, int]:
+    """How many positions and velocities a joint has: 7 and 6 of a free one, 4 and 3 of a ball, else 1 and 1."""
+    return {"mjJNT_FREE": (7, 6), "mjJNT_BALL": (4, 3)}.get(mujoco.mjtJoint(model.jnt_type[number]).name, (1, 1))
+
+
+def names_of(section: str, entry: object, key: str) -> list[str]:
+    """The list of names that an entry of a section has; ModelError for anything else."""
+    values = entry.get(key) if isinstance(entry, dict) else None
+    if not isinstance(values, list) or not values or not all(isinstance(value, str) for value in values):
+        raise ModelError(f"[{section}] {key} is {values!r}; expected a list of names")
+    if len(set(values)) < len(values):
+        raise ModelError(f"[{section}] {key} is {values!r}; expected each name once")
+    return values
+
+
+def number(name: str, value: object, low: float, high: float) -> float:
+    """A value that is a number within bounds; ModelError for anything else."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+        raise ModelError(f"{name} is {value!r}; expected a number from {low:g} to {high:g}")
+    return float(value)
+
+
+def check_keys(section: str, table: dict, allowed: tuple[str, ...]) -> None:
+    """Refuse entries of a section that are not allowed."""
+    for key in table:
+        if key not in allowed:
+            raise ModelError(f"unknown entry {key!r} in {section}; there are {', '.join(allowed)}")

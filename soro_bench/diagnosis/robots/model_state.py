@@ -1,0 +1,264 @@
+"""What of a MuJoCo model's state a recording shows (the signal), and where a recording begins (the initial state)."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+from soro_bench.arrays import Floats, Ints
+from soro_bench.diagnosis.robots.model_file import (
+    ModelError,
+    check_keys,
+    count,
+    element,
+    joint_width,
+    name_of,
+    names_of,
+    scalar_joint,
+)
+from soro_bench.recording.recording import Recording, RecordingError, Signal
+from soro_bench.rotation import rotate_by_quaternion
+
+_PLACES = ("sites", "joints", "sensors")
+_COORDINATES = 3  # of a point, at most
+_QUATERNION = 4  # numbers
+_UNIT_LENGTH = 0.05  # by which the length of a quaternion may differ from 1, as rounded ones do
+_KEYFRAME = mujoco.mjtObj.mjOBJ_KEY
+_JOINT = mujoco.mjtObj.mjOBJ_JOINT
+
+
+@dataclass(frozen=True)
+class SignalSource:
+    """Where the explained signal is in MuJoCo's data.
+
+    field: of the data. ids: which entries of it. shape: (P, D), points and coordinates. quaternions: whether ``ids``
+    are those of quaternions; each is explained as three points, the axes of its frame, which have no sign to choose.
+    stage: which of MuJoCo's stages computes it.
+    """
+
+    field: str
+    ids: Ints
+    shape: tuple[int, int]
+    quaternions: bool = False
+    stage: int = int(mujoco.mjtStage.mjSTAGE_VEL)
+
+    @property
+    def recorded(self) -> int:
+        """How many numbers a sample of the recording has."""
+        return len(self.ids) if self.quaternions else self.shape[0] * self.shape[1]
+
+    def read(self, batch: Batch, simulations: int) -> Floats:
+        """(n, P, D) the signal of the first n simulations now."""
+        values = getattr(batch, self.field)[:simulations, self.ids]
+        return (_axes(values) if self.quaternions else values).reshape(simulations, *self.shape)
+
+    def converted(self, name: str, signal: Signal) -> Signal:
+        """A recorded signal as it is explained.
+
+        Raises:
+            RecordingError: a quaternion is none.
+        """
+        samples = signal.values.reshape(len(signal.time), -1)
+        if samples.shape[1] != self.recorded:
+            return signal  # refused later, as for any robot
+        if self.quaternions:
+            lengths = np.linalg.norm(samples.reshape(len(samples), -1, _QUATERNION), axis=2)
+            if (odd := (np.abs(lengths - 1.0) > _UNIT_LENGTH).any(axis=1)).any():
+                at = signal.time[odd.argmax()]
+                raise RecordingError(f"{name} is no unit quaternion (w, x, y, z) at {at:.6g} s")
+            return replace(signal, values=_axes(samples).reshape(len(samples), *self.shape))
+        if self.field == "sensordata" and self.shape[1] == 1:  # numbers of wide sensors
+            return replace(signal, values=samples)
+        return signal
+
+
+def _axes(quaternions: Floats) -> Floats:
+    """(n, P, 9) the three axes of the frames that unit quaternions (n, 4 P), w first, turn."""
+    each = quaternions.reshape(len(quaternions), -1, 1, _QUATERNION)
+    each = each / np.linalg.norm(each, axis=-1, keepdims=True)
+    found = rotate_by_quaternion(np.eye(3), np.broadcast_to(each, (*each.shape[:2], 3, _QUATERNION)))
+    return np.asarray(found.reshape(*each.shape[:2], 9))
+
+
+def signal_source(model: mujoco.MjModel, table: dict[str, Any]) -> SignalSource:
+    """Look up the signal of a mapping in the model.
+
+    Raises:
+        ModelError: says what is wrong.
+    """
+    places = [key for key in _PLACES if key in table]
+    if len(places) != 1 or not isinstance(table.get("name"), str) or not isinstance(table.get("unit"), str):
+        raise ModelError("[signal] needs a name, a unit, and one of sites, joints, sensors")
+    names = names_of("signal", table, places[0])
+    if places[0] == "sites":
+        sites = np.array([element(model, mujoco.mjtObj.mjOBJ_SITE, name) for name in names])
+        return SignalSource("site_xpos", sites, (len(names), 3))
+    if places[0] == "joints":
+        return _of_joints(model, names, table["unit"])
+    return _of_sensors(model, names, table["unit"])
+
+
+def _of_joints(model: mujoco.MjModel, names: list[str], unit: str) -> SignalSource:
+    ids = [element(model, _JOINT, name) for name in names]
+    first = model.jnt_qposadr[ids]
+    if all(model.jnt_type[i] == mujoco.mjtJoint.mjJNT_BALL for i in ids):
+        return _quaternions("qpos", first, unit)
+    return SignalSource("qpos", np.array([model.jnt_qposadr[scalar_joint(model, name)] for name in names]),
+                        (len(names), 1))  # fmt: skip
+
+
+def _of_sensors(model: mujoco.MjModel, names: list[str], unit: str) -> SignalSource:
+    ids = [element(model, mujoco.mjtObj.mjOBJ_SENSOR, name) for name in names]
+    if len(widths := {int(model.sensor_dim[i]) for i in ids}) > 1:
+        raise ModelError(f"[signal] sensors {', '.join(names)} have {sorted(widths)} numbers; all need as many")
+    first, (width,) = model.sensor_adr[ids], widths
+    # those of accelerations and forces too
+    stage = max(int(mujoco.mjtStage.mjSTAGE_VEL), int(model.sensor_needstage[ids].max()))
+    if (model.sensor_datatype[ids] == mujoco.mjtDataType.mjDATATYPE_QUATERNION).all():
+        return replace(_quaternions("sensordata", first, unit), stage=stage)
+    numbers = (first[:, None] + np.arange(width)).ravel()
+    shape = (len(names), width) if width <= _COORDINATES else (len(numbers), 1)
+    return SignalSource("sensordata", numbers, shape, stage=stage)
+
+
+def _quaternions(field: str, first: Ints, unit: str) -> SignalSource:
+    """The signal of quaternions that begin at ``first`` (P,) of a field."""
+    if unit != "1":
+        raise ModelError(f'[signal] unit is {unit!r}; quaternions have "1"')
+    return SignalSource(field, (first[:, None] + np.arange(_QUATERNION)).ravel(), (3 * len(first), 3), True)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Positions or velocities that begin at the first sample of a signal: entries ``ids`` of MuJoCo's ``field``."""
+
+    signal: str
+    field: str
+    ids: Ints
+
+
+@dataclass(frozen=True)
+class InitialState:
+    """Where a recording begins: the model's default position or a keyframe, and on top what the recording says.
+
+    keyframe: its number; -1 for the default position. parts: what the recording says.
+    control: (nu,) controls of actuators without a command.
+    """
+
+    keyframe: int
+    parts: tuple[_Part, ...]
+    control: Floats
+
+    def write(self, batch: Batch, ids: Ints, start: Floats | None) -> None:
+        """Set the state of simulations ``ids`` (n,) to ``start`` (n, S), as ``begun`` gives it for each of them."""
+        batch.reset(ids, keyframe=self.keyframe, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        if start is None or not self.parts:
+            return
+        numbers, done = start.reshape(len(ids), -1), 0
+        for part in self.parts:
+            values = numbers[:, done : done + len(part.ids)]
+            getattr(batch, part.field)[np.ix_(ids, part.ids)] = values
+            done += len(part.ids)
+
+    def begun(self, recording: Recording, begin: float, step: float) -> Floats:
+        """(S,) what the recording says of the state at its begin [s].
+
+        Args:
+            step: s, of the control; a sample counts if it is not later than that.
+
+        Raises:
+            RecordingError: a signal is not there, or its first sample is missing or late.
+        """
+        found = []
+        for part in self.parts:
+            if part.signal not in recording.signals:
+                raise RecordingError(f"[initial] names the signal {part.signal!r}; there are {recording.names}")
+            signal = recording.signals[part.signal]
+            first, later = signal.values[0].ravel(), float(signal.time[0]) - begin
+            if len(first) != len(part.ids):
+                raise RecordingError(f"[initial] needs {len(part.ids)} numbers of {part.signal}; it has {len(first)}")
+            if not np.isfinite(first).all():
+                raise RecordingError(f"the first sample of {part.signal} has gaps; [initial] needs all of it")
+            if later > step * (1 + 1e-6):
+                raise RecordingError(
+                    f"the first sample of {part.signal} is {later:g} s after the recording begins; [initial] needs one "
+                    f"within a control step, {step:g} s"
+                )
+            found.append(first)
+        return np.concatenate(found)
+
+
+def initial_state(model: mujoco.MjModel, table: dict[str, Any], source: SignalSource, signal: str) -> InitialState:
+    """The section [initial] of a mapping.
+
+    Args:
+        signal: name of the explained signal.
+
+    Raises:
+        ModelError: says what is wrong.
+    """
+    parts = []
+    if "joints" in table:
+        ids = _positions(model, names_of("initial", table, "joints"))
+        if len(ids) != source.recorded:
+            raise ModelError(f"[initial] has {len(ids)} joints; the signal has samples of shape {source.shape}")
+        parts.append(_Part(signal, "qpos", ids))
+    signals = table.get("signals", {})
+    if not isinstance(signals, dict):
+        raise ModelError("[initial] signals has to be sections, [initial.signals.<name of a signal>]")
+    for name, entry in signals.items():
+        section = f"initial.signals.{name}"
+        if not isinstance(entry, dict) or len(entry) != 1:
+            raise ModelError(f"[{section}] needs joints or velocities, a list of joints")
+        check_keys(f"[{section}]", entry, ("joints", "velocities"))
+        (key,) = entry
+        names = names_of(section, entry, key)
+        found = _positions(model, names) if key == "joints" else _velocities(model, names)
+        parts.append(_Part(name, "qpos" if key == "joints" else "qvel", found))
+    for field in ("qpos", "qvel"):
+        ids = np.concatenate([[], *(part.ids for part in parts if part.field == field)])
+        if len(set(ids)) < len(ids):
+            raise ModelError("[initial] gives a joint two positions or two velocities; one is enough")
+    keyframe = _keyframe(model, table.get("keyframe", ""))
+    control = model.key_ctrl[keyframe].copy() if keyframe >= 0 else np.zeros(model.nu)
+    return InitialState(keyframe, tuple(parts), control)
+
+
+def _keyframe(model: mujoco.MjModel, name: object) -> int:
+    if name == "":
+        return -1
+    if not count(model, _KEYFRAME):
+        raise ModelError(f"[initial] keyframe is {name!r}; the model has no keyframes")
+    return element(model, _KEYFRAME, name)
+
+
+def _positions(model: mujoco.MjModel, names: list[str]) -> Ints:
+    """Entries of qpos of joints; of a free one position and quaternion (w first), of a ball its quaternion."""
+    ids = [element(model, _JOINT, name) for name in names]
+    return np.concatenate([model.jnt_qposadr[i] + np.arange(joint_width(model, i)[0]) for i in ids])
+
+
+def _velocities(model: mujoco.MjModel, names: list[str]) -> Ints:
+    """Entries of qvel of joints; of a free one the velocity in the world and the rate of turn in the body's frame."""
+    ids = [element(model, _JOINT, name) for name in names]
+    return np.concatenate([model.jnt_dofadr[i] + np.arange(joint_width(model, i)[1]) for i in ids])
+
+
+def unused_keyframes(model: mujoco.MjModel, table: dict[str, Any], initial: InitialState) -> str | None:
+    """What to say where a model has keyframes that the mapping does not mention, and that are elsewhere."""
+    known = np.concatenate([[], *(part.ids for part in initial.parts if part.field == "qpos")]).astype(int)
+    others = np.setdiff1d(np.arange(model.nq), known)
+    elsewhere = [
+        i
+        for i in range(model.nkey)
+        if not np.allclose(model.key_qpos[i, others], model.qpos0[others]) or model.key_ctrl[i].any()
+    ]
+    if "keyframe" in table or not elsewhere:
+        return None
+    names = ", ".join(name_of(model, _KEYFRAME, i) for i in elsewhere)
+    return (
+        f"the model has keyframes ({names}) and the robot begins in its default position; "
+        f'[initial] keyframe = "{name_of(model, _KEYFRAME, elsewhere[0])}" begins there, "" keeps the default'
+    )

@@ -1,0 +1,352 @@
+"""Any MuJoCo model: where a recording begins, controls, time steps, ranges, elements and sensors of all kinds."""
+
+import re
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("pyarrow", reason="needs the train extra")
+
+from soro_bench.diagnosis.candidates import terms
+from soro_bench.diagnosis.robots.model_file import ModelError
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.effects.effect import Effect, Location
+from soro_bench.recording.recording import Recording, RecordingError, Signal
+
+HAND = """<mujoco><compiler angle="degree"/><option timestep="0.002" integrator="implicitfast"/>
+<default><geom contype="0" conaffinity="0"/></default>
+<worldbody>
+<body name="arm" pos="0 0 1"><joint name="hinge" axis="0 1 0" range="-170 170" damping="0.05"/>
+<geom type="capsule" size="0.01" fromto="0 0 0 0.3 0 0" mass="0.2"/>
+<body name="hand" pos="0.3 0 0"><geom size="0.02" mass="0.1"/><site name="tip"/>
+<body name="finger" pos="0.05 0 0"><joint name="slide" type="slide" axis="1 0 0" range="0 0.1" damping="5"/>
+<geom size="0.01" mass="0.02"/></body></body></body>
+<body name="ball" pos="0 1 1"><joint name="ball" type="ball" damping="0.01"/>
+<geom pos="0.1 0 0" size="0.02" mass="0.1"/></body>
+<body name="box" pos="0 2 1"><freejoint name="free"/><geom type="box" size="0.1 0.1 0.1" mass="1"/><site name="corner"/>
+</body>
+<body name="target" mocap="true" pos="1 0 1"/>
+</worldbody>
+<actuator><position name="motor" joint="hinge" kp="8" kv="0.5" ctrlrange="-1 1" ctrllimited="true"/>
+<position name="gripper" joint="slide" kp="100" ctrlrange="0 0.1" ctrllimited="true"/></actuator>
+<sensor><framequat name="turn" objtype="body" objname="ball"/><accelerometer name="felt" site="tip"/>
+<jointactuatorfrc name="torque" joint="hinge"/><jointpos joint="hinge"/></sensor>
+<keyframe><key name="home" qpos="0.5 0.04  0.7071068 0 0.7071068 0  0 2 1 1 0 0 0" ctrl="0.5 0.04"/></keyframe>
+</mujoco>"""
+MAP = """
+[robot]
+control_timestep = 0.02
+[commands.goal]
+actuators = ["motor"]
+[signal]
+name = "angle"
+joints = ["hinge"]
+unit = "rad"
+[parameters.inertia]
+fields = ["body_mass:arm", "body_inertia:arm"]
+deviation = 0.2
+"""
+SIGNAL = 'name = "angle"\njoints = ["hinge"]\nunit = "rad"'
+NOMINAL = np.array([[1.0]])
+
+
+@pytest.fixture
+def robot_of(tmp_path):
+    """A function that makes the robot of a mapping, of the arm with a hand or another model."""
+
+    def robot_of(mapping: str, model: str = HAND, **options) -> ModelRobot:
+        (tmp_path / "hand.xml").write_text(model)
+        (tmp_path / "map.toml").write_text(mapping)
+        return ModelRobot(tmp_path / "hand.xml", tmp_path / "map.toml", threads=1, **options)
+
+    return robot_of
+
+
+def with_initial(text: str) -> str:
+    return f"{MAP}\n[initial]\n{text}"
+
+
+def goals(values, step=0.02) -> Signal:
+    return Signal(step * np.arange(len(values)), np.asarray(values, float)[:, None], "rad")
+
+
+def begun(robot: ModelRobot, recording: Recording) -> ModelRobot:
+    """The robot after it has begun a recording."""
+    robot._begin(NOMINAL, robot.measured(recording).start[None])
+    return robot
+
+
+def plain(model_text: str, controls, steps: int, timestep: float | None = None, keyframe: int = -1) -> mujoco.MjData:
+    """What MuJoCo alone simulates: states before and after each control step, as a list of copies."""
+    model = mujoco.MjModel.from_xml_string(model_text)
+    model.opt.timestep = timestep or model.opt.timestep
+    data = mujoco.MjData(model)
+    if keyframe >= 0:
+        mujoco.mj_resetDataKeyframe(model, data, keyframe)
+    states = []
+    for control in controls:
+        data.ctrl[:] = control
+        mujoco.mj_step(model, data, steps)
+        mujoco.mj_forward(model, data)
+        states.append((data.qpos.copy(), data.sensordata.copy(), data.site("tip").xpos.copy()))
+    return states
+
+
+# --- where a recording begins ---
+
+
+def test_a_keyframe_is_where_the_robot_begins_and_what_holds_undriven_actuators(robot_of):
+    robot = robot_of(with_initial('keyframe = "home"'))
+    recording = Recording({"goal": goals([0.5] * 10)}, {"angle": Signal(0.02 * np.arange(11), np.full(11, 0.5), "rad")})
+    actions = robot.actions(recording)
+    assert actions.tolist() == [[0.5, 0.04]] * 10
+    (values,) = robot.simulate(actions, NOMINAL, [()])
+    expected = [state[0][0] for state in plain(HAND, actions, 10, keyframe=0)]
+    np.testing.assert_allclose(values[:, 0, 0], expected, atol=1e-12)
+    assert any("no command drives gripper; held at their controls in the keyframe" in note for note in robot.notes)
+
+
+def test_keyframes_that_the_mapping_does_not_mention_are_said(robot_of):
+    assert any("keyframes (home)" in note for note in robot_of(MAP).notes)
+    assert not any("keyframes" in note for note in robot_of(with_initial('keyframe = ""')).notes)
+    assert not any("keyframes" in note for note in robot_of(with_initial('keyframe = "#0"')).notes)
+    with pytest.raises(ModelError, match="no keyframe 'rest'; it has home"):
+        robot_of(with_initial('keyframe = "rest"'))
+
+
+def test_free_and_ball_joints_and_velocities_begin_at_other_signals(robot_of):
+    """On top of a keyframe, which says the rest."""
+    text = """keyframe = "home"
+[initial.signals.pose]
+joints = ["free"]
+[initial.signals.turned]
+joints = ["ball"]
+[initial.signals.speed]
+velocities = ["hinge", "free"]
+"""
+    pose, turned = np.array([0.1, 2.0, 1.5, 0.6, 0.0, 0.8, 0.0]), np.array([0.8, 0.6, 0.0, 0.0])
+    speed = np.arange(1.0, 8.0)
+    time = 0.02 * np.arange(6)
+    signals = {"angle": Signal(time, np.zeros(6), "rad")} | {
+        name: Signal(time, np.tile(first, (6, 1)))
+        for name, first in (("pose", pose), ("turned", turned), ("speed", speed))
+    }
+    recording = Recording({"goal": goals([0.0] * 5)}, signals)
+    robot = begun(robot_of(with_initial(text)), recording)
+    batch, model = robot.simulation.batch, robot.simulation.model
+    np.testing.assert_allclose(batch.qpos[0], [0.5, 0.04, *turned, *pose])
+    hinge, free = model.joint("hinge").dofadr[0], model.joint("free").dofadr[0]
+    assert batch.qvel[0, hinge] == 1.0 and batch.qvel[0, free : free + 6].tolist() == speed[1:].tolist()
+    late = replace(signals["pose"], time=time + 0.05)
+    with pytest.raises(RecordingError, match=r"first sample of pose is 0\.05 s after the recording begins"):
+        robot.measured(replace(recording, signals={**signals, "pose": late}))
+    short = Signal(time, np.zeros((6, 3)))
+    with pytest.raises(RecordingError, match=r"\[initial\] needs 7 numbers of speed; it has 3"):
+        robot.measured(replace(recording, signals={**signals, "speed": short}))
+    without = {name: signal for name, signal in signals.items() if name != "turned"}
+    with pytest.raises(RecordingError, match=r"\[initial\] names the signal 'turned'; there are"):
+        robot.measured(replace(recording, signals=without))
+
+
+def test_a_robot_settles_from_where_it_begins(robot_of):
+    """A bistable one stays on the side of its keyframe."""
+    rod = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" springref="0"/>
+    <geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.3" mass="0.2" contype="0" conaffinity="0"/></body></worldbody>
+    <keyframe><key name="left" qpos="-0.1"/><key name="right" qpos="0.1"/></keyframe></mujoco>"""
+    mapping = re.sub(r"\[commands.goal\]\n.*\n", "", MAP).replace("0.02", "0.02\nsettle = 20").replace(":arm", ":*")
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        robot = robot_of(f'{mapping}[initial]\nkeyframe = "{side}"', rod)
+        (values,) = robot.simulate(np.zeros((3, 0)), NOMINAL, [()])
+        assert values[:, 0, 0] == pytest.approx(sign * np.pi, abs=1e-3)
+
+
+# --- controls ---
+
+
+def test_constant_controls_are_given_and_an_actuator_that_nothing_drives_is_said(robot_of):
+    recording = Recording({"goal": goals([0.5] * 10)}, {"angle": Signal(0.02 * np.arange(11), np.full(11, 0.5), "rad")})
+    robot = robot_of(f"{MAP}\n[fixed]\ngripper = 0.03")
+    assert robot.actions(recording)[:, 1].tolist() == [0.03] * 10
+    assert not any("drives" in note for note in robot.notes)
+    assert robot_of(f'{MAP}\n[fixed]\n"grip*" = 0.03').actions(recording)[0, 1] == 0.03
+    silent = robot_of(MAP)
+    assert silent.actions(recording)[:, 1].tolist() == [0.0] * 10
+    assert any(note.startswith("no command drives gripper; held at 0;") for note in silent.notes)
+    with pytest.raises(ModelError, match=r"\[fixed\] gripper is 5; its ctrlrange is 0 to 0.1"):
+        robot_of(f"{MAP}\n[fixed]\ngripper = 5")
+
+
+def test_a_robot_of_constant_controls_needs_no_command(robot_of):
+    mapping = re.sub(r"\[commands.goal\]\n.*\n", "[fixed]\nmotor = 0.2\n", MAP)
+    falling = Recording({}, {"angle": Signal(0.02 * np.arange(20), np.linspace(0.0, 0.3, 20), "rad")})
+    assert robot_of(mapping).measured(falling).actions[0].tolist() == [0.2, 0.0]
+
+
+def test_commands_beyond_a_range_are_a_note_and_can_be_let_through(robot_of):
+    asked = np.concatenate([np.full(30, 0.5), np.full(10, 1.5)])
+    recording = Recording({"goal": goals(asked)}, {"angle": Signal(0.02 * np.arange(41), np.linspace(0, 1, 41), "rad")})
+    clipped = robot_of(MAP)
+    (note,) = clipped.measured(recording).notes
+    assert "'goal' is from 0.5 to 1.5" in note and "'motor', -1 to 1 (25 % of the time)" in note
+    ends = {}
+    for name, mapping in (
+        ("clipped", MAP),
+        ("widened", MAP.replace('["motor"]', '["motor"]\nctrlrange = "widen"')),
+        ("all", MAP.replace("[robot]", '[robot]\nctrlrange = "widen"')),
+    ):
+        robot = robot_of(mapping)
+        measured = robot.measured(recording)
+        assert bool(measured.notes) == (name == "clipped")
+        ends[name] = robot.simulate(np.tile(measured.actions[-1:], (200, 1)), NOMINAL, [()])[0, -1, 0, 0]
+        assert robot.spec().compile().actuator_ctrllimited[0] == (name == "clipped")
+    assert ends["widened"] == ends["all"] > ends["clipped"] + 0.3
+
+
+# --- time steps ---
+
+
+def test_control_steps_of_30_hz_are_met_by_a_slightly_shorter_time_step(robot_of):
+    step = 1 / 30
+    mapping = MAP.replace("control_timestep = 0.02", f"control_timestep = {step!r}")
+    robot = robot_of(mapping)
+    timestep = robot.simulation.model.opt.timestep
+    assert timestep == pytest.approx(step / 17) and timestep < 0.002
+    assert any("0.0333333 s is no multiple of the model's time step, 0.002 s" in note for note in robot.notes)
+    controls = 0.5 * np.sin(np.arange(60) / 5)[:, None] * [1.0, 0.0]
+    (values,) = robot.simulate(controls, NOMINAL, [()])
+    expected = [state[0][0] for state in plain(HAND, controls, 17, step / 17)]
+    np.testing.assert_allclose(values[:, 0, 0], expected, atol=1e-12)
+    assert robot.shortened(2).simulation.model.opt.timestep == pytest.approx(step / 34)
+    assert robot.spec().option.timestep == timestep
+    longer = robot_of(MAP.replace("control_timestep = 0.02", "control_timestep = 0.0015"))
+    assert longer.simulation.model.opt.timestep == 0.0015
+
+
+def test_a_time_step_that_fits_stays_as_it_is(robot_of):
+    robot = robot_of(MAP)
+    assert robot.simulation.model.opt.timestep == 0.002 and not any("time step" in note for note in robot.notes)
+
+
+# --- elements ---
+
+
+def test_a_payload_may_be_on_a_body_that_is_welded_to_one_that_moves(robot_of):
+    """It adds its mass at the body's own centre of mass; a body that is fixed to the world, or by mocap, has none."""
+    robot = robot_of(MAP)
+    at = {one.location.name for one in terms(robot) if one.name == "payload"}
+    assert at == {"arm", "hand", "finger", "ball", "box"}
+    assert {one.location.name for one in terms(robot) if one.name == "viscous_friction"} == {"hinge", "slide"}
+    controls = 0.5 * np.sin(np.arange(60) / 5)[:, None] * [1.0, 0.0]
+    (values,) = robot.simulate(controls, NOMINAL, [(Effect("payload", Location("body", "hand"), {"mass": 0.3}),)])
+    hand, more = (
+        '<geom size="0.02" mass="0.1"/>',
+        '<inertial pos="0 0 0" mass="0.4" diaginertia="1.6e-5 1.6e-5 1.6e-5"/>',
+    )
+    heavier = HAND.replace(hand, more + hand)
+    expected = [state[0][0] for state in plain(heavier, controls, 10)]
+    np.testing.assert_allclose(values[:, 0, 0], expected, atol=1e-6)
+
+
+def test_bodies_that_share_a_centre_of_mass_are_one_place(robot_of):
+    frames = HAND.replace(
+        '<site name="tip"/>', '<site name="tip"/><body name="tool"/><body name="camera" pos="0 0 1"/>'
+    )
+    at = {one.location.name for one in terms(robot_of(MAP, frames)) if one.name == "payload"}
+    assert "tool" not in at and {"hand", "camera"} <= at
+
+
+def test_unnamed_elements_are_called_by_number(robot_of):
+    nameless = HAND.replace('<site name="tip"/>', "<site/>")
+    mapping = MAP.replace(SIGNAL, 'name = "tip"\nsites = ["#0"]\nunit = "m"\nframe = "world"')
+    nameless = re.sub(r"<accelerometer.*?/>", "", nameless)
+    robot = robot_of(mapping, nameless)
+    (values,) = robot.simulate(np.zeros((5, 2)), NOMINAL, [()])
+    np.testing.assert_allclose(values[:, 0], [state[2] for state in plain(HAND, np.zeros((5, 2)), 10)], atol=1e-12)
+    with pytest.raises(ModelError, match="no site 'tip'; it has #0, corner"):
+        robot_of(mapping.replace('"#0"', '"tip"'), nameless)
+    with pytest.raises(ModelError, match="no site '#7'"):
+        robot_of(mapping.replace('"#0"', '"#7"'), nameless)
+
+
+def test_mocap_bodies_are_said_to_stay(robot_of):
+    assert any("mocap bodies stay where the model has them: target" in note for note in robot_of(MAP).notes)
+
+
+# --- sensors ---
+
+
+def test_quaternions_are_explained_as_the_axes_of_their_frame(robot_of):
+    """Whatever their sign: a recording may change it."""
+    mapping = MAP.replace(SIGNAL, 'name = "turn"\nsensors = ["turn"]\nunit = "1"')
+    states = plain(HAND, np.zeros((30, 2)), 10)
+    quaternions = np.array([[1.0, 0, 0, 0], *(state[1][:4] for state in states)])
+    flipped = quaternions * np.where(np.arange(31) % 3 == 1, -1.0, 1.0)[:, None]
+    robot = robot_of(mapping)
+    measured = robot.measured(Recording({"goal": goals([0.0] * 30)}, {"turn": Signal(0.02 * np.arange(31), flipped)}))
+    assert measured.values.shape == (30, 3, 3)
+    (values,) = robot.simulate(measured.actions, NOMINAL, [()])
+    np.testing.assert_allclose(values, measured.values, atol=1e-12)
+    assert np.ptp(values[:, 0, 2]) > 0.5
+    as_joint = robot_of(mapping.replace('sensors = ["turn"]', 'joints = ["ball"]'))
+    np.testing.assert_allclose(as_joint.simulate(measured.actions, NOMINAL, [()])[0], values, atol=1e-12)
+    bad = Recording({"goal": goals([0.0] * 30)}, {"turn": Signal(0.02 * np.arange(31), 2 * flipped)})
+    with pytest.raises(RecordingError, match="turn is no unit quaternion"):
+        robot.measured(bad)
+
+
+@pytest.mark.parametrize(("sensor", "entries", "unit"), [("felt", [4, 5, 6], "m/s^2"), ("torque", [7], "N m")])
+def test_sensors_of_accelerations_and_forces_are_those_of_the_end_of_a_step(robot_of, sensor, entries, unit):
+    robot = robot_of(MAP.replace(SIGNAL, f'name = "s"\nsensors = ["{sensor}"]\nunit = "{unit}"'))
+    controls = 0.5 * np.sin(np.arange(40) / 5)[:, None] * [1.0, 0.0]
+    (values,) = robot.simulate(controls, NOMINAL, [()])
+    expected = np.array([state[1][entries] for state in plain(HAND, controls, 10)])
+    np.testing.assert_allclose(values.reshape(40, -1), expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_a_free_joint_is_no_signal(robot_of):
+    with pytest.raises(ModelError, match="joint 'free' has 7 numbers of different units; give a site or sensors"):
+        robot_of(MAP.replace('joints = ["hinge"]', 'joints = ["free"]'))
+
+
+# --- files ---
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("<worldbody>", '<extension><plugin plugin="no.such"/></extension><worldbody>', "install that plugin"),
+        ("<worldbody>", '<asset><mesh name="m" file="there_is_none.stl"/></asset><worldbody>', "needs the files"),
+        ("<worldbody>", '<include file="nowhere.xml"/><worldbody>', "needs the files"),
+        ("<worldbody>", "<worldbody><bdy/>", "no MuJoCo model"),
+    ],
+)
+def test_what_mujoco_says_of_a_model_is_one_line(robot_of, tmp_path, monkeypatch, old, new, message):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ModelError, match=message) as caught:
+        robot_of(MAP, HAND.replace(old, new, 1))
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
+
+
+def test_a_model_in_which_nothing_moves_is_refused(robot_of):
+    with pytest.raises(ModelError, match="nothing moves in it"):
+        robot_of(MAP, "<mujoco><worldbody><body><geom size='1'/></body></worldbody></mujoco>")
+
+
+def test_included_files_and_meshes_in_folders_are_found(robot_of, tmp_path):
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "meshes").mkdir()
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) * 0.1
+    faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+    text = "".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "".join(
+        f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in faces
+    )
+    (tmp_path / "meshes" / "wedge.obj").write_text(text)
+    (tmp_path / "parts" / "assets.xml").write_text('<mujoco><asset><mesh name="w" file="wedge.obj"/></asset></mujoco>')
+    model = HAND.replace("<worldbody>", '<include file="parts/assets.xml"/><worldbody>', 1)
+    model = model.replace('angle="degree"', 'angle="degree" meshdir="meshes"')
+    hand, site = 'size="0.02" mass="0.1"/>', '<site name="tip"/>'
+    robot = robot_of(MAP, model.replace(hand + site, f'type="mesh" mesh="w" mass="0.1"/>{site}'))
+    assert np.isfinite(robot.simulate(np.zeros((5, 2)), NOMINAL, [()])).all()
