@@ -49,9 +49,11 @@ class Diagnose:
     env: str | None = None
     """Environment whose robot was recorded."""
     model: str | None = None
-    """MJCF file of another robot; with --env the model to simulate, the cheap one by default."""
+    """MJCF file of another robot, from someone you trust: MuJoCo opens every file that a model names. With --env the
+    model to simulate, the cheap one by default."""
     map: Path | None = None
-    """TOML file that says how recordings and parameters belong to the MJCF file; docs/reference/robot_map.md."""
+    """TOML file that says how recordings and parameters belong to the MJCF file (docs/reference/robot_map.md);
+    `soro-bench map` guesses one."""
     heldout: tuple[Path, ...] = ()
     """Recordings of another motion, to test what is found."""
     baseline: Annotated[Path | None, tyro.conf.arg(aliases=["--since"])] = None
@@ -68,6 +70,8 @@ class Diagnose:
             raise ValueError("no recording to explain; give one or more .parquet files")
         with results_folder(self.out), StageStatus() as status:
             robot = self._robot()
+            for note in robot.notes:
+                console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
             recordings, heldout = ([load(path) for path in paths] for paths in (self.recordings, self.heldout))
             result = diagnose(robot, recordings, heldout, self.seed, status)
             status("report")

@@ -352,7 +352,7 @@ class Result:
         this robot.
     trainable: whether the robot is of the suite, so that policies can be trained on the posterior.
     seed: of random numbers. seconds: that the diagnosis took.
-    settings: that differ from their defaults.
+    settings: that differ from their defaults. notes: on the model, its mapping and the recordings, in words.
     """
 
     robot: RobotSummary
@@ -390,6 +390,7 @@ class Result:
     seed: int
     seconds: float
     settings: dict[str, typing.Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:

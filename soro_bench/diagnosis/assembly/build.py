@@ -89,7 +89,18 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
         seed=seed,
         seconds=round(diagnosis.seconds, 1),
         settings=_changed(explanation.problem.settings),
+        notes=_notes(diagnosis),
     )
+
+
+def _notes(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """What a user should know of the model, the mapping and the recordings; the same only once."""
+    recordings = [("recording", diagnosis.explanation.problem.recordings)]
+    recordings += [("held-out recording", diagnosis.tested.recordings)] if diagnosis.tested else []
+    found = [*diagnosis.robot.notes]
+    found += [f"{name} {i}: {text}" for name, group in recordings for i, each in enumerate(group, 1)
+              for text in each.notes]  # fmt: skip
+    return tuple(dict.fromkeys(found))
 
 
 def _changed(settings: Settings) -> dict[str, Any]:

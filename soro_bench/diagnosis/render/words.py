@@ -203,7 +203,7 @@ def warnings(result: Result) -> list[str]:
             name = law(finding.name).capitalize()
             said.append(f"{name} and {plain(finding.indistinguishable_from)} leave the same trace; only clocks or "
                         "motion without a command tell them apart.")  # fmt: skip
-    return said
+    return said + [f"{each[:1].upper()}{each[1:]}." for each in result.notes]
 
 
 def next_recording(result: Result) -> str:
