@@ -4,7 +4,7 @@
 
 Three 5 s recordings per task, simulated with nominal parameters: TrunkReach under random discrete actions, TrunkPush
 under the three oracle policies of the leaderboard. Every inference is a file in --work, and the same command goes on
-with what is missing. Writes docs/results/inference_MODEL.json and prints a table of the worst errors.
+with what is missing. Writes docs/results/inference.json and prints a table of the worst errors.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from soro_bench.registration import task_type
 from soro_bench.sources import SIMULATION, claim, version_of
 
 ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "docs" / "results" / "inference.json"
 POLICIES = ROOT / "leaderboard" / "results" / "TrunkPush-v0" / "ppo" / "oracle"
 REACH, PUSH = "TrunkReach-v0", "TrunkPush-v0"
 E_WRONG = {"young_modulus": 0.8 * ALL_PARAMETERS["young_modulus"].nominal}
@@ -134,9 +135,10 @@ def main() -> None:
             print(f"case {i + 1} of {len(options.only)}: {case}, recording {number}, seed {seed}", flush=True)
             results.append(run(case, number, seed, options.work, options.model, options.threads))
         rows.append(row(case, results))
-        path = ROOT / "docs" / "results" / f"inference_{options.model}.json"
-        others = [r for r in read_json(path) if r["case"] != case] if path.exists() else []
-        write_json(path, sorted([*others, rows[-1]], key=lambda r: list(CASES).index(r["case"])))
+        models = read_json(RESULTS)
+        others = [r for r in models.get(options.model, []) if r["case"] != case]
+        models[options.model] = sorted([*others, rows[-1]], key=lambda r: list(CASES).index(r["case"]))
+        write_json(RESULTS, models)
         print(worst(rows[-1:]), flush=True)
     print(worst(rows))
 

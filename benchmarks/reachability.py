@@ -4,7 +4,7 @@
     python benchmarks/reachability.py --model flex --minutes 25      # starts from the plans for cable
 
 Searches open-loop plans (reach_planner.py) for all goals at once, saves one JSON file per goal after every
-improvement and goes on from these files. Prints a table and writes docs/results/reachability_<model>.json and, of every
+improvement and goes on from these files. Prints a table and writes docs/results/reachability.json and, of every
 model searched so far, docs/images/reachability.png.
 """
 
@@ -127,8 +127,8 @@ def plot(results: Path, path: Path) -> None:
     """Final distance per goal, one row of bars per model."""
     plt = pyplot()
     figure, axes = plt.subplots(figsize=(11, 3.6), layout="constrained")
-    files = [results / f"reachability_{model}.json" for model in VARIANTS]
-    found = [read_json(file) for file in files if file.exists()]
+    models = read_json(results)
+    found = [models[model] for model in VARIANTS if model in models]
     for i, result in enumerate(found):
         x = np.arange(len(result["plans"])) + (i - (len(found) - 1) / 2) * 0.4
         axes.bar(x, [plan["final_mm"] for plan in result["plans"]], 0.38, label=f"{result['model']} model")
@@ -156,8 +156,9 @@ def main():
     print_table(result)
     if len(result["plans"]) < len(EVALUATION_GOALS):
         return  # to be published when all are there
-    write_json(options.docs / "results" / f"reachability_{options.model}.json", result)
-    plot(options.docs / "results", options.docs / "images" / "reachability.png")
+    results = options.docs / "results" / "reachability.json"
+    write_json(results, read_json(results) | {options.model: result})
+    plot(results, options.docs / "images" / "reachability.png")
 
 
 if __name__ == "__main__":
