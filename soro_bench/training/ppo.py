@@ -40,7 +40,7 @@ TRAINER = 4
 
 @dataclass(frozen=True)
 class PPOConfig:
-    """How to train; docs/archive/training.md says how the defaults were found."""
+    """How to train; docs/archive/performance.md says how the defaults were found."""
 
     env_id: str
     method: str = "oracle"
@@ -83,7 +83,7 @@ class PPOConfig:
         return described
 
 
-# What differs from PPOConfig's defaults, which were found on TrunkReach (docs/archive/training.md)
+# What differs from PPOConfig's defaults, which were found on TrunkReach (docs/archive/performance.md)
 _TASK_DEFAULTS: dict[str, dict[str, Any]] = {
     "TrunkPush-v0": {"initial_log_std": -0.5, "final_log_std": -2.0, "total_steps": 1_000_000},
     # A lift costs reward for three seconds before it pays: discounted by 0.95 a step it is worth less than tipping the
