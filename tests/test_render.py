@@ -7,10 +7,12 @@ import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from soro_bench.diagnosis.render import render, words
 from soro_bench.diagnosis.render.html import html
+from soro_bench.diagnosis.render.rerun import rmse
 from soro_bench.diagnosis.render.summary import WIDTH, summary
 from soro_bench.effects import catalogue
 from soro_bench.effects.equations import EQUATIONS
@@ -149,3 +151,9 @@ print(*sys.modules)
 if __name__ == "__main__":
     SNAPSHOTS.parent.mkdir(exist_ok=True)
     SNAPSHOTS.write_text(shown(), encoding="utf-8")
+
+
+def test_error_of_a_replay_counts_measured_numbers_only() -> None:
+    measured = np.array([[[1.0], [np.nan]], [[np.nan], [np.nan]], [[3.0], [4.0]]])
+    found = rmse(measured, np.zeros((3, 2, 1)))
+    assert found == pytest.approx([1.0, np.nan, np.sqrt(12.5)], nan_ok=True)

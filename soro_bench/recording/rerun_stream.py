@@ -77,9 +77,7 @@ def log_signal(
     stamps, (steps, points, coordinates) = [rr.TimeColumn(TIMELINE, duration=time)], values.shape
     for p in range(points):
         for c in range(coordinates):
-            entity = f"plots/point_{p}/{'xyz'[c] if coordinates == 3 else c}/{name}"
-            recording.log(entity, rr.SeriesLines(colors=[color], names=[name]), static=True)
-            recording.send_columns(entity, stamps, rr.Scalars.columns(scalars=values[:, p, c]))
+            log_curve(recording, f"{curve(p, c, coordinates)}/{name}", name, time, values[:, p, c], color)
     if coordinates != 3:
         return
     recording.log(f"world/{name}", rr.Points3D.from_fields(colors=[color], radii=[radius]), static=True)
@@ -89,3 +87,23 @@ def log_signal(
         lines = rr.LineStrips3D.columns(strips=list(np.nan_to_num(values)))
         recording.log(f"world/{name}/body", rr.LineStrips3D.from_fields(colors=[color], radii=[radius]), static=True)
         recording.send_columns(f"world/{name}/body", stamps, lines)
+
+
+def curve(point: int, coordinate: int, coordinates: int) -> str:
+    """The entity whose children are the curves of one number of a signal, of all runs."""
+    return f"plots/point_{point}/{'xyz'[coordinate] if coordinates == 3 else coordinate}"
+
+
+def log_curve(
+    recording: "rerun.RecordingStream",
+    entity: str,
+    name: str,
+    time: NDArray[np.floating[Any]],
+    values: NDArray[np.floating[Any]],
+    color: tuple[int, int, int],
+) -> None:
+    """Log a curve of (T,) values at (T,) times [s]."""
+    import rerun as rr
+
+    recording.log(entity, rr.SeriesLines(colors=[color], names=[name]), static=True)
+    recording.send_columns(entity, [rr.TimeColumn(TIMELINE, duration=time)], rr.Scalars.columns(scalars=values))
