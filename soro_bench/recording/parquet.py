@@ -22,8 +22,7 @@ except ImportError as error:
     raise ImportError("recordings need pyarrow: pip install soro_bench[record]") from error
 
 from soro_bench.files import replacing
-from soro_bench.recording.bounded_parquet import MAX_FOOTER, BoundedParquet
-from soro_bench.recording.parquet_pages import BYTES_PER_VALUE
+from soro_bench.recording.bounded_parquet import BYTES_PER_VALUE, MAX_FOOTER, BoundedParquet
 from soro_bench.recording.recording import SCHEMA, Recording, RecordingError, Signal, check_shape
 from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, MAX_ROWS, named_errors, read_bytes
 

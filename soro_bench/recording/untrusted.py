@@ -1,7 +1,9 @@
 """Files from strangers: bounded size, and one kind of error whatever is wrong with them."""
 
 import csv
+import os
 import struct
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +17,9 @@ MAX_BYTES = 200_000_000  # of a file
 EXPANSION = 4  # decoded bytes per byte that a file may have
 MAX_ROWS = 10_000_000
 MAX_COLUMNS = 5000
+_SLACK = 64_000_000  # bytes that a decoder may need whatever it decodes: its own buffers, and a thread's stack
+_STATUS = Path("/proc/self/statm")  # of Linux; its first number is the address space in pages
+_ONE_LIMIT = threading.Lock()  # at a time, as it is one of the whole process
 _BROKEN = (
     OSError, ValueError, TypeError, KeyError, IndexError, OverflowError, MemoryError, RecursionError, csv.Error,
     struct.error, pa.ArrowException,
@@ -38,3 +43,27 @@ def read_bytes(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
         return files.read_bytes(path, max_bytes)
     except ValueError as error:
         raise RecordingError(str(error)) from error
+
+
+@contextmanager
+def bounded_memory(most: int) -> Iterator[None]:
+    """Refuse what would take more than about ``most`` further bytes: a small file may ask its decoder for gigabytes.
+
+    The limit is one of the process (RLIMIT_AS), which Linux has; elsewhere the checks of each reader have to do.
+    """
+    if not _STATUS.exists():
+        yield
+        return
+    import resource
+
+    with _ONE_LIMIT:
+        used = int(_STATUS.read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+        before, ceiling = resource.getrlimit(resource.RLIMIT_AS)
+        limits = [limit for limit in (before, used + most + _SLACK) if limit != resource.RLIM_INFINITY]
+        resource.setrlimit(resource.RLIMIT_AS, (min(limits), ceiling))
+        try:
+            yield
+        except MemoryError as error:
+            raise RecordingError("decoding it would take more memory than its largest size allows") from error
+        finally:
+            resource.setrlimit(resource.RLIMIT_AS, (before, ceiling))
