@@ -1,4 +1,4 @@
-"""``soro-bench excite``, ``diagnose``, ``report`` and ``study``."""
+"""``soro-bench excite``, ``map``, ``diagnose``, ``report`` and ``study``."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +35,40 @@ class Excite:
         write_actions(self.out, task.control_timestep, actions)
         command = f"soro-bench diagnose RECORDING --env {self.env} --out FOLDER"
         console.print(f"{self.out}: replay it on the robot, record what it does, and: {command}", soft_wrap=True)
+
+
+@dataclass
+class Map:
+    """Guess the robot map of a MuJoCo model, with comments, for you to correct."""
+
+    model: Annotated[Path, tyro.conf.Positional]
+    """MJCF file, from someone you trust: MuJoCo opens every file that a model names."""
+    out: Path
+    """The file to write, .toml; it must not exist."""
+    recording: Annotated[Path | None, tyro.conf.Positional] = None
+    """.parquet of the robot, whose commands and signals are matched with the model."""
+
+    def run(self) -> None:
+        from soro_bench.diagnosis.robots.guessed_map import guess_map
+        from soro_bench.diagnosis.robots.model_robot import ModelRobot
+        from soro_bench.files import replacing
+        from soro_bench.recording.parquet import load
+
+        check_output(self.out, ".toml")
+        if self.out.exists():
+            raise ValueError(f"{self.out} exists, and may be corrected already; give another name")
+        recording = load(self.recording) if self.recording else None
+        text = guess_map(self.model, recording)
+        with replacing(self.out) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+        console.print(f"{self.out}: check every line", soft_wrap=True)
+        try:
+            robot = ModelRobot(self.model, self.out)
+            said = [*robot.notes, *(robot.measured(recording).notes if recording else [])]
+        except ValueError as error:
+            said = [f"to correct before it can be used: {error}"]
+        for note in said:
+            console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
 
 
 @dataclass
