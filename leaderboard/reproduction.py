@@ -17,7 +17,7 @@ from soro_bench.campaign.run import ENTRY
 from soro_bench.files import replacing
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.gather import OLD, Group, gather_control
-from soro_bench.leaderboard.table import markdown_table
+from soro_bench.leaderboard.statistics import markdown_table
 from soro_bench.markdown import table
 from soro_bench.packed import is_there
 from soro_bench.parameters import ALL_PARAMETERS

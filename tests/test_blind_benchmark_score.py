@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from soro_bench.blind_benchmark import run as module
-from soro_bench.blind_benchmark.ablation_score import ablation_rows, by_bic
 from soro_bench.blind_benchmark.ablations import Calibrated, Unrefined
 from soro_bench.blind_benchmark.score import magnitude_errors, opened_labels, scored
-from soro_bench.blind_benchmark.scorecard import markdown
+from soro_bench.blind_benchmark.scorecard import ablation_rows, by_bic, markdown
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.files import write_json

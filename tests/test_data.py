@@ -9,8 +9,7 @@ import pytest
 
 from soro_bench.cli import Data
 from soro_bench.recording import published
-from soro_bench.recording.bam_log import bam_table
-from soro_bench.recording.published import PublishedFile, Source, fetch, sources, summary
+from soro_bench.recording.published import PublishedFile, Source, bam_table, fetch, sources, summary
 
 ENTRY = {
     "position": -0.0123456789, "speed": 0.5, "load": 65535.12345, "input_volts": 7.35049, "temp": 28.96,

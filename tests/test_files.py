@@ -1,13 +1,17 @@
-"""Files: nobody ever sees half of one, and none from a stranger is read without end."""
+"""Files: nobody ever sees half of one, and none from a stranger is read without end. Errors: one line."""
 
+import io
 import os
 from pathlib import Path
 
+import mujoco
+import numpy as np
 import pytest
 
 from soro_bench.diagnosis.robots.robot_map import read_mapping
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import load_effects
+from soro_bench.errors import SeveralErrors, one_line, plain_errors
 from soro_bench.files import check_output, read_json, write_json
 from soro_bench.markdown import table
 from soro_bench.randomization import load
@@ -75,3 +79,49 @@ def test_files_have_the_permissions_that_the_user_wants(tmp_path):
 def test_a_table_has_a_line_per_row_and_a_vertical_bar_stays_in_its_cell():
     expected = "| case | answer |\n|---|---|\n| 1 | a\\|b |\n| 2 |  |"
     assert table(("case", "answer"), [(1, "a|b"), (2, "")]) == expected
+
+
+def mujoco_error():
+    with pytest.raises(ValueError) as raised:
+        mujoco.MjModel.from_xml_string("<mujoco><worldbody><body><joint type='zzz'/></body></worldbody></mujoco>")
+    return raised.value
+
+
+def pickled(save):
+    """NumPy's error on loading a file with an object that pickle would make."""
+    save(file := io.BytesIO(), np.array([{}], dtype=object))
+    file.seek(0)
+    with pytest.raises(ValueError, match="allow_pickle") as raised:
+        found = np.load(file)
+        found["arr_0"]
+    return raised.value
+
+
+def test_the_lines_of_mujoco_become_one():
+    assert "\n" in str(mujoco_error())
+    assert one_line(mujoco_error()) == "XML Error: invalid keyword: 'zzz'; Element 'joint', line 1"
+
+
+@pytest.mark.parametrize("save", [np.save, np.savez])
+def test_nobody_is_told_to_load_pickles(save):
+    said = one_line(f"a.npz: {pickled(save)}")
+    assert said == "a.npz: it holds pickled Python objects, which are never loaded; only numbers are read"
+
+
+def test_no_error_is_empty_or_endless_or_moves_the_cursor():
+    assert one_line(MemoryError()) == "MemoryError"
+    assert len(one_line("a" * 100_000)) == 1000
+    assert one_line("\x1b[2J") == "\\x1b[2J"
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (ValueError("a\n b\n"), "soro-bench: a; b"),
+        (SeveralErrors(["2 failed:", "a: 1\n2", "b: 3"]), "soro-bench: 2 failed:\na: 1; 2\nb: 3"),
+    ],
+)
+def test_a_command_ends_with_a_line_for_each_error(error, said):
+    with pytest.raises(SystemExit) as exit, plain_errors("soro-bench"):
+        raise error
+    assert exit.value.code == said

@@ -5,13 +5,11 @@ from functools import partial
 from itertools import product
 from pathlib import Path
 
-from soro_bench.blind_benchmark import ablation_score
-from soro_bench.blind_benchmark.ablation_score import ablation_rows
 from soro_bench.blind_benchmark.ablations import ABLATIONS, ENV_ID, ablated
 from soro_bench.blind_benchmark.cases import sealed_seed, write_cases
 from soro_bench.blind_benchmark.report import report_of, unseen
 from soro_bench.blind_benchmark.score import opened_labels, scored
-from soro_bench.blind_benchmark.scorecard import markdown
+from soro_bench.blind_benchmark.scorecard import ablation_rows, as_tables, markdown
 from soro_bench.diagnosis.assembly.build import build_result
 from soro_bench.diagnosis.pipeline import run_diagnosis
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
@@ -75,7 +73,7 @@ def _scorecard(folder: Path) -> str:
     card = scored(labels, found)
     card["ablations"] = ablation_rows(labels, found, found_without)
     write_json(folder / "scorecard.json", card)
-    text = f"{markdown(card)}\n\n{ablation_score.markdown(card['ablations'])}"
+    text = f"{markdown(card)}\n\n{as_tables(card['ablations'])}"
     with replacing(folder / "scorecard.md") as temporary:
         temporary.write_text(text + "\n")
     return text

@@ -160,7 +160,7 @@ def campaign(runs: "Sequence[Run]", work: Path, results: Path, workers: Workers,
     from soro_bench.campaign.campaign import carry_out_all
     from soro_bench.errors import SeveralErrors, one_line
     from soro_bench.leaderboard.page import build, gathered
-    from soro_bench.leaderboard.table import markdown_table
+    from soro_bench.leaderboard.statistics import markdown_table
 
     gathered(results, work)  # before the work, not after it
     missing = [run.name for run in runs if not run.done(results)]

@@ -1,14 +1,11 @@
-"""Figures of merit with bootstrap intervals.
+"""Statistics of the leaderboard's entries, and entries as a table for the console and for documents."""
 
-After Agarwal et al., "Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021.
-Values are arrays (seeds, starts): a row is what one policy does. There, every task has trainings of its own, and runs
-are resampled for every task by itself. Here one policy goes through all starts, so rows are resampled as a whole: what
-a training was unlucky in, it is at all starts, and to resample these apart would make intervals too narrow.
-"""
-
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
+
+from soro_bench.leaderboard.gather import Group
+from soro_bench.markdown import table
 
 RESAMPLES = 2000
 LEVEL = 95  # per cent of an interval
@@ -45,3 +42,29 @@ def interval(
     draws = [statistic(*(g[rng.integers(len(g), size=len(g))] for g in groups)) for _ in range(RESAMPLES)]
     low, high = np.percentile(draws, ((100 - LEVEL) / 2, (100 + LEVEL) / 2))
     return float(low), float(high)
+
+
+_HEAD = (
+    "board",
+    "method",
+    "trained on",
+    "evaluated on",
+    "seeds",
+    "mean [mm], 95 % interval",
+    "solved",
+    "per seed [mm]",
+)
+
+
+def markdown_table(groups: Iterable[Group]) -> str:
+    """A row per method and condition: mean over seeds and starts, its bootstrap interval over seeds, every seed's."""
+    rows = []
+    for group in groups:
+        for label in group.labels:
+            values = group.scores(label)
+            ends = interval(np.mean, (values,), np.random.default_rng(0))
+            mean = f"{values.mean():.2f}" + (" [{:.2f}, {:.2f}]".format(*ends) if ends else "")
+            seeds = ", ".join(f"{value:.2f}" for value in values.mean(axis=1))
+            solved = f"{group.scores(label, 'success').mean():.0%}"
+            rows.append((group.board, group.name, group.trained_on, label, len(values), mean, solved, seeds))
+    return table(_HEAD, rows)
