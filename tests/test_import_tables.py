@@ -216,7 +216,7 @@ SIMPLE = '[time]\ncolumn = "t"\n[signals.f]\ncolumns = ["f"]\nunit = "N"\n'
         ('t,f\n0,"1,5"\n', SIMPLE, ("line 2", "'1,5' is no finite number", 'decimal = ","')),
         ("t,f,f\n0,1,2\n", SIMPLE, ("2 columns are called 'f'",)),
         ("t,f\n0,one\n", SIMPLE, ("line 2", "'one'", "finite number")),
-        ("t,f\n0,1\n1,inf\n", SIMPLE, ("line 3", "'inf'")),
+        ("t,f\n0,1\n1,1e999\n", SIMPLE, ("line 3", "'1e999'")),
         ("t,f\n0,1_000\n", SIMPLE, ("'1_000'",)),
         ("t,f\n0,1\n1\n", SIMPLE, ("line 3 has 1 cells", "2")),
         ("t,f\n0,1\n0,2\n", SIMPLE, ("signals.f", "time does not increase in line 3")),

@@ -1,5 +1,8 @@
 """Time stamps of a file: counters that overflow, stamps that repeat or go back, and what to do about them."""
 
+import datetime
+import re
+
 import numpy as np
 
 from soro_bench.recording.importers.source import unwrapped
@@ -7,6 +10,15 @@ from soro_bench.recording.recording import RecordingError
 
 ORDERS = ("refuse", "keep_first", "keep_last", "sort", "continue")
 _COUNTERS = (16, 24, 32)  # bits
+NO_STAMP = np.iinfo(np.int64).min
+_DATE = re.compile(r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})|(\d{1,2})\.(\d{1,2})\.(\d{4})")
+_STAMP = re.compile(
+    r"(?:(\d\S*?\d)[T_ ]+)?(\d{1,2}):(\d\d)(?::(\d\d)(?:[.,](\d{1,12}))?)? ?([AaPp][Mm])? ?(Z|UTC|[+-]\d\d:?\d\d)?"
+)
+_DAY = 86_400_000_000_000  # ns
+_LONGEST = 64  # letters of a time stamp
+_YEARS = 1678, 2261  # whose nanoseconds since 1970 fit into 64 bits
+_EPOCH = datetime.date(1970, 1, 1).toordinal()
 _SOON = 100  # median steps, within which a counter goes on after it has overflowed
 
 
@@ -79,3 +91,56 @@ def _complaint(time: np.ndarray, steps: np.ndarray, rows: np.ndarray | None) -> 
         f"time does not increase in {place}: {time[i + 1]} follows {time[i]}; {same} stamps repeat and {back} go back; "
         f'write [time] order = "keep_first", "keep_last" or "sort", {others}, or cut with begin and until'
     )
+
+
+def is_stamp(text: str) -> bool:
+    """Whether a text is a time of day, with or without a date."""
+    return len(text) <= _LONGEST and _STAMP.fullmatch(text.strip()) is not None
+
+
+class Stamps:
+    """Reads dates and times such as 2024-06-27T10:11:02.5+02:00, 27.06.2024 10:11:02,5 or 10:11:02.5.
+
+    Those without a zone are taken for UTC; with and without one do not mix.
+    """
+
+    def __init__(self) -> None:
+        self._days: dict[str, int] = {}
+        self._zoned: bool | None = None
+
+    def __call__(self, text: str) -> int:
+        """ns since 1970, or since midnight where there is no date; RecordingError for anything else."""
+        found = _STAMP.fullmatch(text) if len(text) <= _LONGEST else None
+        if not found:
+            raise RecordingError(f"{ascii(text)[:40]} is no time such as 2024-06-27T10:11:02.5Z")
+        date, hours, minutes, whole, fraction, half, zone = found.groups()
+        if self._zoned is not None and self._zoned != bool(zone):
+            raise RecordingError(f"{ascii(text)[:40]}: some times have a zone and some have none")
+        self._zoned = bool(zone)
+        hour = int(hours)
+        if half:
+            hour = hour % 12 + (12 if half.lower() == "pm" else 0)
+        seconds = 3600 * hour + 60 * int(minutes) + int(whole or 0)
+        if zone and zone[0] in "+-":
+            seconds -= int(zone[0] + "1") * (3600 * int(zone[1:3]) + 60 * int(zone[-2:]))
+        return (self._day(date) if date else 0) + 1_000_000_000 * seconds + int((fraction or "0").ljust(9, "0")[:9])
+
+    def _day(self, date: str) -> int:
+        if date not in self._days:
+            if not (found := _DATE.fullmatch(date)):
+                raise RecordingError(f"{ascii(date)[:40]} is no date; expected year-month-day, or day.month.year")
+            year, month, day = found.groups()[:3] if found[1] else found.groups()[5:2:-1]
+            try:
+                self._days[date] = (datetime.date(int(year), int(month), int(day)).toordinal() - _EPOCH) * _DAY
+            except ValueError as error:
+                raise RecordingError(f"{ascii(date)[:40]} is no date: {error}") from error
+            if not _YEARS[0] <= int(year) <= _YEARS[1]:
+                raise RecordingError(f"{ascii(date)[:40]}: expected a year from {_YEARS[0]} to {_YEARS[1]}")
+        return self._days[date]
+
+
+def over_midnight(time: np.ndarray) -> np.ndarray:
+    """(T,) times of day [ns] that go on the next day."""
+    if not len(time) or time.min() < 0 or time.max() >= _DAY:
+        return time
+    return time + _DAY * np.concatenate([[0], np.cumsum(np.diff(time) < -_DAY // 2)])

@@ -1,184 +1,280 @@
 """Tables of text: CSV files from motion capture, load cells and loggers."""
 
 import csv
-import io
 import math
-from array import array
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from soro_bench.recording.importers.mapping import FileMapping, Source, load_mapping, texts, typed
+from soro_bench.recording.importers.clock import NO_STAMP, is_stamp, over_midnight
+from soro_bench.recording.importers.mapping import FileMapping, load_mapping
+from soro_bench.recording.importers.names import chosen_by_name
+from soro_bench.recording.importers.source import Source
+from soro_bench.recording.importers.table_cells import Labels, Names, Numbers, Progress, Times, Want, read_columns
+from soro_bench.recording.importers.table_text import FORMAT, Lines, TableText, read_text, words
+from soro_bench.recording.importers.units import of_text, si
 from soro_bench.recording.recording import Recording, RecordingError
-from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, MAX_COLUMNS, MAX_ROWS, named_errors, read_bytes
+from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, named_errors, read_bytes
 
-_PLACE = ("columns", "first", "last", "time")
-_FORMAT = ("delimiter", "decimal", "skip_rows", "header", "missing", "label", "only")
-_MAX_CELLS = 50_000_000  # that a mapping asks for
-_MAX_ROW = 1_000_000  # letters, as every cell of a row is a text of its own before they are counted
+_PLACE = ("columns", "first", "last", "time", "time_unit", "missing", "label", "only", "names", "names_in")
+_TIME = ("column", "columns", "unit", "units", "interval", "rate", "period")
+_LATEST = 9.2e9  # s, whose nanoseconds fit into 64 bits
+_PEEKED = 20  # rows that tell whether a column holds dates
 
 
-def import_csv(path: str | Path, mapping: str | Path | Mapping | None, max_bytes: int = MAX_BYTES) -> Recording:
+def import_csv(
+    path: str | Path, mapping: str | Path | Mapping | None, max_bytes: int = MAX_BYTES, progress: Progress | None = None
+) -> Recording:
     """Read a CSV file with a mapping file; RecordingError says what is wrong with either."""
     if mapping is None:
-        raise RecordingError(f"{path}: a CSV file needs a mapping file; docs/how_to/import_a_log.md has an example")
-    spec = load_mapping(mapping, _PLACE, ("column", "unit", "interval", "rate", "period"), _FORMAT)
+        raise RecordingError(f"{path}: a CSV file needs a mapping file; soro-bench import {path} --guess writes one")
+    spec = load_mapping(mapping, _PLACE, _TIME, FORMAT, unit_optional=True)
     data = read_bytes(path, max_bytes)
     with named_errors(path):
         spec.to_seconds()
-        table = _Table(data.decode("utf-8-sig"), spec.format)
-        time_column = typed("[time]", spec.time, "column", "")
-
-        def read(source: Source) -> tuple[np.ndarray, ...]:
-            """(T,) times [s], (T, k) numbers of a signal and (T,) the lines that they are from."""
-            column = typed("it has", source.place, "time", time_column)
-            cells, lines = table.numbers([*([column] if column else []), *table.names_of(source)])
-            if not column:
-                cells = np.column_stack([spec.counted(len(cells)), cells])
-            time, numbers, lines = _samples(cells, lines)
-            return spec.clock(time) if column else time, numbers, lines
-
-        table.read(_columns(table, spec, time_column))
-        return spec.recording(read, Path(path).name, EXPANSION * max_bytes)
+        if {"unit", "units"} <= spec.time.keys():
+            raise RecordingError("[time] says both unit and units; units are of columns, one for each")
+        table = read_text(data, spec.format)
+        del data
+        spec.notes.add("the file", table.note)
+        reader = _Reader(table, spec, progress)
+        return spec.recording(reader.samples, Path(path).name, EXPANSION * max_bytes, reader.unit)
 
 
-def _columns(table: "_Table", spec: FileMapping, time_column: str) -> list[str]:
-    """Every column that the mapping asks for."""
-    names = [time_column] if time_column else []
-    for source in (*spec.commands.values(), *spec.signals.values()):
-        names += [*table.names_of(source), *([source.place["time"]] if "time" in source.place else [])]
-    return names
+class _Reader:
+    """The columns of a table that a mapping asks for, read once."""
 
+    def __init__(self, table: TableText, spec: FileMapping, progress: Progress | None) -> None:
+        self._table, self._spec = table, spec
+        self._words = words(spec.format, "missing")
+        self._known_names: dict[Names, Names] = {}
+        self._peeked = _first_rows(table)
+        wants: list[Want] = []
+        for group, sources in (("commands", spec.commands), ("signals", spec.signals)):
+            for name, source in sources.items():
+                try:
+                    wants += self._wants(source)
+                except RecordingError as error:
+                    raise RecordingError(f"{group}.{name}: {error}") from error
+        self._columns, self._lines = read_columns(table, wants, self._kept("[format]", spec.format), progress)
+        self._clocks: dict[tuple, tuple[np.ndarray, np.ndarray]] = {}
+        self._check_commands()
 
-def _samples(cells: np.ndarray, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(T,) times, (T, k) numbers and (T,) lines of the rows that have a time and at least one number.
+    def samples(self, source: Source) -> tuple[np.ndarray, ...]:
+        """(T,) times [s] or ns, (T, k) numbers of a signal and (T,) the lines that they are from."""
+        label = self._kept("it", source.place)
+        rows = self._columns[label] if label else np.ones(len(self._lines), bool)
+        numbers = np.column_stack([self._numbers(source, want)[rows] for want in self._number_wants(source)])
+        if clock := self._times(source):
+            time, known = clock[0][rows], clock[1][rows]
+        else:
+            time, known = self._spec.counted(len(numbers)), np.ones(len(numbers), bool)
+        lines = self._lines[rows]
+        if "names" in source.place:
+            wants = self._names(source)
+            places = np.column_stack([self._columns[want][rows] for want in wants])[known]
+            time, numbers, lines = chosen_by_name(wants, places, time[known], numbers[known], lines[known])
+            known = np.ones(len(time), bool)
+        present = known & ~np.isnan(numbers).all(axis=1)
+        if not present.any():
+            raise RecordingError("no row has a time and a number")
+        return time[present], numbers[present], lines[present]
 
-    Args:
-        cells: (rows, 1 + k), time first.
-        lines: (rows,) their numbers in the file.
-    """
-    present = ~np.isnan(cells[:, 0]) & ~np.isnan(cells[:, 1:]).all(axis=1)
-    if not present.any():
-        raise RecordingError("no row has a time and a number")
-    return cells[present, 0], cells[present, 1:], lines[present]
+    def unit(self, source: Source) -> str:
+        """What the row of units says about the columns of a signal."""
+        if not self._table.units:
+            raise RecordingError('a signal has no unit; a quantity without one has unit = "1", and of a row of units '
+                                 '[format] says unit_row = "take"')  # fmt: skip
+        found = {self._table.units[i] for i in self._positions(source)}
+        units = {of_text(text) for text in found}
+        if len(units) > 1 or None in units:
+            raise RecordingError(f"columns have the units {', '.join(sorted(map(ascii, found)))[:80]} in the file; "
+                                 "write unit = ... at the signal")  # fmt: skip
+        return str(units.pop())
 
+    def _wants(self, source: Source) -> list[Want]:
+        """Every column that a signal needs."""
+        place = source.place
+        self._check_unit(source)
+        if ("names" in place) != ("names_in" in place):
+            raise RecordingError("names and names_in belong together: names, and the columns that they stand in")
+        label = self._kept("it", place)
+        names = self._names(source) if "names" in place else []
+        wants: list[Want] = [*self._time_wants(source), *self._number_wants(source), *names]
+        return [*wants, label] if label else wants
 
-class _Table:
-    """The columns of a CSV file that are asked for, as numbers."""
+    def _check_unit(self, source: Source) -> None:
+        if source.unit is None:
+            self.unit(source)
+        elif self._table.units:
+            said = {of_text(self._table.units[i]) for i in self._positions(source)} - {None, source.unit}
+            if said and si(source.unit) not in map(si, map(str, said)):
+                raise RecordingError(f"unit = {source.unit!r}, and the row of units says {sorted(map(str, said))}; "
+                                     'leave unit out, or write unit_row = "skip"')  # fmt: skip
 
-    def __init__(self, text: str, options: Mapping[str, Any]) -> None:
-        label = "[format]"
-        self._decimal = typed(label, options, "decimal", ".")
-        self._missing = {"", "nan", *(word.strip().lower() for word in _words(options, "missing"))}
-        delimiter, skip = typed(label, options, "delimiter", ","), typed(label, options, "skip_rows", 0)
-        if len(delimiter) != 1 or len(self._decimal) != 1 or delimiter in (self._decimal, "\n", "\r", '"'):
-            raise RecordingError(f"{label} delimiter {delimiter!r} and decimal {self._decimal!r}: one letter each")
-        if not 0 <= skip <= MAX_ROWS:
-            raise RecordingError(f"{label} skip_rows = {skip}; expected 0 to {MAX_ROWS}")
-        lines = io.StringIO(text, newline="")
-        for _ in range(skip):
-            lines.readline()
-        self._skipped, self._letters = skip, 0
-        self._rows = csv.reader(self._bounded(lines), delimiter=delimiter, strict=True)
-        self._first = [cell.strip() for cell in next(self._rows, [])]
-        if not 1 <= len(self._first) <= MAX_COLUMNS:
-            raise RecordingError(f"{len(self._first)} columns; expected 1 to {MAX_COLUMNS}")
-        self._has_header = typed(label, options, "header", True)
-        self.header = self._first if self._has_header else [str(i + 1) for i in range(len(self._first))]
-        label, self._only = typed(label, options, "label", ""), _words(options, "only")
-        if bool(label) != bool(self._only):
-            raise RecordingError("[format] label and only belong together: a column, and the texts to look for in it")
-        self._label = self._position(label) if label else None
-        self._index: dict[str, int] = {}
-        self._cells = np.empty((0, 0))
-        self._lines = np.empty(0, int)
+    def _number_wants(self, source: Source) -> list[Numbers]:
+        own = "missing" in source.place
+        texts = _texts("missing", source.place["missing"], least=0) if own else self._words
+        missing = frozenset(word.strip().lower() for word in texts if _value(word) is None)
+        return [Numbers(i, missing) for i in self._positions(source)]
 
-    def names_of(self, source: Source) -> list[str]:
+    def _numbers(self, source: Source, want: Numbers) -> np.ndarray:
+        """(rows,) numbers without those that stand for a missing one."""
+        cells = self._columns[want]
+        values = self._sentinels(source)
+        return np.where(np.isin(cells, values), np.nan, cells) if values else cells
+
+    def _sentinels(self, source: Source) -> list[float]:
+        """Numbers that stand for a missing one."""
+        given = source.place.get("missing", self._words)
+        return [value for word in given if (value := _value(word)) is not None]
+
+    def _check_commands(self) -> None:
+        """Refuse numbers that stand for a missing one among markers, and are commands."""
+        for name, source in self._spec.commands.items():
+            if "missing" in source.place or not (values := self._sentinels(source)):
+                continue
+            hit = sum(int(np.isin(self._columns[want], values).sum()) for want in self._number_wants(source))
+            if hit:
+                raise RecordingError(
+                    f"commands.{name}: [format] missing = {self._words} would empty {hit} of its numbers; write "
+                    "missing at the signals that it is meant for, or missing = [] at this command"
+                )
+
+    def _positions(self, source: Source) -> list[int]:
         """The columns of a signal: a list, or all from the first to the last."""
         place = source.place
         if "columns" in place and not {"first", "last"} & place.keys():
-            return texts("columns", place["columns"])
-        if {"first", "last"} <= place.keys() and "columns" not in place:
-            first, last = self._position(place["first"]), self._position(place["last"])
-            if first <= last:
-                return self.header[first : last + 1]
-        raise RecordingError("expected columns = [...], or first and last in the order of the file")
+            found = [self._table.position(name) for name in _texts("columns", place["columns"])]
+        elif {"first", "last"} <= place.keys() and "columns" not in place:
+            first, last = self._table.position(place["first"]), self._table.position(place["last"])
+            found = list(range(first, last + 1))
+        else:
+            found = []
+        if not found:
+            raise RecordingError("expected columns = [...], or first and last in the order of the file")
+        if len(set(found)) < len(found):
+            raise RecordingError(f"columns is {ascii(place['columns'])[:80]}; expected each once")
+        return found
 
-    def read(self, names: Iterable[str]) -> None:
-        """Read these columns into memory."""
-        names = list(dict.fromkeys(names))
-        positions = [self._position(name) for name in names]
-        self._index = {name: i for i, name in enumerate(names)}
-        cells, lines = array("d"), array("q")  # a list would take four times the memory
-        start = [self._first] if not self._has_header else []
-        for row in self._all_rows(start):
-            if len(row) != len(self.header):
-                raise RecordingError(f"line {self._line} has {len(row)} cells; expected {len(self.header)}")
-            if self._label is not None and not any(text in row[self._label] for text in self._only):
-                continue
-            cells.extend([self._number(row[i]) for i in positions])
-            lines.append(self._line)
-            if len(lines) > MAX_ROWS or len(cells) > _MAX_CELLS:
-                raise RecordingError(f"more than {MAX_ROWS} rows or {_MAX_CELLS} cells")
-        self._cells, self._lines = np.array(cells).reshape(-1, len(names)), np.array(lines)
+    def _kept(self, label: str, options: Mapping[str, Any]) -> Labels | None:
+        """Which rows belong to a signal, or to all."""
+        if ("label" in options) != ("only" in options):
+            raise RecordingError(f"{label}: label and only belong together: a column, and the texts to look for in it")
+        if "label" not in options:
+            return None
+        return Labels(self._table.position(options["label"]), tuple(_texts("only", options["only"])))
 
-    def numbers(self, names: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
-        """(rows, k) numbers of k columns, NaN where one is missing, and (rows,) the lines they are from."""
-        return self._cells[:, [self._index[name] for name in names]], self._lines
+    def _clock_columns(self, source: Source) -> list[Any]:
+        """The columns of its times; none where rows are counted."""
+        time = self._spec.time
+        if "time_unit" in source.place and "time" not in source.place:
+            raise RecordingError("time_unit has no effect without time, a column of times of its own")
+        found = source.place.get("time", time.get("column", time.get("columns", [])))
+        return found if isinstance(found, list) else [found]
 
-    @property
-    def _line(self) -> int:
-        return self._skipped + self._rows.line_num
+    def _time_wants(self, source: Source) -> list[Numbers] | list[Times]:
+        positions = [self._table.position(name) for name in self._clock_columns(source)]
+        if not positions:
+            return []
+        cells = [" ".join(row[i] for i in positions) for row in self._peeked if max(positions) < len(row)]
+        if any(is_stamp(cell) for cell in cells):
+            own = "time" in source.place
+            if {"time_unit"} & source.place.keys() if own else {"unit", "units"} & self._spec.time.keys():
+                raise RecordingError("a unit of time has no effect: its column holds dates or times of day")
+            return [Times(tuple(positions))]
+        missing = frozenset(word.strip().lower() for word in self._words if _value(word) is None)
+        return [Numbers(i, missing) for i in positions]
 
-    def _all_rows(self, start: list[list[str]]) -> Iterator[list[str]]:
-        yield from start
-        self._letters = 0
-        for row in self._rows:
-            self._letters = 0
-            if len(row) > 1 or any(cell.strip() for cell in row):  # a row of empty cells counts, an empty line does not
-                yield row
+    def _times(self, source: Source) -> tuple[np.ndarray, np.ndarray] | None:
+        """(rows,) times [s] or ns, and whether there is one; None where rows are counted."""
+        if not (wants := self._time_wants(source)):
+            return None
+        units = [] if isinstance(wants[0], Times) else self._units(source, wants)
+        key = (*wants, *units)
+        if key not in self._clocks:
+            columns = [self._columns[want] for want in wants]
+            known = ~np.isnan(columns).any(axis=0) if units else np.not_equal(columns[0], NO_STAMP)
+            known = np.asarray(known, bool)
+            present = [column[known] for column in columns]
+            if not units:
+                found = over_midnight(present[0])
+            elif len(units) > 1:
+                found = _together(present, [self._spec.to_seconds(unit) for unit in units])
+            else:
+                found = self._spec.clock(present[0], units[0])
+            time = np.zeros(len(known), found.dtype)
+            time[known] = self._spec.continued(found)
+            self._clocks[key] = time, known
+        return self._clocks[key]
 
-    def _bounded(self, lines: io.StringIO) -> Iterator[str]:
-        """The lines, of which a quoted cell may join several to a row."""
-        while line := lines.readline(_MAX_ROW + 1):
-            self._letters += len(line)
-            if self._letters > _MAX_ROW:
-                raise RecordingError(f"the row in line {self._line + 1} has more than {_MAX_ROW} letters")
-            yield line
+    def _units(self, source: Source, wants: list[Any]) -> list[str | None]:
+        """A unit of each column of times."""
+        time, count = self._spec.time, len(wants)
+        own = "time" in source.place
+        said = source.place.get("time_unit") if own else time.get("units", None)
+        if said is None and not (own and count > 1):
+            said = time.get("unit")
+        if said is None and self._table.units:
+            said = [of_text(self._table.units[want.position]) for want in wants]
+        found = said if isinstance(said, list) else [said] * (count if said is None else 1)
+        if len(found) != count or (count > 1 and None in found):
+            key = "time_unit" if own else "[time] units"
+            raise RecordingError(f'time in {count} columns needs {key} of each, such as {key} = ["s", "ns"]')
+        return found
 
-    def _position(self, name: Any) -> int:
-        if not isinstance(name, str) or self.header.count(name) != 1:
-            count = self.header.count(name)
-            found = ", ".join(ascii(column)[1:-1] for column in self.header)[:200]
-            hint = "; are [format] delimiter and skip_rows right?" if len(self.header) == 1 else ""
-            label = f"{count} columns are" if count else "no column is"
-            raise RecordingError(f"{label} called {ascii(name)[:80]}; there {_are(self.header)} {found}{hint}")
-        return self.header.index(name)
-
-    def _number(self, cell: str) -> float:
-        cell = cell.strip()
-        if cell.lower() in self._missing:
-            return math.nan
-        # Python takes 1_000 for a number; and a point is none where the decimal is another letter
-        foreign = "_" in cell or (self._decimal != "." and "." in cell)
-        try:
-            value = math.inf if foreign else float(cell.replace(self._decimal, "."))
-        except ValueError:
-            value = math.inf
-        if not math.isfinite(value):
-            hint = "what stands for a missing one belongs into [format] missing"
-            if "," in cell and self._decimal == ".":
-                hint = 'of decimal commas [format] says decimal = ","'
-            raise RecordingError(f"line {self._line}: {ascii(cell)[:40]} is no finite number; {hint}")
-        return value
+    def _names(self, source: Source) -> list[Names]:
+        """The columns in which names stand: one, or one beside each column of numbers."""
+        wanted = tuple(_texts("names", source.place["names"]))
+        given = source.place["names_in"]
+        positions = [self._table.position(name) for name in (given if isinstance(given, list) else [given])]
+        if len(positions) not in (1, len(self._positions(source))):
+            raise RecordingError(f"names_in has {len(positions)} columns; expected one, or one for each of columns")
+        if not self._clock_columns(source):
+            raise RecordingError("names need times: rows of one time belong together")
+        wants = [Names(i, tuple(map(str, wanted))) for i in positions]
+        return [self._known_names.setdefault(want, want) for want in wants]  # which remember what they have found
 
 
-def _are(names: Sequence[str]) -> str:
-    return "is" if len(names) == 1 else "are"
+def _first_rows(table: TableText) -> list[list[str]]:
+    """The first rows; fewer where they cannot be read."""
+    rows: list[list[str]] = []
+    try:
+        for row in table.rows(Lines(table.body, 0, table.line - 1)):
+            rows += [row] if row else []
+            if len(rows) == _PEEKED:
+                break
+    except (csv.Error, RecordingError):  # which reading all of them says better
+        pass
+    return rows
 
 
-def _words(options: Mapping[str, Any], key: str) -> list[str]:
-    """The texts of an entry of [format], none if it is missing."""
-    return texts(f"[format] {key}", options[key]) if key in options else []
+def _texts(label: str, values: Any, least: int = 1) -> list[Any]:
+    """A list of texts, or of numbers of columns, each once."""
+    valid = isinstance(values, list) and len(values) >= least and all(type(value) in (str, int) for value in values)
+    if not valid or len(set(values)) < len(values):
+        expected = "expected a list of texts" if not valid else "expected each once"
+        raise RecordingError(f"{label} is {ascii(values)[:80]}; {expected}")
+    return values
+
+
+def _value(word: Any) -> float | None:
+    """The number that a text is, if it is one."""
+    try:
+        value = float(str(word).replace(",", "."))
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _together(parts: list[np.ndarray], factors: list[float]) -> np.ndarray:
+    """(T,) whole ns of a time in several columns, such as seconds and nanoseconds."""
+    total = np.zeros(len(parts[0]), np.int64)
+    for part, factor in zip(parts, factors, strict=True):
+        if (np.abs(part * factor) > _LATEST).any():
+            raise RecordingError(f"time {part[np.abs(part * factor) > _LATEST][0]:g} is too late; are the units right?")
+        whole = np.floor(part)
+        total += whole.astype(np.int64) * round(1e9 * factor) + np.rint((part - whole) * factor * 1e9).astype(np.int64)
+    return total

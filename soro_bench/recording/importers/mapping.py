@@ -78,6 +78,14 @@ class FileMapping:
         self.notes.add("[time]", note)
         return self.to_seconds(unit) * numbers
 
+    def continued(self, time: np.ndarray) -> np.ndarray:
+        """(T,) times that go on where the clock was set back, if [time] order asks for it."""
+        if self.time.get("order", self.order) != "continue":
+            return time
+        time, note = continued(time)
+        self.notes.add("[time]", note)
+        return time
+
     def counted(self, rows: int) -> np.ndarray:
         """(rows,) times [s] of a file without any, from [time] interval or rate."""
         if "rate" in self.time:
@@ -139,9 +147,7 @@ class FileMapping:
         order, note = self.time.get("order", self.order), ""
         if not np.isfinite(time).all():
             raise RecordingError("time is not finite")
-        if order == "continue":
-            time, note = continued(time)
-            self.notes.add(label, note)
+        time = self.continued(time)
         if order != "refuse":  # which looks at what is left after cutting
             kept, note = chosen(time, order)
             self.notes.add(label, note)

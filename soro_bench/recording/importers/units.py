@@ -29,3 +29,22 @@ def si(unit: str) -> tuple[str, float]:
     if not isinstance(unit, str) or unit not in UNITS:
         raise RecordingError(f"unknown unit {ascii(unit)[:40]}; there are {', '.join(UNITS)}")
     return UNITS[unit]
+
+
+_NAMES = {
+    "\u00b0": "deg", "\u00ba": "deg", "degree": "deg", "degrees": "deg", "\u00b0/s": "deg/s", "deg/sec": "deg/s",
+    "radian": "rad", "radians": "rad", "rad/sec": "rad/s", "rev/min": "rpm", "u/min": "rpm", "1/min": "rpm",
+    "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us", "\u00b5s": "us", "\u03bcs": "us",
+    "nsec": "ns",
+    "\u00b5m": "um", "\u03bcm": "um", "mm/sec": "mm/s", "m/sec": "m/s", "m/s\u00b2": "m/s^2", "m/s2": "m/s^2",
+    "n": "N", "newton": "N", "n*m": "Nm", "n m": "Nm", "n\u00b7m": "Nm", "nm": "Nm", "n-m": "Nm", "n.m": "Nm",
+    "n*mm": "mNm", "nmm": "mNm", "pascal": "Pa", "pa": "Pa", "hz": "Hz", "v": "V", "volt": "V", "volts": "V", "a": "A",
+    "amp": "A", "amps": "A", "-": "1", "": "1", "none": "1", "a.u.": "1", "bool": "1", "percent": "%",
+    "\u03a9": "ohm", "kelvin": "K", "meter": "m", "meters": "m", "metre": "m", "metres": "m",
+}  # fmt: skip
+
+
+def of_text(text: str) -> str | None:
+    """The unit that a text in a file stands for, such as "[mm]" or "rad/sec"; None if it is unknown."""
+    name = text.strip().strip("[](){}<>\"'").strip()
+    return name if name in UNITS else _NAMES.get(name.lower())

@@ -1,0 +1,321 @@
+"""The cells of a table as numbers, times and texts: quickly where all is plain, and row by row where it is not.
+
+A block of lines is first read by pyarrow, which knows fewer ways to write a number than there are. What it refuses is
+read again cell by cell, which either succeeds or says in which line and why it cannot.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pacsv
+
+from soro_bench.recording.importers.clock import NO_STAMP, Stamps
+from soro_bench.recording.importers.table_text import BLANK, MAX_LETTERS, Lines, TableText
+from soro_bench.recording.recording import RecordingError
+from soro_bench.recording.untrusted import MAX_ROWS
+
+MISSING = frozenset((
+    "", "nan", "+nan", "-nan", "nan(ind)", "-nan(ind)", "-nan(snan)", "1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind",
+    "1.#inf", "-1.#inf", "inf", "+inf", "-inf", "infinity", "+infinity", "-infinity", "na", "n/a", "#n/a", "<na>",
+    "null", "none", "#div/0!", "#value!", "#ref!", "#num!", "#name?", "#null!",
+))  # fmt: skip
+_MAX_CELLS = 50_000_000  # that a mapping asks for
+_BLOCK = 4_000_000  # letters that are read at once
+_ROWS = 20_000  # that are read at once where cells have quotation marks
+_NEWLINE = 10
+
+Progress = Callable[[str, int, int], None]
+
+
+class Chunk(Protocol):
+    """Some rows of a table."""
+
+    lines: np.ndarray  # (n,) their numbers in the file
+
+    def numbers(self, position: int, missing: frozenset[str]) -> np.ndarray:
+        """(n,) numbers of a column, NaN for a missing one."""
+
+    def texts(self, position: int) -> list[str]:
+        """n texts of a column."""
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """A column of numbers, with the texts that stand for a missing one, in small letters."""
+
+    position: int
+    missing: frozenset[str]
+
+    def read(self, chunk: Chunk) -> np.ndarray:
+        """(n,) numbers."""
+        return chunk.numbers(self.position, self.missing)
+
+
+@dataclass(frozen=True)
+class Times:
+    """One column of dates and times, or one of dates and one of times."""
+
+    positions: tuple[int, ...]
+    stamp: Stamps = field(default_factory=Stamps, compare=False)
+
+    def read(self, chunk: Chunk) -> np.ndarray:
+        """(n,) whole ns, or NO_STAMP."""
+        columns = [chunk.texts(position) for position in self.positions]
+        cells = [" ".join(parts).strip() for parts in zip(*columns, strict=True)]
+        return np.array([self._stamp(cell, line) for cell, line in zip(cells, chunk.lines, strict=True)], np.int64)
+
+    def _stamp(self, cell: str, line: int) -> int:
+        if cell.lower() in MISSING:
+            return NO_STAMP
+        try:
+            return self.stamp(cell)
+        except RecordingError as error:
+            raise RecordingError(f"line {line}: {error}") from error
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Whether one of some texts occurs in a cell of a column."""
+
+    position: int
+    only: tuple[str, ...]
+
+    def read(self, chunk: Chunk) -> np.ndarray:
+        """(n,) bool."""
+        return np.array([any(text in cell for text in self.only) for cell in chunk.texts(self.position)], bool)
+
+
+@dataclass(frozen=True)
+class Names:
+    """Which of some names stands in a cell of a column."""
+
+    position: int
+    names: tuple[str, ...]
+    found: dict[str, None] = field(default_factory=dict, compare=False)  # the first ones, for a message
+
+    def read(self, chunk: Chunk) -> np.ndarray:
+        """(n,) the place of the name among those that are wanted, -1 for others."""
+        cells = [cell.strip() for cell in chunk.texts(self.position)]
+        self.found.update(dict.fromkeys(sorted(set(cells))[:20]) if len(self.found) < 20 else {})
+        places = {name: i for i, name in enumerate(self.names)}
+        return np.array([places.get(cell, -1) for cell in cells], int)
+
+
+Want = Numbers | Times | Labels | Names
+
+
+def read_columns(
+    table: TableText, wants: Sequence[Want], keep: Labels | None, progress: Progress | None = None
+) -> tuple[dict[Want, np.ndarray], np.ndarray]:
+    """(rows,) of each column that is wanted, and (rows,) the lines that they are from.
+
+    Args:
+        keep: which rows to keep; all by default.
+        progress: is told letters that are read, and all.
+
+    Raises:
+        RecordingError: names the line of a cell or row that cannot be read.
+    """
+    wants = list(dict.fromkeys(wants))
+    parts: dict[Want, list[np.ndarray]] = {want: [] for want in wants}
+    lines, cells = [np.empty(0, int)], 0
+    for chunk, done in _chunks(table, [*wants, *([keep] if keep else [])]):
+        kept = keep.read(chunk) if keep else slice(None)
+        for want in wants:
+            parts[want].append(want.read(chunk)[kept])
+        lines.append(chunk.lines[kept])
+        cells += len(lines[-1]) * len(wants)
+        if cells > _MAX_CELLS or cells > MAX_ROWS * len(wants):
+            raise RecordingError(f"more than {MAX_ROWS} rows or {_MAX_CELLS} cells")
+        if progress:
+            progress("read", done, len(table.body))
+    empty = {Numbers: np.empty(0), Times: np.empty(0, np.int64), Labels: np.empty(0, bool), Names: np.empty(0, int)}
+    return {want: np.concatenate([empty[type(want)], *part]) for want, part in parts.items()}, np.concatenate(lines)
+
+
+def _chunks(table: TableText, wants: Sequence[Want]) -> Iterator[tuple[Chunk, int]]:
+    """All rows, and how many letters are behind them."""
+    if '"' in table.body:  # which may join lines
+        yield from _row_chunks(table, Lines(table.body, 0, table.line - 1))
+        return
+    position, line = 0, table.line
+    while position < len(table.body):
+        end = table.body.find("\n", min(position + _BLOCK, len(table.body)) - 1) + 1
+        block = table.body[position:end]
+        if chunk := _plain(table, block, line, wants):
+            if len(chunk.lines):
+                yield chunk, end
+        else:
+            for rows, _ in _row_chunks(table, Lines(block, 0, line - 1)):
+                yield rows, end
+        position, line = end, line + block.count("\n")
+
+
+def _row_chunks(table: TableText, lines: Lines) -> Iterator[tuple["_Rows", int]]:
+    """Rows that are read one by one, and how many letters are behind them."""
+    rows: list[list[str]] = []
+    numbers: list[int] = []
+    for row in table.rows(lines):
+        lines.begin_row()
+        if len(row) > 1 or any(cell.strip() for cell in row):  # a row of empty cells counts, an empty line does not
+            rows.append(_whole(table, row, lines.count))
+            numbers.append(lines.count)
+        if len(rows) >= _ROWS:
+            yield _Rows(rows, np.array(numbers), table), lines.position
+            rows, numbers = [], []
+    if rows:
+        yield _Rows(rows, np.array(numbers), table), lines.position
+
+
+def _whole(table: TableText, row: list[str], line: int) -> list[str]:
+    """A row that is as long as the header."""
+    missing = len(table.header) - len(row)
+    try:
+        extra = table.fits(len(row))
+        fits = not any(cell.strip() for cell in row[len(row) - extra :])
+    except RecordingError:
+        fits = False
+    if not fits:
+        hint = f'; of several blanks in a row [format] says delimiter = "{BLANK}"' if table.delimiter in " \t" else ""
+        raise RecordingError(f"line {line} has {len(row)} cells; expected {len(table.header)}{hint}")
+    return row + [""] * missing if missing > 0 else row
+
+
+class _Rows:
+    """Rows of texts."""
+
+    def __init__(self, rows: list[list[str]], lines: np.ndarray, table: TableText) -> None:
+        self._rows, self.lines, self._table = rows, lines, table
+
+    def numbers(self, position: int, missing: frozenset[str]) -> np.ndarray:
+        """(n,) numbers of a column, NaN for a missing one."""
+        missing = missing | MISSING
+        found = np.empty(len(self._rows))
+        for i, row in enumerate(self._rows):
+            cell = row[position].strip()
+            found[i] = math.nan if cell.lower() in missing else self._number(cell, i, position)
+        return found
+
+    def texts(self, position: int) -> list[str]:
+        """n texts of a column."""
+        return [row[position] for row in self._rows]
+
+    def _number(self, cell: str, i: int, position: int) -> float:
+        # Python takes 1_000 for a number; and a point is none where the decimal is another letter
+        decimal = self._table.decimal
+        foreign = "_" in cell or (decimal != "." and "." in cell)
+        try:
+            value = math.inf if foreign else float(cell.replace(decimal, "."))
+        except ValueError:
+            value = math.inf
+        if not math.isfinite(value):
+            column = ascii(self._table.header[position])[:40]
+            hint = self._hint(cell, i)
+            raise RecordingError(
+                f"line {self.lines[i]}: {ascii(cell)[:40]} is no finite number in column {column}; {hint}"
+            )
+        return value
+
+    def _hint(self, cell: str, i: int) -> str:
+        if "," in cell and self._table.decimal == ".":
+            return 'of decimal commas [format] says decimal = ","'
+        if self.lines[i] == self._table.line and not any(_is_number(each) for each in self._rows[i]):
+            return 'of a row of units [format] says unit_row = "take" or "skip"'
+        return "what stands for a missing one belongs into [format] missing, or into missing at one signal"
+
+
+def _is_number(cell: str) -> bool:
+    """Whether a cell begins as a number does."""
+    return cell.strip().lstrip("+-.")[:1].isdigit()
+
+
+class _Plain:
+    """Rows that pyarrow has read."""
+
+    def __init__(self, columns: dict[int, pa.ChunkedArray], lines: np.ndarray) -> None:
+        self._columns, self.lines = columns, lines
+
+    def numbers(self, position: int, missing: frozenset[str]) -> np.ndarray:
+        """(n,) numbers of a column, NaN for a missing one."""
+        return self._columns[position].to_numpy()
+
+    def texts(self, position: int) -> list[str]:
+        """n texts of a column."""
+        return self._columns[position].to_pylist()
+
+
+def _plain(table: TableText, block: str, line: int, wants: Sequence[Want]) -> _Plain | None:
+    """The rows of a block without quotation marks as pyarrow reads them; None if it cannot, or not for certain."""
+    numeric = {want.position for want in wants if isinstance(want, Numbers)}
+    textual = {i for want in wants for i in (want.positions if isinstance(want, Times) else (want.position,))} - numeric
+    if any(want.position in numeric for want in wants if isinstance(want, (Labels, Names))):
+        return None
+    delimiter, data = table.delimiter, block.encode()
+    if delimiter == BLANK:
+        delimiter, data = " ", _narrowed(data)
+    ends = np.flatnonzero(np.frombuffer(data, np.uint8) == _NEWLINE)
+    lengths = np.diff(ends, prepend=-1) - 1
+    if not (delimiter + table.decimal).isascii() or lengths.max(initial=0) > MAX_LETTERS:
+        return None
+    if not (filled := np.flatnonzero(lengths)).size:
+        return _Plain({i: pa.chunked_array([[]], pa.float64()) for i in (*numeric, *textual)}, filled)
+    first = data[ends[filled[0] - 1] + 1 if filled[0] else 0 : ends[filled[0]]]
+    count = first.count(delimiter.encode()) + 1
+    try:
+        extra = table.fits(count)
+    except RecordingError:
+        return None
+    columns = _arrow(data, delimiter, table.decimal, count, numeric, textual, extra, _words(wants))
+    if columns is None or any(len(column) != len(filled) for column in columns.values()):
+        return None
+    if any(i >= count for i in (*numeric, *textual)):
+        return None
+    if any(cell.strip() for i in range(count - extra, count) for cell in columns[i].unique().to_pylist()):
+        return None
+    if any(not np.isfinite(columns[i].drop_null().to_numpy()).all() for i in numeric):
+        return None  # inf for a number that is too large, or a form of NaN that nobody has asked for
+    return _Plain(columns, line + filled)
+
+
+def _arrow(
+    data: bytes, delimiter: str, decimal: str, count: int, numeric: set[int], textual: set[int], extra: int,
+    words: list[str],
+) -> dict[int, pa.ChunkedArray] | None:  # fmt: skip
+    """Columns by their place; None if anything is unusual."""
+    types = {i: pa.float64() for i in numeric} | {i: pa.string() for i in textual}
+    types |= {i: pa.string() for i in range(count - extra, count)}
+    types = {i: kind for i, kind in types.items() if i < count} or {0: pa.string()}
+    try:
+        found = pacsv.read_csv(
+            pa.py_buffer(data),
+            pacsv.ReadOptions(use_threads=False, block_size=len(data) + 1, column_names=[str(i) for i in range(count)]),
+            pacsv.ParseOptions(delimiter=delimiter, quote_char=False, ignore_empty_lines=True),
+            pacsv.ConvertOptions(
+                column_types={str(i): kind for i, kind in types.items()},
+                include_columns=[str(i) for i in types],
+                null_values=words,
+                decimal_point=decimal,
+            ),
+        )
+    except pa.ArrowException:
+        return None
+    return {i: found.column(str(i)) for i in types}
+
+
+def _words(wants: Sequence[Want]) -> list[str]:
+    """Texts for a missing number in every column that is asked for, as they are mostly written."""
+    sets = [want.missing for want in wants if isinstance(want, Numbers)]
+    common = MISSING.union(frozenset.intersection(*sets) if sets else ())
+    return sorted({form for word in common for form in (word, word.upper(), word.capitalize())} | {"NaN", "-NaN"})
+
+
+def _narrowed(data: bytes) -> bytes:
+    """With one blank where there are several, and none at the ends of lines."""
+    data = data.replace(b"\t", b" ")
+    while b"  " in data:
+        data = data.replace(b"  ", b" ")
+    return data.replace(b"\n ", b"\n").replace(b" \n", b"\n").removeprefix(b" ")

@@ -1,0 +1,249 @@
+"""The text of a table: its encoding, delimiter, header and units, and where its rows end."""
+
+import codecs
+import csv
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from soro_bench.recording.importers.mapping import texts, typed
+from soro_bench.recording.recording import RecordingError
+from soro_bench.recording.untrusted import MAX_COLUMNS, MAX_ROWS
+
+FORMAT = ("delimiter", "decimal", "encoding", "skip_rows", "header", "unit_row", "missing", "label", "only")
+BLANK = "blank"  # the delimiter of columns that are separated by one or more blanks or tabs
+ENCODINGS = (
+    "utf-8", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "ascii", "latin-1", "iso-8859-15", "mac-roman", "cp437",
+    "cp850", "cp1250", "cp1251", "cp1252", "cp1253", "cp1254", "cp1257", "koi8-r", "shift_jis", "euc_jp", "euc_kr",
+    "gbk", "gb18030", "big5",
+)  # fmt: skip
+MAX_LETTERS = 1_000_000  # of a row, as every cell of it is a text of its own before they are counted
+_SEP = re.compile(r"sep=(.)\n?", re.IGNORECASE)  # the first line of what Excel writes
+_LOOKED_AT = 1000  # lines before the last one, that it is compared with
+_ZERO, _END = "\x00", "\x1a"  # where the power was lost; the end of a file in DOS
+
+
+@dataclass(frozen=True)
+class TableText:
+    """The rows of a table after its header, each with a line end."""
+
+    body: str
+    line: int  # in the file, where it begins
+    header: list[str]
+    units: list[str]  # the texts of a row of units; none without one
+    delimiter: str
+    decimal: str
+    note: str  # what has been left out at the end
+
+    def rows(self, lines: Iterator[str]) -> Iterator[list[str]]:
+        """The cells of each row; an empty line has none."""
+        return split(lines, self.delimiter)
+
+    def fits(self, count: int) -> int:
+        """By how many nameless columns a row of ``count`` cells is longer than the header, which have to be empty.
+
+        RecordingError if it is too short.
+        """
+        named = len(self.header)
+        while named > count and not self.header[named - 1]:
+            named -= 1
+        if named > count:
+            raise RecordingError(f"{count} cells; expected {len(self.header)}")
+        return max(count - len(self.header), 0)
+
+    def position(self, name: Any) -> int:
+        """Where a column is, from its name or from its number, which counts from 1."""
+        if type(name) is int:
+            if not 1 <= name <= len(self.header):
+                raise RecordingError(f"there is no column {name}; there are 1 to {len(self.header)}")
+            return name - 1
+        found = [i for i, column in enumerate(self.header) if column == name]
+        if not found and self.header[0].lstrip("#% ") == name:  # a header that is a comment elsewhere
+            found = [0]
+        if len(found) == 1:
+            return found[0]
+        there = ", ".join(ascii(column)[1:-1] for column in self.header)[:200]
+        called = f"called {ascii(name)[:80]}; there {'is' if len(self.header) == 1 else 'are'} {there}"
+        if not found:
+            hint = "; are [format] delimiter and skip_rows right?" if len(self.header) == 1 else ""
+            raise RecordingError(f"no column is {called}{hint}")
+        numbers = ", ".join(str(i + 1) for i in found)
+        raise RecordingError(f"{len(found)} columns are {called}; choose one by its number, without quotes: {numbers}")
+
+
+def read_text(data: bytes, options: Mapping[str, Any]) -> TableText:
+    """The text of a file; RecordingError says what is wrong with it or with [format]."""
+    label = "[format]"
+    text = decoded(data, typed(label, options, "encoding", "utf-8"))
+    decimal, skip = typed(label, options, "decimal", "."), typed(label, options, "skip_rows", 0)
+    if not 0 <= skip <= MAX_ROWS:
+        raise RecordingError(f"{label} skip_rows = {skip}; expected 0 to {MAX_ROWS}")
+    has_header, unit_row = typed(label, options, "header", True), typed(label, options, "unit_row", "")
+    if unit_row not in ("", "take", "skip") or (unit_row and not has_header):
+        raise RecordingError(f'{label} unit_row = {unit_row!r}; expected "take" or "skip", of the row after a header')
+    text, note = _without_end(text)
+    delimiter, lines = _delimiter(text, options, skip), Lines(text)
+    if len(decimal) != 1 or delimiter in (decimal, "\n", "\r", '"') or (len(delimiter) != 1 and delimiter != BLANK):
+        raise RecordingError(f"{label} delimiter {delimiter!r} and decimal {decimal!r}: one letter each, or {BLANK!r}")
+    for _ in range(skip or (1 if _SEP.match(text) else 0)):
+        lines.skip()
+    before = lines.position, lines.count
+    first = [cell.strip() for cell in _first(lines, delimiter)]
+    if delimiter == BLANK and first[:1] in (["#"], ["%"]):
+        first = first[1:]
+    if not 1 <= len(first) <= MAX_COLUMNS:
+        raise RecordingError(f"{len(first)} columns; expected 1 to {MAX_COLUMNS}")
+    if not has_header:
+        first, (lines.position, lines.count) = [str(i + 1) for i in range(len(first))], before
+    units = [cell.strip() for cell in _first(lines, delimiter)] if unit_row else []
+    table = TableText(
+        text[lines.position :], lines.count + 1, first, units if unit_row == "take" else [], delimiter, decimal, note
+    )
+    return _without_cut_line(table)
+
+
+def decoded(data: bytes, encoding: str) -> str:
+    """Text with the line ends of Unix; RecordingError names the entry that is wrong."""
+    if encoding.lower() not in ENCODINGS:
+        raise RecordingError(f"[format] encoding = {ascii(encoding)[:40]}; expected one of {', '.join(ENCODINGS)}")
+    codec = "utf-8-sig" if encoding.lower() == "utf-8" else encoding
+    try:
+        text = data.decode(codec)
+    except UnicodeDecodeError as error:
+        if (
+            error.start == 0
+            or len(data) - error.start > 3
+            or error.reason not in ("unexpected end of data", "truncated data")
+        ):
+            raise RecordingError(_undecodable(data, encoding, error)) from error
+        text = data[: error.start].decode(codec)  # cut within a letter
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if (zero := text.rstrip(_ZERO).find(_ZERO)) >= 0:
+        line = text.count("\n", 0, zero) + 1
+        raise RecordingError(
+            f'zero bytes in line {line}; of text of two bytes a letter [format] says encoding = "utf-16"'
+        )
+    return text
+
+
+def _undecodable(data: bytes, encoding: str, error: UnicodeDecodeError) -> str:
+    wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    advice = '"utf-16"' if wide else '"cp1252" (Windows in western Europe), "utf-16" or another'
+    line = data.count(b"\n", 0, error.start) + 1
+    byte = f"byte 0x{data[error.start]:02x} in line {line}"
+    return f"cannot be read as {encoding}: {byte}; write [format] encoding = {advice}"
+
+
+def _without_end(text: str) -> tuple[str, str]:
+    """Without what is no text at the end, and what there is to say."""
+    kept = text.rstrip(_ZERO + _END)
+    zeros = text.count(_ZERO, len(kept))
+    return kept, f"{zeros} zero bytes at its end are left out" if zeros else ""
+
+
+def _delimiter(text: str, options: Mapping[str, Any], skip: int) -> str:
+    found, said = _SEP.match(text), typed("[format]", options, "delimiter", ",")
+    if not found or skip:
+        return said
+    if "delimiter" in options and said != found[1]:
+        raise RecordingError(f"[format] delimiter = {said!r}, and the first line of the file says sep={found[1]}")
+    return found[1]
+
+
+def split(lines: Iterator[str], delimiter: str) -> Iterator[list[str]]:
+    """The cells of each row."""
+    if delimiter == BLANK:
+        return (line.split() for line in lines)
+    return csv.reader(lines, delimiter=delimiter, strict=True)
+
+
+class Lines:
+    """The lines of a text, of which a quoted cell may join several to a row of at most MAX_LETTERS."""
+
+    def __init__(self, text: str, position: int = 0, count: int = 0) -> None:
+        self._text, self.position, self.count = text, position, count
+        self._letters = 0
+
+    def __iter__(self) -> "Lines":
+        return self
+
+    def __next__(self) -> str:
+        if self.position >= len(self._text):
+            raise StopIteration
+        end = self._text.find("\n", self.position) + 1 or len(self._text)
+        self._letters += end - self.position
+        self.count += 1
+        if self._letters > MAX_LETTERS:
+            raise RecordingError(f"the row in line {self.count} has more than {MAX_LETTERS} letters")
+        line, self.position = self._text[self.position : end], end
+        return line
+
+    def begin_row(self) -> None:
+        """Count letters anew."""
+        self._letters = 0
+
+    def skip(self) -> None:
+        """Leave a line out, however long it is."""
+        self.position = self._text.find("\n", self.position) + 1 or len(self._text)
+        self.count += 1
+
+
+def _first(lines: Lines, delimiter: str) -> list[str]:
+    """The next row that is not empty."""
+    for row in split(lines, delimiter):
+        lines.begin_row()
+        if any(cell.strip() for cell in row):
+            return row
+    return []
+
+
+def _without_cut_line(table: TableText) -> TableText:
+    """Without a last line that may have been cut, as no line end follows it; else the line gets one."""
+    body = table.body
+    if not body or body.endswith("\n"):
+        return table
+    start = body.rfind("\n") + 1
+    last = body[start:]
+    begin = start
+    for _ in range(_LOOKED_AT):
+        begin = max(body.rfind("\n", 0, max(begin - 1, 0)) + 1, 0)
+        if not begin:
+            break
+    if not last.strip() or _complete(table, last, body[begin:start]):
+        return _with_body(table, body + "\n", table.note)
+    line = table.line + body.count("\n")
+    note = f"line {line}, the last one, is left out: it has no line end and may be cut"
+    return _with_body(table, body[:start], "; ".join(filter(None, (table.note, note))))
+
+
+def _with_body(table: TableText, body: str, note: str) -> TableText:
+    return TableText(body, table.line, table.header, table.units, table.delimiter, table.decimal, note)
+
+
+def _complete(table: TableText, last: str, before: str) -> bool:
+    """Whether a line has all cells, and its last cell is as long as those before it are.
+
+    That is: as many decimals as all of them, or as many letters as the longest one.
+    """
+    try:
+        (row,), others = table.rows(iter([last])), [row for row in table.rows(iter(before.split("\n"))) if row]
+        table.fits(len(row))
+    except (csv.Error, ValueError):
+        return False
+    if not others:
+        return True
+    cells = [row[len(row) - 1] for row in others]
+    shapes = {_decimals(cell, table.decimal) for cell in cells}
+    return shapes == {_decimals(row[-1], table.decimal)} != {""} or len(row[-1]) >= max(map(len, cells))
+
+
+def _decimals(cell: str, decimal: str) -> str:
+    """What follows the decimal point, of which only the form counts."""
+    return re.sub(r"\d", "0", cell.partition(decimal)[2]).replace("-", "+")
+
+
+def words(options: Mapping[str, Any], key: str) -> list[str]:
+    """The texts of an entry of [format], none if it is missing."""
+    return texts(f"[format] {key}", options[key]) if key in options else []

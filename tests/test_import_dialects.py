@@ -1,0 +1,241 @@
+"""Tables as laboratories write them: encodings, delimiters, cut and padded lines, dates, rows of units, names."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pyarrow")
+from soro_bench.recording.importers import import_recording
+from soro_bench.recording.importers.mapping import NOTES
+from soro_bench.recording.recording import Recording, RecordingError
+from tests.recordings import says
+
+CLOCK = '[time]\ncolumn = "t"\n'
+X = '[signals.x]\ncolumns = ["x"]\nunit = "mm"\n'
+U = '[commands.u]\ncolumns = ["u"]\nunit = "1"\n'
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Reads a table, given as text or bytes, with a mapping."""
+
+    def read(table: str | bytes, mapping: str) -> Recording:
+        (tmp_path / "a.csv").write_bytes(table.encode() if isinstance(table, str) else table)
+        (tmp_path / "a.toml").write_text(mapping)
+        return import_recording(tmp_path / "a.csv", tmp_path / "a.toml")
+
+    return read
+
+
+def values(recording: Recording) -> list[float]:
+    """Of the one signal, in mm."""
+    return np.round(1e3 * recording.signals["x"].values, 9).tolist()
+
+
+GERMAN = "Zeit [s];Weg [µm];x\r\n0,00;0;1,5\r\n0,01;0;2,5"
+
+
+@pytest.mark.parametrize(("encoding", "named"), [("cp1252", "cp1252"), ("utf-16", "utf-16"), ("utf-16-le", "utf-16")])
+def test_a_text_of_another_encoding_needs_the_entry_that_the_message_names(read, encoding, named):
+    mapping = '[format]\ndelimiter = ";"\ndecimal = ","\n[time]\ncolumn = "Zeit [s]"\n' + X
+    with pytest.raises(RecordingError, match=says("encoding = ", named)):
+        read(GERMAN.encode(encoding), mapping)
+    assert values(read(GERMAN.encode(encoding), f'[format]\nencoding = "{encoding}"\n' + mapping[9:])) == [1.5, 2.5]
+    with pytest.raises(RecordingError, match=says("encoding = 'zip'", "utf-8", "cp1252")):
+        read(GERMAN, '[format]\nencoding = "zip"\n' + mapping[9:])
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        "t,x,u\n0,1,5,\n1,2,6,\n",
+        "t,x,u,\n0,1,5,\n1,2,6,\n",
+        "t,x,u,\n0,1,5\n1,2,6\n",
+        "t,x,u,,\n0,1,5,\n1,2,6\n",
+        't,x,u\n0,1,"5",\n1,2,6,\n',
+        "sep=,\nt,x,u\n0,1,5\n1,2,6\n",
+        "\ufefft,x,u\n\n0,1,5\n\n1,2,6\n\n",
+        "\nt,x,u\r0,1,5\r1,2,6\r",
+        "t,x,u\n0,+1,5\n1, 2 ,6\n",
+    ],
+)
+def test_what_does_not_change_a_table(read, table):
+    """Delimiters at the end of rows, the line of Excel, empty lines, a byte order mark, signs and blanks."""
+    recording = read(table, CLOCK + X + U)
+    assert (values(recording), recording.commands["u"].values.tolist()) == ([1, 2], [5, 6])
+    assert recording.signals["x"].time.tolist() == [0, 1]
+
+
+def test_a_delimiter_that_excel_contradicts_is_refused(read):
+    with pytest.raises(RecordingError, match=says("delimiter = ','", "sep=;")):
+        read("sep=;\nt;x\n0;1\n", '[format]\ndelimiter = ","\n' + CLOCK + X)
+
+
+@pytest.mark.parametrize("end", ["2", "2.0,", "2.0,3", "2.0,3.", "2.0,30.5,4", '2.0,"3', "\x00\x00\x00"])
+def test_a_last_line_that_is_cut_is_left_out_and_said(read, end):
+    """In a number, too: others have two decimals."""
+    recording = read("t,x\n0.0,10.25\n1.0,-2.50\n" + end, CLOCK + X)
+    assert values(recording) == [10.25, -2.5]
+    assert "left out" in recording.metadata[NOTES]
+
+
+@pytest.mark.parametrize(
+    ("table", "expected"),
+    [("0.0,10.25\n1.0,-2.50", [10.25, -2.5]), ("0,1e-05\n1,2e+05", [1e-5, 2e5]), ("0,7\n1,8", [7, 8]), ("0,7", [7])],
+)
+def test_a_last_line_without_an_end_counts_if_it_is_as_long_as_the_others(read, table, expected):
+    recording = read("t,x\n" + table, CLOCK + X)
+    assert values(recording) == expected
+    assert NOTES not in recording.metadata
+
+
+def test_a_letter_of_several_bytes_that_is_cut(read):
+    assert values(read("t,x,µ\n0.0,1.5,a\n1.0,2.5,b\n2.0,3.5,\u00b5".encode()[:-1], CLOCK + X)) == [1.5, 2.5]
+
+
+@pytest.mark.parametrize(
+    "table",
+    ["# t   x  y\n0  1.5 7\n 1\t2.5  8 \n\n2 3.5 9\n", "%t x y\n0 1.5 7\n1 2.5 8\n2 3.5 9\n"],
+)
+def test_columns_between_blanks(read, table):
+    mapping = '[format]\ndelimiter = "blank"\n' + CLOCK + X
+    assert values(read(table, mapping)) == [1.5, 2.5, 3.5]
+    with pytest.raises(RecordingError, match=says("line", "cells", 'delimiter = "blank"')):
+        read("t x y\n0  1 2\n", mapping.replace("blank", " "))
+
+
+@pytest.mark.parametrize(
+    ("stamps", "entries", "expected"),
+    [
+        ("2024-06-27 10:11:02.000|2024-06-27 10:11:02.25", "", [0, 0.25]),
+        ("2024-06-27T23:59:59Z|2024-06-28T02:00:00.5+02:00", "", [0, 1.5]),
+        ("27.06.2024 10:11:02|27.06.2024 10:11:03", "", [0, 1]),
+        ("23:59:59.5|0:00:00.25", "", [0, 0.75]),
+        ("11:59:59 AM|12:00:01 PM", "", [0, 2]),
+        ("|2024-06-27 10:11:02", "", [0]),
+        ("4294967290|4", 'unit = "ms"', [0, 0.01]),
+    ],
+)
+def test_dates_and_times(read, stamps, entries, expected):
+    table = "t,x\n" + "".join(f"{stamp},{i}\n" for i, stamp in enumerate([*stamps.split("|"), ""]))
+    if entries:
+        table = table.replace("4294967290", "4294967280,9\n4294967290")
+        expected = [0, 0.01, 0.02]
+    np.testing.assert_allclose(read(table, CLOCK + entries + "\n" + X).signals["x"].time, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "entries", "parts"),
+    [
+        ("2024-06-27 10:11:02|2024-06-27 10:11:03Z", "", ("line 3", "a zone")),
+        ("2024-06-27 10:11:02|soon", "", ("line 3", "'soon'", "no time such as")),
+        ("2024-13-27 10:11:02|", "", ("line 2", "no date")),
+        ("06/27/2024 10:11:02|", "", ("line 2", "no date", "year-month-day")),
+        ("0001-01-01 10:11:02|", "", ("line 2", "expected a year")),
+        ("2024-06-27 10:11:02|", 'unit = "s"', ("unit of time has no effect",)),
+        ("27 June|28 June", "", ("line 2", "no finite number")),
+    ],
+)
+def test_bad_dates_and_times(read, stamps, entries, parts):
+    table = "t,x\n" + "".join(f"{stamp},{i}\n" for i, stamp in enumerate(stamps.split("|")))
+    with pytest.raises(RecordingError, match=says(*parts)):
+        read(table, f"{CLOCK}{entries}\n{X}")
+
+
+def test_time_in_two_columns(read):
+    """As ros2 topic echo --csv writes it: to the nanosecond, without a header."""
+    table = "1719433753,999999999,base,1.5\n1719433754,1,base,2.5\n"
+    mapping = '[format]\nheader = false\n[time]\ncolumns = [1, "2"]\nunits = ["s", "ns"]\n' + X.replace('"x"', '"4"')
+    time = read(table, mapping).signals["x"].time
+    np.testing.assert_allclose(time, [0, 2e-9], rtol=1e-9)
+    with pytest.raises(RecordingError, match=says("2 columns", 'units = ["s", "ns"]')):
+        read(table, mapping.replace('units = ["s", "ns"]', ""))
+    with pytest.raises(RecordingError, match=says("both unit and units")):
+        read(table, mapping.replace("units = ", 'unit = "s"\nunits = '))
+
+
+def test_a_date_and_a_time_of_day_in_two_columns(read):
+    mapping = '[time]\ncolumns = ["d", "t"]\n' + X
+    recording = read("d,t,x\n2024-06-27,23:59:59,1\n2024-06-28,00:00:01,2\n", mapping)
+    np.testing.assert_allclose(recording.signals["x"].time, [0, 2])
+
+
+def test_a_row_of_units(read):
+    """It is taken or skipped on request, and not taken for numbers."""
+    table, signal = "t,x,q\nms,[mm],\u00b0\n0,1,90\n10,2,180\n", '[signals.q]\ncolumns = ["q"]\n'
+    with pytest.raises(RecordingError, match=says("line 2", 'unit_row = "take" or "skip"')):
+        read(table, CLOCK + X)
+    taken = read(table, '[format]\nunit_row = "take"\n' + CLOCK + X + signal)
+    np.testing.assert_allclose(taken.signals["q"].values, [np.pi / 2, np.pi])
+    np.testing.assert_allclose(taken.signals["q"].time, [0, 0.01])
+    skipped = read(table, '[format]\nunit_row = "skip"\n' + CLOCK + 'unit = "s"\n' + X)
+    assert (skipped.signals["x"].time.tolist(), values(skipped)) == ([0, 10], [1, 2])
+    with pytest.raises(RecordingError, match=says("signals.x", "unit = 'm'", "mm")):
+        read(table, '[format]\nunit_row = "take"\n' + CLOCK + X.replace('"mm"', '"m"'))
+    with pytest.raises(RecordingError, match=says("signals.x", "'[mm]'", "'ms'", "unit")):
+        read(table, '[format]\nunit_row = "take"\n' + CLOCK + '[signals.x]\ncolumns = ["t", "x"]\n')
+    with pytest.raises(RecordingError, match="no unit"):
+        read(table, CLOCK + '[signals.x]\ncolumns = ["x"]\n')
+
+
+def test_columns_of_one_name_are_chosen_by_number(read):
+    table = "t,x,t,u\n0,1,0.5,3\n1,2,1.5,4\n"
+    with pytest.raises(RecordingError, match=says("2 columns are called 't'", "by its number", "1, 3")):
+        read(table, CLOCK + X)
+    recording = read(table, "[time]\ncolumn = 1\n" + X + U + "time = 3\n")
+    assert recording.commands["u"].time.tolist() == [0.5, 1.5]
+    with pytest.raises(RecordingError, match=says("no column 5", "1 to 4")):
+        read(table, "[time]\ncolumn = 5\n" + X)
+
+
+@pytest.mark.parametrize("word", ["inf", "-inf", "#N/A", "#DIV/0!", "-nan(ind)", "1.#QNAN", "NULL", "NaN", ""])
+def test_what_is_no_finite_number_is_missing(read, word):
+    recording = read(f"t,x\n0,1\n1,{word}\n2,3\n", CLOCK + X)
+    assert (recording.signals["x"].time.tolist(), values(recording)) == ([0, 2], [1, 3])
+
+
+def test_missing_belongs_to_one_signal(read):
+    """Zeros of a lost marker are no zeros of a command."""
+    table = "t,x,u\n0,0.000,0\n1,2,0\n2,3,1\n"
+    with pytest.raises(RecordingError, match=says("commands.u", "missing = ['0']", "empty 2", "at the signals")):
+        read(table, '[format]\nmissing = ["0"]\n' + CLOCK + X + U)
+    for mapping in (CLOCK + X + 'missing = ["0"]\n' + U, f'[format]\nmissing = ["0"]\n{CLOCK}{X}{U}missing = []\n'):
+        recording = read(table, mapping)
+        assert (values(recording), recording.commands["u"].values.tolist()) == ([2, 3], [0, 0, 1])
+    with pytest.raises(RecordingError, match=says("line 2", "'lost'", "missing at one signal")):
+        read("t,x,u\n0,lost,1\n1,2,lost\n", CLOCK + X + U + 'missing = ["lost"]\n')
+
+
+def test_clocks_of_several_units(read):
+    recording = read("t,x,tu,u\n0,1,0,5\n1,2,100,6\n", CLOCK + X + U + 'time = "tu"\ntime_unit = "ms"\n')
+    assert recording.commands["u"].time.tolist() == [0, 0.1]
+    with pytest.raises(RecordingError, match="time_unit has no effect"):
+        read("t,x\n0,1\n", CLOCK + X + 'time_unit = "ms"\n')
+
+
+LONG = "t,joint,q\n0,b,2\n0,a,1\n1,a,3\n1,c,9\n1,b,4\n2,b,6\n"
+WIDE = "t,n1,n2,q1,q2\n0,b,a,2,1\n1,a,b,3,4\n2,b,c,6,9\n"
+
+
+@pytest.mark.parametrize(
+    ("table", "place"),
+    [(LONG, 'columns = ["q"]\nnames_in = "joint"'), (WIDE, 'columns = ["q1", "q2"]\nnames_in = ["n1", "n2"]')],
+)
+def test_numbers_are_chosen_by_the_names_beside_them(read, table, place):
+    signal = f'[signals.x]\nunit = "mm"\n{place}\nnames = ["a", "b"]\n'
+    recording = read(table, CLOCK + signal)
+    np.testing.assert_allclose(1e3 * recording.signals["x"].values, [[1, 2], [3, 4], [np.nan, 6]])
+    assert recording.signals["x"].time.tolist() == [0, 1, 2]
+    with pytest.raises(RecordingError, match=says("no row has the name 'd'", "there are", "a")):
+        read(table, CLOCK + signal.replace('"a"', '"d"'))
+    with pytest.raises(RecordingError, match="belong together"):
+        read(table, CLOCK + signal.replace('names = ["a", "b"]', ""))
+    with pytest.raises(RecordingError, match=says("the name 'b'", "twice")):
+        read(table.replace("a,1", "b,1").replace("b,a", "b,b"), CLOCK + signal)
+
+
+def test_rows_of_one_signal(read):
+    """Each signal may have rows of its own."""
+    signals = [f'[signals.{n}]\ncolumns = ["q"]\nunit = "1"\nlabel = "joint"\nonly = ["{n}"]\n' for n in "ab"]
+    recording = read(LONG, CLOCK + "".join(signals))
+    assert [recording.signals[n].values.tolist() for n in "ab"] == [[1, 3], [2, 4, 6]]
+    assert [recording.signals[n].time.tolist() for n in "ab"] == [[0, 1], [0, 1, 2]]
