@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -14,9 +15,11 @@ import pytest
 
 pytest.importorskip("stable_baselines3", reason="needs the train extra")
 
+import torch
 from safetensors.numpy import load_file, save_file
 
 from soro_bench.effects.effect import Effect, Location, save_effects
+from soro_bench.errors import plain_errors
 from soro_bench.evaluation import evaluate
 from soro_bench.files import read_json, write_json
 from soro_bench.policies.policy import Policy
@@ -117,6 +120,69 @@ def test_killed_training_loses_at_most_one_segment(trained, tmp_path):
     assert _bytes(tmp_path) == _bytes(trained)
 
 
+def half(folder):
+    path = folder / "checkpoint.pt"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def of_an_object(folder):
+    """What would remove the folder if it were unpickled."""
+
+    class Code:
+        def __reduce__(self):
+            return shutil.rmtree, (str(folder),)
+
+    torch.save({"segment": 1, "policy": Code()}, folder / "checkpoint.pt")
+
+
+def of_a_larger_network(folder):
+    train(replace(CONFIG, hidden=(32,)), folder / "larger")
+    shutil.copy(folder / "larger" / "checkpoint.pt", folder)
+
+
+def of_a_longer_training(folder):
+    checkpoint = torch.load(folder / "checkpoint.pt", weights_only=True)
+    torch.save({**checkpoint, "segment": 4}, folder / "checkpoint.pt")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (half, "it is cut off, or another program has written it"),
+        (lambda folder: (folder / "checkpoint.pt").write_bytes(b""), "it is cut off"),
+        (lambda folder: torch.save([1], folder / "checkpoint.pt"), "it has not just count, curve, mean"),
+        (of_an_object, "it holds pickled Python objects, which are never loaded"),
+        (of_a_larger_network, "size mismatch"),
+        (of_a_longer_training, "segment 4; 1 to 3 are those of this training"),
+    ],
+)
+def test_a_checkpoint_that_cannot_be_read_says_in_a_line_what_to_remove(trained, tmp_path, spoil, said):
+    shutil.copytree(trained, tmp_path, dirs_exist_ok=True)
+    spoil(tmp_path)
+    with pytest.raises(SystemExit) as exit, plain_errors("train"):
+        train(CONFIG, tmp_path)
+    assert "\n" not in exit.value.code and said in exit.value.code
+    assert exit.value.code.endswith("remove checkpoint.pt to train from the beginning")
+    (tmp_path / "checkpoint.pt").unlink()
+    train(CONFIG, tmp_path)
+    assert _bytes(tmp_path) == _bytes(trained)
+
+
+def test_a_full_disk_is_said_in_a_line_and_loses_no_checkpoint(trained, tmp_path):
+    """A disk that takes no file larger than 20 kB, which a checkpoint is and a curve is not."""
+    code = (
+        "import resource, sys, tests.test_training as t; resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))\n"
+        "with t.plain_errors('train'): t.train(t.CONFIG, sys.argv[1])"
+    )
+    run = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True)
+    assert run.returncode == 1 and re.fullmatch(
+        r"train: .*checkpoint\.pt cannot be written: .*File too large.*; make room, and repeat the command.*\n",
+        run.stderr,
+    )
+    train(CONFIG, tmp_path)
+    assert _bytes(tmp_path) == _bytes(trained)
+
+
 def test_a_folder_with_another_run_is_refused(trained):
     """Training into a folder of another configuration names what differs and changes nothing."""
     before = (trained / "config.json").read_bytes()
@@ -187,7 +253,7 @@ def test_exported_policy_acts_as_the_trained_network(trained):
 
     env = make_env(CONFIG, None)
     agent = make_agent(CONFIG, env)
-    _load_checkpoint(trained, agent, env, _Curve())
+    _load_checkpoint(trained, CONFIG, agent, env, _Curve())
     env.training = False
     observations = np.random.default_rng(0).uniform(-0.2, 0.2, (50, 66))
     with torch.no_grad():

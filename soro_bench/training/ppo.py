@@ -6,7 +6,9 @@ ends with the same bytes as one that was not.
 """
 
 import csv
+import io
 import time
+import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -25,7 +27,8 @@ from stable_baselines3.common.vec_env import VecNormalize
 from soro_bench.envs.sb3 import SB3VecEnv
 from soro_bench.envs.task import effects_of
 from soro_bench.envs.vector import SoftRobotVectorEnv
-from soro_bench.files import brief, read_json, replacing, write_json
+from soro_bench.errors import one_line
+from soro_bench.files import brief, read_bytes, read_json, replacing, write_json
 from soro_bench.models.simulation import quiet
 from soro_bench.policies.policy import OBSERVATION_CLIP, Policy, PolicyCard
 from soro_bench.randomization import Distribution
@@ -36,6 +39,7 @@ Progress = Callable[[int, int, dict[str, float]], None]  # steps done, steps in 
 # version of how a configuration becomes a policy; 1 let the learning rate fall in every segment anew, for 1 and 2
 # nothing that came after success counted, and 1 to 3 let observations that hardly vary be blown up
 TRAINER = 4
+_CHECKPOINT_BYTES = 1_000_000_000  # that are read; those of the suite have some 100 KB
 
 
 @dataclass(frozen=True)
@@ -157,7 +161,7 @@ def train(
         path.unlink(missing_ok=True)
     write_json(folder / "config.json", described)
     curve = _Curve()
-    first = _load_checkpoint(folder, agent, env, curve) if (folder / "checkpoint.pt").exists() else 0
+    first = _load_checkpoint(folder, config, agent, env, curve) if (folder / "checkpoint.pt").exists() else 0
     for segment in range(first, config.num_segments):
         _run_segment(config, segment, agent, env, curve, progress)
         _save_checkpoint(folder, segment + 1, agent, env, curve)
@@ -304,6 +308,7 @@ def _observed(env: VecNormalize) -> RunningMeanStd:
 
 
 def _save_checkpoint(folder: Path, segment: int, agent: PPO, env: VecNormalize, curve: _Curve) -> None:
+    """OSError that says how to go on if the folder takes no more."""
     checkpoint = {
         "segment": segment,
         "updates": agent._n_updates,
@@ -314,25 +319,58 @@ def _save_checkpoint(folder: Path, segment: int, agent: PPO, env: VecNormalize, 
         "count": float(_observed(env).count),
         "curve": curve.rows,
     }
-    # the curve first: with a later checkpoint than its rows it would stay short
-    with replacing(folder / "curve.csv") as temporary, temporary.open("w", newline="") as file:
-        writer = csv.DictWriter(file, curve.rows[0])
-        writer.writeheader()
-        writer.writerows(curve.rows)
-    with replacing(folder / "checkpoint.pt") as temporary:
-        torch.save(checkpoint, temporary)
+    torch.save(checkpoint, buffer := io.BytesIO())
+    try:
+        # the curve first: with a later checkpoint than its rows it would stay short
+        with replacing(folder / "curve.csv") as temporary, temporary.open("w", newline="") as file:
+            writer = csv.DictWriter(file, curve.rows[0])
+            writer.writeheader()
+            writer.writerows(curve.rows)
+        with replacing(folder / "checkpoint.pt") as temporary:
+            temporary.write_bytes(buffer.getbuffer())
+    except OSError as error:
+        raise OSError(
+            f"{folder / 'checkpoint.pt'} cannot be written: {one_line(error)}; make room, and repeat the command: it "
+            "goes on from the checkpoint before"
+        ) from error
 
 
-def _load_checkpoint(folder: Path, agent: PPO, env: VecNormalize, curve: _Curve) -> int:
-    checkpoint = torch.load(folder / "checkpoint.pt", weights_only=True)
+def _load_checkpoint(folder: Path, config: PPOConfig, agent: PPO, env: VecNormalize, curve: _Curve) -> int:
+    """The segment that comes next, with agent, environments and curve as the checkpoint has them. Tensors and plain
+    values are read, never pickled objects; ValueError for anything else."""
+    path = folder / "checkpoint.pt"
+    try:
+        data = io.BytesIO(read_bytes(path, _CHECKPOINT_BYTES))
+        if not zipfile.is_zipfile(data):
+            raise ValueError("it is cut off, or another program has written it")
+        data.seek(0)
+        checkpoint = torch.load(data, weights_only=True)
+        _restore(checkpoint, config, agent, env, curve)
+    except Exception as error:  # torch raises errors of nearly any type for bytes that it has not written
+        raise ValueError(
+            f"{path} is no checkpoint of this training: {one_line(error)[:200]}; remove checkpoint.pt to train "
+            "from the beginning"
+        ) from error
+    return checkpoint["segment"]
+
+
+def _restore(checkpoint: Any, config: PPOConfig, agent: PPO, env: VecNormalize, curve: _Curve) -> None:
+    keys = {"segment", "updates", "policy", "optimizer", "mean", "var", "count", "curve"}
+    if not isinstance(checkpoint, dict) or checkpoint.keys() != keys:
+        raise ValueError(f"it has not just {', '.join(sorted(keys))}")
+    segment, observed = checkpoint["segment"], _observed(env)
+    if type(segment) is not int or not 1 <= segment <= config.num_segments:
+        raise ValueError(f"segment {brief(segment)}; 1 to {config.num_segments} are those of this training")
     agent.policy.load_state_dict(checkpoint["policy"])
     agent.policy.optimizer.load_state_dict(checkpoint["optimizer"])
     agent._n_updates = checkpoint["updates"]
-    _observed(env).mean = checkpoint["mean"].numpy()
-    _observed(env).var = checkpoint["var"].numpy()
-    _observed(env).count = checkpoint["count"]
-    curve.rows = checkpoint["curve"]
-    return checkpoint["segment"]
+    mean, var = checkpoint["mean"].numpy(), checkpoint["var"].numpy()
+    if mean.shape != observed.mean.shape or var.shape != observed.var.shape:
+        raise ValueError(f"observations of shapes {mean.shape} and {var.shape}; {observed.mean.shape} is needed")
+    observed.mean, observed.var, observed.count = mean, var, checkpoint["count"]
+    if not (isinstance(rows := checkpoint["curve"], list) and all(isinstance(row, dict) for row in rows)):
+        raise ValueError(f"its curve is {brief(rows)}")
+    curve.rows = rows
 
 
 def _export(config: PPOConfig, agent: PPO, env: VecNormalize) -> Policy:
