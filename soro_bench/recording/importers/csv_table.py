@@ -3,6 +3,7 @@
 import csv
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from soro_bench.recording.importers.mapping import FileMapping, load_mapping
 from soro_bench.recording.importers.names import chosen_by_name
 from soro_bench.recording.importers.source import Source
 from soro_bench.recording.importers.table_cells import Labels, Names, Numbers, Progress, Times, Want, read_columns
-from soro_bench.recording.importers.table_text import FORMAT, Lines, TableText, read_text, words
+from soro_bench.recording.importers.table_text import FORMAT, TableText, read_text, words
 from soro_bench.recording.importers.units import of_text, si
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, named_errors, read_bytes
@@ -40,6 +41,7 @@ def import_csv(
         del data
         spec.notes.add("the file", table.note)
         reader = _Reader(table, spec, progress)
+        del table  # and its text, which is as large as the file
         return spec.recording(reader.samples, Path(path).name, EXPANSION * max_bytes, reader.unit)
 
 
@@ -59,6 +61,7 @@ class _Reader:
                 except RecordingError as error:
                     raise RecordingError(f"{group}.{name}: {error}") from error
         self._columns, self._lines = read_columns(table, wants, self._kept("[format]", spec.format), progress)
+        self._table = replace(table, text="", start=0)
         self._clocks: dict[tuple, tuple[np.ndarray, np.ndarray]] = {}
         self._check_commands()
 
@@ -242,7 +245,7 @@ def _first_rows(table: TableText) -> list[list[str]]:
     """The first rows; fewer where they cannot be read."""
     rows: list[list[str]] = []
     try:
-        for row in table.rows(Lines(table.body, 0, table.line - 1)):
+        for row in table.rows(table.lines()):
             rows += [row] if row else []
             if len(rows) == _PEEKED:
                 break

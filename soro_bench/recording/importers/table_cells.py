@@ -132,26 +132,26 @@ def read_columns(
         if cells > _MAX_CELLS or cells > MAX_ROWS * len(wants):
             raise RecordingError(f"more than {MAX_ROWS} rows or {_MAX_CELLS} cells")
         if progress:
-            progress("read", done, len(table.body))
+            progress("read", done - table.start, len(table.text) - table.start)
     empty = {Numbers: np.empty(0), Times: np.empty(0, np.int64), Labels: np.empty(0, bool), Names: np.empty(0, int)}
     return {want: np.concatenate([empty[type(want)], *part]) for want, part in parts.items()}, np.concatenate(lines)
 
 
 def _chunks(table: TableText, wants: Sequence[Want]) -> Iterator[tuple[Chunk, int]]:
     """All rows, and how many letters are behind them."""
-    if '"' in table.body:  # which may join lines
-        yield from _row_chunks(table, Lines(table.body, 0, table.line - 1))
+    if table.text.find('"', table.start) >= 0:  # which may join lines
+        yield from _row_chunks(table, table.lines())
         return
-    position, line = 0, table.line
-    while position < len(table.body):
-        end = table.body.find("\n", min(position + _BLOCK, len(table.body)) - 1) + 1
-        block = table.body[position:end]
+    position, line = table.start, table.line
+    while position < len(table.text):
+        end = table.text.find("\n", min(position + _BLOCK, len(table.text)) - 1) + 1
+        block = table.text[position:end]
         if chunk := _plain(table, block, line, wants):
             if len(chunk.lines):
                 yield chunk, end
         else:
-            for rows, _ in _row_chunks(table, Lines(block, 0, line - 1)):
-                yield rows, end
+            for rows, done in _row_chunks(table, Lines(block, 0, line - 1)):
+                yield rows, position + done
         position, line = end, line + block.count("\n")
 
 

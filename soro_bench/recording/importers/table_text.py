@@ -4,7 +4,7 @@ import codecs
 import csv
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from soro_bench.recording.importers.mapping import texts, typed
@@ -28,13 +28,18 @@ _ZERO, _END = "\x00", "\x1a"  # where the power was lost; the end of a file in D
 class TableText:
     """The rows of a table after its header, each with a line end."""
 
-    body: str
-    line: int  # in the file, where it begins
+    text: str
+    start: int  # where the rows begin in it
+    line: int  # of the file, where they begin
     header: list[str]
     units: list[str]  # the texts of a row of units; none without one
     delimiter: str
     decimal: str
     note: str  # what has been left out at the end
+
+    def lines(self) -> "Lines":
+        """The lines of all rows."""
+        return Lines(self.text, self.start, self.line - 1)
 
     def rows(self, lines: Iterator[str]) -> Iterator[list[str]]:
         """The cells of each row; an empty line has none."""
@@ -98,7 +103,7 @@ def read_text(data: bytes, options: Mapping[str, Any]) -> TableText:
         first, (lines.position, lines.count) = [str(i + 1) for i in range(len(first))], before
     units = [cell.strip() for cell in _first(lines, delimiter)] if unit_row else []
     table = TableText(
-        text[lines.position :], lines.count + 1, first, units if unit_row == "take" else [], delimiter, decimal, note
+        text, lines.position, lines.count + 1, first, units if unit_row == "take" else [], delimiter, decimal, note
     )
     return _without_cut_line(table)
 
@@ -201,25 +206,21 @@ def _first(lines: Lines, delimiter: str) -> list[str]:
 
 def _without_cut_line(table: TableText) -> TableText:
     """Without a last line that may have been cut, as no line end follows it; else the line gets one."""
-    body = table.body
-    if not body or body.endswith("\n"):
+    text = table.text
+    if len(text) == table.start or text.endswith("\n"):
         return table
-    start = body.rfind("\n") + 1
-    last = body[start:]
+    start = max(text.rfind("\n") + 1, table.start)
+    last = text[start:]
     begin = start
     for _ in range(_LOOKED_AT):
-        begin = max(body.rfind("\n", 0, max(begin - 1, 0)) + 1, 0)
-        if not begin:
+        begin = max(text.rfind("\n", 0, max(begin - 1, 0)) + 1, table.start)
+        if begin == table.start:
             break
-    if not last.strip() or _complete(table, last, body[begin:start]):
-        return _with_body(table, body + "\n", table.note)
-    line = table.line + body.count("\n")
+    if not last.strip() or _complete(table, last, text[begin:start]):
+        return replace(table, text=text + "\n")
+    line = table.line + text.count("\n", table.start)
     note = f"line {line}, the last one, is left out: it has no line end and may be cut"
-    return _with_body(table, body[:start], "; ".join(filter(None, (table.note, note))))
-
-
-def _with_body(table: TableText, body: str, note: str) -> TableText:
-    return TableText(body, table.line, table.header, table.units, table.delimiter, table.decimal, note)
+    return replace(table, text=text[:start], note="; ".join(filter(None, (table.note, note))))
 
 
 def _complete(table: TableText, last: str, before: str) -> bool:
