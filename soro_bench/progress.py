@@ -9,6 +9,7 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.progress import (
     BarColumn,
+    DownloadColumn,
     MofNCompleteColumn,
     Progress,
     TaskID,
@@ -83,6 +84,26 @@ class _Log:
 def _hours(left: float | None) -> str:
     """The time that is left [s], if it is known."""
     return "" if left is None else f", {left / 3600:.1f} h left"
+
+
+class ReadingBar:
+    """How much of a file has been read; nothing where nobody looks, in a log file."""
+
+    def __enter__(self) -> Self:
+        self._progress = Progress(TextColumn("{task.description}"), BarColumn(), DownloadColumn(), TimeElapsedColumn(),
+                                  TimeRemainingColumn(), console=console, disable=not console.is_terminal)  # fmt: skip
+        self._progress.start()
+        self._task: TaskID | None = None
+        return self
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Show that so many bytes of all have been read."""
+        if self._task is None:
+            self._task = self._progress.add_task(stage, total=total)
+        self._progress.update(self._task, description=stage, completed=done, total=total)
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
 
 
 class StageStatus:

@@ -5,8 +5,7 @@ import pytest
 
 pytest.importorskip("pyarrow")
 from soro_bench.recording.importers import import_recording
-from soro_bench.recording.importers.mapping import NOTES
-from soro_bench.recording.recording import Recording, RecordingError
+from soro_bench.recording.recording import NOTES, Recording, RecordingError
 from tests.recordings import says
 
 CLOCK = '[time]\ncolumn = "t"\n'

@@ -1,5 +1,6 @@
 """``soro-bench record``, ``import``, ``data`` and ``view``."""
 
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -7,10 +8,10 @@ from typing import Annotated, Literal
 import numpy as np
 import tyro
 
-from soro_bench.files import check_output
+from soro_bench.files import check_output, replacing
 from soro_bench.options import EnvId
-from soro_bench.progress import console, table
-from soro_bench.recording.recording import Recording
+from soro_bench.progress import ReadingBar, console, table
+from soro_bench.recording.recording import NOTES, Recording
 
 
 @dataclass
@@ -56,27 +57,57 @@ class Record:
 
 @dataclass
 class Import:
-    """Turn a CSV, NPZ or MCAP file or a LeRobot dataset into a recording."""
+    """Turn a log into a recording: a table, arrays, a bag, motion capture or a LeRobot dataset."""
 
     file: Annotated[Path, tyro.conf.Positional]
-    """.csv, .npz, .mcap, or the folder of a LeRobot dataset."""
-    out: Path
-    """The file to write, .parquet."""
+    """.csv, .npz, .mcap and others (docs/reference/recordings.md), or the folder of a LeRobot dataset."""
+    out: Path | None = None
+    """The file to write, .parquet; with --guess .toml, beside the log by default."""
     mapping: Path | None = None
     """TOML file that says what is what (docs/how_to/import_a_log.md); a LeRobot dataset needs none."""
     episode: int | None = None
     """Which episode of a LeRobot dataset; the first by default."""
+    guess: bool = False
+    """Write a mapping that the file suggests, to be corrected, instead of a recording."""
 
     def run(self) -> None:
         """Read, save and describe the recording; RecordingError says what is wrong with the file or its mapping."""
         from soro_bench.recording.importers import import_recording
         from soro_bench.recording.parquet import save
 
+        if self.guess:
+            return self._guess()
+        if self.out is None:
+            raise ValueError("write --out with the name of the .parquet file, or --guess for a mapping to begin with")
         check_output(self.out, ".parquet")
         selection = {} if self.episode is None else {"episode": self.episode}
-        recording = import_recording(self.file, self.mapping, **selection)
+        begin = time.monotonic()
+        with ReadingBar() as bar:
+            recording = import_recording(self.file, self.mapping, bar, **selection)
+        took = time.monotonic() - begin
         save(recording, self.out)
         _describe(recording, self.out)
+        size = f"{self.file.stat().st_size / 1e6:.1f} MB " if self.file.is_file() else ""
+        console.print(f"{size}read and checked in {took:.1f} s", soft_wrap=True)
+
+    def _guess(self) -> None:
+        """Write a mapping; ValueError if there is one already or if there is nothing to guess from."""
+        from soro_bench.recording.importers import guess_mapping
+
+        if self.mapping is not None or self.episode is not None:
+            raise ValueError("--guess writes a mapping: leave --mapping and --episode out")
+        out = self.out or self.file.with_suffix(".toml")
+        check_output(out, ".toml")
+        if out.exists():
+            raise ValueError(f"{out} is there already and may hold corrections: write --out with another name")
+        text = guess_mapping(self.file)
+        with replacing(out) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+        console.print(
+            f"{out}: correct it, then\n"
+            f"soro-bench import {self.file} --mapping {out} --out {self.file.with_suffix('.parquet')}",
+            soft_wrap=True,
+        )
 
 
 @dataclass
@@ -149,3 +180,5 @@ def _describe(recording: Recording, path: Path) -> None:
         ends = (f"{seen.min():.4g}", f"{seen.max():.4g}") if seen.size else ("", "")
         lines.add_row(name, str(count), rate, shape, signal.unit, signal.frame, *ends, str(gaps or ""))
     console.print(lines)
+    for note in recording.metadata.get(NOTES, "").splitlines():
+        console.print(f"note: {note}", soft_wrap=True)

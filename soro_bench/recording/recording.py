@@ -20,6 +20,7 @@ MAX_SIZE = 100_000  # numbers in one sample
 MAX_SIGNALS = 1000  # of commands and signals together
 MAX_ENTRIES = 1000  # of parameters, and of metadata
 MAX_TEXT = 10_000  # characters of a metadata value
+NOTES = "import_notes"  # the metadata that say what an import has left out, changed or seen, a line each
 _DENSE = 1.2  # of the spacing of times, above which samples are apart
 _ROUNDING = 1e-3  # of the spacing of times, by which a time stamp may be late
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")

@@ -2,7 +2,7 @@
 
 import importlib
 import importlib.util
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -19,13 +19,20 @@ _FUNCTIONS = {
     "motion_capture": "import_motion_capture", "csv_table": "import_csv", "lerobot": "import_lerobot",
 }  # fmt: skip
 _WITH_EPISODES = ("lerobot",)
+_WITH_PROGRESS = ("csv_table",)
 
 
-def import_recording(path: str | Path, mapping: str | Path | Mapping | None = None, **selection: Any) -> Recording:
+def import_recording(
+    path: str | Path,
+    mapping: str | Path | Mapping | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+    **selection: Any,
+) -> Recording:
     """Read a foreign recording: a table, arrays, a log, motion capture, or the folder of a LeRobot dataset.
 
     Args:
         mapping: TOML file that says what is what, or what it says; a LeRobot dataset needs none.
+        progress: is told the stage, how much of the file has been read, and of how much, where that takes long.
         selection: ``episode`` of a LeRobot dataset, ``max_bytes`` of any file.
 
     Raises:
@@ -35,6 +42,8 @@ def import_recording(path: str | Path, mapping: str | Path | Mapping | None = No
     name, module = _module(path, mapping)
     if "episode" in selection and name not in _WITH_EPISODES:
         raise RecordingError(f"{path} has no episodes; only the folder of a LeRobot dataset has")
+    if progress and name in _WITH_PROGRESS:
+        selection["progress"] = progress
     return getattr(module, _FUNCTIONS[name])(path, mapping, **selection)
 
 

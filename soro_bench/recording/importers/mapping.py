@@ -13,11 +13,10 @@ from soro_bench.files import shown
 from soro_bench.recording.importers.clock import ORDERS, chosen, continued, overflowed
 from soro_bench.recording.importers.source import Source, check_keys, positive, read_source, unwrapped
 from soro_bench.recording.importers.units import si
-from soro_bench.recording.recording import MAX_SIGNALS, MAX_TEXT, Recording, RecordingError, Signal, check_name
+from soro_bench.recording.recording import MAX_SIGNALS, MAX_TEXT, NOTES, Recording, RecordingError, Signal, check_name
 from soro_bench.recording.untrusted import named_errors, read_bytes
 
 MAX_BYTES = 1_000_000
-NOTES = "import_notes"  # the metadata that say what an import has changed or seen
 _ROUNDING = 1e-9  # s
 _REGULAR = 1.5  # times the median interval, up to which others are regular too
 _SECTIONS = ("format", "time", "commands", "signals", "parameters", "metadata")
