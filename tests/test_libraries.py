@@ -122,6 +122,42 @@ def test_an_action_clearly_outside_is_refused_in_one_line(bad):
     assert "\n" not in str(error.value)
 
 
+# --- info ---
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_a_flat_info_has_the_same_numbers_without_a_dict_in_it(mode):
+    """For libraries such as TorchRL, whose reader of infos of vector environments knows arrays only."""
+    options = {"num_envs": 2, "model": "cable", "max_episode_steps": 2, "autoreset_mode": mode}
+    nested, flat = (gymnasium.make_vec("TrunkReach-v0", **options, flat_info=each) for each in (False, True))
+    for step in range(4):
+        theirs, ours = (envs.step([0, 1]) if step else envs.reset(seed=0) for envs in (nested, flat))
+        for expected, found in ((theirs[-1], ours[-1]), *_final_infos(theirs[-1], ours[-1])):
+            params = expected.pop("params")
+            expected.pop("_params", None)
+            for name, values in params.items():
+                key = f"_param{name}" if name.startswith("_") else f"param_{name}"
+                np.testing.assert_array_equal(found.pop(key), values)
+            assert found.keys() == expected.keys()
+
+
+def _final_infos(theirs, ours):
+    return [(theirs.pop("final_info"), ours.pop("final_info"))] if "final_info" in theirs else []
+
+
+def test_a_flat_info_of_a_single_environment(make):
+    info = make("TrunkReach-v0", model="cable", flat_info=True).reset(seed=0)[1]
+    assert info["param_trunk_mass"] == 0.42 and "params" not in info
+    with pytest.raises(ValueError, match="flat_info = 'yes'; True or False is needed"):
+        make("TrunkReach-v0", model="cable", flat_info="yes")
+
+
+def test_an_unknown_argument_is_refused_in_the_words_of_python(make):
+    """TorchRL tries an argument called frameskip, and goes on without it when it reads these words."""
+    with pytest.raises(TypeError, match="frameskip=1: unexpected keyword argument 'frameskip'; this"):
+        make("TrunkReach-v0", model="cable", frameskip=1)
+
+
 # --- copies ---
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.effects.effect import Effect
 from soro_bench.envs.single import SoftRobotEnv
-from soro_bench.envs.task import ACTION_MODES, Task, effects_of
+from soro_bench.envs.task import ACTION_MODES, Task, checked_flag, effects_of, refuse_arguments
 from soro_bench.envs.vector import SoftRobotVectorEnv
 from soro_bench.models import walker
 from soro_bench.models.walker_mesh import CHAMBERS, RESOLUTIONS
@@ -75,16 +75,12 @@ class MultiGaitTask(Task):
         effects: Sequence[Effect] | str | Path | None = None,
         **unknown: Any,
     ):
-        for name, value in unknown.items():
-            raise TypeError(
-                f"unknown argument {name}={value!r}; this environment takes mesh, action, observation_noise and effects"
-            )
+        refuse_arguments(unknown, "mesh, action, observation_noise and effects")
         if not isinstance(mesh, str) or mesh not in RESOLUTIONS:
             raise ValueError(f"unknown mesh {mesh!r}; there are {', '.join(RESOLUTIONS)}")
         if action not in ACTION_MODES:
             raise ValueError(f"unknown action mode {action!r}; there are {', '.join(ACTION_MODES)}")
-        if not isinstance(observation_noise, bool | np.bool_):
-            raise ValueError(f"observation_noise = {observation_noise!r}; True or False is needed")
+        self._noise = checked_flag("observation_noise", observation_noise)
         # its joints are sliders of mesh nodes, which have no springs: nothing to instrument
         model = _compiled(mesh)
         super().__init__(model, [_parameter_map(mesh)], num_envs, num_threads, effects_of(effects))
@@ -94,7 +90,6 @@ class MultiGaitTask(Task):
         self.single_observation_space = spaces.Box(-1.0, 2.0, (3 + len(CHAMBERS),), np.float64)
         self._inflation = walker.Inflation(model, mesh)
         self._share = model.body_mass[1:] / model.body_mass[1:].sum()
-        self._noise = observation_noise
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
         self._start, self._last = np.zeros((2, num_envs))  # m, x of the centre of mass
         self.sim.batch.bind("xpos")

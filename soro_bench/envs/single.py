@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from soro_bench.arrays import Floats
 from soro_bench.envs.copying import CopiedWithTask
-from soro_bench.envs.task import checked_options
+from soro_bench.envs.task import checked_flag, checked_options, shown
 
 if TYPE_CHECKING:  # imported when something is drawn
     from soro_bench.envs.rendering import Camera, Viewer
@@ -22,17 +22,19 @@ class SoftRobotEnv(CopiedWithTask, gymnasium.Env[NDArray[Any], Any]):
 
     Args:
         render_mode: None, "human" (MuJoCo's viewer) or "rgb_array" (480 x 640 pixels).
+        flat_info: whether ``info`` has parameters as param_<name> and no dict of them, for libraries such as TorchRL.
         task_options: what the task takes: model (or mesh), action, effects.
     """
 
     # Gymnasium declares it as a variable of instances
     metadata: dict[str, Any] = {"render_modes": ["human", "rgb_array"], "render_fps": 20}  # noqa: RUF012
 
-    def __init__(self, render_mode: str | None = None, **task_options: Any):
+    def __init__(self, render_mode: str | None = None, flat_info: bool = False, **task_options: Any):
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"unknown render_mode {render_mode!r}; there are {self.metadata['render_modes']}")
         if several := {"num_envs", "num_threads"} & set(task_options):
             raise TypeError(f"{', '.join(sorted(several))}: gymnasium.make_vec takes this; here is one simulation")
+        self._flat_info = checked_flag("flat_info", flat_info)
         self._task_options = {"num_envs": 1, **task_options}
         self.task = self._build_task()
         self.observation_space = self.task.single_observation_space
@@ -49,7 +51,7 @@ class SoftRobotEnv(CopiedWithTask, gymnasium.Env[NDArray[Any], Any]):
         self._begun = True
         if self.render_mode == "human":
             self.render()
-        return observation[0], _row(info)
+        return observation[0], _row(shown(info, self._flat_info))
 
     def step(self, action: ArrayLike) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """As Gymnasium's; truncated where the simulation diverged. ValueError for an action that is none."""
@@ -68,7 +70,7 @@ class SoftRobotEnv(CopiedWithTask, gymnasium.Env[NDArray[Any], Any]):
             float(step.reward[0]),
             bool(step.terminated[0]),
             bool(step.diverged[0]),
-            _row(step.info),
+            _row(shown(step.info, self._flat_info)),
         )
 
     def render(self) -> NDArray[np.uint8] | None:

@@ -60,6 +60,27 @@ def checked_options(options: Mapping[str, Any] | None) -> Mapping[str, Any]:
     return options or {}
 
 
+def checked_flag(name: str, value: object) -> bool:
+    """True or False; ValueError for anything else."""
+    if not isinstance(value, bool | np.bool_):
+        raise ValueError(f"{name} = {value!r}; True or False is needed")
+    return bool(value)
+
+
+def refuse_arguments(unknown: Mapping[str, object], known: str) -> None:
+    """TypeError for arguments that an environment does not take, in Python's words, for which libraries look."""
+    for name, value in unknown.items():
+        raise TypeError(f"{name}={value!r}: unexpected keyword argument {name!r}; this environment takes {known}")
+
+
+def shown(info: Mapping[str, Any], flat: bool) -> Mapping[str, Any]:
+    """An info dict; a flat one has the parameters as param_<name> beside the other entries."""
+    if not flat:
+        return info
+    rest = {key: value for key, value in info.items() if key != "params"}
+    return {**{f"param_{name}": value for name, value in info["params"].items()}, **rest}
+
+
 @dataclass
 class Step:
     """What one step of the simulations ``ids`` gave; every array has len(ids) rows."""

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.effects.effect import Effect
 from soro_bench.effects.elements import instrument
-from soro_bench.envs.task import ACTION_MODES, Task, effects_of
+from soro_bench.envs.task import ACTION_MODES, Task, effects_of, refuse_arguments
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.scene import ContactFriction, ObjectMass
@@ -71,8 +71,7 @@ class TrunkTask(Task):
         effects: Sequence[Effect] | str | Path | None = None,
         **unknown: Any,
     ):
-        for name, value in unknown.items():
-            raise TypeError(f"unknown argument {name}={value!r}; this environment takes model, action and effects")
+        refuse_arguments(unknown, "model, action and effects")
         if not isinstance(model, str) or model not in trunk.VARIANTS:
             raise ValueError(f"unknown model {model!r}; there are {', '.join(trunk.VARIANTS)}")
         if action not in ACTION_MODES:

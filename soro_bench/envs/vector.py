@@ -13,7 +13,7 @@ from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.envs.copying import CopiedWithTask
 from soro_bench.envs.gymnasium_vector import AutoresetMode, VectorEnv, need_vector_environments
 from soro_bench.envs.one_of_many import OneOfMany
-from soro_bench.envs.task import checked_options
+from soro_bench.envs.task import checked_flag, checked_options, shown
 
 if TYPE_CHECKING:  # imported when something is drawn
     from soro_bench.envs.rendering import Camera, Picture
@@ -33,6 +33,7 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
         num_threads: threads, 0 for all processors; results do not depend on it.
         render_mode: None, or "rgb_array" (480 x 640 pixels for each simulation).
         autoreset_mode: Gymnasium's "NextStep" (default), "SameStep" or "Disabled".
+        flat_info: whether ``info`` has parameters as param_<name> and no dict of them, for libraries such as TorchRL.
         task_options: what the task takes: model (or mesh), action, effects.
     """
 
@@ -45,11 +46,13 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
         num_threads: int = 0,
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        flat_info: bool = False,
         **task_options: Any,
     ):
         need_vector_environments()
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode {render_mode!r}: of vector environments allowed are None and 'rgb_array'")
+        self._flat_info = checked_flag("flat_info", flat_info)
         self._task_options = {"num_envs": num_envs, "num_threads": num_threads, **task_options}
         self.task = self._build_task()
         self.num_envs = num_envs
@@ -129,7 +132,7 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
             self._observation[ids], reward[ids] = step.observation, step.reward
             terminated[ids] = step.terminated
             truncated[ids] = step.diverged | (self._elapsed[ids] >= self._max_steps)
-            _scatter(info, step.info, ids, self.num_envs)
+            _scatter(info, shown(step.info, self._flat_info), ids, self.num_envs)
         self._restart(restarting, [{}] * len(restarting), info)
         self._done = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
@@ -199,7 +202,7 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
         self._elapsed[ids] = 0
         self._done[ids] = False
         self._begun[ids] = True
-        _scatter(info, rows, ids, self.num_envs)
+        _scatter(info, shown(rows, self._flat_info), ids, self.num_envs)
 
 
 def _mode(autoreset_mode: str | AutoresetMode) -> AutoresetMode:
