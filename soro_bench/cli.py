@@ -21,6 +21,7 @@ except ImportError as error:
     sys.exit(f"soro-bench needs more than the core install: pip install soro_bench[all] ({error})")
 
 from soro_bench.errors import plain_errors
+from soro_bench.models.simulation import quiet
 from soro_bench.registration import ENV_IDS, task_type
 
 
@@ -72,9 +73,9 @@ ALIASES = {"prove": "blind-benchmark"}  # names of the version before, which go 
 
 
 def main() -> None:
-    """Entry point."""
+    """Entry point. MuJoCo's warnings are neither printed nor logged to a file in the working directory."""
     arguments = [ALIASES.get(each, each) if i == 0 else each for i, each in enumerate(sys.argv[1:])]
-    with plain_errors("soro-bench"):
+    with plain_errors("soro-bench"), quiet():
         tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="soro-bench", args=arguments).run()
 
 

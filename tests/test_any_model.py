@@ -270,6 +270,25 @@ def test_unnamed_elements_are_called_by_number(robot_of):
         robot_of(mapping.replace('"#0"', '"#7"'), nameless)
 
 
+def test_origins_of_bodies_can_be_what_is_explained(robot_of):
+    robot = robot_of(MAP.replace(SIGNAL, 'name = "hand"\nbodies = ["hand"]\nunit = "m"\nframe = "world"'))
+    (values,) = robot.simulate(np.zeros((5, 2)), NOMINAL, [()])  # the site is at its origin
+    np.testing.assert_allclose(values[:, 0], [state[2] for state in plain(HAND, np.zeros((5, 2)), 10)], atol=1e-12)
+
+
+def test_a_proposed_motion_leaves_actuators_without_a_command_where_they_are(robot_of):
+    robot = robot_of(f"{MAP}\n[fixed]\ngripper = 0.03")
+    found = robot.commanded(np.tile([[1.0], [-1.0]], (1, 2)), np.zeros((3, 2)))
+    assert found[:, 1].tolist() == [0.03, 0.03] and np.ptp(found[:, 0]) > 0.1
+
+
+def test_an_accurate_model_without_the_keyframe_is_named(robot_of, tmp_path):
+    (tmp_path / "finer.xml").write_text(re.sub("<keyframe>.*</keyframe>", "", HAND))
+    mapping = with_initial('keyframe = "home"').replace("[robot]", '[robot]\naccurate = "finer.xml"')
+    with pytest.raises(ModelError, match=r"the accurate model .*finer.xml: .* the model has no keyframes"):
+        robot_of(mapping).accurate()
+
+
 def test_mocap_bodies_are_said_to_stay(robot_of):
     assert any("mocap bodies stay where the model has them: target" in note for note in robot_of(MAP).notes)
 

@@ -64,10 +64,10 @@ def test_a_guess_takes_names_and_the_control_step_from_a_recording(guessed):
 
 @pytest.mark.parametrize(
     ("start", "initial"),
-    [(0.5, {"keyframe": "home"}), (0.0, {"keyframe": ""}), (-2.0, {"keyframe": "", "joints": ["hinge"]})],
+    [(0.5, {"keyframe": "home"}), (0.0, {"keyframe": ""}), (-2.0, {"keyframe": "home", "joints": ["hinge"]})],
 )
 def test_a_guess_begins_where_the_recording_does(guessed, start, initial):
-    """At the nearest keyframe or the default position, if it is near; else at the first sample."""
+    """At the nearest keyframe or the default position, if it is near; else at the first sample, others as there."""
     recording = recorded(start, action=np.zeros((STEPS, 2)))
     _, table, robot = guessed(recording)
     assert table["initial"] == initial

@@ -24,9 +24,11 @@ _BARE = re.compile(r"[A-Za-z0-9_-]+")  # a key of TOML that needs no quotes
 _CONTROL_STEP = 0.02  # s, where no recording says how long a command is held
 _SPARSE = 2.5  # times the spacing of a signal; commands that are rarer come only where they change
 _BEGINS_THERE = 0.1  # of the range of the motion, as near as a recording begins to where the model does
+_AS_NEAR = 2.0  # times the distance of the nearest; the first sample is as noisy
 _MOST_NAMES = 12  # in a comment
 _HINGE, _SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 _ACTUATOR, _JOINT = mujoco.mjtObj.mjOBJ_ACTUATOR, mujoco.mjtObj.mjOBJ_JOINT
+_BODY = mujoco.mjtObj.mjOBJ_BODY
 _SITE, _SENSOR, _KEY = mujoco.mjtObj.mjOBJ_SITE, mujoco.mjtObj.mjOBJ_SENSOR, mujoco.mjtObj.mjOBJ_KEY
 # fields that a parameter scales, the deviation of its logarithm, and what it is
 _SCALED = (
@@ -44,7 +46,7 @@ _NO_PRODUCT = ("mjGAIN_MUSCLE", "mjGAIN_USER")  # kinds of gains that are no fac
 
 @dataclass(frozen=True)
 class _Match:
-    """Elements of the model that a signal may be of. kind: "sites", "joints" or "sensors". score: how sure that is."""
+    """Elements of the model that a signal may be of. kind: a key of [signal]. score: how sure that is."""
 
     kind: str
     names: tuple[str, ...]
@@ -110,6 +112,9 @@ class _Guess:
         for i in range(model.nsite if signal.unit == "m" and numbers == 3 else 0):
             if alike := _alike(self.called(_SITE, i), name):
                 found.append(("sites", _SITE, np.array([i]), 4 + alike))
+        for i in range(1, model.nbody if signal.unit == "m" and numbers == 3 else 1):
+            if alike := _alike(self.called(_BODY, i), name):
+                found.append(("bodies", _BODY, np.array([i]), 3 + alike))
         kinds = {"rad": (_HINGE,), "m": (_SLIDE,)}.get(signal.unit, ())
         joints = np.concatenate([np.zeros(0, int), *(self.scalar_joints(kind) for kind in kinds)])
         driven = np.array([i for i in self.driven_joints() if i in joints], int)
@@ -194,7 +199,7 @@ class _Guess:
         elif self.recording and self.recording.signals:
             name, signal = next(iter(self.recording.signals.items()))
             yield f"name = {_text(name)}   # {signal.values[0].size} numbers; nothing in the model has as many"
-            yield f"sites = []   # write sites, joints or sensors\nunit = {_text(signal.unit)}"
+            yield f"sites = []   # write sites, bodies, joints or sensors\nunit = {_text(signal.unit)}"
         else:
             yield from self._placeholder()
         yield from self._others()
@@ -236,13 +241,15 @@ class _Guess:
             return
         best, signal = self.matches[self.chosen][0], self.recording.signals[self.chosen]
         first = signal.values[0].ravel()
-        misses = [float(np.abs(self._simulated(best, key) - first).max()) for key in range(-1, len(keys))]
-        nearest, motion = int(np.argmin(misses)), float(np.nanmax(np.ptp(signal.values, axis=0), initial=0.0))
+        misses = np.array([np.abs(self._simulated(best, key) - first).max() for key in range(-1, len(keys))])
+        equal = np.flatnonzero(misses <= _AS_NEAR * misses.min()).tolist()  # a signal may not show the difference
+        nearest, motion = next((i for i in equal if i), 0), float(np.nanmax(np.ptp(signal.values, axis=0), initial=0.0))
         there = bool(misses[nearest] <= _BEGINS_THERE * motion)
         yield "\n[initial]" if keys or not there else ""
         if keys:
-            chosen = keys[nearest - 1] if nearest else ""
-            yield f"keyframe = {_text(chosen)}   # the nearest of {_shown(keys)} and the default position"
+            names = ["the default position", *keys]
+            why = "; as near: " + _shown([names[i] for i in equal if i != nearest]) if len(equal) > 1 else ""
+            yield f"keyframe = {_text(names[nearest] if nearest else '')}   # the nearest of {_shown(names)}{why}"
         if there or not np.isfinite(first).all():
             return
         if best.kind == "joints":
@@ -263,6 +270,8 @@ class _Guess:
         mujoco.mj_forward(model, data)
         if match.kind == "sites":
             return np.asarray(data.site_xpos[match.ids].ravel())
+        if match.kind == "bodies":
+            return np.asarray(data.xpos[match.ids].ravel())
         if match.kind == "joints":
             return np.asarray(data.qpos[model.jnt_qposadr[match.ids]])
         first = int(model.sensor_adr[match.ids[0]])

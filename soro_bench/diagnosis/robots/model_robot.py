@@ -105,7 +105,10 @@ class ModelRobot(Robot):
         """The same robot by the accurate model of the mapping, if there is one."""
         if self._accurate is None:
             return None
-        return ModelRobot(self._accurate, self._paths[1], self.threads, baseline=self._baseline)
+        try:
+            return ModelRobot(self._accurate, self._paths[1], self.threads, baseline=self._baseline)
+        except ModelError as error:
+            raise ModelError(f"the accurate model {self._accurate}: {error}") from error
 
     def _said(self, timestep: float, fixed: set[int], keyframes: str | None) -> list[str]:
         """What a user should know of the model and the mapping.
@@ -235,7 +238,7 @@ class ModelRobot(Robot):
         """(T, nu) setpoints with given rates (T, nu), or controls with them where controls are rates.
 
         They stay within a share of each actuator's range on both sides of zero, or of the value nearest to it. An
-        actuator without a range has that of the recorded setpoints.
+        actuator without a range has that of the recorded setpoints; one without a command is held.
         """
         way, model = np.cumsum(rates, axis=0), self._model
         integrates = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR
@@ -249,7 +252,13 @@ class ModelRobot(Robot):
         bounds = np.abs(model.actuator_ctrlrange).min(axis=1)
         fastest = np.where(model.actuator_ctrllimited, bounds, np.abs(recorded).max(axis=0))
         slower = np.maximum(np.abs(speeds).max(axis=0) / np.maximum(fastest, 1e-9), 1.0)
-        return np.where(integrates, speeds / slower, np.clip(0.0, low + reach, high - reach) + moved)
+        found = np.where(integrates, speeds / slower, np.clip(0.0, low + reach, high - reach) + moved)
+        return np.where(self._driven, found, self._control)
+
+    @property
+    def _driven(self) -> Bools:
+        """(nu,) whether a command moves an actuator."""
+        return np.isin(np.arange(self._model.nu), [i for command in self._commands for i in command.actuators])
 
     def simulate_all(
         self,

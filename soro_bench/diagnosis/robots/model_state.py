@@ -21,7 +21,7 @@ from soro_bench.diagnosis.robots.model_file import (
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from soro_bench.rotation import rotate_by_quaternion
 
-_PLACES = ("sites", "joints", "sensors")
+_PLACES = ("sites", "bodies", "joints", "sensors")
 _COORDINATES = 3  # of a point, at most
 _QUATERNION = 4  # numbers
 _UNIT_LENGTH = 0.05  # by which the length of a quaternion may differ from 1, as rounded ones do
@@ -90,11 +90,14 @@ def signal_source(model: mujoco.MjModel, table: dict[str, Any]) -> SignalSource:
     """
     places = [key for key in _PLACES if key in table]
     if len(places) != 1 or not isinstance(table.get("name"), str) or not isinstance(table.get("unit"), str):
-        raise ModelError("[signal] needs a name, a unit, and one of sites, joints, sensors")
+        raise ModelError(f"[signal] needs a name, a unit, and one of {', '.join(_PLACES)}")
     names = names_of("signal", table, places[0])
     if places[0] == "sites":
         sites = np.array([element(model, mujoco.mjtObj.mjOBJ_SITE, name) for name in names])
         return SignalSource("site_xpos", sites, (len(names), 3))
+    if places[0] == "bodies":
+        bodies = np.array([element(model, mujoco.mjtObj.mjOBJ_BODY, name) for name in names])
+        return SignalSource("xpos", bodies, (len(names), 3))
     if places[0] == "joints":
         return _of_joints(model, names, table["unit"])
     return _of_sensors(model, names, table["unit"])

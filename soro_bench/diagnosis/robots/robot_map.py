@@ -14,9 +14,9 @@ ctrlrange = "widen"               # for these actuators only
 [fixed]                           # constant controls of actuators without a command
 gripper = 0.04
 
-[signal]                          # what is explained: positions of sites, joints, or sensors
+[signal]                          # what is explained: positions of sites, bodies or joints, or sensors
 name = "angle"
-joints = ["hinge"]                # or sites = [...], or sensors = [...]
+joints = ["hinge"]                # or sites, bodies or sensors
 unit = "rad"
 frame = ""
 
@@ -56,7 +56,7 @@ _SECTIONS = {
     "robot": ("control_timestep", "settle", "accurate", "ctrlrange"),
     "commands": None,
     "fixed": None,
-    "signal": ("name", "sites", "joints", "sensors", "unit", "frame"),
+    "signal": ("name", "sites", "bodies", "joints", "sensors", "unit", "frame"),
     "initial": ("keyframe", "joints", "signals"),
     "settings": None,
     "parameters": None,
