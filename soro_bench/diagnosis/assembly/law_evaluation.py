@@ -17,7 +17,7 @@ def law_site(robot: Robot, term: Term) -> "Springs | Servos | None":
     elements, model, location = robot.elements, robot.elements.model, term.location
     if location.kind not in ("tendon", "joint", "body", "actuator"):
         return None
-    locations = elements.expand(location)
+    locations = elements.expand(location, welded=True)
     ids = [elements.id(each) for each in locations]
     if location.kind == "actuator":
         servos = (model.actuator_biastype[ids] == mujoco.mjtBias.mjBIAS_AFFINE).all()
