@@ -17,6 +17,7 @@ _LONGEST = 400  # letters of one of MuJoCo's errors
 _NUMBER = re.compile(r"#(\d{1,9})")  # how an unnamed element is called
 _ADVICE = {  # what to do, by what MuJoCo's error says
     "plugin": "install that plugin where MuJoCo loads it, or take it out of the model",
+    "decoder": "give MJCF (.xml) or URDF (.urdf)",
     "opening": "a model needs the files that it names, in the folders that it names, beside it",
     "resource": "a model needs the files that it names, in the folders that it names, beside it",
     "composite": "write a flexcomp instead, or save the model compiled by an older MuJoCo as XML",
