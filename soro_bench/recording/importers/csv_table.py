@@ -2,6 +2,7 @@
 
 import csv
 import math
+import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from soro_bench.files import shown
 from soro_bench.recording.importers.clock import NO_STAMP, is_stamp, over_midnight
+from soro_bench.recording.importers.guess_table import guessed
 from soro_bench.recording.importers.mapping import FileMapping, load_mapping
 from soro_bench.recording.importers.names import chosen_by_name
 from soro_bench.recording.importers.source import Source
@@ -281,3 +284,13 @@ def _together(parts: list[np.ndarray], factors: list[float]) -> np.ndarray:
         whole = np.floor(part)
         total += whole.astype(np.int64) * round(1e9 * factor) + np.rint((part - whole) * factor * 1e9).astype(np.int64)
     return total
+
+
+def guess(path: str | Path) -> str:
+    """A commented mapping (TOML) of everything in a table, to be corrected; with what an import refuses."""
+    text = guessed(path)
+    try:
+        import_csv(path, tomllib.loads(text))
+    except RecordingError as error:
+        text += f"\n# An import with this mapping says: {shown(str(error))}\n"
+    return text

@@ -67,7 +67,7 @@ class Source:
         unit, factor = si(self.unit or unit or "")
         if self.unwrap:
             return _told(numbers, self._period(factor, unit))
-        if unit == "rad" and (count := _seen(numbers, _TURN / factor)):
+        if unit == "rad" and (count := seen_wraps(numbers, _TURN / factor)):
             return f"jumps by nearly a turn {count} times; if the angle wraps, write unwrap = true"
         return ""
 
@@ -229,7 +229,7 @@ def _steps(numbers: np.ndarray) -> np.ndarray:
     return np.concatenate(changes) if changes else np.zeros(0)
 
 
-def _seen(numbers: np.ndarray, period: float) -> int:
+def seen_wraps(numbers: np.ndarray, period: float) -> int:
     """How often (T, ...) numbers look as if they wrapped: within one period, from about one end to the other."""
     columns = np.asarray(numbers, float).reshape(len(numbers), -1)
     finite = [column[np.isfinite(column)] for column in columns.T]

@@ -1,0 +1,195 @@
+"""How a table of text seems to be laid out: encoding, delimiter, decimal mark, header, units."""
+
+import csv
+import re
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from soro_bench.recording.importers.clock import is_stamp
+from soro_bench.recording.importers.table_cells import MISSING
+from soro_bench.recording.importers.table_text import BLANK, TableText, decoded, read_text, split
+from soro_bench.recording.importers.units import of_text
+from soro_bench.recording.recording import RecordingError
+
+_HEAD = 4_000_000  # bytes that are looked at
+_TRIED = 200  # lines of which the delimiter is tried
+_ROWS = 20_000  # rows that are looked at
+_DELIMITERS = (",", ";", "\t", "|", BLANK)
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_DATE = re.compile(r"\d{4}[-/]\d{1,2}[-/]\d{1,2}|\d{1,2}\.\d{1,2}\.\d{4}")
+_MOST = 0.5  # of the cells of a row of data that are numbers
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a column of the first rows holds.
+
+    Args:
+        label: its name as a mapping gives it: a text, or its number where that is the only one.
+        name: as in the header; its number without one.
+        unit: the text of the row of units; "" without one.
+        numbers: (rows,) NaN where there is none.
+        texts: (rows,) the cells.
+        words: those that are neither a number nor known to be missing, and how often.
+    """
+
+    label: str | int
+    name: str
+    unit: str
+    numbers: np.ndarray
+    texts: list[str]
+    words: Counter[str]
+
+    @property
+    def numeric(self) -> bool:
+        """Whether most cells that say something are numbers."""
+        return np.isfinite(self.numbers).sum() > sum(self.words.values())
+
+    @property
+    def stamped(self) -> bool:
+        """Whether it holds times of day, with or without dates."""
+        said = [text for text in self.texts[:_TRIED] if text.lower() not in MISSING]
+        return bool(said) and all(map(is_stamp, said))
+
+    @property
+    def dated(self) -> bool:
+        """Whether it holds dates only."""
+        said = [text for text in self.texts[:_TRIED] if text.lower() not in MISSING]
+        return bool(said) and all(_DATE.fullmatch(text) for text in said)
+
+
+def layout(data: bytes) -> tuple[dict[str, Any], list[Column]]:
+    """The entries of [format] and the columns of a table; RecordingError if it looks like none."""
+    head = data if len(data) <= _HEAD else data[: data.rfind(b"\n", 0, _HEAD) + 1] or data[:_HEAD]
+    encoding = _encoding(head)
+    text = decoded(head, encoding)
+    options: dict[str, Any] = {} if encoding == "utf-8" else {"encoding": encoding}
+    first = text.partition("\n")[0]
+    excel = first.lower().startswith("sep=") and len(first) == 5
+    lines = [line for line in text.split("\n")[1 if excel else 0 :][:_TRIED]]
+    delimiter, decimal = (first[4], _best([first[4]], lines)[1]) if excel else _best(_DELIMITERS, lines)
+    options |= {"delimiter": delimiter} if delimiter != "," and not excel else {}
+    options |= {"decimal": decimal} if decimal != "." else {}
+    options |= _rows_before(_cells(lines, delimiter), decimal, delimiter)
+    table = read_text(head, options)
+    return options, _columns(table)
+
+
+def is_number(text: str, decimal: str) -> bool:
+    """Whether a cell is a number or stands for a missing one."""
+    text = text.strip()
+    return bool(_NUMBER.fullmatch(text if decimal == "." else text.replace(decimal, "."))) and (
+        decimal == "." or "." not in text
+    )
+
+
+def _encoding(head: bytes) -> str:
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "utf-16"
+    for name, place in (("utf-16-le", 1), ("utf-16-be", 0)):
+        if len(head) > 3 and head[place:200:2].count(0) > 0.8 * len(head[place:200:2]):
+            return name
+    for name in ("utf-8", "cp1252"):
+        try:
+            decoded(head, name)
+        except RecordingError:
+            continue
+        except UnicodeDecodeError:
+            continue
+        return name
+    return "latin-1"
+
+
+def _cells(lines: list[str], delimiter: str) -> list[list[str]]:
+    """The cells of each line; none where they cannot be told."""
+    found = []
+    for line in lines:
+        try:
+            rows = list(split(iter([line]), delimiter))
+        except csv.Error:
+            rows = []
+        found.append([cell.strip() for cell in rows[0]] if rows else [])
+    return found
+
+
+def _good(cell: str, decimal: str) -> bool:
+    return cell.lower() in MISSING or is_number(cell, decimal) or is_stamp(cell)
+
+
+def _best(delimiters: Any, lines: list[str]) -> tuple[str, str]:
+    """The delimiter and decimal mark with which most cells are numbers, in rows of one length."""
+    found, best = (delimiters[0], "."), (-1.0, 0.0, 0)
+    for delimiter in delimiters:
+        rows = [row for row in _cells(lines, delimiter) if any(row)]
+        if not rows:
+            continue
+        count = Counter(map(len, rows)).most_common(1)[0][0]
+        cells = [cell for row in rows if len(row) == count for cell in row if cell]
+        for decimal in (".", ","):
+            if decimal == delimiter or not cells:
+                continue
+            share = sum(_good(cell, decimal) for cell in cells) / len(cells)
+            whole = sum(len(row) == count for row in rows) / len(rows)
+            score = (round(share * whole, 2), float(count > 1), count)
+            if score > best:
+                best, found = score, (delimiter, decimal)
+    return found
+
+
+def _rows_before(rows: list[list[str]], decimal: str, delimiter: str) -> dict[str, Any]:
+    """What [format] says about the rows before the numbers."""
+    filled = [row for row in rows if any(row)]
+    if not filled:
+        raise RecordingError("there are no rows")
+    count = Counter(map(len, filled)).most_common(1)[0][0]
+    data = next((i for i, row in enumerate(rows) if abs(len(row) - count) <= 1 and _is_data(row, decimal)), None)
+    if data is None:
+        raise RecordingError("no row of numbers is found; a table of text has rows of numbers between delimiters")
+    above = [i for i in range(data) if any(rows[i])]
+    if not above or abs(_named(rows[above[-1]], delimiter) - len(rows[data])) > 1:
+        return {"header": False, **({"skip_rows": data} if data else {})}
+    header, options = above[-1], {}
+    if len(above) > 1 and _is_units(rows[above[-1]]) and abs(len(rows[above[-2]]) - len(rows[data])) <= 1:
+        header, options = above[-2], {"unit_row": "take"}
+    return ({"skip_rows": header} if any(any(row) for row in rows[:header]) else {}) | options
+
+
+def _named(row: list[str], delimiter: str) -> int:
+    """How many columns a header names."""
+    return len(row) - (delimiter == BLANK and row[:1] in (["#"], ["%"]))
+
+
+def _is_data(row: list[str], decimal: str) -> bool:
+    said = [cell for cell in row if cell]
+    numbers = sum(is_number(cell, decimal) or is_stamp(cell) for cell in said)
+    return numbers > 0 and numbers >= _MOST * len(said)
+
+
+def _is_units(row: list[str]) -> bool:
+    said = [cell for cell in row if cell]
+    return sum(of_text(cell) is not None for cell in said) > _MOST * len(said)
+
+
+def _columns(table: TableText) -> list[Column]:
+    rows: list[list[str]] = []
+    for row in table.rows(table.lines()):
+        if any(cell.strip() for cell in row):
+            rows.append([cell.strip() for cell in row] + [""] * (len(table.header) - len(row)))
+        if len(rows) == _ROWS:
+            break
+    found = []
+    for i, name in enumerate(table.header):
+        texts = [row[i] for row in rows]
+        good = [is_number(text, table.decimal) for text in texts]
+        numbers = [
+            float(text.replace(table.decimal, ".")) if ok else np.nan for text, ok in zip(texts, good, strict=True)
+        ]
+        words = Counter(text for text, ok in zip(texts, good, strict=True) if not ok and text.lower() not in MISSING)
+        plain = name.lstrip("#% ") if i == 0 else name
+        label = plain if plain and table.header.count(name) == 1 else i + 1
+        units = table.units[i] if i < len(table.units) else ""
+        found.append(Column(label, plain, units, np.array(numbers), texts, words))
+    return found

@@ -1,0 +1,303 @@
+"""A first mapping of a table of text, from its header and its numbers, for the user to correct."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.files import shown
+from soro_bench.recording.importers.clock import overflowed
+from soro_bench.recording.importers.guess_layout import Column, layout
+from soro_bench.recording.importers.source import seen_wraps
+from soro_bench.recording.importers.tracks import signal_name
+from soro_bench.recording.importers.units import UNITS, of_text, si
+from soro_bench.recording.recording import RecordingError
+from soro_bench.recording.untrusted import MAX_BYTES, named_errors, read_bytes
+
+_TIME = re.compile(r"(.*[^a-z])?(t|time|timestamp|stamp|zeit|secs?|seconds?|millis|micros|clock|ms|us|ns)([^a-z].*)?")
+_COUNT = re.compile(r"(.*[^a-z])?(frame|index|idx|row|sample|nr|no|count|n|#)s?([^a-z].*)?")
+_COMMAND = re.compile(
+    r"(.*[^a-z])?(cmd|command|commanded|goal|target|desired|des|setpoint|sp|ref|reference|soll|sollwert|action|ctrl|"
+    r"control|demand|pwm|duty|enable|enabled|u\d*)s?([^a-z].*)?"
+)
+_BRACKETS = re.compile(r"^(.*?)\s*[\[(]([^\])]*)[\])]\s*$")
+_SHORT = ("1", "%", "in", "l", "g", "min")  # endings that rarely mean a unit
+_EPOCH = 1e9, 1e10  # s since 1970 of the years 2001 to 2286
+_STEPS = ("s", 1e-5, 2.0), ("ms", 2.0, 2e3), ("us", 2e3, 2e5), ("ns", 2e5, 1e12)  # the step that each unit has
+_HELD = 0.8  # of the samples of a command are as the one before
+_NEARLY = 0.9  # of a turn, that an angle that wraps has seen
+_ROW = "row of units"
+_CLOCK = ("s", "ms", "us", "ns")
+
+
+@dataclass
+class Group:
+    """Columns that belong to one signal."""
+
+    name: str
+    columns: list[Column] = field(default_factory=list)
+    points: bool = False  # x, y and z, one point after the other
+    clock: Column | None = None  # with other times than those of [time]
+
+    def alike(self, other: "Group") -> bool:
+        """Whether both are parts of one signal."""
+        mine, its = ((g.name, g.points, g.clock, _unit(g.columns[0]), g.command) for g in (self, other))
+        return mine == its
+
+    @property
+    def command(self) -> bool:
+        """Whether the name is one of a command."""
+        return _COMMAND.fullmatch(split_unit(self.columns[0].name)[0].lower()) is not None
+
+
+def guessed(path: str | Path) -> str:
+    """A commented mapping (TOML) of everything in a table, to be corrected.
+
+    Raises:
+        RecordingError: it looks like no table.
+    """
+    data = read_bytes(path, MAX_BYTES)
+    with named_errors(path):
+        options, columns = layout(data)
+        clock, others, lines = _time(columns)
+        rest = [column for column in columns if column not in clock]
+        names: set[str] = set()
+        entries = [_entry(group, names) for group in _groups([c for c in rest if c.numeric or c in others], others)]
+        if not entries:
+            raise RecordingError("no column of numbers is found beside time")
+        head = [f"# A guess from {shown(Path(path).name)}: correct what is wrong, and take out what you do not need."]
+        about = [_text_column(column) for column in rest if not column.numeric and any(column.texts)]
+        sections = [[*head, *_format(options)], lines, *([about] if about else []), *entries]
+        text = "\n\n".join("\n".join(section) for section in sections) + "\n"
+        return text
+
+
+def _format(options: dict) -> list[str]:
+    if not options:
+        return []
+    return ["", "[format]", *(f"{key} = {toml(value)}" for key, value in options.items())]
+
+
+def toml(value: object) -> str:
+    """A text, number, truth value or list as TOML writes it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(toml, value))}]"
+    if not isinstance(value, str):
+        return repr(value)
+    letters = (c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in value)
+    return f'"{"".join(letters)}"'
+
+
+def split_unit(name: str) -> tuple[str, str | None]:
+    """A name in a header without its unit, and the unit: of "q [deg]", "pos_mm" or "speed_rad_s"."""
+    if found := _BRACKETS.match(name):
+        return found[1] or name, of_text(found[2])
+    if "_per_" in name:
+        amount, _, time = name.rpartition("_per_")
+        stem, _, unit = amount.rpartition("_")
+        return (stem, f"{unit}/{time}") if f"{unit}/{time}" in UNITS else (name, None)
+    parts = name.split("_")
+    for count in (3, 2, 1):
+        if len(parts) <= count:
+            continue
+        ending = parts[-count:]
+        for text in ("_".join(ending), "/".join([*ending[:-1], re.sub(r"(?<=s)2$", "^2", ending[-1])])):
+            if text in UNITS and text not in _SHORT:
+                return "_".join(parts[:-count]), text
+    return name, None
+
+
+def _time(columns: Sequence[Column]) -> tuple[list[Column], list[Column], list[str]]:
+    """The columns of time, those of other clocks, and the section [time]."""
+    for column, after in zip(columns, [*columns[1:], None], strict=True):
+        if column.stamped:
+            return [column], [], _section(column, "  # dates and times; without a zone they are taken for UTC")
+        if after is None:
+            continue
+        labels = f"columns = {toml([column.label, after.label])}"
+        if column.dated and after.stamped:
+            return [column, after], [], ["[time]", f"{labels}  # a date, and a time"]
+        if _are_seconds_and_nanoseconds(column, after):
+            return [column, after], [], ["[time]", labels, 'units = ["s", "ns"]', *_order(column, after)]
+    found = [column for column in columns if column.numeric and _goes_on(column)]
+    named = [column for column in found if _TIME.fullmatch(split_unit(column.name)[0].lower())]
+    steady = [column for column in found if not _COUNT.fullmatch(column.name.lower()) and _is_clock(column)]
+    if not (candidates := named or steady):
+        rate = "rate = 100.0  # Hz: no column looks like times; write how many rows there are in a second"
+        return [], [], ["[time]", rate]
+    column, *others = candidates if named else candidates[:1]
+    unit, reason = _time_unit(column)
+    lines = _section(column, "" if named else "  # the numbers increase steadily; is this the time?")
+    if unit != "s" and reason != _ROW:
+        lines.append(f'unit = "{unit}"  # {reason}')
+    return [column], others, [*lines, *_order(column)]
+
+
+def _section(column: Column, comment: str) -> list[str]:
+    return ["[time]", f"column = {toml(column.label)}{comment}"]
+
+
+def _are_seconds_and_nanoseconds(first: Column, second: Column) -> bool:
+    a, b = (column.numbers[np.isfinite(column.numbers)] for column in (first, second))
+    if not len(a) or len(a) != len(b) or (a != np.rint(a)).any() or (b != np.rint(b)).any():
+        return False
+    below = b.min() >= 0 and b.max() < 1e9
+    named = re.search("nsec|nano", second.name.lower()) is not None
+    steps = np.abs(np.diff(a)).max(initial=0.0)
+    return below and steps <= 1e4 and (named or (_EPOCH[0] < a[0] < _EPOCH[1] and b.max() > 1e6))
+
+
+def _goes_on(column: Column) -> bool:
+    """Whether numbers increase but for some."""
+    steps = np.diff(column.numbers[np.isfinite(column.numbers)])
+    return len(steps) > 0 and (steps > 0).mean() > 0.5 and (steps < 0).mean() < 0.05
+
+
+def _is_clock(column: Column) -> bool:
+    """Whether numbers increase about evenly."""
+    steps = np.diff(column.numbers[np.isfinite(column.numbers)])
+    middle = np.median(steps)
+    return bool(middle > 0 and (np.abs(steps - middle) < 0.5 * middle).mean() > 0.8)
+
+
+def _time_unit(column: Column) -> tuple[str, str]:
+    """The unit of a clock, and why."""
+    if (unit := of_text(column.unit) if column.unit else None) in _CLOCK:
+        return str(unit), _ROW
+    name, unit = split_unit(column.name)
+    unit = unit or {"ms": "ms", "us": "us", "ns": "ns", "millis": "ms", "micros": "us"}.get(name.lower())
+    if unit in (*_CLOCK, "min"):
+        return str(unit), "from its name"
+    numbers = column.numbers[np.isfinite(column.numbers)]
+    for unit in _CLOCK:
+        if _EPOCH[0] < numbers[0] * UNITS[unit][1] < _EPOCH[1]:
+            return unit, "from its size: a time since 1970"
+    steps = np.diff(numbers)
+    step = float(np.median(steps[steps > 0]))
+    if (numbers == np.rint(numbers)).all():
+        for unit, least, most in _STEPS:
+            if least <= step < most:
+                return unit, f"from its steps of {step:g}; is this right?"
+    return "s", ""
+
+
+def _order(*columns: Column) -> list[str]:
+    """A comment on stamps that do not increase."""
+    known = np.all([np.isfinite(column.numbers) for column in columns], axis=0)
+    time = sum(scale * column.numbers[known] for scale, column in zip((1.0, 1e-9), columns, strict=False))
+    steps = np.diff(overflowed(np.asarray(time))[0])
+    same, back = int((steps == 0).sum()), int((steps < 0).sum())
+    if not same + back:
+        return []
+    choice = '"keep_first", "keep_last", "sort" or "continue"'
+    return [f'# order = "keep_first"  # {same} stamps repeat and {back} go back: choose {choice}']
+
+
+def _groups(columns: Sequence[Column], clocks: Sequence[Column]) -> list[Group]:
+    """Neighbours whose names differ by a number at the end, or are x, y and z; after another clock, with its times."""
+    groups: list[Group] = []
+    clock: Column | None = None
+    i = 0
+    while i < len(columns):
+        if columns[i] in clocks:
+            clock = columns[i] if i else None  # beside the first one it is a second clock of all
+            i += 1
+            continue
+        size, stem = next(((n, stem) for n in (4, 3) if (stem := _axes(columns[i : i + n], n)) is not None), (1, None))
+        taken = list(columns[i : i + size])
+        whole = stem if stem is not None else split_unit(columns[i].name)[0]
+        group = Group(re.sub(r"[\W_]*\d+$", "", whole), taken, size == 3, clock)
+        last = groups[-1] if groups else None
+        if last and group.name and re.search(r"\d+$", whole) and size != 4 and last.alike(group):
+            last.columns += taken
+        else:
+            groups.append(group)
+        i += size
+    return groups
+
+
+def _axes(columns: Sequence[Column], count: int) -> str | None:
+    """What columns of x, y and z, or of a quaternion, have in common; None if they are none."""
+    names = [split_unit(column.name)[0] for column in columns]
+    found = [match for name in names if (match := re.fullmatch(r"(.*?)[\W_]*([xyzwXYZW])[\W_]*(\d*)", name))]
+    if len(found) < count:
+        return None
+    stems = {match[1] + match[3] for match in found}
+    axes = "".join(match[2].lower() for match in found)
+    return stems.pop() if len(stems) == 1 and axes in ("xyz", "xyzw", "wxyz") else None
+
+
+def _unit(column: Column) -> str | None:
+    return (of_text(column.unit) if column.unit else None) or split_unit(column.name)[1]
+
+
+def _entry(group: Group, names: set[str]) -> list[str]:
+    """The section of a signal or command, whose name is none of those that are taken."""
+    first = group.columns[0]
+    numbers = np.column_stack([column.numbers for column in group.columns])
+    section = "commands" if group.command else "signals"
+    name = signal_name(group.name or split_unit(first.name)[0])
+    while name in names:
+        name += "_"
+    names.add(name)
+    held = (np.diff(numbers, axis=0) == 0).all(axis=1)
+    lines = [f"[{section}.{name}]{_range(numbers)}"]
+    if section == "signals" and len(held) and _HELD < held.mean() < 1:
+        lines.append(f"# {100 * held.mean():.0f} % of its samples repeat the one before: [commands.{name}]?")
+    lines.append(f"columns = {toml([column.label for column in group.columns])}")
+    if group.clock:
+        unit, reason = _time_unit(group.clock)
+        lines.append(f"time = {toml(group.clock.label)}  # the clock before it")
+        lines += [f'time_unit = "{unit}"  # {reason}'] if reason and reason != _ROW else []
+    lines += _unit_lines(group, numbers)
+    if group.points:
+        lines += [f"shape = [{len(group.columns) // 3}, 3]"] if len(group.columns) > 3 else []
+        lines.append('# frame = "world"  # if the axes are those of the robot')
+    if words := sorted({word for column in group.columns for word in column.words}):
+        lines.append(f"missing = {toml(words[:20])}  # texts among its numbers")
+    return lines
+
+
+def _unit_lines(group: Group, numbers: np.ndarray) -> list[str]:
+    """What a mapping says about the unit, and whether to unwrap."""
+    first = group.columns[0]
+    if (unit := _unit(first)) is not None:
+        taken = bool(first.unit) and {of_text(column.unit) for column in group.columns} == {unit}
+        lines = [f'# unit = "{unit}", from the row of units' if taken else f'unit = "{unit}"']
+        wraps = seen_wraps(numbers, 2 * np.pi / si(unit)[1]) if si(unit)[0] == "rad" else 0
+    else:
+        unit, wraps = _angle(numbers)
+        said = first.unit or (found[2] if (found := _BRACKETS.match(first.name)) else "")
+        reason = (
+            f"the file says {shown(said)}, which is unknown here: write scale" if said else "which? nothing says it"
+        )
+        lines = [f'unit = "{unit}"  # {"it seems to wrap; is it an angle?" if wraps else reason}']
+    if wraps and not group.command:
+        lines.append(f"unwrap = true  # it jumps by nearly a turn {wraps} times")
+    return lines
+
+
+def _angle(numbers: np.ndarray) -> tuple[str, int]:
+    """ "deg" or "rad" and the jumps of numbers that wrap at a turn; "1" and none for others."""
+    for unit in ("deg", "rad"):
+        turn = 2 * np.pi / UNITS[unit][1]
+        if (wraps := seen_wraps(numbers, turn)) and np.nanmax(numbers) - np.nanmin(numbers) > _NEARLY * turn:
+            return unit, wraps
+    return "1", 0
+
+
+def _range(numbers: np.ndarray) -> str:
+    finite = numbers[np.isfinite(numbers)]
+    missing = int(np.isnan(numbers).any(axis=1).sum())
+    ends = f"  # from {finite.min():.6g} to {finite.max():.6g}" if finite.size else "  # no numbers"
+    return f"{ends}, {missing} of {len(numbers)} rows lack one" if missing else ends
+
+
+def _text_column(column: Column) -> str:
+    found = ", ".join(shown(word) for word, _ in column.words.most_common(5))[:100]
+    use = "rows can be chosen by them (label, only), or numbers by names (names, names_in)"
+    return f"# column {toml(column.label)} holds texts: {found}; {use}"
