@@ -52,7 +52,7 @@ def test_module_id_in_a_fresh_interpreter():
 
 def test_environments_need_no_extras():
     """Making and stepping an environment imports neither torch, Stable-Baselines3, Rerun, PyArrow nor other extras."""
-    extras = ("torch", "stable_baselines3", "rerun", "matplotlib", "scipy", "tyro", "pyarrow", "mcap")
+    extras = ("torch", "stable_baselines3", "rerun", "matplotlib", "scipy", "tyro", "pyarrow", "rosbags")
     assert run_python(f"{USE}; import sys; print([m for m in {extras} if m in sys.modules])", CHECKOUT) == "[]"
 
 

@@ -11,15 +11,16 @@ from soro_bench.recording.recording import Recording, RecordingError
 
 # by suffix: the module that reads such a file, and there guess(path)
 _MODULES = {
-    ".csv": "csv_table", ".tsv": "csv_table", ".txt": "csv_table", ".mcap": "mcap_file", ".npz": "npz",
+    ".csv": "csv_table", ".tsv": "csv_table", ".txt": "csv_table", ".npz": "npz",
+    ".mcap": "bags", ".db3": "bags", ".bag": "bags", ".zstd": "bags", ".zst": "bags",
     ".c3d": "c3d_file", ".trc": "motion_capture",
 }  # fmt: skip
 _FUNCTIONS = {
-    "mcap_file": "import_mcap", "npz": "import_npz", "c3d_file": "import_c3d",
+    "bags": "import_bag", "npz": "import_npz", "c3d_file": "import_c3d",
     "motion_capture": "import_motion_capture", "csv_table": "import_csv", "lerobot": "import_lerobot",
 }  # fmt: skip
 _WITH_EPISODES = ("lerobot",)
-_WITH_PROGRESS = ("csv_table",)
+_WITH_PROGRESS = ("csv_table", "bags")
 
 
 def import_recording(
@@ -28,7 +29,7 @@ def import_recording(
     progress: Callable[[str, int, int], None] | None = None,
     **selection: Any,
 ) -> Recording:
-    """Read a foreign recording: a table, arrays, a log, motion capture, or the folder of a LeRobot dataset.
+    """Read a foreign recording: a table, arrays, a bag, motion capture, or the folder of a LeRobot dataset.
 
     Args:
         mapping: TOML file that says what is what, or what it says; a LeRobot dataset needs none.
@@ -56,11 +57,18 @@ def _module(path: Path, mapping: str | Path | Mapping | None) -> tuple[str, Modu
     """The module that reads a file, and its name."""
     if importlib.util.find_spec("pyarrow") is None:
         raise ImportError("recordings need pyarrow: pip install soro_bench[record]")
-    name = "lerobot" if path.is_dir() else _MODULES.get(path.suffix.lower())
+    name = _folder(path) if path.is_dir() else _MODULES.get(path.suffix.lower())
     if name is None:
-        raise RecordingError(f"{path}: expected {', '.join(_MODULES)} or the folder of a LeRobot dataset")
+        raise RecordingError(f"{path}: expected {', '.join(_MODULES)}, or the folder of a bag or a LeRobot dataset")
     if name == "csv_table":
         from soro_bench.recording.importers.motion_capture import is_export
 
         name = "motion_capture" if is_export(path, mapping) else name
     return name, importlib.import_module(f"soro_bench.recording.importers.{name}")
+
+
+def _folder(path: Path) -> str:
+    """The module that reads a folder."""
+    from soro_bench.recording.importers.bags.files import is_bag
+
+    return "bags" if is_bag(path) else "lerobot"
