@@ -80,3 +80,17 @@ def paths(tmp_path: Path) -> tuple[Path, Path]:
     (tmp_path / "arm.xml").write_text(ARM)
     (tmp_path / "map.toml").write_text(MAP)
     return tmp_path / "arm.xml", tmp_path / "map.toml"
+
+
+@pytest.fixture
+def robot_of(tmp_path: Path) -> Callable[..., Any]:
+    """A function that makes the robot of a mapping, of the arm with a gripper or another model."""
+    model_robot = pytest.importorskip("soro_bench.diagnosis.robots.model_robot", reason="needs the infer extra")
+    from tests.hand import HAND
+
+    def robot_of(mapping: str, model: str = HAND, **options: Any) -> Any:
+        (tmp_path / "hand.xml").write_text(model)
+        (tmp_path / "map.toml").write_text(mapping)
+        return model_robot.ModelRobot(tmp_path / "hand.xml", tmp_path / "map.toml", threads=1, **options)
+
+    return robot_of

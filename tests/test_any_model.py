@@ -3,7 +3,6 @@
 import re
 from dataclasses import replace
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -14,84 +13,13 @@ from soro_bench.diagnosis.robots.model_file import ModelError
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.effects.effect import Effect, Location
 from soro_bench.recording.recording import Recording, RecordingError, Signal
-
-HAND = """<mujoco><compiler angle="degree"/><option timestep="0.002" integrator="implicitfast"/>
-<default><geom contype="0" conaffinity="0"/></default>
-<worldbody>
-<body name="arm" pos="0 0 1"><joint name="hinge" axis="0 1 0" range="-170 170" damping="0.05"/>
-<geom type="capsule" size="0.01" fromto="0 0 0 0.3 0 0" mass="0.2"/>
-<body name="hand" pos="0.3 0 0"><geom size="0.02" mass="0.1"/><site name="tip"/>
-<body name="finger" pos="0.05 0 0"><joint name="slide" type="slide" axis="1 0 0" range="0 0.1" damping="5"/>
-<geom size="0.01" mass="0.02"/></body></body></body>
-<body name="ball" pos="0 1 1"><joint name="ball" type="ball" damping="0.01"/>
-<geom pos="0.1 0 0" size="0.02" mass="0.1"/></body>
-<body name="box" pos="0 2 1"><freejoint name="free"/><geom type="box" size="0.1 0.1 0.1" mass="1"/><site name="corner"/>
-</body>
-<body name="target" mocap="true" pos="1 0 1"/>
-</worldbody>
-<actuator><position name="motor" joint="hinge" kp="8" kv="0.5" ctrlrange="-1 1" ctrllimited="true"/>
-<position name="gripper" joint="slide" kp="100" ctrlrange="0 0.1" ctrllimited="true"/></actuator>
-<sensor><framequat name="turn" objtype="body" objname="ball"/><accelerometer name="felt" site="tip"/>
-<jointactuatorfrc name="torque" joint="hinge"/><jointpos joint="hinge"/></sensor>
-<keyframe><key name="home" qpos="0.5 0.04  0.7071068 0 0.7071068 0  0 2 1 1 0 0 0" ctrl="0.5 0.04"/></keyframe>
-</mujoco>"""
-MAP = """
-[robot]
-control_timestep = 0.02
-[commands.goal]
-actuators = ["motor"]
-[signal]
-name = "angle"
-joints = ["hinge"]
-unit = "rad"
-[parameters.inertia]
-fields = ["body_mass:arm", "body_inertia:arm"]
-deviation = 0.2
-"""
-SIGNAL = 'name = "angle"\njoints = ["hinge"]\nunit = "rad"'
-NOMINAL = np.array([[1.0]])
-
-
-@pytest.fixture
-def robot_of(tmp_path):
-    """A function that makes the robot of a mapping, of the arm with a hand or another model."""
-
-    def robot_of(mapping: str, model: str = HAND, **options) -> ModelRobot:
-        (tmp_path / "hand.xml").write_text(model)
-        (tmp_path / "map.toml").write_text(mapping)
-        return ModelRobot(tmp_path / "hand.xml", tmp_path / "map.toml", threads=1, **options)
-
-    return robot_of
-
-
-def with_initial(text: str) -> str:
-    return f"{MAP}\n[initial]\n{text}"
-
-
-def goals(values, step=0.02) -> Signal:
-    return Signal(step * np.arange(len(values)), np.asarray(values, float)[:, None], "rad")
+from tests.hand import HAND, MAP, NOMINAL, SIGNAL, goals, plain, with_initial
 
 
 def begun(robot: ModelRobot, recording: Recording) -> ModelRobot:
     """The robot after it has begun a recording."""
     robot._begin(NOMINAL, robot.measured(recording).start[None])
     return robot
-
-
-def plain(model_text: str, controls, steps: int, timestep: float | None = None, keyframe: int = -1) -> mujoco.MjData:
-    """What MuJoCo alone simulates: states before and after each control step, as a list of copies."""
-    model = mujoco.MjModel.from_xml_string(model_text)
-    model.opt.timestep = timestep or model.opt.timestep
-    data = mujoco.MjData(model)
-    if keyframe >= 0:
-        mujoco.mj_resetDataKeyframe(model, data, keyframe)
-    states = []
-    for control in controls:
-        data.ctrl[:] = control
-        mujoco.mj_step(model, data, steps)
-        mujoco.mj_forward(model, data)
-        states.append((data.qpos.copy(), data.sensordata.copy(), data.site("tip").xpos.copy()))
-    return states
 
 
 # --- where a recording begins ---
@@ -329,43 +257,16 @@ def test_a_free_joint_is_no_signal(robot_of):
         robot_of(MAP.replace('joints = ["hinge"]', 'joints = ["free"]'))
 
 
-# --- files ---
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("<worldbody>", '<extension><plugin plugin="no.such"/></extension><worldbody>', "install that plugin"),
-        ("<worldbody>", '<asset><mesh name="m" file="there_is_none.stl"/></asset><worldbody>', "needs the files"),
-        ("<worldbody>", '<include file="nowhere.xml"/><worldbody>', "needs the files"),
-        ("<worldbody>", "<worldbody><bdy/>", "no MuJoCo model"),
-    ],
-)
-def test_what_mujoco_says_of_a_model_is_one_line(robot_of, tmp_path, monkeypatch, old, new, message):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(ModelError, match=message) as caught:
-        robot_of(MAP, HAND.replace(old, new, 1))
-    assert "\n" not in str(caught.value)
-    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
-
-
-def test_a_model_in_which_nothing_moves_is_refused(robot_of):
-    with pytest.raises(ModelError, match="nothing moves in it"):
-        robot_of(MAP, "<mujoco><worldbody><body><geom size='1'/></body></worldbody></mujoco>")
-
-
-def test_included_files_and_meshes_in_folders_are_found(robot_of, tmp_path):
-    (tmp_path / "parts").mkdir()
-    (tmp_path / "meshes").mkdir()
-    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) * 0.1
-    faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
-    text = "".join(f"v {x} {y} {z}\n" for x, y, z in corners) + "".join(
-        f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in faces
-    )
-    (tmp_path / "meshes" / "wedge.obj").write_text(text)
-    (tmp_path / "parts" / "assets.xml").write_text('<mujoco><asset><mesh name="w" file="wedge.obj"/></asset></mujoco>')
-    model = HAND.replace("<worldbody>", '<include file="parts/assets.xml"/><worldbody>', 1)
-    model = model.replace('angle="degree"', 'angle="degree" meshdir="meshes"')
-    hand, site = 'size="0.02" mass="0.1"/>', '<site name="tip"/>'
-    robot = robot_of(MAP, model.replace(hand + site, f'type="mesh" mesh="w" mass="0.1"/>{site}'))
-    assert np.isfinite(robot.simulate(np.zeros((5, 2)), NOMINAL, [()])).all()
+def test_a_wide_sensor_is_so_many_numbers(robot_of):
+    """Here nine of the contact of a corner, with shape (T, 1, 9) in the recording."""
+    model = re.sub("<accelerometer.*?/>", "", HAND).replace('contype="0" conaffinity="0"', "").replace(
+        "<sensor>", '<sensor><contact name="touch" body1="box" data="force torque pos"/>').replace(
+        "<worldbody>", '<worldbody><geom name="floor" type="plane" size="5 5 1" pos="0 0 0.85"/>')  # fmt: skip
+    robot = robot_of(MAP.replace(SIGNAL, 'name = "touch"\nsensors = ["touch"]\nunit = "N"'), model)
+    controls = np.zeros((20, 2))
+    expected = np.array([state[1][:9] for state in plain(model, controls, 10)])
+    signal = Signal(0.02 * np.arange(21), np.concatenate([expected[:1], expected])[:, None], "N")
+    measured = robot.measured(Recording({"goal": goals(controls[:, 0])}, {"touch": signal}))
+    assert robot.shape == (9, 1) and expected[-1, 0] == pytest.approx(9.81 / 4, rel=0.01)
+    (values,) = robot.simulate(measured.actions, NOMINAL, [()])
+    np.testing.assert_allclose(values, measured.values, atol=1e-3)

@@ -11,7 +11,7 @@ from soro_bench.diagnosis.robots.guessed_map import guess_map
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.recording.parquet import save
 from soro_bench.recording.recording import Recording, Signal
-from tests.test_any_model import HAND
+from tests.hand import HAND
 
 STEPS = 40
 TIME = 0.025 * np.arange(STEPS + 1)
