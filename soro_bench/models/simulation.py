@@ -1,5 +1,6 @@
 """N simulations of one model, each with its own physical parameters, on ``mujoco.batch``."""
 
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,15 +25,40 @@ _BAD_STATE = np.array([
 ])
 
 
+class _Quiet:
+    """How many callers want MuJoCo to be quiet now. Its handler changes before the first and after the last of them
+    only: the simulations of other threads may be calling it."""
+
+    def __init__(self) -> None:
+        self.lock, self.callers, self.before = threading.Lock(), 0, None
+
+    def begin(self) -> None:
+        """One caller more."""
+        with self.lock:
+            if self.callers == 0:
+                self.before = mujoco.get_mju_user_warning()
+                mujoco.set_mju_user_warning(lambda message: None)
+            self.callers += 1
+
+    def end(self) -> None:
+        """One caller less."""
+        with self.lock:
+            self.callers -= 1
+            if self.callers == 0:
+                mujoco.set_mju_user_warning(self.before)
+
+
+_QUIET = _Quiet()
+
+
 @contextmanager
 def quiet() -> Iterator[None]:
     """MuJoCo neither prints nor logs its warnings; ``Simulation.bad_states`` says what has diverged."""
-    before = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda message: None)
+    _QUIET.begin()
     try:
         yield
     finally:
-        mujoco.set_mju_user_warning(before)
+        _QUIET.end()
 
 
 @dataclass(frozen=True)
