@@ -141,7 +141,7 @@ def test_vicon(read):
     np.testing.assert_allclose(force.values, [[3, 1], [6, 4], [9, 7], [3, 1]])
     assert (force.unit, recording.commands["pump"].unit) == ("N", "V")
     assert float(recording.metadata["start_time"]) == 0.05
-    with pytest.raises(RecordingError, match="no unit"):
+    with pytest.raises(RecordingError, match="needs unit"):
         read("a.csv", VICON, BOTH + '[commands.pump]\nchannels = ["Pump.V"]\n')
 
 
@@ -264,6 +264,7 @@ def test_bad_export_or_mapping(read, name, text, mapping, parts):
 def test_a_last_line_that_was_cut_is_left_out(read):
     recording = read("a.trc", TRC.replace("3\t0.0200\t\t\t\t\t\t\t\n", "3\t0.0200\t12"), BOTH)
     assert len(recording.signals["points"].time) == 2
+    assert "last line, 9, was cut" in recording.metadata["import_notes"]
 
 
 def test_c3d_that_says_more_than_it_has(tmp_path):

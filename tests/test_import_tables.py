@@ -278,9 +278,9 @@ ARRAYS = '[time]\ninterval = 0.1\n[signals.f]\narrays = ["f"]\nunit = "N"\n'
 @pytest.mark.parametrize(
     ("arrays", "mapping", "parts"),
     [
-        ({"g": [1.0]}, ARRAYS, ("signals.f", "0 arrays are called 'f'", "g")),
+        ({"g": [1.0]}, ARRAYS, ("signals.f", "no array is called 'f'", "g")),
         ({"f": ["a"]}, ARRAYS, ("f has type <U1",)),
-        ({"f": np.array([{}], object)}, ARRAYS, ("f has type object",)),
+        ({"f": np.array([{}], object)}, ARRAYS, ("f holds Python objects", "np.asarray(values, float)")),
         ({"f": 1.0}, ARRAYS, ("f has type float64 and shape ()",)),
         ({"f": [1.0], "g": [1.0, 2.0]}, ARRAYS.replace('["f"]', '["f", "g"]'), ("arrays have [1, 2] rows",)),
         ({"f": [1.0]}, ARRAYS.replace('["f"]', '"f"'), ("arrays is 'f'", "list of texts")),
@@ -289,7 +289,7 @@ ARRAYS = '[time]\ninterval = 0.1\n[signals.f]\narrays = ["f"]\nunit = "N"\n'
         ({"f": [1.0, 2.0], "t": [1.0]}, ARRAYS + 'time = "t"\n', ("times 't' have shape (1,)", "(2,)")),
         ({"f": [1.0, np.inf]}, ARRAYS, ("infinite",)),
         ({"f": [1.0, 2.0, 3.0], "t": [5.0, 3.0, 6.0]}, ARRAYS + 'time = "t"\n', ("signals.f", "3.0 follows 5.0")),
-        ({"f": [1.0, 2.0], "t": [0.0, np.nan]}, ARRAYS + 'time = "t"\n', ("signals.f", "time is not finite")),
+        ({"f": [1.0, 2.0], "t": [0.0, np.inf]}, ARRAYS + 'time = "t"\n', ("signals.f", "time is not finite")),
         ({"f": [1.0]}, ARRAYS.replace("interval = 0.1", 'unit = "mm"'), ("'mm'", "unit of time")),
         ({"f": [1.0]}, ARRAYS.replace("interval = 0.1", ""), ("neither", "interval")),
     ],
@@ -306,7 +306,7 @@ def test_damaged_npz(tmp_path):
     path, mapping = tmp_path / "a.npz", tmp_path / "a.toml"
     mapping.write_text(ARRAYS)
     path.write_bytes(b"PK")
-    with pytest.raises(RecordingError, match="no NPZ file"):
+    with pytest.raises(RecordingError, match="no NumPy file"):
         import_recording(path, mapping)
     np.savez_compressed(path, f=np.zeros(1_000_000))
     with pytest.raises(RecordingError, match=r"f has 8000128 bytes"):
@@ -322,7 +322,7 @@ def test_damaged_npz(tmp_path):
     for header in (b"{'descr': ('<f8'", b"  a\n b\n"):  # which NumPy takes for Python
         with zipfile.ZipFile(path, "w") as archive:
             archive.writestr("f.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
-        with pytest.raises(RecordingError, match="is no NPZ file"):
+        with pytest.raises(RecordingError, match="is no NumPy file"):
             import_recording(path, mapping)
     with pytest.raises(RecordingError, match="needs a mapping"):
         import_recording(path)

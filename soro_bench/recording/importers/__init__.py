@@ -12,14 +12,15 @@ from soro_bench.recording.recording import Recording, RecordingError
 # by suffix: the module that reads such a file, and there guess(path)
 _MODULES = {
     ".csv": "csv_table", ".tsv": "csv_table", ".txt": "csv_table", ".npz": "npz",
+    ".npy": "npz", ".mat": "mat",
     ".mcap": "bags", ".db3": "bags", ".bag": "bags", ".zstd": "bags", ".zst": "bags",
     ".c3d": "c3d_file", ".trc": "motion_capture",
 }  # fmt: skip
 _FUNCTIONS = {
-    "bags": "import_bag", "npz": "import_npz", "c3d_file": "import_c3d",
+    "bags": "import_bag", "npz": "import_npz", "mat": "import_mat", "c3d_file": "import_c3d",
     "motion_capture": "import_motion_capture", "csv_table": "import_csv", "lerobot": "import_lerobot",
 }  # fmt: skip
-_WITH_EPISODES = ("lerobot",)
+_WITH_EPISODES = ("lerobot", "npz", "mat")
 _WITH_PROGRESS = ("csv_table", "bags")
 
 
@@ -34,7 +35,7 @@ def import_recording(
     Args:
         mapping: TOML file that says what is what, or what it says; a LeRobot dataset needs none.
         progress: is told the stage, how much of the file has been read, and of how much, where that takes long.
-        selection: ``episode`` of a LeRobot dataset, ``max_bytes`` of any file.
+        selection: ``episode`` of a LeRobot dataset or of arrays, ``max_bytes`` of any file.
 
     Raises:
         RecordingError: the file or the mapping is not as expected; says why.
@@ -42,7 +43,7 @@ def import_recording(
     path = Path(path)
     name, module = _module(path, mapping)
     if "episode" in selection and name not in _WITH_EPISODES:
-        raise RecordingError(f"{path} has no episodes; only the folder of a LeRobot dataset has")
+        raise RecordingError(f"{path} has no episodes; only a LeRobot dataset, .npz, .npy and .mat have")
     if progress and name in _WITH_PROGRESS:
         selection["progress"] = progress
     return getattr(module, _FUNCTIONS[name])(path, mapping, **selection)

@@ -72,13 +72,15 @@ def _tracks(reader: "Reader", size: int, most: int) -> Tracks:
         analog.append(np.asarray(sample).reshape(channels, -1))
     if not seen:
         raise RecordingError("holds no whole frame")
+    notes = [f"{frames - len(seen)} of the {frames} frames that it declares are missing"] if len(seen) < frames else []
     time = (reader.first_frame + np.arange(len(seen))) / rate
     positions = np.array(seen, float)
     unit = known_unit(_text(reader, "POINT:UNITS"))
     markers = {
         name: Track(time, positions[:, i], unit) for i, name in enumerate(_labels(reader, "POINT", points)) if name
     }
-    return Tracks("C3D file", markers=markers, channels=_channels(reader, analog, time[0], rate * per_frame))
+    channels_found = _channels(reader, analog, time[0], rate * per_frame)
+    return Tracks("C3D file", markers=markers, channels=channels_found, notes=notes)
 
 
 def _channels(reader: "Reader", analog: list[np.ndarray], start: float, rate: float) -> dict[str, Track]:

@@ -9,6 +9,7 @@ import io
 import math
 from array import array
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,15 +74,11 @@ def read_tracks(path: str | Path, max_bytes: int = MAX_BYTES) -> Tracks:
         head = _head(text)
         by_comma = head == "Format Version" or (head in _SECTIONS and "\tSub Frame" not in text)
         rows = _Rows(text, "," if by_comma else "\t")
-        if head == "PathFileType":
-            return _trc(rows)
-        if head == "Format Version":
-            return _motive(rows)
-        if head in _HEADS:
-            return _qualisys(rows)
-        if head in _SECTIONS:
-            return _vicon(rows)
-        raise RecordingError(f"begins with {ascii(head)[:40]}: no .trc, nor an export of Motive, Vicon or Qualisys")
+        readers = {"PathFileType": _trc, "Format Version": _motive, **dict.fromkeys(_HEADS, _qualisys)}
+        readers.update(dict.fromkeys(_SECTIONS, _vicon))
+        if head not in readers:
+            raise RecordingError(f"begins with {ascii(head)[:40]}: no .trc, nor an export of Motive, Vicon or Qualisys")
+        return replace(readers[head](rows), notes=rows.notes)
 
 
 def _head(text: str) -> str:
@@ -93,7 +90,7 @@ class _Rows:
     """The rows of a table, which can be looked at before they are taken, and the line of the last one taken."""
 
     def __init__(self, text: str, delimiter: str) -> None:
-        self.line = 0
+        self.line, self.notes = 0, list[str]()
         self._ahead: Cells | None = None
         self._complete = text.endswith("\n")
         self._lines = io.StringIO(text.lstrip("\r\n"), newline=None)
@@ -145,7 +142,8 @@ class _Rows:
                 continue
             self.take("")
             if len(row) < width and self._is_cut():
-                break  # the last line of a file that nobody closed
+                self.notes.append(f"its last line, {self.line}, was cut and is left out")
+                break
             if any(row[width:]):
                 raise RecordingError(f"line {self.line} has {len(row)} cells; the header has {width}")
             cells.extend([self._number(cell) for cell in row[:width]])

@@ -1,101 +1,103 @@
-"""NumPy archives (.npz): named arrays, of which each row is a sample."""
+"""NumPy's files: archives of named arrays (.npz), and single arrays (.npy)."""
 
 import io
 import math
 import zipfile
 import zlib
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from tokenize import TokenError
-from typing import Any
 
 import numpy as np
 
-from soro_bench.recording.importers.mapping import FileMapping, Source, load_mapping, texts
+from soro_bench.files import shown
+from soro_bench.recording.importers.arrays import array_mapping, import_arrays, written
 from soro_bench.recording.recording import Recording, RecordingError
-from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, MAX_ROWS, named_errors, read_bytes
+from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, named_errors, read_bytes
 
-_PLACE = ("arrays", "time")
+ONE = "array"  # what the only array of a .npy file is called
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # those that NumPy writes
 _SUFFIX = ".npy"
 # RuntimeError: encrypted; the last two: NumPy takes a header for Python
 _DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, SyntaxError, TokenError)
 
 
-def import_npz(path: str | Path, mapping: str | Path | Mapping | None, max_bytes: int = MAX_BYTES) -> Recording:
-    """Read an NPZ file with a mapping file; RecordingError says what is wrong with either."""
-    if mapping is None:
-        raise RecordingError(f"{path}: an NPZ file needs a mapping file; docs/how_to/import_a_log.md has an example")
-    spec = load_mapping(mapping, _PLACE, ("array", "unit", "interval", "rate", "period"))
-    data = read_bytes(path, max_bytes)
+def import_npz(
+    path: str | Path, mapping: str | Path | Mapping | None, episode: int | None = None, max_bytes: int = MAX_BYTES
+) -> Recording:
+    """Read an .npz or .npy file with a mapping file; RecordingError says what is wrong with either."""
+    spec = array_mapping(path, mapping, episode)
     with named_errors(path):
-        spec.to_seconds()
         try:
-            archive = _Archive(data, EXPANSION * max_bytes)
-            read = partial(_samples, archive, spec)
-            return spec.recording(read, Path(path).name, EXPANSION * max_bytes)
+            return import_arrays(path, _opened(path, max_bytes), spec, max_bytes)
         except _DAMAGED as error:
-            raise RecordingError(f"is no NPZ file: {str(error)[:200]}") from error
+            raise RecordingError(f"is no NumPy file: {shown(str(error)[:200])}") from error
 
 
-def _samples(archive: "_Archive", spec: FileMapping, source: Source) -> tuple[np.ndarray, np.ndarray]:
-    """(T,) times [s] and (T, k) numbers: rows of the arrays, one after the other."""
-    arrays = archive.arrays(texts("arrays", source.place.get("arrays")))
-    if len(rows := {len(array) for array in arrays}) > 1:
-        raise RecordingError(f"its arrays have {sorted(rows)} rows; all need as many")
-    numbers = np.concatenate([array.reshape(len(array), -1) for array in arrays], axis=1)
-    name = source.place.get("time", spec.time.get("array"))
-    if name is None:
-        return spec.counted(len(numbers)), numbers
-    time = archive.array(name)
-    if time.shape != (len(numbers),):
-        raise RecordingError(f"its times {ascii(name)[:80]} have shape {time.shape}; expected ({len(numbers)},)")
-    return spec.clock(time), numbers
+def guess(path: str | Path) -> str:
+    """A mapping (TOML) for the arrays of a file, to be corrected."""
+    with named_errors(path):
+        try:
+            return written(_opened(path, MAX_BYTES))
+        except _DAMAGED as error:
+            raise RecordingError(f"is no NumPy file: {shown(str(error)[:200])}") from error
+
+
+def _opened(path: str | Path, max_bytes: int) -> "_Archive | _Single":
+    data = read_bytes(path, max_bytes)
+    kind = _Single if Path(path).suffix.lower() == _SUFFIX else _Archive
+    return kind(data, EXPANSION * max_bytes)
 
 
 class _Archive:
-    """Arrays of real numbers in an archive, read when asked for; pickled objects are refused.
+    """Arrays in an archive, read when asked for; pickled objects are refused.
 
     Args:
-        most: bytes of arrays that are read together.
+        most: bytes of one array.
     """
+
+    kind = "NPZ file"
 
     def __init__(self, data: bytes, most: int) -> None:
         self._zip, self._most = zipfile.ZipFile(io.BytesIO(data)), most
-        self._names = [name.removesuffix(_SUFFIX) for name in self._zip.namelist() if name.endswith(_SUFFIX)]
+        self.names = [name.removesuffix(_SUFFIX) for name in self._zip.namelist() if name.endswith(_SUFFIX)]
 
-    def arrays(self, names: list[str]) -> list[np.ndarray]:
-        """Several of them."""
-        found, size = [], 0
-        for name in names:
-            found.append(self.array(name))
-            size += found[-1].nbytes
-            if size > self._most:
-                raise RecordingError(f"arrays {ascii(names)[1:80]} have more than {self._most} bytes")
-        return found
-
-    def array(self, name: Any) -> np.ndarray:
-        """An array of at least one dimension, as floating-point numbers."""
-        if not isinstance(name, str) or self._names.count(name) != 1:
-            found = ", ".join(ascii(each)[1:-1] for each in self._names)[:200]
-            raise RecordingError(f"{self._names.count(name)} arrays are called {ascii(name)[:80]}; there are {found}")
+    def array(self, name: str) -> np.ndarray:
+        """One array as it is in the file."""
         info = self._zip.getinfo(name + _SUFFIX)
         if info.file_size > self._most or info.compress_type not in _METHODS:
             raise RecordingError(f"{name} has {info.file_size} bytes, or is packed in a way that NumPy does not use")
         with self._zip.open(info) as entry:
-            content = entry.read(self._most + 1)
-        file = io.BytesIO(content)
-        shape, _, dtype = _header(file)
-        size = math.prod(shape) * dtype.itemsize
-        if dtype.kind not in "fiu" or not shape or len(shape) > 5 or not 0 < shape[0] <= MAX_ROWS:
-            raise RecordingError(f"{name} has type {dtype} and shape {shape}; expected rows of real numbers")
-        if 8 * math.prod(shape) > self._most:
-            raise RecordingError(f"{name} has {math.prod(shape)} numbers; at most {self._most // 8} are read")
-        if size != len(content) - file.tell():
-            raise RecordingError(f"{name} says that it has {size} bytes, and has {len(content) - file.tell()}")
-        file.seek(0)
-        return np.lib.format.read_array(file, allow_pickle=False).astype(float)
+            return _parsed(name, entry.read(self._most + 1), self._most)
+
+
+class _Single:
+    """The array of a .npy file."""
+
+    kind = f'NPY file, whose array is called "{ONE}"'
+
+    def __init__(self, data: bytes, most: int) -> None:
+        self._data, self._most, self.names = data, most, [ONE]
+
+    def array(self, name: str) -> np.ndarray:
+        """It."""
+        return _parsed(name, self._data, self._most)
+
+
+def _parsed(name: str, content: bytes, most: int) -> np.ndarray:
+    """The array in the content of a .npy file."""
+    file = io.BytesIO(content)
+    shape, _, dtype = _header(file)
+    if dtype.hasobject:
+        raise RecordingError(f"{ascii(name)[1:-1]} holds Python objects, which are never read: save numbers, such as "
+                             f"np.savez(file, {ascii(name)[1:-1]}=np.asarray(values, float))")  # fmt: skip
+    size = math.prod(shape) * dtype.itemsize
+    if 8 * math.prod(shape) > most:
+        raise RecordingError(f"{name} has {math.prod(shape)} numbers; at most {most // 8} are read")
+    if size != len(content) - file.tell():
+        raise RecordingError(f"{name} says that it has {size} bytes, and has {len(content) - file.tell()}")
+    file.seek(0)
+    return np.lib.format.read_array(file, allow_pickle=False)
 
 
 def _header(file: io.BytesIO) -> tuple[tuple[int, ...], bool, np.dtype]:

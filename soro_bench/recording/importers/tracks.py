@@ -8,8 +8,8 @@ import json
 import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -48,6 +48,7 @@ class Tracks:
         bodies: positions of rigid bodies (T, 3).
         rotations: of rigid bodies, as quaternions w, x, y, z (T, 4), or as the angles of the file (T, 3).
         channels: analogue signals (T, 1).
+        notes: what was left out.
     """
 
     kind: str
@@ -55,6 +56,7 @@ class Tracks:
     bodies: dict[str, Track] = field(default_factory=dict)
     rotations: dict[str, Track] = field(default_factory=dict)
     channels: dict[str, Track] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
     def named(self, group: str, name: str) -> Track:
         """A track by its name, or by what follows the subject in it, as in ``subject:marker``."""
@@ -73,29 +75,28 @@ def import_tracks(
     path: str | Path, tracks: Tracks, mapping: str | Path | Mapping, max_bytes: int = MAX_BYTES
 ) -> Recording:
     """The recording of what a mapping chooses; RecordingError says what is wrong with it."""
-    with named_errors("the mapping" if isinstance(mapping, Mapping) else mapping):
-        table = _with_units(_table(mapping), tracks)
-    spec = load_mapping(table, GROUPS, ("interval",))
+    spec = load_mapping(mapping, GROUPS, ("interval", "rate"), unit_optional=True)
 
     def read(source: Source) -> tuple[np.ndarray, np.ndarray]:
         """(T,) times [s] and the numbers of the tracks: (T, k) of one, (T, n, k) of n; (T, n) of n channels."""
-        group, names = _chosen(source.place)
-        found = [tracks.named(group, name) for name in names]
+        group, found = _found(source, tracks)
         if len({track.values.shape for track in found}) > 1:
-            raise RecordingError(f"{group} {ascii(names)[:80]} have different lengths")
-        if found[0].time is not None and "interval" in spec.time:
-            raise RecordingError("the file has times of its own; leave [time] interval out")
+            raise RecordingError(f"these {group} have different lengths; take them one by one")
+        if found[0].time is not None and (counted := [key for key in ("interval", "rate") if key in spec.time]):
+            raise RecordingError(f"the file has times of its own; leave [time] {counted[0]} out")
         time = spec.counted(len(found[0].values)) if found[0].time is None else found[0].time
         numbers = np.stack([track.values for track in found], axis=1)
-        if len(names) == 1 or group == "channels":
+        if len(found) == 1 or group == "channels":
             numbers = numbers.reshape(len(numbers), -1)
         seen = ~np.isnan(numbers.reshape(len(numbers), -1)).all(axis=1) & ~np.isnan(time)
         if not seen.any():
-            raise RecordingError(f"{group} {ascii(names)[:80]} are never seen")
+            raise RecordingError(f"these {group} are never seen")
         return time[seen], numbers[seen]
 
     with named_errors(path):
-        return spec.recording(read, Path(path).name, EXPANSION * max_bytes)
+        for note in tracks.notes:
+            spec.notes.add("", note)
+        return spec.recording(read, Path(path).name, EXPANSION * max_bytes, partial(_unit, tracks=tracks))
 
 
 def written(tracks: Tracks) -> str:
@@ -123,54 +124,36 @@ def signal_name(name: str) -> str:
     return (letters if letters[:1].isalpha() else f"s_{letters}")[:50]
 
 
-def _chosen(place: Mapping[str, Any]) -> tuple[str, list[str]]:
-    """Which group, and the names in it."""
-    if len(place) != 1:
+def _found(source: Source, tracks: Tracks) -> tuple[str, list[Track]]:
+    """The tracks of a command or signal, and in which group they are."""
+    if len(source.place) != 1:
         raise RecordingError(f"expected one of {', '.join(GROUPS)}, each a list of names")
-    ((group, names),) = place.items()
-    return group, texts(group, names)
+    ((group, names),) = source.place.items()
+    found = [tracks.named(group, name) for name in texts(group, names)]
+    if len(units := {track.unit for track in found}) > 1:
+        raise RecordingError(f"units {sorted(units)} differ; take these {group} one by one")
+    if source.unit is not None and found[0].unit not in ("", source.unit):
+        raise RecordingError(f"unit = {source.unit!r}, and the file says {found[0].unit!r}; leave unit out")
+    return group, found
+
+
+def _unit(source: Source, tracks: Tracks) -> str:
+    """The unit that the file says."""
+    group, found = _found(source, tracks)
+    if not found[0].unit:
+        raise RecordingError(f"the file says no unit of these {group} that is known; the mapping needs unit = ...")
+    return found[0].unit
 
 
 def mentions(mapping: str | Path | Mapping, keys: Collection[str]) -> bool:
     """Whether a command or signal of a mapping has one of these keys."""
     try:
-        table = _table(mapping)
+        table = mapping if isinstance(mapping, Mapping) else tomllib.loads(read_bytes(mapping, MAX_MAPPING).decode())
     except (OSError, ValueError, RecursionError):
         return False  # load_mapping says what is wrong with it
     sections = [table.get(section) for section in ("commands", "signals")]
     entries = [entry for section in sections if isinstance(section, dict) for entry in section.values()]
     return any(isinstance(entry, dict) and not entry.keys().isdisjoint(keys) for entry in entries)
-
-
-def _table(mapping: str | Path | Mapping) -> dict[str, Any]:
-    return dict(mapping) if isinstance(mapping, Mapping) else tomllib.loads(read_bytes(mapping, MAX_MAPPING).decode())
-
-
-def _with_units(table: dict[str, Any], tracks: Tracks) -> dict[str, Any]:
-    """The mapping with the units of the file, where the file says them."""
-    for section in ("commands", "signals"):
-        entries = table.get(section)
-        if not isinstance(entries, dict):
-            continue
-        table[section] = {name: _with_unit(f"{section}.{name}", entry, tracks) for name, entry in entries.items()}
-    return table
-
-
-def _with_unit(label: str, entry: object, tracks: Tracks) -> object:
-    if not isinstance(entry, dict):
-        return entry  # which load_mapping refuses
-    try:
-        group, names = _chosen({key: entry[key] for key in GROUPS if key in entry})
-        units = {tracks.named(group, name).unit for name in names}
-    except RecordingError as error:
-        raise RecordingError(f"{label}: {error}") from error
-    if len(units) > 1:
-        raise RecordingError(f"{label}: units {sorted(units)} differ; take these {group} one by one")
-    (unit,) = units
-    if unit and entry.get("unit", unit) != unit:
-        said = ascii(entry["unit"])[:40]
-        raise RecordingError(f"{label}: unit = {said}, and the file says {unit!r}; leave unit out")
-    return {"unit": unit, **entry} if unit else entry
 
 
 def known_unit(text: str) -> str:

@@ -1,0 +1,289 @@
+"""Recordings from arrays (.npz, .npy, .mat): which entries are samples, episodes and labels; what MATLAB writes."""
+
+import tomllib
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pyarrow")
+pytest.importorskip("scipy")
+pytest.importorskip("h5py")
+
+import h5py
+from scipy.io import savemat
+from scipy.io.matlab import MatlabObject
+
+from soro_bench.recording.importers import guess_mapping, import_recording
+from soro_bench.recording.recording import RecordingError
+from tests.recordings import says
+
+RNG = np.random.default_rng(0)
+T = 6
+TIME = 0.1 * np.arange(T)
+FLAT = RNG.normal(size=(T, 3))
+BOXES = RNG.normal(size=(4, T, 2, 3))  # episodes, times, and points in the plane of samples
+MAPPING = '[time]\narray = "t"\n[signals.x]\narrays = ["x"]\nunit = "mm"\n'
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Reads arrays, as a file of that kind, with a mapping."""
+
+    def read(mapping, suffix="npz", **arrays):
+        path = tmp_path / f"a.{suffix}"
+        if suffix == "npz":
+            np.savez(path, **arrays)
+        elif suffix == "npy":
+            np.save(path, arrays["x"])
+        elif suffix == "v73":
+            path = tmp_path / "a.mat"
+            write_v73(path, arrays)
+        else:
+            path = tmp_path / "a.mat"
+            savemat(path, arrays, format=suffix.removeprefix("v"), do_compression=suffix == "5")
+        (tmp_path / "a.toml").write_text(mapping)
+        return import_recording(path, tmp_path / "a.toml")
+
+    return read
+
+
+def write_v73(path, arrays):
+    """As MATLAB 7.3 does: HDF5 behind a header of its own, axes reversed, the class of each array beside it."""
+
+    def write(group, name, value):
+        if isinstance(value, dict):
+            below = group.create_group(name)
+            below.attrs["MATLAB_class"] = np.bytes_("struct")
+            for key, part in value.items():
+                write(below, key, part)
+            return
+        value = np.atleast_2d(value)
+        chunks = {} if value.dtype == h5py.ref_dtype else {"compression": "gzip", "chunks": value.T.shape}
+        made = group.create_dataset(name, data=value.T, **chunks)
+        made.attrs["MATLAB_class"] = np.bytes_("cell" if value.dtype == h5py.ref_dtype else "double")
+
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, value in arrays.items():
+            write(file, name, file[value].ref if isinstance(value, str) else value)
+    data = bytearray(path.read_bytes())
+    data[:19] = b"MATLAB 7.3 MAT-file"
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("shape", [(T,), (T, 1), (1, T)])
+def test_times_may_be_a_row_or_a_column(read, shape):
+    signal = read(MAPPING, t=TIME.reshape(shape), x=FLAT).signals["x"]
+    np.testing.assert_allclose(signal.time, TIME)
+    np.testing.assert_allclose(signal.values, 1e-3 * FLAT)
+
+
+@pytest.mark.parametrize(
+    ("indices", "x", "expected"),
+    [
+        ("[2, 0]", FLAT, FLAT[:, [2, 0]]),
+        ("[1]", FLAT, FLAT[:, 1]),
+        ('[":", "rows"]', FLAT.T, FLAT),
+        ('[[0, 2], "rows"]', FLAT.T, FLAT[:, [0, 2]]),
+        ('[3, ":", [0], 2]', BOXES, BOXES[3, :, 0, 2]),
+        ('[3, ":", 1]', BOXES, BOXES[3, :, 1]),
+        ('[[0, 1], "rows", 1, ":"]', BOXES, BOXES[:2, :, 1].transpose(1, 0, 2).reshape(T, 6)),
+    ],
+)
+def test_indices_choose_entries(read, indices, x, expected):
+    """Of each sample, or along each axis."""
+    signal = read(MAPPING + f"indices = {indices}\n", t=TIME, x=x).signals["x"]
+    np.testing.assert_allclose(signal.values, 1e-3 * expected)
+
+
+@pytest.mark.parametrize(
+    ("indices", "parts"),
+    [
+        ("[3]", ("index 3 of x: expected 0 to 2",)),
+        ("[]", ("indices = []", "(6, 3)")),
+        ('"all"', ("indices = 'all'",)),
+        ('["rows", ":", 0]', ("(6, 3)",)),
+        ('["rows", "rows"]', ("twice",)),
+        ('["rows", 1.5]', ("1.5", '":" or "rows"')),
+        ('["rows", -1]', ("index -1",)),
+    ],
+)
+def test_indices_that_fit_no_array(read, indices, parts):
+    with pytest.raises(RecordingError, match=says("signals.x", *parts)):
+        read(MAPPING + f"indices = {indices}\n", t=TIME, x=FLAT)
+
+
+def test_an_episode_of_arrays_that_have_an_axis_of_episodes(read, tmp_path):
+    """The times may be shared, or one row for each; episodes of other lengths are filled up with NaN."""
+    x = BOXES.reshape(4, T, 6).copy()
+    x[2, 4:] = np.nan
+    for t in (TIME, np.stack([TIME + i for i in range(4)])):
+        for episode, rows in ((1, T), (2, 4)):
+            signal = read(f"[format]\nepisode = {episode}\n" + MAPPING, t=t, x=x).signals["x"]
+            np.testing.assert_allclose(signal.time, TIME[:rows], atol=1e-12)
+            np.testing.assert_allclose(signal.values, 1e-3 * x[episode, :rows])
+    (tmp_path / "a.toml").write_text(MAPPING)
+    chosen = import_recording(tmp_path / "a.npz", tmp_path / "a.toml", episode=3)
+    np.testing.assert_allclose(chosen.signals["x"].values, 1e-3 * x[3])
+    with pytest.raises(RecordingError, match=says("a.npz", "episode = 4; there are 4, counted from 0")):
+        import_recording(tmp_path / "a.npz", tmp_path / "a.toml", episode=4)
+
+
+@pytest.mark.parametrize(("key", "numbers"), [("ends", [2, 5, 6]), ("lengths", [2, 3, 1])])
+def test_an_episode_of_rows_one_after_the_other(read, key, numbers):
+    mapping = f'[format]\nepisode = 1\n{key} = "n"\n' + MAPPING
+    signal = read(mapping, t=TIME, x=FLAT, n=np.array(numbers)).signals["x"]
+    np.testing.assert_allclose(signal.values, 1e-3 * FLAT[2:5])
+    with pytest.raises(RecordingError, match=says("(6, 3) fits neither 3 episodes nor 7 rows")):
+        read(mapping, t=TIME, x=FLAT, n=np.array([2, 5, 7] if key == "ends" else [2, 3, 2]))
+
+
+@pytest.mark.parametrize(
+    ("labels", "only"),
+    [
+        (np.array([0, 0, 1, 1, 1, 2]), "[1]"),
+        (np.array(["a", "a", "pull 1", "pull 1", "pull 2", "b"]), '["pull"]'),
+    ],
+)
+def test_rows_with_a_label(read, labels, only):
+    mapping = f'[format]\nlabel = "trial"\nonly = {only}\n' + MAPPING
+    signal = read(mapping, t=TIME, x=FLAT, trial=labels).signals["x"]
+    np.testing.assert_allclose(signal.values, 1e-3 * FLAT[2:5])
+    for wrong, parts in (('["no"]', "'no'"), ("[9]", "[9]"), ("3", "3"), ("[]", "[]")):
+        with pytest.raises(RecordingError, match=says("[format] only", parts)):
+            read(mapping.replace(only, wrong), t=TIME, x=FLAT, trial=labels)
+
+
+def test_times_of_single_precision_that_repeat(read):
+    """Seconds since 1970 do not fit into one; what to write stands there, and works."""
+    t = (1.7e9 + TIME).astype(np.float32)
+    with pytest.raises(RecordingError, match=says("'t'", "single precision, steps of 128", "interval")):
+        read(MAPPING, t=t, x=FLAT)
+    signal = read(MAPPING.replace('array = "t"', "interval = 0.1"), t=t, x=FLAT).signals["x"]
+    np.testing.assert_allclose(signal.time, TIME)
+
+
+def test_times_in_whole_nanoseconds_and_dates_keep_every_digit(read):
+    steps = np.array([0, 1, 2, 3, 5, 8])
+    stamps = 1_700_000_000_000_000_000 + steps
+    whole = read(MAPPING.replace('"t"', '"t"\nunit = "ns"'), t=stamps, x=FLAT)
+    dates = read(MAPPING, t=stamps.astype("datetime64[ns]"), x=FLAT)
+    for recording in (whole, dates):
+        np.testing.assert_allclose(recording.signals["x"].time, 1e-9 * steps, rtol=1e-12)
+
+
+def test_npy(read):
+    """A plain array, and one with fields."""
+    mapping = '[time]\ninterval = 0.1\n[signals.x]\narrays = ["array"]\nunit = "mm"\n'
+    np.testing.assert_allclose(read(mapping, "npy", x=FLAT).signals["x"].values, 1e-3 * FLAT)
+    fields = np.zeros(T, [("t", float), ("q", float, 3)])
+    fields["t"], fields["q"] = TIME, FLAT
+    named = read(MAPPING.replace('"t"', '"array.t"').replace('["x"]', '["array.q"]'), "npy", x=fields)
+    np.testing.assert_allclose(named.signals["x"].values, 1e-3 * FLAT)
+    with pytest.raises(RecordingError, match=says("its fields are t, q")):
+        read(mapping, "npy", x=fields)
+
+
+@pytest.mark.parametrize("suffix", ["npz", "npy"])
+def test_objects_are_refused_in_one_line_of_our_own(read, suffix):
+    """Without NumPy's hint to allow pickles."""
+    mapping = MAPPING if suffix == "npz" else '[time]\ninterval = 1\n[signals.x]\narrays = ["array"]\nunit = "mm"\n'
+    with pytest.raises(RecordingError, match="holds Python objects, which are never read: save numbers") as error:
+        read(mapping, suffix, t=TIME, x=np.array([{"a": 1}] * T, object))
+    assert "pickle" not in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("version", ["v4", "5", "v73"])
+def test_mat(read, version):
+    """Numbers of every version; MATLAB has vectors as rows, and axes in its own order."""
+    values = read(MAPPING, version, t=TIME, x=FLAT).signals["x"].values
+    np.testing.assert_allclose(values, 1e-3 * FLAT)
+    values = read(MAPPING + 'indices = [":", "rows"]\n', version, t=TIME, x=FLAT.T).signals["x"].values
+    np.testing.assert_allclose(values, 1e-3 * FLAT)
+    with pytest.raises(RecordingError, match=says("(6,); expected (3,)", 'indices = [":", "rows"]')):
+        read(MAPPING, version, t=TIME, x=FLAT.T)
+
+
+@pytest.mark.parametrize("version", ["5", "v73"])
+def test_structs_of_numbers_have_dotted_names(read, version):
+    mapping = MAPPING.replace('"t"', '"log.t"').replace('["x"]', '["log.arm.x"]')
+    signal = read(mapping, version, log={"t": TIME, "arm": {"x": FLAT}}).signals["x"]
+    np.testing.assert_allclose(signal.values, 1e-3 * FLAT)
+
+
+def test_several_structs_and_cells_of_numbers_are_counted_as_in_matlab(read):
+    log = np.zeros(2, [("t", object), ("x", object)])
+    for i in range(2):
+        log[i] = (TIME, FLAT + i)
+    cell = np.array([FLAT, FLAT + 2, None], object)[:2]
+    mapping = MAPPING.replace('"t"', '"log(2).t"').replace('["x"]', '["log(2).x", "c{2}"]')
+    signal = read(mapping, "5", log=log, c=cell).signals["x"]
+    np.testing.assert_allclose(signal.values, 1e-3 * np.concatenate([FLAT + 1, FLAT + 2], axis=1))
+
+
+@pytest.mark.parametrize(
+    ("version", "arrays", "parts"),
+    [
+        ("5", {"x": MatlabObject(np.array([(1.0,)], [("a", object)]), "mine")}, ("x is no array of numbers", "object")),
+        ("5", {"x": FLAT + 1j}, ("x is complex", "real(x)")),
+        ("5", {"x": "text"}, ("x has type <U4", "real numbers")),
+        ("5", {"y": FLAT}, ("no array is called 'x'", "y, t")),
+        ("v73", {"y": FLAT, "x": "y"}, ("x is a cell or an array of structs", "-v7")),
+    ],
+)
+def test_what_is_no_number_of_matlab_is_refused(read, version, arrays, parts):
+    with pytest.raises(RecordingError, match=says("a.mat", *parts)) as error:
+        read(MAPPING, version, **arrays, t=TIME)
+    assert "\n" not in str(error.value)
+
+
+def test_links_and_data_outside_a_file_of_matlab_are_not_followed(tmp_path):
+    (tmp_path / "secret").write_bytes(TIME.tobytes())
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["x"] = FLAT
+    with h5py.File(tmp_path / "a.mat", "w") as file:
+        file["t"] = TIME
+        file["x"] = h5py.ExternalLink(str(tmp_path / "other.h5"), "x")
+        file["loop"] = file["/"]
+        file.create_dataset("raw", (T,), float, external=str(tmp_path / "secret"))
+    for name, message in (("x", "no array is called 'x'"), ("raw", "lies in another file")):
+        mapping = {"time": {"interval": 0.1}, "signals": {"x": {"arrays": [name], "unit": "m"}}}
+        with pytest.raises(RecordingError, match=message):
+            import_recording(tmp_path / "a.mat", mapping)
+
+
+@pytest.mark.parametrize("version", ["5", "v73"])
+def test_a_small_file_that_would_take_much_memory_is_refused(tmp_path, version):
+    """Whatever it declares: a compressed array of 96 MB, of which 4 MB may be read."""
+    zeros = np.zeros(12_000_000)
+    if version == "5":
+        savemat(tmp_path / "a.mat", {"x": zeros}, do_compression=True)
+    else:
+        write_v73(tmp_path / "a.mat", {"x": zeros})
+    mapping = {"time": {"interval": 0.1}, "signals": {"x": {"arrays": ["x"], "unit": "m"}}}
+    assert (tmp_path / "a.mat").stat().st_size < 1_000_000
+    with pytest.raises(RecordingError, match=r"memory|at most 500000"):
+        import_recording(tmp_path / "a.mat", mapping, max_bytes=1_000_000)
+
+
+@pytest.mark.parametrize("data", [b"", b"MATLAB 5.0", bytes(500), b"\x89HDF\r\n\x1a\n" + bytes(900)])
+def test_what_is_no_file_of_matlab(tmp_path, data):
+    (tmp_path / "a.mat").write_bytes(data)
+    with pytest.raises(RecordingError, match=r"a\.mat.*-v7"):
+        import_recording(tmp_path / "a.mat", {"signals": {"x": {"arrays": ["x"], "unit": "m"}}})
+
+
+@pytest.mark.parametrize("suffix", ["npz", "5", "v73"])
+def test_a_guess_is_a_mapping_that_imports_the_file(read, tmp_path, suffix):
+    """It finds the times, the commands and the axis of the samples, and leaves out what does not fit."""
+    arrays = {"time": TIME, "q": FLAT.T, "u": TIME, "gains": np.arange(4.0)}
+    read('[time]\ninterval = 1\n[signals.x]\narrays = ["time"]\nunit = "s"\n', suffix, **arrays)
+    path = tmp_path / ("a.npz" if suffix == "npz" else "a.mat")
+    written = guess_mapping(path)
+    assert "gains" in written
+    recording = import_recording(path, tomllib.loads(written))
+    assert (recording.commands.keys(), recording.signals.keys()) == ({"u"}, {"q"})
+    np.testing.assert_allclose(recording.signals["q"].values, FLAT)
+    np.testing.assert_allclose(recording.signals["q"].time, TIME)
+    with pytest.raises(RecordingError, match="--guess"):
+        import_recording(path)
