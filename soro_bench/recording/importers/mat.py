@@ -101,7 +101,7 @@ def convert() -> None:
                 if not name.startswith("__"):
                     found.update(itertools.islice(_flat(name, value, 0), _MAX_NAMES))
             names = list(found)[:_MAX_NAMES]
-            numbers = {str(i): found[name] for i, name in enumerate(names)}
+            numbers: dict[str, Any] = {str(i): found[name] for i, name in enumerate(names)}
             np.savez(sys.stdout.buffer, names=np.array(names, np.str_), **numbers)
     except Exception as error:  # whatever a stranger's bytes make of the reader
         sys.stderr.write("\n" + str(error).split("\n")[0])

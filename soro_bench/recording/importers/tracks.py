@@ -15,7 +15,7 @@ import numpy as np
 
 from soro_bench.recording.importers.mapping import MAX_BYTES as MAX_MAPPING
 from soro_bench.recording.importers.mapping import Source, load_mapping, texts
-from soro_bench.recording.importers.units import UNITS
+from soro_bench.recording.importers.units import of_text
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, named_errors, read_bytes
 
@@ -158,10 +158,7 @@ def mentions(mapping: str | Path | Mapping, keys: Collection[str]) -> bool:
 
 def known_unit(text: str) -> str:
     """The name that units.py has for a unit in a file; "" if it has none."""
-    text = text.strip().strip("()[]")
-    other = {"meters": "m", "metres": "m", "centimeters": "cm", "millimeters": "mm", "inches": "in", "degrees": "deg",
-             "n": "N", "volts": "V", "v": "V", "newtons": "N"}  # fmt: skip
-    return text if text in UNITS else other.get(text.lower(), text.lower() if text.lower() in UNITS else "")
+    return (of_text(text) or "") if text.strip() else ""
 
 
 def continuous(quaternions: np.ndarray) -> np.ndarray:
