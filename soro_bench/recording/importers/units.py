@@ -41,7 +41,8 @@ _NAMES = {
     "n*mm": "mNm", "nmm": "mNm", "pascal": "Pa", "pa": "Pa", "hz": "Hz", "v": "V", "volt": "V", "volts": "V", "a": "A",
     "amp": "A", "amps": "A", "-": "1", "": "1", "none": "1", "a.u.": "1", "bool": "1", "percent": "%",
     "\u03a9": "ohm", "kelvin": "K", "meter": "m", "meters": "m", "metre": "m", "metres": "m",
-    "centimeters": "cm", "centimetres": "cm", "millimeters": "mm", "millimetres": "mm", "mm": "mm", "cm": "cm", "m": "m",
+    "centimeters": "cm", "centimetres": "cm", "millimeters": "mm", "millimetres": "mm", "mm": "mm", "cm": "cm",
+    "m": "m",
 }  # fmt: skip
 
 
