@@ -1,5 +1,6 @@
 """The patched model: a robot's MJCF with fitted parameters and with the effects that a model can hold."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
@@ -8,29 +9,24 @@ import numpy as np
 import pytest
 
 from soro_bench.assets import mjcf_path
-from soro_bench.diagnosis.assembly.patch import (
-    MODEL,
-    REMAINING,
-    PatchError,
-    model_patch,
-    patch,
-    patched_spec,
-    write_model_patch,
-    written,
-)
+from soro_bench.diagnosis.assembly.model_export import PatchError, exported, patched_spec
+from soro_bench.diagnosis.assembly.patch import kept, model_patch, patch
+from soro_bench.diagnosis.candidates import term
+from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.selection.model_probabilities import Fit
-from soro_bench.effects.catalogue import ALL, QUANTITIES
-from soro_bench.effects.effect import EVERY, Effect, Location, load_effects
+from soro_bench.effects.catalogue import QUANTITIES
+from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.effects.elements import AUXILIARY, FOUND, instrument, without_unused_springs
 from soro_bench.envs.trunk import NUM_KEYPOINTS
 from soro_bench.models.trunk_geometry import CABLE_RATE
 from tests.arm import ARM, MAP
+from tests.arm import problem as arm_problem
 
 X = np.array([0.3, -0.4, 0.2, 0.3, 0.1])  # fitted parameters, in standard deviations of their priors
 PAYLOAD = Effect("payload", Location("body", "vertebra7"), {"mass": 0.04})
-DELAY = Effect("actuator_delay", Location("actuator", EVERY), {"delay": 0.01})
+CREEP = Effect("viscoelastic_creep", Location("body", EVERY), {"ratio": 0.3, "time_constant": 2.0})
 NATIVE = [
     PAYLOAD,
     Effect("local_stiffness", Location("body", "vertebra3"), {"factor": 0.6}),
@@ -68,8 +64,7 @@ def test_a_model_with_a_mesh_is_patched_and_loads_from_anywhere(paths, tmp_path)
     model.write_text(ARM.replace("<worldbody>", mesh).replace('<site name="tip"', geom))
     robot = ModelRobot(model, mapping, threads=1)
     nominal = {prior.name: prior.nominal for prior in robot.priors}
-    xml = written(patched_spec(robot, nominal, []), "")
-    assert mujoco.MjModel.from_xml_string(xml).nmesh == 1
+    assert mujoco.MjModel.from_xml_string(exported(robot, nominal, []).xml).nmesh == 1
 
 
 def moved(model, actions):
@@ -90,20 +85,16 @@ def test_a_patched_model_moves_as_the_simulation_with_these_parameters_and_effec
     actions = np.repeat(np.random.default_rng(0).uniform(-1, 1, (8, 8)), 5, axis=0).astype(np.float32)
     parameters = robot.parameters(X)
     (expected,) = robot.simulate(actions, np.array([list(parameters.values())]), [effects])
-    spec = patched_spec(robot, parameters, effects)
-    np.testing.assert_array_equal(moved(spec.compile(), actions), expected)
-    # MuJoCo writes six digits
-    loaded = mujoco.MjModel.from_xml_string(written(spec, ""))
-    assert np.sqrt(((moved(loaded, actions) - expected) ** 2).mean()) < 2e-5
+    loaded = mujoco.MjModel.from_xml_string(exported(robot, parameters, effects).xml)
+    np.testing.assert_array_equal(moved(loaded, actions), expected)
 
 
 @pytest.mark.parametrize("name", ["bam_servo", "opencr_tdcr", "asl_trunk", "silicone_beam"])
 def test_the_patched_model_of_a_real_robot_moves_as_its_simulation(name):
     robot = ModelRobot(mjcf_path(f"real/{name}.xml"), mjcf_path(f"real/{name}.toml"), threads=1)
     parameters = robot.parameters(0.5 * np.random.default_rng(0).standard_normal(len(robot.priors)))
-    spec, expected = patched_spec(robot, parameters, []), driven(robot.model(parameters, []))
-    np.testing.assert_allclose(driven(spec.compile()), expected, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(driven(mujoco.MjModel.from_xml_string(written(spec, ""))), expected, rtol=0, atol=1e-5)
+    loaded = mujoco.MjModel.from_xml_string(exported(robot, parameters, []).xml)
+    np.testing.assert_allclose(driven(loaded), driven(robot.model(parameters, [])), rtol=0, atol=1e-12)
 
 
 def driven(model):
@@ -116,28 +107,17 @@ def driven(model):
     return np.concatenate([data.xpos, data.site_xpos])
 
 
-def test_the_file_loads_from_any_folder_and_says_what_it_has(robot, tmp_path, monkeypatch):
-    write_model_patch(model_patch(diagnosis(robot, [PAYLOAD, DELAY])), tmp_path / "report")
-    monkeypatch.chdir(tmp_path)
-    model = mujoco.MjModel.from_xml_path(f"report/{MODEL}")
+def test_the_file_says_what_it_has_and_what_it_lacks(robot):
     parameters = robot.parameters(X)
-    bare = robot.model(parameters, [])
+    found = exported(robot, parameters, [PAYLOAD, CREEP])
+    assert (found.effects, found.remaining) == ((PAYLOAD,), (CREEP,))
+    model, bare = mujoco.MjModel.from_xml_string(found.xml), robot.model(parameters, [])
     added = model.body("vertebra7").mass[0] - bare.body("vertebra7").mass[0]
-    assert added == pytest.approx(0.04, rel=1e-4)
-    assert model.body("vertebra6").mass[0] == pytest.approx(bare.body("vertebra6").mass[0], rel=1e-5)
-    head = (tmp_path / "report" / MODEL).read_text()[:1000]
-    assert f"trunk_mass {parameters['trunk_mass']:.6g} kg" in head
-    assert "Effects in this model: payload at body vertebra7" in head
-    assert "It lacks actuator_delay at every actuator" in head
-
-
-def test_what_a_model_cannot_hold_is_in_a_file_of_its_own(robot, tmp_path):
-    found = model_patch(diagnosis(robot, [PAYLOAD, DELAY]))
-    assert (found.effects, found.remaining) == ((PAYLOAD,), (DELAY,))
-    write_model_patch(found, tmp_path)
-    assert load_effects(tmp_path / REMAINING, ALL) == (DELAY,)
-    write_model_patch(model_patch(diagnosis(robot, [PAYLOAD])), tmp_path)
-    assert not (tmp_path / REMAINING).exists()
+    assert added == pytest.approx(0.04, rel=1e-9)
+    assert model.body("vertebra6").mass[0] == pytest.approx(bare.body("vertebra6").mass[0], rel=1e-9)
+    assert f"trunk_mass {parameters['trunk_mass']:.6g} kg" in found.xml[:1000]
+    assert "Effects in this model: payload at body vertebra7" in found.xml[:1000]
+    assert "Not in this model: viscoelastic_creep at every body" in found.xml[:1000]
 
 
 @pytest.mark.parametrize(
@@ -150,12 +130,9 @@ def test_what_a_model_cannot_hold_is_in_a_file_of_its_own(robot, tmp_path):
     ],
 )
 def test_without_a_patch_the_model_has_the_parameters_that_were_fitted_without_one(robot, case):
-    found = model_patch(diagnosis(robot, [PAYLOAD, DELAY], **case))
-    assert (found.effects, found.remaining) == ((), ())
-    model = mujoco.MjModel.from_xml_string(found.xml)
-    nominal = robot.model(robot.parameters(np.zeros(len(X))), [])
-    np.testing.assert_allclose(model.body_mass, nominal.body_mass, rtol=1e-5)
-    np.testing.assert_allclose(model.jnt_stiffness, nominal.jnt_stiffness, rtol=1e-5)
+    found = diagnosis(robot, [PAYLOAD, CREEP], **case)
+    assert patch(found) == []
+    assert kept(found) is found.explanation.nominal
 
 
 def test_what_has_no_name_is_patched_by_the_nearest_that_explains_held_out_recordings_too(robot):
@@ -170,7 +147,7 @@ def test_springs_are_in_the_model_only_where_an_effect_uses_them(robot):
 
 
 def test_a_patched_model_can_be_prepared_for_effects_again(robot):
-    xml = written(patched_spec(robot, robot.parameters(X), [NATIVE[2]]), "of a file---with hyphens")
+    xml = exported(robot, robot.parameters(X), [NATIVE[2]], "of a file---with hyphens").xml
     assert instrument(mujoco.MjSpec.from_string(xml)).compile().ntendon > 0
     assert ElementTree.fromstring(xml).tag == "mujoco"
 
@@ -195,16 +172,58 @@ def test_inertia_that_no_body_can_have_is_in_no_patched_model(tmp_path):
         patched_spec(robot, robot.parameters(np.array([2.0, 0.0, 0.0])), [])
 
 
-def test_a_flex_has_no_patched_model_and_the_reason_is_given(tmp_path):
+def test_a_flex_has_no_patched_model_and_the_reason_is_given():
     robot = SuiteRobot("TrunkReach-v0", "flex", threads=1)
-    with pytest.raises(PatchError, match="flex_stiffness"):
-        patched_spec(robot, robot.parameters(X), [])
     found = model_patch(diagnosis(robot, [PAYLOAD]))
-    assert found.xml is None
+    assert (found.state, found.xml, found.remaining) == ("not_written", None, (PAYLOAD,))
     assert "flex_stiffness" in found.obstacle
-    (tmp_path / MODEL).write_text("of another diagnosis")
-    write_model_patch(found, tmp_path)
-    assert not (tmp_path / MODEL).exists()
+
+
+GEAR = Effect(
+    "gear_friction",
+    Location("joint", "hinge"),
+    {"mu": 0.3, "backdrive": 1.0, "preload": 0.1, "static_ratio": 1.5, "stribeck_velocity": 0.2, "presliding": 1e-3},
+)
+
+
+def found_on_the_arm(paths, hidden, x):
+    """A diagnosis of the arm that has found an effect with parameters at coordinates x."""
+    problem = replace(arm_problem(paths, [hidden]), robot=ModelRobot(*paths, threads=1))
+    one = term(problem.robot, hidden.name, hidden.location)
+    x = np.concatenate([x, one.coordinates(hidden.parameters)])
+    row = problem.residuals([(x, (one,))])[0]
+    nothing = np.zeros((0, row.size))
+    best = Hypothesis((one,), x, row, problem.cost(row, x), nothing, nothing)
+    origin = problem.residuals([(np.zeros(3), ())])[0]
+    nominal = Hypothesis((), np.zeros(3), origin, problem.cost(origin, np.zeros(3)), nothing, nothing)
+    return SimpleNamespace(
+        robot=problem.robot,
+        verdict="discrepancy",
+        best=SimpleNamespace(hypothesis=best, train=Fit(2.0, 1.0, 0.0), heldout=None),
+        explanation=SimpleNamespace(nominal=nominal, problem=problem),
+        tested=None,
+    )
+
+
+def test_a_model_that_would_be_worse_alone_is_fitted_again_with_what_mjcf_has(paths):
+    # with the damping that belongs to the friction, the arm alone is far too weakly damped
+    diagnosis = found_on_the_arm(paths, GEAR, np.array([0.0, -6.0, 0.0]))
+    found = model_patch(diagnosis)
+    assert found.state == "refitted"
+    assert found.errors[0].patched < 0.6 * found.errors[0].built
+    assert {effect.name for effect in found.effects} == {"coulomb_friction", "viscous_friction"}
+    assert [effect.name for effect in found.remaining] == [GEAR.name]
+    assert "do not add that" in found.xml
+    (again,) = diagnosis.explanation.problem.recordings
+    alone = diagnosis.robot.as_built(found.xml).simulate(again.actions, np.ones((1, 3)) * [1, 1, 0], [()], again.start)
+    assert np.sqrt(np.mean((alone[0] - again.values) ** 2)) == pytest.approx(found.errors[0].patched, rel=1e-6)
+
+
+def test_a_model_that_is_better_alone_is_as_found(paths):
+    gain = Effect("actuator_gain", Location("actuator", "motor"), {"gain": 0.8})
+    found = model_patch(found_on_the_arm(paths, gain, np.zeros(3)))
+    assert (found.state, found.effects, found.remaining, found.obstacle) == ("as_found", (gain,), (), None)
+    assert found.errors[0].patched < 0.3 * found.errors[0].built
 
 
 @pytest.mark.parametrize(

@@ -285,13 +285,25 @@ class Shape:
 
 
 @dataclass(frozen=True)
+class ReplayError:
+    """Root mean squares of plain replays [signal's unit]: by the model as built, and by patched_model.xml alone."""
+
+    built: float
+    patched: float
+
+
+@dataclass(frozen=True)
 class Patch:
     """The physics that the simulation should have.
 
     state: "none", "rejected" (it makes held-out recordings worse), "untested" (none is held out) or "accepted".
     effects: in the format of effects.json, those of a baseline diagnosis included.
-    model: MJCF with the fitted parameters and the effects ``in_model``; None where MJCF cannot hold them, for the
-        reason ``obstacle``. remaining: effects that the MJCF lacks.
+    model: MJCF with the fitted parameters and the effects ``in_model``; None where it is not written.
+    remaining: effects that the MJCF lacks.
+    model_state: "as_found", "refitted" (with other parameters, since alone it would be worse than the model as built)
+        or "not_written"; empty in results of older versions.
+    obstacle: why the model is not as found.
+    replays: errors of the model alone, on the recordings fitted to and on held-out ones.
     """
 
     state: str
@@ -300,6 +312,8 @@ class Patch:
     in_model: tuple[str, ...]
     remaining: tuple[dict[str, typing.Any], ...]
     obstacle: str | None = None
+    model_state: str = ""
+    replays: tuple[ReplayError, ...] = ()
 
 
 @dataclass(frozen=True)

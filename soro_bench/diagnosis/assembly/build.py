@@ -231,6 +231,8 @@ def _patch(diagnosis: Diagnosis) -> Patch:
         in_model=tuple(effect.name for effect in model.effects),
         remaining=tuple(effect.to_json() for effect in model.remaining),
         obstacle=model.obstacle,
+        model_state=model.state,
+        replays=model.errors,
     )
 
 

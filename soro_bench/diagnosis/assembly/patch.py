@@ -1,46 +1,51 @@
-"""The patch: physics that the simulation should have, and a MuJoCo model with as much of it as a model can hold."""
+"""The patch: physics that the simulation should have, and a MuJoCo model with as much of it as MJCF can express.
 
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from operator import attrgetter
-from pathlib import Path
+The model alone is replayed from its MJCF on the recordings. Where it is worse there than the model as it was built, its
+parameters are fitted again with what MJCF can express; if that does not help, there is no patched model.
+"""
 
-import mujoco
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
 import numpy as np
-from mujoco.batch import MODEL_FIELDS
 
+from soro_bench.arrays import Floats
+from soro_bench.diagnosis.assembly.errors import plain_rms
+from soro_bench.diagnosis.assembly.model_export import ExportedModel, PatchError, exported
+from soro_bench.diagnosis.assembly.native_laws import LAWS
+from soro_bench.diagnosis.candidates import Term, slices, term
 from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.estimation.gauss_newton import descended
+from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.pipeline import Diagnosis
+from soro_bench.diagnosis.result import ReplayError
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer
-from soro_bench.effects.effect import Effect, save_effects
-from soro_bench.effects.elements import without_unused_springs
-from soro_bench.files import replacing
+from soro_bench.effects.catalogue import CATEGORIES
+from soro_bench.effects.effect import Effect
+from soro_bench.inference.statistical_linearisation import LowRank
 
 KEPT = 0.5  # of the share of the variance that is explained
-MODEL, REMAINING = "patched_model.xml", "remaining_effects.json"
-# of a field's largest value: what compiling again changes in derived fields, and the six digits that MuJoCo writes
-_ROUNDING, _PRECISION = 1e-12, 1e-5
-_FLAGS = ("body_sameframe", "body_simple")  # the compiler's shortcuts, which it takes for other values of other fields
-
-
-class PatchError(ValueError):
-    """MJCF cannot say what the fitted model is."""
+_NOISE = 9.0  # of squared errors over that of the sensor: three standard deviations, once, make no model worse
+_OF_FRICTION = ("coulomb_friction", "viscous_friction")  # what MJCF has of friction, whatever its law
+_REFITTED = "Its parameters were fitted without what is not in this model: do not add that."
 
 
 @dataclass(frozen=True)
 class ModelPatch:
     """A model in MJCF with the fitted parameters.
 
-    xml: None where MJCF cannot hold them; ``obstacle`` says why. effects: in the model. remaining: of the patch, those
-    that are not.
+    state: "as_found", "refitted" (other parameters, since it would be worse alone) or "not_written". xml: None where it
+    is not written; ``obstacle`` says why it is not as found. effects: in the model. remaining: of the patch, those that
+    are not. errors: of replays of the model alone, on the recordings fitted to and on held-out ones.
     """
 
+    state: str
     xml: str | None
     effects: tuple[Effect, ...]
     remaining: tuple[Effect, ...]
     obstacle: str | None = None
+    errors: tuple[ReplayError, ...] = ()
 
 
 def patch(diagnosis: Diagnosis) -> list[Effect]:
@@ -74,97 +79,96 @@ def rejected(diagnosis: Diagnosis) -> bool:
 
 
 def model_patch(diagnosis: Diagnosis) -> ModelPatch:
-    """The robot's model with what was fitted: the parameters, and those effects of the patch that are native."""
+    """The robot's model with what was fitted: the parameters, and those effects of the patch that MJCF can express."""
     robot = diagnosis.robot
-    effects = [*robot.known, *patch(diagnosis)]
-    parameters = robot.parameters(kept(diagnosis).x)
-    native = tuple(effect for effect in effects if robot.native(effect))
-    remaining = tuple(effect for effect in effects if effect not in native)
+    effects = (*robot.known, *patch(diagnosis))
     try:
-        xml = written(patched_spec(robot, parameters, native), _comment(robot, parameters, native, remaining))
+        found = exported(robot, robot.parameters(kept(diagnosis).x), effects)
     except PatchError as error:
-        return ModelPatch(None, (), tuple(effects), str(error))
-    return ModelPatch(xml, native, remaining)
+        return ModelPatch("not_written", None, (), effects, str(error))
+    problems = [each for each in (diagnosis.explanation.problem, diagnosis.tested) if each is not None]
+    before = _replayed(robot.as_built(), problems)
+    first = _errors(before, _replayed(robot.as_built(found.xml), problems))
+    if not _worse(first, problems):
+        return ModelPatch("as_found", found.xml, found.effects, found.remaining, None, first)
+    obstacle = "replayed alone, it is worse than the model as built"
+    for other in _refitted(diagnosis):
+        errors = _errors(before, _replayed(robot.as_built(other.xml), problems))
+        if not _worse(errors, problems):
+            remaining = tuple(effect for effect in effects if effect.name not in [one.name for one in other.effects])
+            return ModelPatch("refitted", other.xml, other.effects, remaining, obstacle, errors)
+    return ModelPatch(
+        "not_written", None, (), effects, f"{obstacle}, also with parameters that were fitted to it alone", first
+    )
 
 
-def write_model_patch(found: ModelPatch, folder: str | Path) -> None:
-    """patched_model.xml, and remaining_effects.json where there are some, in a folder; older ones vanish."""
-    folder = Path(folder)
-    for name in (MODEL, REMAINING):
-        (folder / name).unlink(missing_ok=True)
-    if found.xml is None:
-        return
-    with replacing(folder / MODEL) as temporary:
-        temporary.write_text(found.xml, encoding="utf-8")
-    if found.remaining:
-        save_effects(found.remaining, folder / REMAINING)
+def _replayed(robot: Robot, problems: Sequence[Problem]) -> list[float]:
+    """Root mean squares [signal's unit] of replays by a robot as it is, of each problem's recordings."""
+    as_it_is = [(np.zeros(len(robot.priors)), ())]
+    residuals = ((problem, _plain(problem, robot).residuals(as_it_is)[0]) for problem in problems)
+    return [plain_rms(problem, residual) for problem, residual in residuals]
 
 
-def patched_spec(robot: Robot, parameters: Mapping[str, float], effects: Sequence[Effect]) -> mujoco.MjSpec:
-    """A robot's model with parameters and with effects that are native; it simulates the same numbers.
-
-    Raises:
-        PatchError: MJCF has no attribute for a field that they change, such as the stiffness matrix of a flex.
-    """
-    spec, model = robot.spec(), robot.model(parameters, effects)
-    spec.compile()
-    try:
-        spec.copy_back(model)
-        again = spec.compile()  # refuses, say, inertia that no body can have
-    except ValueError as error:
-        raise PatchError(f"MJCF cannot hold the fitted model: {error}") from error
-    # copy_back passes over fields that it does not know
-    if lost := _differing(model, again, _ROUNDING):
-        raise PatchError(f"MJCF cannot hold the fitted {', '.join(lost)}")
-    return without_unused_springs(spec)
+def _plain(problem: Problem, robot: Robot) -> Problem:
+    """A problem of the same recordings for a robot, without discretisation errors."""
+    return replace(problem, robot=robot, discretisation=LowRank(np.zeros((0, problem.weight.size))))
 
 
-def written(spec: mujoco.MjSpec, comment: str) -> str:
-    """MJCF of a model, with a comment at its top; PatchError if it does not give the model again."""
-    spec.comment = re.sub("-(?=-)", "- ", comment)  # two hyphens would end it
-    model, xml = spec.compile(), spec.to_xml()
-    try:
-        again = mujoco.MjModel.from_xml_string(xml)
-    except ValueError as error:
-        raise PatchError(f"the fitted model cannot be read again from MJCF: {error}") from error
-    if lost := _differing(model, again, _PRECISION):
-        raise PatchError(f"{', '.join(lost)} cannot be read again from MJCF")
-    return xml
+def _errors(before: Sequence[float], after: Sequence[float]) -> tuple[ReplayError, ...]:
+    return tuple(ReplayError(*pair) for pair in zip(before, after, strict=True))
 
 
-def _differing(model: mujoco.MjModel, other: mujoco.MjModel, tolerance: float) -> list[str]:
-    """Names of the fields that differ by more than a share of their largest values."""
-    names = sorted(MODEL_FIELDS - set(_FLAGS))
-    return [name for name in names if not _same(_values(model, name), _values(other, name), tolerance)]
+def _worse(errors: Sequence[ReplayError], problems: Sequence[Problem]) -> bool:
+    """Whether any errors grew by more than the sensor's noise could do."""
+    pairs = zip(errors, problems, strict=True)
+    return any((e.patched**2 - e.built**2) * p.weight.sum() > _NOISE * p.sensor**2 for e, p in pairs)
 
 
-def _values(model: mujoco.MjModel, name: str) -> np.ndarray:
-    """A field, without what makes no difference: the lengths of quaternions, and where the mass of no mass is."""
-    values = np.array(attrgetter(name)(model), float)
-    if name in ("body_quat", "body_iquat"):
-        values /= np.linalg.norm(values, axis=-1, keepdims=True)
-    if name in ("body_ipos", "body_iquat"):
-        values.reshape(model.nbody, -1)[model.body_mass.ravel() == 0] = 0.0
-    return values
+def _refitted(diagnosis: Diagnosis) -> Iterator[ExportedModel]:
+    """Models with parameters, and laws of MJCF in the place of the patch's, that were fitted by least squares; the best
+    first, then the one with fitted parameters only."""
+    robot, problem = diagnosis.robot, _plain(diagnosis.explanation.problem, diagnosis.robot)
+    hypotheses = sorted(descended(problem, _begun(diagnosis, problem)), key=lambda h: h.cost)
+    for each in [*hypotheses, diagnosis.explanation.nominal]:
+        effects = (*robot.known, *each.effects(problem.parameters))
+        try:
+            yield exported(robot, robot.parameters(each.x), effects, _REFITTED)
+        except PatchError:
+            continue
 
 
-def _same(a: np.ndarray, b: np.ndarray, tolerance: float) -> bool:
-    scale = np.abs(a).max(initial=0.0)
-    return a.shape == b.shape and np.allclose(a, b, rtol=0.0, atol=tolerance * scale, equal_nan=True)
+def _begun(diagnosis: Diagnosis, problem: Problem) -> list[Hypothesis]:
+    """Where the fits begin: at what was found, at the parameters that were fitted alone, and at the model as built."""
+    found, robot, d = kept(diagnosis), diagnosis.robot, problem.parameters
+    values = {
+        (one.name, one.location): found.x[part] for one, part in zip(found.terms, slices(found.terms, d), strict=True)
+    }
+    terms = _expressible(robot, found.terms, problem)
+    still = [np.zeros(one.size) for one in terms]
+    as_found = [values.get((one.name, one.location), nothing) for one, nothing in zip(terms, still, strict=True)]
+    points = [
+        np.concatenate([found.x[:d], *as_found]),
+        np.concatenate([diagnosis.explanation.nominal.x[:d], *still]),
+        np.concatenate([np.zeros(d), *still]),
+    ]
+    rows = problem.residuals([(x, terms) for x in points])
+    return [_hypothesis(problem, terms, x, row) for x, row in zip(points, rows, strict=True)]
 
 
-def _comment(
-    robot: Robot, parameters: Mapping[str, float], native: Sequence[Effect], remaining: Sequence[Effect]
-) -> str:
-    values = ", ".join(f"{prior.name} {parameters[prior.name]:.6g} {prior.unit}" for prior in robot.priors)
-    said = [f"Robot of {robot.name}, model {robot.model_name}, as diagnosed. Parameters: {values}."]
-    said.append(f"Effects in this model: {_listed(native)}.")
-    if remaining:
-        said.append(f"It lacks {_listed(remaining)}: {REMAINING} has them.")
-    if native:
-        said.append("effects.json has all effects, those of this model too: do not apply it here.")
-    return " ".join(said)
+def _hypothesis(problem: Problem, terms: tuple[Term, ...], x: Floats, residual: Floats) -> Hypothesis:
+    nothing = np.zeros((0, residual.size))
+    return Hypothesis(terms, x, residual, problem.cost(residual, x), nothing, nothing)
 
 
-def _listed(effects: Sequence[Effect]) -> str:
-    return ", ".join(f"{effect.name} at {effect.location}" for effect in effects) or "none"
+def _expressible(robot: Robot, terms: Sequence[Term], problem: Problem) -> tuple[Term, ...]:
+    """Terms of laws that MJCF has: those of some terms, and dry and viscous friction in the place of other friction."""
+    found: dict[tuple[str, object], Term] = {}
+    for one in terms:
+        if CATEGORIES[one.name] == "friction":
+            others = [term(robot, name, one.location, problem.settings.priors) for name in _OF_FRICTION]
+        else:
+            effect = one.effect(np.zeros(one.size))
+            others = [one] if one.name in LAWS or robot.native(effect) else []
+        found |= {(each.name, each.location): each for each in others}
+    chosen = tuple(found.values())
+    return chosen if robot.accepts([each.effect(np.zeros(each.size)) for each in chosen]) else ()

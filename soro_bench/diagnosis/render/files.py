@@ -25,7 +25,7 @@ def write_files(result: Result, folder: str | Path) -> None:
     if result.patch.model is not None:
         with replacing(folder / MODEL) as temporary:
             temporary.write_text(result.patch.model, encoding="utf-8")
-        if result.patch.remaining:
+        if result.patch.remaining and result.patch.model_state != "refitted":  # whose parameters are for itself alone
             write_json(folder / REMAINING, {"schema": SCHEMA, "effects": list(result.patch.remaining)})
     if (found := result.next_recording) is not None:
         write_actions(folder / NEXT, found.control_timestep, np.array(found.actions))

@@ -46,6 +46,7 @@ def summary(result: Result) -> str:
         lines.append(_line("or", "; ".join(also)))
     if kind := words.kind(result):
         lines.append(_line("kind", kind))
+    lines += [_line("model", each) for each in words.patched_model(result)]
     lines += [_line("note", each) for each in words.warnings(result)]
     if then := words.next_recording(result):
         lines.append(_line("record next", then))

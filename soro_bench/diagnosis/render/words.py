@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterable
 
 from soro_bench.diagnosis.result import Detectable, Errors, Estimate, Finding, NamedLocation, Result
+from soro_bench.effects.effect import Location
 from soro_bench.effects.equations import EQUATIONS
 
 NO_BREAK = "\u00a0"  # the space between a number and its unit
@@ -204,6 +205,31 @@ def warnings(result: Result) -> list[str]:
             said.append(f"{name} and {plain(finding.indistinguishable_from)} leave the same trace; only clocks or "
                         "motion without a command tell them apart.")  # fmt: skip
     return said + [f"{each[:1].upper()}{each[1:]}." for each in result.notes]
+
+
+def patched_model(result: Result) -> list[str]:
+    """What patched_model.xml is not, in sentences; none where it is as found and has everything."""
+    found, said = result.patch, []
+    if found.model is None:
+        said.append(f"patched_model.xml is not written: {found.obstacle or 'MJCF cannot hold it'}.")
+    elif found.model_state == "refitted":
+        said.append(f"patched_model.xml has parameters of its own: with those found, {found.obstacle}.")
+    if found.model is not None and found.remaining:
+        names = (f"{each.get('name')} at {located(each.get('location'))}" for each in found.remaining)
+        said.append(f"Not in the patched model: {listed(names)}; effects.json has them.")
+    return said
+
+
+def alone(result: Result) -> str:
+    """Errors of replays of the patched model alone, on the recordings fitted to and on held-out ones."""
+    pairs = zip(("training", "held-out"), result.patch.replays, strict=False)
+    return ", ".join(f"{change(each.built, each.patched, result.robot.unit)} on {name}" for name, each in pairs)
+
+
+def located(location: object) -> str:
+    """The location of an effect in a result's JSON, in words."""
+    values = location if isinstance(location, dict) else {}
+    return str(Location(str(values.get("kind")), str(values.get("name")), values.get("index")))
 
 
 def next_recording(result: Result) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import mujoco
 import numpy as np
@@ -49,6 +50,7 @@ class ModelRobot(Robot):
         ModelError: says what is wrong with either file.
     """
 
+    _folder: TemporaryDirectory[str] | None = None  # of its model, where it has been written for this robot only
     kinds = ("tendon", "joint", "actuator", "body", "flex", "geom", "model")
 
     def __init__(
@@ -100,6 +102,17 @@ class ModelRobot(Robot):
     def shortened(self, factor: int) -> Robot:
         """The same model with time steps shorter by a factor."""
         return ModelRobot(*self._paths, self.threads, factor, self._baseline)
+
+    def as_built(self, xml: str | None = None) -> Robot:
+        """The same robot by its model file or another one, without a baseline."""
+        if xml is None:
+            return ModelRobot(*self._paths, self.threads)
+        folder = TemporaryDirectory()
+        path = Path(folder.name) / self._paths[0].name
+        path.write_text(xml, encoding="utf-8")
+        robot = ModelRobot(path, self._paths[1], self.threads)
+        robot._folder = folder  # as long as the robot may read it again
+        return robot
 
     def accurate(self) -> Robot | None:
         """The same robot by the accurate model of the mapping, if there is one."""

@@ -120,6 +120,14 @@ class Robot(ABC):
         return [self.shortened(refinement), *([finer] if finer else [])]
 
     @abstractmethod
+    def as_built(self, xml: str | None = None) -> "Robot":
+        """The same robot without a baseline; with nominal parameters it simulates its model file as it is.
+
+        Args:
+            xml: MJCF to simulate instead, of the same robot with other numbers.
+        """
+
+    @abstractmethod
     def spec(self) -> mujoco.MjSpec:
         """What its model is compiled from."""
 

@@ -8,6 +8,7 @@ from soro_bench.diagnosis.robots.priors import Baseline, Prior
 from soro_bench.diagnosis.robots.robot import SIMULATIONS, Robot
 from soro_bench.diagnosis.settings import RobotSettings
 from soro_bench.effects.elements import instrument
+from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import Parameter
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.simulated import COMMAND, recorded_actions
@@ -22,6 +23,7 @@ _KINDS = {
     "MultiGait-v0": ("actuator", "flex", "geom", "model"),
 }
 _SETTINGS = RobotSettings()
+_BOUND = ("site_xpos", "xpos", "xquat", "actuator_length", "actuator_velocity")  # what the tasks read
 _POISSON = ("poisson_ratio", "pdms_poisson_ratio", "ecoflex_poisson_ratio")
 # prior deviations of the parameters that have no normal logarithm
 _DEVIATIONS = {name: _SETTINGS.poisson_deviation for name in _POISSON} | {"wall_offset": _SETTINGS.wall_deviation}
@@ -66,6 +68,20 @@ class SuiteRobot(Robot):
     def shortened(self, factor: int) -> Robot:
         """The same robot with shorter time steps."""
         return SuiteRobot(self.env_id, self.model_name, self.threads, factor, self._baseline)
+
+    def as_built(self, xml: str | None = None) -> Robot:
+        """The same robot by its own model or another one, without a baseline."""
+        robot = SuiteRobot(self.env_id, self.model_name, self.threads)
+        if xml is not None:
+            robot._simulate(instrument(mujoco.MjSpec.from_string(xml)).compile())
+        return robot
+
+    def _simulate(self, model: mujoco.MjModel) -> None:
+        """Take a model with the same elements, as it is, in the place of the task's own."""
+        old = self.simulation
+        self.simulation = self._task.sim = Simulation(model, old.parameters, (), self._count, self.threads, ())
+        for name in _BOUND:
+            self.simulation.batch.bind(name)
 
     def accurate(self) -> Robot | None:
         """The same robot by the suite's accurate model; None if its signal has other points, as on another mesh."""

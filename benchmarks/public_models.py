@@ -1,0 +1,135 @@
+"""Patched models of public MuJoCo models: are they written, do they load, do they move as the fitted simulation?
+
+    python benchmarks/public_models.py --models FOLDER --out FOLDER    # resumable: one JSON file for each model
+
+Each model (model_zoo.py has the list) is patched as it is, and with every mass, all damping and all gains changed by
+random factors. Its MJCF is then replayed beside the simulation with those factors under random commands: for 2 s, or
+0.2 s where a change by 1e-10 grows beyond 1e-6. Prints a table, and every model that is not alike with the reason;
+writes docs/results/public_models.json.
+"""
+
+import argparse
+import json
+import zlib
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from model_zoo import ZooModel, zoo
+from rich.progress import track
+
+from soro_bench.diagnosis.assembly.model_export import PatchError, exported
+from soro_bench.diagnosis.assembly.motion import ALIKE, motion_difference
+from soro_bench.diagnosis.robots.model_file import ModelError, load_model
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.files import read_json, write_json
+from soro_bench.markdown import table
+
+RESULTS = Path(__file__).parents[1] / "docs" / "results" / "public_models.json"
+CASES = ("nominal", "changed")
+CONTROL = 0.02  # s, how long a command is held, about
+_FACTORS = 0.5, 2.0  # of masses, damping and gains
+_ONE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+def mapping(model: mujoco.MjModel) -> str:
+    """TOML of a mapping: all actuators, the joints of one degree of freedom (else sites), masses, damping, gains."""
+    control = model.opt.timestep * max(round(CONTROL / model.opt.timestep), 1)
+    actuators = [model.actuator(i).name for i in range(model.nactuator)]
+    joints = [model.joint(i).name for i in range(model.njnt) if model.jnt_type[i] in _ONE]
+    sites = [model.site(i).name for i in range(model.nsite) if model.site(i).name]
+    read = f"joints = {json.dumps(joints)}" if joints else f"sites = {json.dumps(sites)}"
+    bodies = [model.body(i).name for i in range(1, model.nbody) if model.body_mass[i] > 0]
+    fields = {f"mass_{i}": [f"body_mass:{name}", f"body_inertia:{name}"] for i, name in enumerate(bodies)}
+    if model.dof_damping.any():
+        fields["damping"] = ["dof_damping:*"]
+    if model.actuator_gainprm[:, 0].any():
+        fields["gain"] = ["actuator_gainprm[0]:*"]
+    parts = [f"[robot]\ncontrol_timestep = {control!r}", f"[commands.all]\nactuators = {json.dumps(actuators)}"]
+    parts.append(f'[signal]\nname = "positions"\n{read}\nunit = "1"')
+    parts += [f"[parameters.{name}]\nfields = {json.dumps(each)}\ndeviation = 0.3" for name, each in fields.items()]
+    return "\n".join(parts) + "\n"
+
+
+def robot_of(zoo_model: ZooModel, folder: Path) -> ModelRobot:
+    """The robot of a model with a mapping of its own, which is written to a folder."""
+    path = folder / "map.toml"
+    path.write_text(mapping(load_model(zoo_model.path)), encoding="utf-8")
+    return ModelRobot(zoo_model.path, path, threads=1)
+
+
+def examined(robot: ModelRobot, changed: bool, rng: np.random.Generator) -> dict:
+    """How far the written model is from the simulation, or why it is not written."""
+    factors = rng.uniform(*_FACTORS, len(robot.priors)) if changed else np.ones(len(robot.priors))
+    parameters = {prior.name: float(value) for prior, value in zip(robot.priors, factors, strict=True)}
+    model = robot.model(parameters, [])
+    try:
+        xml = exported(robot, parameters, []).xml
+        found = motion_difference(model, mujoco.MjModel.from_xml_string(xml))
+    except PatchError as error:
+        return {"alike": False, "reason": str(error)}
+    replayed = replay_difference(robot, parameters, xml, found.seconds, rng)
+    largest = max(found.largest, replayed)
+    reason = "" if largest <= ALIKE else f"it is {largest:.2g} away after {found.seconds:g} s"
+    return {"alike": not reason, "largest": largest, "seconds": found.seconds, "chaotic": found.chaotic,
+            "reason": reason}  # fmt: skip
+
+
+def replay_difference(
+    robot: ModelRobot, parameters: dict[str, float], xml: str, seconds: float, rng: np.random.Generator
+) -> float:
+    """The largest difference of the signal between the fitted simulation and the written file, as a diagnosis replays
+    them."""
+    model, steps = robot.elements.model, max(round(seconds / robot.control_timestep), 1)
+    limited = model.actuator_ctrllimited[:, None].astype(bool)
+    low, high = np.where(limited, model.actuator_ctrlrange, (-1.0, 1.0)).T
+    actions = rng.uniform(low, high, (steps, model.nu))
+    rows = np.array([list(parameters.values()), [prior.nominal for prior in robot.priors]])
+    (one,) = robot.simulate(actions, rows[:1], [()])
+    (other,) = robot.as_built(xml).simulate(actions, rows[1:], [()])
+    if not np.array_equal(np.isnan(one), np.isnan(other)):
+        return float("inf")
+    return float(np.nanmax(np.abs(one - other) / np.maximum(np.abs(one), 1.0), initial=0.0))
+
+
+def case(zoo_model: ZooModel, folder: Path, seed: int) -> dict:
+    """What becomes of a model, nominal and changed."""
+    rng = np.random.default_rng([seed, zlib.crc32(zoo_model.name.encode())])
+    try:
+        robot = robot_of(zoo_model, folder)
+    except (ModelError, ValueError) as error:
+        return {"name": zoo_model.name, **{name: {"alike": False, "reason": f"no robot: {error}"} for name in CASES}}
+    return {"name": zoo_model.name, **{name: examined(robot, name == "changed", rng) for name in CASES}}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--models", type=Path)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
+    found = []
+    for model in track(zoo(options.models), "models"):
+        path = options.out / f"{model.name.replace('/', '_')}.json"
+        if not path.exists():
+            write_json(path, case(model, options.out, options.seed))
+        found.append(read_json(path))
+    write_json(RESULTS, found)
+    print(summary(found))
+
+
+def summary(found: list[dict]) -> str:
+    """Markdown: models alike by package, and the others with their reasons."""
+    rows = []
+    for package in (*sorted({each["name"].split("/")[0] for each in found}), "all"):
+        some = [each for each in found if package in ("all", each["name"].split("/")[0])]
+        alike = [f"{sum(each[name]['alike'] for each in some)}/{len(some)}" for name in CASES]
+        rows.append((package, *alike, sum(bool(each["changed"].get("chaotic")) for each in some)))
+    others = [f"{each['name']}, {name}: {each[name]['reason']}" for each in found for name in CASES
+              if not each[name]["alike"]]  # fmt: skip
+    return "\n".join([table(("package", *CASES, "chaotic"), rows), *others])
+
+
+if __name__ == "__main__":
+    main()

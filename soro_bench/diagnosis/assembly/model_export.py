@@ -1,0 +1,140 @@
+"""A robot's model in MJCF with other parameters and with the effects that MJCF can express."""
+
+import re
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+
+import mujoco
+import numpy as np
+from mujoco.batch import MODEL_FIELDS
+
+from soro_bench.diagnosis.assembly.explicit import make_explicit
+from soro_bench.diagnosis.assembly.motion import motion_difference
+from soro_bench.diagnosis.assembly.native_laws import write_law
+from soro_bench.diagnosis.robots.model_file import in_one_line
+from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.effects.effect import Effect
+from soro_bench.effects.elements import without_unused_springs
+
+_ROUNDING = 1e-9  # of a field's largest value; what differs by more may be why models move apart
+_MENTIONED = 5  # fields, in a message
+
+
+class PatchError(ValueError):
+    """MJCF cannot say what the fitted model is."""
+
+
+@dataclass(frozen=True)
+class ExportedModel:
+    """MJCF of a robot. effects: in it. remaining: what it lacks."""
+
+    xml: str
+    effects: tuple[Effect, ...]
+    remaining: tuple[Effect, ...]
+
+
+def exported(robot: Robot, parameters: Mapping[str, float], effects: Sequence[Effect], note: str = "") -> ExportedModel:
+    """A robot's model with parameters and effects; it moves as the simulation with those that a model's fields hold.
+
+    Args:
+        note: for the comment at the top of the file.
+
+    Raises:
+        PatchError: MJCF cannot say what they change, such as the stiffness matrix of a flex; names it.
+    """
+    in_fields = [effect for effect in effects if robot.native(effect)]
+    spec = patched_spec(robot, parameters, in_fields)
+    checked(_text(spec), robot.model(parameters, in_fields))
+    written = [effect for effect in effects if effect in in_fields or write_law(spec, robot.elements, effect)]
+    remaining = [effect for effect in effects if effect not in written]
+    comment = " ".join([_comment(robot, parameters, written, remaining), note]).strip()
+    spec.comment = re.sub("-(?=-)", "- ", comment)  # two hyphens would end it
+    xml = _text(spec)
+    if len(written) > len(in_fields):
+        checked(xml, spec.compile())
+    return ExportedModel(xml, tuple(written), tuple(remaining))
+
+
+def patched_spec(robot: Robot, parameters: Mapping[str, float], effects: Sequence[Effect]) -> mujoco.MjSpec:
+    """A robot's model with parameters and with effects of its fields, all of its values explicit.
+
+    Raises:
+        PatchError: MuJoCo cannot write a field that they change, or refuses its value, such as an inertia that no body
+            can have.
+    """
+    spec, model = robot.spec(), robot.model(parameters, effects)
+    with warnings.catch_warnings():  # of attributes that a later MuJoCo will not have, and the patched model has not
+        warnings.simplefilter("ignore")
+        make_explicit(spec, spec.compile())
+    for actuator in spec.actuators:  # a mapping may widen ranges
+        actuator.ctrllimited = int(model.actuator_ctrllimited[model.actuator_ctrladr[actuator.id]])
+    try:
+        spec.compile()
+        spec.copy_back(model)
+        spec.compile()
+    except ValueError as error:
+        raise PatchError(f"MJCF cannot hold the fitted model: {in_one_line(error)}") from error
+    return without_unused_springs(spec)
+
+
+def checked(xml: str, model: mujoco.MjModel) -> mujoco.MjModel:
+    """The model of an MJCF text, which has to move as ``model`` does.
+
+    Raises:
+        PatchError: it cannot be read, or moves in another way; names the fields that differ.
+    """
+    try:
+        again = mujoco.MjModel.from_xml_string(xml)
+    except ValueError as error:
+        raise PatchError(f"the fitted model cannot be read again from MJCF: {in_one_line(error)}") from error
+    found = motion_difference(model, again)
+    if not found.alike:
+        lost = _differing(model, again)
+        names = ", ".join(lost[:_MENTIONED] + ["..."] * (len(lost) > _MENTIONED)) or "values that no field shows"
+        raise PatchError(
+            f"MJCF cannot hold the fitted {names}: within {found.seconds:g} s the written model is "
+            f"{found.largest:.2g} m or rad from the fitted one"
+        )
+    return again
+
+
+def _text(spec: mujoco.MjSpec) -> str:
+    """MJCF of a spec: as it is written, with all digits; as it was compiled, with six, where MuJoCo refuses that."""
+    spec.compile()
+    try:
+        spec.compiler.savecompiled = 0
+        return spec.to_xml()
+    except ValueError:  # attached models with other settings of the compiler
+        spec.compiler.savecompiled = 1
+        return spec.to_xml()
+
+
+def _differing(model: mujoco.MjModel, other: mujoco.MjModel) -> list[str]:
+    """Names of the fields of the same shape that differ by more than rounding."""
+    found = []
+    for name in sorted(MODEL_FIELDS):
+        a, b = (np.array(attrgetter(name)(each), float) for each in (model, other))
+        scale = np.abs(a).max(initial=0.0)
+        if a.shape == b.shape and not np.allclose(a, b, rtol=0.0, atol=_ROUNDING * scale, equal_nan=True):
+            found.append(name)
+    return found
+
+
+def _comment(
+    robot: Robot, parameters: Mapping[str, float], written: Sequence[Effect], remaining: Sequence[Effect]
+) -> str:
+    values = ", ".join(f"{prior.name} {parameters[prior.name]:.6g} {prior.unit}" for prior in robot.priors)
+    said = [f"Robot of {robot.name}, model {robot.model_name}, as diagnosed. Parameters: {values}."]
+    said.append(f"Effects in this model: {listed(written) or 'none'}.")
+    if remaining:
+        said.append(f"Not in this model: {listed(remaining)}.")
+    if written:
+        said.append("effects.json has all effects, those of this model too: do not apply it here.")
+    return " ".join(said)
+
+
+def listed(effects: Sequence[Effect]) -> str:
+    """Effects with their locations, in words."""
+    return ", ".join(f"{effect.name} at {effect.location}" for effect in effects)
