@@ -53,7 +53,8 @@ _QUIET = _Quiet()
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """MuJoCo neither prints nor logs its warnings; ``Simulation.bad_states`` says what has diverged."""
+    """MuJoCo neither prints its warnings nor logs them to MUJOCO_LOG.TXT; ``Simulation.bad_states`` says what has
+    diverged."""
     _QUIET.begin()
     try:
         yield
@@ -153,6 +154,7 @@ class Simulation:
             raise RuntimeError("the model is not prepared for effects; see soro_bench.effects.elements.instrument")
         return self._effects
 
+    @quiet()
     def set_params(self, ids: Ints, params: Floats) -> None:
         """Give simulations ``ids`` the parameters ``params`` (len(ids), d); MuJoCo's derived constants follow."""
         self.params[ids] = params
@@ -167,6 +169,7 @@ class Simulation:
             self._effects.write(ids)
         self.batch.set_const(ids)
 
+    @quiet()
     def begin(self, ids: Ints) -> None:
         """Compute what positions and velocities determine, at the start of an episode or after a change of state."""
         self.batch.forward(ids, stage=mujoco.mjtStage.mjSTAGE_VEL)
@@ -186,6 +189,7 @@ class Simulation:
             "effects": effects,
         }
 
+    @quiet()
     def resume(self, saved: Mapping[str, Any]) -> None:
         """Go on, to the last bit, as the simulations did that saved this; of as many of the same model and effects."""
         everyone = np.arange(self.batch.nsim)
@@ -209,6 +213,7 @@ class Simulation:
         self.batch.warning[entries] = 0
         return found
 
+    @quiet()
     def step(self, ids: Ints, nstep: int, stage: int = mujoco.mjtStage.mjSTAGE_VEL) -> None:
         """Advance by ``nstep`` time steps and compute the stages up to ``stage`` at the new state, which a persistent
         batch reuses in its next step."""
