@@ -1,30 +1,74 @@
 """Writing files so that nobody ever sees half of one, and reading them whatever they hold."""
 
+import hashlib
 import json
 import math
 import os
+import platform
+import re
 import reprlib
 import secrets
 import stat
+import tempfile
+import time
+import tomllib
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+_HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]
+_TEMPORARY = re.compile(r"\..+\.([0-9a-f]{8})-(\d+)-[0-9a-f]{8}\.part")  # host and process of what is being written
+_WRITING, _FORGOTTEN = 60.0, 86400.0  # s since the last change: a file may be written to, none is any more
 
 
 @contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """A temporary path beside ``path`` that becomes ``path`` when the block ends, and vanishes if it fails."""
+    """A temporary path beside ``path`` that becomes ``path`` when the block ends, and vanishes if it fails.
+
+    Those of killed processes in the same folder are removed.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}")
+    sweep(path.parent)
+    temporary = path.with_name(f".{path.name}.{_HOST}-{os.getpid()}-{secrets.token_hex(4)}.part")
     temporary.touch(exist_ok=False)  # with the permissions that the user's umask gives, unlike those of tempfile
     try:
         yield temporary
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def is_temporary(path: Path) -> bool:
+    """Whether a file is one of :func:`replacing`, by its name: no result."""
+    return _TEMPORARY.fullmatch(path.name) is not None
+
+
+def sweep(folder: Path) -> None:
+    """Remove the temporary files of :func:`replacing` that no process writes any more: those of this machine's dead
+    processes after a minute, those of other machines after a day."""
+    for path in folder.glob(".*.part"):
+        if (match := _TEMPORARY.fullmatch(path.name)) is None:
+            continue
+        with suppress(OSError):  # somebody else has removed it
+            age = time.time() - path.stat().st_mtime
+            if age > _FORGOTTEN or (age > _WRITING and match[1] == _HOST and not _lives(int(match[2]))):
+                path.unlink()
+
+
+def _lives(process: int) -> bool:
+    """Whether a process of this machine runs; True where that cannot be asked without harm."""
+    if os.name != "posix":
+        return True
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:  # another user's
+        return True
+    return True
 
 
 def shown(text: str) -> str:
@@ -43,20 +87,37 @@ def check_output(path: Path, suffix: str) -> None:
     take the place of something else."""
     if path.suffix != suffix:
         raise ValueError(f"{path}: expected a name that ends in {suffix}")
+    check_folder(path.parent, [path.name])
+
+
+def check_folder(folder: Path, names: Iterable[str] = ()) -> None:
+    """ValueError if files of these names could not be written into a folder, which need not exist, after all the work
+    that goes before. Leaves nothing behind."""
+    for path in (folder, *(folder / name for name in names)):
+        try:
+            str(path).encode()
+        except UnicodeEncodeError as error:
+            raise ValueError(f"{str(path)!a}: expected a name in UTF-8") from error
+        if path != folder and path.is_dir():
+            raise ValueError(f"{path} is a folder; the name of a file is needed")
+    absolute = folder.absolute()
+    nearest = next(each for each in (absolute, *absolute.parents) if os.path.lexists(each))
     try:
-        str(path).encode()
-    except UnicodeEncodeError as error:
-        raise ValueError(f"{str(path)!a}: expected a name in UTF-8") from error
-    if path.is_dir():
-        raise ValueError(f"{path} is a folder; the name of a file is needed")
-    parent = next(folder for folder in path.absolute().parents if folder.exists())
-    if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
-        raise ValueError(f"{path} cannot be written: {parent} is no folder, or one that may not be written to")
+        with tempfile.TemporaryFile(dir=nearest):
+            pass
+    except OSError as error:
+        said = f"{nearest} is no folder, or one that may not be written to ({error.strerror})"
+        raise ValueError(f"{folder} cannot be written to: {said}") from error
 
 
 @contextmanager
-def results_folder(path: Path) -> Iterator[None]:
-    """A folder that can be written to, and that is gone again if nothing was written into it."""
+def results_folder(path: Path, names: Iterable[str] = ()) -> Iterator[None]:
+    """A folder that can be written to, as files of these names, and that is gone again if nothing was written into it.
+
+    Raises:
+        ValueError: before the block begins, see :func:`check_folder`.
+    """
+    check_folder(path, names)
     new = not path.exists()
     path.mkdir(parents=True, exist_ok=True)
     try:
@@ -89,6 +150,27 @@ def read_bytes(path: str | Path, max_bytes: int, links: bool = True) -> bytes:
             return file.read(max_bytes)
     finally:
         os.close(handle)
+
+
+_KEY_PARTS = 8
+_LONG_KEY = re.compile(rf"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_KEY_PARTS}}}""")
+
+
+def read_toml(path: str | Path, max_bytes: int = 1_000_000) -> dict[str, Any]:
+    """Read a TOML file of at most ``max_bytes``; ValueError says what is wrong with it."""
+    data = read_bytes(path, max_bytes)
+    try:
+        return parsed_toml(data.decode())
+    except (ValueError, RecursionError) as error:  # text of another encoding, no TOML, tables in tables without end
+        raise ValueError(f"{path} is no TOML file: {error}") from error
+
+
+def parsed_toml(text: str) -> dict[str, Any]:
+    """What TOML says; ValueError for what it is not, and for keys of more than 8 parts, such as a.b.c has three: what
+    they take grows with the square of that number."""
+    if found := _LONG_KEY.search(text):
+        raise ValueError(f"the key {found[0][:18]}... has too many parts; at most {_KEY_PARTS} are read")
+    return tomllib.loads(text)
 
 
 def read_json(path: str | Path, max_bytes: int = 10_000_000) -> Any:

@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from soro_bench.files import brief, read_bytes, replacing
+from soro_bench.files import brief, is_temporary, read_bytes, replacing
 
 SUFFIX = ".zip"
 MAX_BYTES = 20_000_000  # of an archive
@@ -39,7 +39,8 @@ def folder_of(archive: str | Path) -> Path:
 def names(folder: str | Path) -> list[str]:
     """Names of the files in a folder and in its archive, sorted; ValueError if the archive is none."""
     folder, archive = Path(folder), archive_of(folder)
-    found = {path.name for path in folder.iterdir() if not path.is_dir()} if folder.is_dir() else set()
+    files = [path for path in folder.iterdir() if not path.is_dir()] if folder.is_dir() else []
+    found = {path.name for path in files if not is_temporary(path)}
     if archive.is_file():
         found |= set(_members(archive)[1])
     return sorted(found)

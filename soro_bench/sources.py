@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from soro_bench.assets import mjcf_path
-from soro_bench.files import replacing
+from soro_bench.files import is_temporary, replacing
 
 SIMULATION = ("parameters.py", "rotation.py", "models/*.py", "envs/*.py", "effects/*.py")  # of an episode; and scenes
 
@@ -26,7 +26,7 @@ def claim(path: Path, version: str) -> None:
         if path.read_text().strip() != version:
             raise ValueError(f"{path.parent} has results of another version of the sources; choose another folder")
         return
-    if path.parent.is_dir() and any(path.parent.iterdir()):
+    if path.parent.is_dir() and any(not is_temporary(each) for each in path.parent.iterdir()):
         raise ValueError(f"{path.parent} has results, and no {path.name} that says of which version of the sources; "
                          "choose another folder")  # fmt: skip
     with replacing(path) as temporary:

@@ -2,8 +2,15 @@
 
 import io
 import os
+import re
+import subprocess
+import sys
+import time
+import tracemalloc
+from functools import partial
 from pathlib import Path
 
+import gymnasium
 import mujoco
 import numpy as np
 import pytest
@@ -12,9 +19,12 @@ from soro_bench.diagnosis.robots.robot_map import read_mapping
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import load_effects
 from soro_bench.errors import SeveralErrors, one_line, plain_errors
-from soro_bench.files import check_output, read_json, write_json
+from soro_bench.files import check_folder, check_output, is_temporary, read_json, read_toml, replacing, write_json
 from soro_bench.markdown import table
+from soro_bench.models.simulation import quiet
 from soro_bench.randomization import load
+from soro_bench.recording.importers.mapping import load_mapping
+from soro_bench.sources import claim
 
 
 @pytest.mark.parametrize(("path", "said"), [
@@ -30,6 +40,77 @@ def test_where_nothing_can_be_written_is_said_before_the_work(tmp_path, path, sa
     with pytest.raises(ValueError, match=said):
         check_output(tmp_path / path, ".json")
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a file system that nobody may write to")
+def test_a_folder_that_nobody_may_write_to_is_said_before_the_work():
+    with pytest.raises(ValueError, match=r"/proc/new cannot be written to: /proc is no folder, or one that may not be"):
+        check_folder(Path("/proc/new"))
+
+
+def killed(path: Path) -> Path:
+    """The temporary file of a process that was killed while it wrote ``path``."""
+    code = "import os, sys; from soro_bench import files\nwith files.replacing(sys.argv[1]): os.kill(os.getpid(), 9)"
+    assert subprocess.run([sys.executable, "-c", code, str(path)], check=False).returncode == -9
+    (temporary,) = (each for each in path.parent.iterdir() if is_temporary(each))
+    return temporary
+
+
+def aged(path: Path, seconds: float) -> Path:
+    then = time.time() - seconds
+    os.utime(path, (then, then))
+    return path
+
+
+def test_a_run_that_was_killed_as_it_claimed_its_folder_claims_it_again(tmp_path):
+    killed(tmp_path / "method.txt")
+    claim(tmp_path / "method.txt", "abc")
+    assert (tmp_path / "method.txt").read_text() == "abc\n"
+
+
+def test_what_killed_processes_were_writing_is_swept_and_nothing_else(tmp_path):
+    ours = killed(tmp_path / "a.json")
+    foreign = tmp_path / ours.name.replace(".a.json.", ".b.json.0")[:-1]  # no name of ours
+    other_machine = tmp_path / re.sub(r"[0-9a-f]{8}-", "00000000-", ours.name, count=1)
+    for path in (foreign, other_machine):
+        path.touch()
+    with replacing(tmp_path / "c.json") as living:
+        for path in (ours, foreign, other_machine, living):
+            aged(path, 3600)
+        write_json(tmp_path / "d.json", 1)
+        assert living.exists()
+    assert {path.name for path in tmp_path.iterdir()} == {"c.json", "d.json", foreign.name, other_machine.name}
+    aged(other_machine, 2 * 86400)
+    write_json(tmp_path / "d.json", 2)
+    assert not other_machine.exists() and foreign.exists()
+
+
+@pytest.mark.parametrize("key", [
+    ".".join("a" * 50_000) + " = 1", "[" + " . ".join(['"x"'] * 50_000) + "]", "'a'." * 50_000 + "b = 1",
+])  # fmt: skip
+def test_a_key_of_thousands_of_parts_takes_no_memory(tmp_path, key):
+    (tmp_path / "a.toml").write_text(key)
+    tracemalloc.start()
+    with pytest.raises(ValueError, match=r"a\.toml is no TOML file: the key .* has too many parts; at most 8 are read"):
+        read_toml(tmp_path / "a.toml")
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 10_000_000
+
+
+@pytest.mark.parametrize("reads", [read_mapping, lambda path: load_mapping(path, ())])
+def test_mappings_have_the_limits_of_toml(tmp_path, reads):
+    (tmp_path / "a.toml").write_text(".".join("a" * 1000) + " = 1")
+    with pytest.raises(ValueError, match="too many parts"):
+        reads(tmp_path / "a.toml")
+
+
+def test_tables_in_tables_without_end_are_no_toml(tmp_path):
+    (tmp_path / "a.toml").write_text("a = " + "[" * 100_000)
+    with pytest.raises(ValueError, match=r"a\.toml is no TOML file"):
+        read_toml(tmp_path / "a.toml")
+    (tmp_path / "a.toml").write_text('a.b.c = "one. two. three... 1.2.3.4.5"  # 0.1, 0.2, and so on ...........\n')
+    assert read_toml(tmp_path / "a.toml") == {"a": {"b": {"c": "one. two. three... 1.2.3.4.5"}}}
 
 
 def test_json_that_is_cut_off_in_the_middle_leaves_the_old_file(tmp_path, monkeypatch):
@@ -125,3 +206,33 @@ def test_a_command_ends_with_a_line_for_each_error(error, said):
     with pytest.raises(SystemExit) as exit, plain_errors("soro-bench"):
         raise error
     assert exit.value.code == said
+
+
+@pytest.mark.parametrize("maker", [gymnasium.make, partial(gymnasium.make_vec, num_envs=2, num_threads=2)])
+def test_a_simulation_that_diverges_leaves_no_log_in_the_working_directory(tmp_path, monkeypatch, capfd, maker):
+    monkeypatch.chdir(tmp_path)
+    env = maker("TrunkReach-v0", model="cable")
+    before = mujoco.get_mju_user_warning()
+    env.reset(seed=0)
+    env.unwrapped.task.sim.batch.qvel[:] = 1e13
+    *_, info = env.step(env.action_space.sample())
+    assert np.all(info["diverged"])
+    assert list(tmp_path.iterdir()) == [] and "WARNING" not in "".join(capfd.readouterr())
+    assert mujoco.get_mju_user_warning() is before  # other simulations of this process warn as they did
+
+
+def test_silence_ends_with_the_last_who_wants_it():
+    """Threads begin and end it in any order."""
+    heard = []
+    before = mujoco.get_mju_user_warning()
+    mujoco.set_mju_user_warning(heard.append)
+    try:
+        first, second = quiet(), quiet()
+        first.__enter__()
+        second.__enter__()
+        first.__exit__(None, None, None)
+        assert mujoco.get_mju_user_warning() != heard.append
+        second.__exit__(None, None, None)
+        assert mujoco.get_mju_user_warning() == heard.append
+    finally:
+        mujoco.set_mju_user_warning(before)

@@ -6,7 +6,6 @@ mapping. The result of the part that it comes ``after`` is its baseline.
 """
 
 import hashlib
-import tomllib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,13 +17,13 @@ from soro_bench.diagnosis.assembly.build import build_result
 from soro_bench.diagnosis.baseline import baseline
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.pipeline import Diagnosis, run_diagnosis, unexplained
-from soro_bench.diagnosis.render import render
+from soro_bench.diagnosis.render import FILES, render
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer
 from soro_bench.diagnosis.version import method_version
-from soro_bench.files import read_json, write_json
+from soro_bench.files import check_folder, read_json, read_toml, write_json
 from soro_bench.recording.importers import import_recording
 from soro_bench.recording.recording import Recording
 
@@ -65,7 +64,7 @@ def load_study(name: str, data: str | Path) -> Study:
     """
     if name not in STUDIES:
         raise ValueError(f"unknown study {name!r}; there are {', '.join(STUDIES)}")
-    table = tomllib.loads(asset_path(f"studies/{name}.toml").read_text())
+    table = read_toml(asset_path(f"studies/{name}.toml"))
     folder = Path(data) / table["data"]
     parts = tuple(
         Part(
@@ -85,7 +84,7 @@ def _recordings(folder: Path, usual: str, entries: Sequence[dict]) -> tuple[Reco
     """Of each entry the files, imported by its mapping or the usual one, with the sections that the entry changes."""
     found = []
     for entry in entries:
-        mapping = tomllib.loads(asset_path(f"mjcf/{entry.get('import', usual)}").read_text())
+        mapping = read_toml(asset_path(f"mjcf/{entry.get('import', usual)}"))
         changes = {key: value for key, value in entry.items() if isinstance(value, dict)}
         sections = {key: {**mapping.get(key, {}), **value} for key, value in changes.items()}
         if not (paths := sorted(folder.glob(entry["files"]))):
@@ -100,9 +99,12 @@ def run_study(
     """Diagnose the parts that have no summary in the folder ``out`` yet; the summaries of all of them.
 
     Raises:
-        ValueError: a summary there is of another seed, version of the method, model, mapping or recording.
+        ValueError: a summary there is of another seed, version of the method, model, mapping or recording; or a file
+            cannot be written. Nothing has been diagnosed then.
     """
     check_summaries(study, out, seed)
+    for part in study.parts:
+        check_folder(Path(out) / part.name, [*FILES, SUMMARY])
     for part in study.parts:
         folder = Path(out) / part.name
         if not (folder / SUMMARY).exists():
@@ -145,7 +147,7 @@ def check_summaries(study: Study, out: str | Path, seed: int) -> None:
 def _inputs(study: Study, part: Part) -> str:
     """A hash of models, mapping and recordings."""
     digest = hashlib.sha256()
-    finer = tomllib.loads(study.map.read_text())["robot"].get("accurate")
+    finer = read_toml(study.map)["robot"].get("accurate")
     for path in (study.model, study.map, *([study.map.parent / finer] if finer else [])):
         digest.update(path.read_bytes())
     for recordings in (part.train, part.heldout, part.unseen):

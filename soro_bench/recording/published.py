@@ -4,7 +4,6 @@ import csv
 import hashlib
 import io
 import json
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass
 from http.client import HTTPException
@@ -13,7 +12,7 @@ from urllib.parse import quote
 from urllib.request import urlopen
 
 from soro_bench.assets import mjcf_path
-from soro_bench.files import replacing
+from soro_bench.files import read_toml, replacing
 
 _COLUMNS = {  # of the table: field of the log, and decimals
     "t_s": ("timestamp", 6),
@@ -97,7 +96,7 @@ class Source:
 
 def sources() -> dict[str, Source]:
     """All robots by name."""
-    table = tomllib.loads(mjcf_path("real/sources.toml").read_text())
+    table = read_toml(mjcf_path("real/sources.toml"))
     for entry in table.values():
         entry["files"] = tuple(PublishedFile(name, **keys) for name, keys in entry["files"].items())
     return {name: Source(**entry) for name, entry in table.items()}

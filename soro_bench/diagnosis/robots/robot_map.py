@@ -36,7 +36,6 @@ fields = ["body_mass:arm", "body_inertia:arm"]  # a star in a name is for any te
 deviation = 0.3                   # of the prior: of the logarithm, or in the unit
 """
 
-import tomllib
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -47,6 +46,7 @@ import numpy as np
 
 from soro_bench.arrays import Bools, Floats
 from soro_bench.diagnosis.robots.model_file import ModelError, check_keys, element, name_of, names_of, number
+from soro_bench.files import parsed_toml
 from soro_bench.recording.importers.units import UNITS
 from soro_bench.recording.recording import RecordingError, Signal
 from soro_bench.recording.untrusted import read_bytes
@@ -81,7 +81,7 @@ class Command:
 def read_mapping(path: str | Path) -> dict[str, Any]:
     """The mapping, checked for its sections and entries; those left out are empty."""
     try:
-        table = tomllib.loads(read_bytes(path, _MAX_BYTES).decode())
+        table = parsed_toml(read_bytes(path, _MAX_BYTES).decode())
     except (ValueError, RecursionError) as error:
         raise ModelError(f"{path} is no TOML file: {error}") from error
     check_keys(str(path), table, tuple(_SECTIONS))

@@ -1,7 +1,6 @@
 """Which part of a foreign file is which command or signal: a TOML file, described in docs/reference/recordings.md."""
 
 import math
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from soro_bench.files import shown
+from soro_bench.files import parsed_toml, shown
 from soro_bench.recording.importers.clock import ORDERS, chosen, continued, overflowed
 from soro_bench.recording.importers.source import Source, check_keys, positive, read_source, unwrapped
 from soro_bench.recording.importers.units import si
@@ -223,9 +222,7 @@ def load_mapping(
     """
     label = "the mapping" if isinstance(mapping, Mapping) else mapping
     with named_errors(label):
-        table = (
-            dict(mapping) if isinstance(mapping, Mapping) else tomllib.loads(read_bytes(mapping, MAX_BYTES).decode())
-        )
+        table = dict(mapping) if isinstance(mapping, Mapping) else parsed_toml(read_bytes(mapping, MAX_BYTES).decode())
         check_keys("the mapping", table, _SECTIONS)
         for section in table:
             if not isinstance(table[section], dict):

@@ -5,7 +5,6 @@ The files of Motive, Vicon, Qualisys and OpenSim (soro_bench.recording.importers
 """
 
 import json
-import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from soro_bench.files import parsed_toml
 from soro_bench.recording.importers.mapping import MAX_BYTES as MAX_MAPPING
 from soro_bench.recording.importers.mapping import Source, load_mapping, texts
 from soro_bench.recording.importers.units import of_text
@@ -148,7 +148,7 @@ def _unit(source: Source, tracks: Tracks) -> str:
 def mentions(mapping: str | Path | Mapping, keys: Collection[str]) -> bool:
     """Whether a command or signal of a mapping has one of these keys."""
     try:
-        table = mapping if isinstance(mapping, Mapping) else tomllib.loads(read_bytes(mapping, MAX_MAPPING).decode())
+        table = mapping if isinstance(mapping, Mapping) else parsed_toml(read_bytes(mapping, MAX_MAPPING).decode())
     except (OSError, ValueError, RecursionError):
         return False  # load_mapping says what is wrong with it
     sections = [table.get(section) for section in ("commands", "signals")]
