@@ -1,6 +1,7 @@
 """The soro-bench command, as it is called from a shell; what takes minutes is tested without it."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -9,7 +10,11 @@ pytest.importorskip("tyro", reason="needs the train extra")
 pytest.importorskip("pyarrow", reason="needs the train extra")
 pytest.importorskip("rerun", reason="needs the train extra")
 
+from soro_bench.assets import mjcf_path
+from soro_bench.diagnosis.study import Part, Study, run_study
+from soro_bench.files import write_json
 from soro_bench.registration import ENV_IDS, task_type
+from soro_bench.training.ppo import TRAINER
 from tests.entries import policy
 
 
@@ -93,6 +98,58 @@ def test_names_that_no_entry_could_have_are_refused_before_the_work(call, tmp_pa
     arguments = [tmp_path if each == "POLICY" else each for each in arguments]
     with pytest.raises(SystemExit, match=r"'../mine': up to 60 letters, digits"):
         call(*arguments)
+
+
+@pytest.mark.parametrize("arguments", [
+    ("study", "bam_servo", "--out", "OUT"),
+    ("evaluate", "POLICY", "--on", "cable", "--out", "OUT"),
+    ("leaderboard", "enter", "POLICY", "--entry", "me", "--results", "OUT"),
+    ("leaderboard", "build", "--results", "POLICY", "--out", "OUT"),
+    ("blind-benchmark", "--count", "5", "--out", "OUT"),
+    ("run", "--preset", "quick", "--out", "OUT"),
+    ("diagnose", "run.parquet", "--env", "TrunkReach-v0", "--out", "OUT"),
+    ("infer", "sysid", "run.parquet", "--out", "OUT/posterior.json"),
+])  # fmt: skip
+def test_where_nothing_can_be_written_is_said_before_the_work(call, tmp_path, arguments):
+    """A folder within a file, as whoever mistypes a path may ask for."""
+    put_training(trained := tmp_path / "trained")
+    (tmp_path / "file").touch()
+    if "build" in arguments:
+        (trained := tmp_path / "entries").mkdir()
+    before = sorted(tmp_path.rglob("*"))
+    places = {"OUT": str(tmp_path / "file" / "out"), "POLICY": str(trained)}
+    with pytest.raises(SystemExit, match=r"cannot be written to: .*file is no folder, or one that may not be"):
+        call(*(re.sub("OUT|POLICY", lambda match: places[match[0]], each) for each in arguments))
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def put_training(folder):
+    """What soro-bench train would leave in a folder."""
+    policy().save(folder)
+    write_json(folder / "config.json", {"distribution": None, "trainer": TRAINER})
+    (folder / "curve.csv").write_text("steps,episodes,final_distance_mm,seconds\n100,1,3.0,0.5\n")
+
+
+@pytest.mark.parametrize(("arguments", "taken"), [
+    (("evaluate", "--on", "cable", "--out", "."), "evaluation_cable.rrd"),
+    (("leaderboard", "enter", "--entry", "me", "--results", "results"), "evaluation_flex.rrd"),
+    (("leaderboard", "enter", "--entry", "me", "--results", "results"),
+     "results/TrunkReach-v0/me/oracle/seed0.safetensors"),
+])  # fmt: skip
+def test_an_evaluation_that_could_not_be_written_is_not_begun(call, tmp_path, monkeypatch, arguments, taken):
+    monkeypatch.chdir(tmp_path)
+    put_training(tmp_path)
+    (tmp_path / taken).mkdir(parents=True)
+    with pytest.raises(SystemExit, match=f"{taken} is a folder; the name of a file is needed"):
+        call(*arguments, tmp_path)
+    assert not any(path.is_file() for path in tmp_path.rglob("*.rrd"))
+
+
+def test_a_study_whose_report_could_not_be_written_is_not_begun(tmp_path):
+    part = Part("alone", "what is missing", (), (), None)
+    (tmp_path / "alone" / "report.html").mkdir(parents=True)
+    with pytest.raises(ValueError, match=r"alone/report\.html is a folder"):
+        run_study(Study("a", mjcf_path("real/bam_servo.xml"), mjcf_path("real/bam_servo.toml"), (part,)), tmp_path)
 
 
 def test_a_study_without_its_recordings_says_which_is_missing(call, tmp_path):

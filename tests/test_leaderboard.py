@@ -3,6 +3,7 @@
 import json
 import os
 import pickle
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -196,6 +197,14 @@ def test_a_policy_file_that_is_not_the_entered_one_is_refused(path):
     file.unlink()
     with pytest.raises(FileNotFoundError, match=r"seed0\.safetensors"):
         policy_of(path, read_entry(path))
+
+
+def test_a_linked_folder_of_entries_is_refused_by_name(path, tmp_path):
+    """Nothing in it would be shown, and nobody told why."""
+    shutil.move(path.parent.parent, tmp_path / "elsewhere")
+    path.parent.parent.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ValueError, match=r"ours is a link to a folder, in which no entries are read; move or copy"):
+        gather_control(tmp_path / BOARD)
 
 
 def test_a_policy_file_that_is_a_link_or_too_large_is_refused(path, tmp_path):

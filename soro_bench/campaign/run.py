@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from soro_bench.files import check_output
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.enter import enter
 from soro_bench.leaderboard.strict import read_strict
@@ -86,6 +87,7 @@ def carry_out(run: Run, work: Path, results: Path) -> None:
     """
     if run.done(results):
         return
+    check_output(run.result(results), ".json")  # before the training, not after it
     folder, threads = Path(work) / run.name, processors()
     train(replace(run.config, num_threads=threads), folder, run.distribution(folder))
     enter(folder, run.board, ENTRY, results, threads, replace_other=True)

@@ -30,11 +30,12 @@ class BlindBenchmark:
     def run(self) -> None:
         """Simulate, diagnose and score the cases; ValueError for settings that are not allowed."""
         from soro_bench.blind_benchmark.run import run_blind_benchmark
-        from soro_bench.files import read_json
+        from soro_bench.files import check_folder, read_json
         from soro_bench.leaderboard.diagnosis_entry import write_entry
         from soro_bench.leaderboard.strict import require_jsonschema
 
         require_jsonschema()  # before the work, not after it
+        check_folder(self.out, ["scorecard.json", "scorecard.md", "entry.json"])
         with StageBars() as bar:
             text = run_blind_benchmark(self.out, self.count, self.seed, self.healthy, self.ablations, self.workers, bar)
         card = read_json(self.out / "scorecard.json")

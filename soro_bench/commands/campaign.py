@@ -159,6 +159,7 @@ def campaign(runs: "Sequence[Run]", work: Path, results: Path, workers: Workers,
     """Carry out what is missing, and write the page that compares all results in ``results``."""
     from soro_bench.campaign.campaign import carry_out_all
     from soro_bench.errors import SeveralErrors, one_line
+    from soro_bench.files import check_folder
     from soro_bench.leaderboard.page import build, gathered
     from soro_bench.leaderboard.statistics import markdown_table
 
@@ -168,6 +169,8 @@ def campaign(runs: "Sequence[Run]", work: Path, results: Path, workers: Workers,
     if only_plan:
         console.print("\n".join(missing), soft_wrap=True)
         return
+    check_folder(work, ["index.html"])
+    check_folder(results)
     with CampaignBar() as bar:
         failures = carry_out_all(runs, work, results, workers, bar)
     failed = [f"{len(failures)} of {len(missing)} runs failed:", *failures] if failures else []

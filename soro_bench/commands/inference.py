@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from soro_bench.files import check_output
+from soro_bench.files import check_folder, check_output
 from soro_bench.options import Parallel
 from soro_bench.parallel import HERE
 from soro_bench.progress import InferenceBar, console
@@ -53,6 +53,7 @@ class Infer:
         from soro_bench.recording.simulated import parse_params
 
         check_output(self.out, ".json")
+        check_folder(self.out.parent, [self.out.with_suffix(suffix).name for suffix in (".png", ".log.jsonl")])
         settings = self._settings()
         known, restart = parse_params(self.known), self.method == "dropo"
         recording = load(self.recording)

@@ -43,7 +43,7 @@ class Evaluate:
         before = read_json(path) if path.exists() else {"board": name}
         if not isinstance(before, dict) or before.get("board") != name:
             raise ValueError(f"{path} holds other results: say with --out where those on {name} go")
-        with results_folder(out):
+        with results_folder(out, [path.name]):
             scores = record_evaluations(policy, name, (board.labelled(label),), out)
             write_json(path, {"board": name, **scores})
         final = scores[label]["final_mm"]

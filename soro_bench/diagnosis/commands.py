@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from soro_bench.files import check_output, results_folder
+from soro_bench.files import check_folder, check_output, results_folder
 from soro_bench.options import EnvId
 from soro_bench.progress import StageStatus, console
 
@@ -97,12 +97,12 @@ class Diagnose:
 
     def run(self) -> None:
         from soro_bench.diagnosis.api import diagnose
-        from soro_bench.diagnosis.render import render
+        from soro_bench.diagnosis.render import FILES, render
         from soro_bench.recording.parquet import load
 
         if not self.recordings:
             raise ValueError("no recording to explain; give one or more .parquet files")
-        with results_folder(self.out), StageStatus() as status:
+        with results_folder(self.out, FILES), StageStatus() as status:
             robot = self._robot()
             for note in robot.notes:
                 console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
@@ -136,11 +136,11 @@ class Report:
     """Folder for what is rendered."""
 
     def run(self) -> None:
-        from soro_bench.diagnosis.render import render
+        from soro_bench.diagnosis.render import FILES, render
         from soro_bench.diagnosis.result import Result
 
         result = Result.load(self.result)
-        with results_folder(self.out):
+        with results_folder(self.out, FILES):
             text = render(result, self.out)
         console.print(text, soft_wrap=True, highlight=False)
 
@@ -162,6 +162,7 @@ class Study:
         from soro_bench.diagnosis.study_table import results
         from soro_bench.files import replacing
 
+        check_folder(self.out, ["results.md"])
         study = load_study(self.name, self.data)
         with StageStatus() as status:
             summaries = run_study(study, self.out, self.seed, progress=status)

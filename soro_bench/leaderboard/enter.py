@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from soro_bench.envs.task import effects_of
-from soro_bench.files import read_json
+from soro_bench.files import check_folder, read_json
 from soro_bench.leaderboard.boards import BOARDS
-from soro_bench.leaderboard.entry import check_free, thinned_curve, write_entry
+from soro_bench.leaderboard.entry import check_free, check_writable, thinned_curve, write_entry
 from soro_bench.parameters import ALL_PARAMETERS
 from soro_bench.policies.policy import Policy, TrainedPolicy
 from soro_bench.randomization import Distribution, Gaussian, from_dict, holding
@@ -42,6 +42,7 @@ def enter(folder: Path, board: str, entry: str, results: Path, threads: int = 0,
     }
     if not replace_other:
         check_free(results, board, entry, policy)
+    check_writable(results, board, entry, policy)
     evaluations = record_evaluations(policy, board, tuple(BOARDS[board].conditions), folder, threads)
     return write_entry(results, board, entry, policy, evaluations, config["distribution"], training)
 
@@ -82,7 +83,12 @@ def _training(folder: Path, env_id: str) -> dict:
 def record_evaluations(
     policy: TrainedPolicy, board: str, labels: Sequence[str], folder: Path, threads: int = 0
 ) -> dict[str, dict]:
-    """The score of a policy under the conditions with these labels; ``folder`` gets a rerun recording of each."""
+    """The score of a policy under the conditions with these labels; ``folder`` gets a rerun recording of each.
+
+    Raises:
+        ValueError: that cannot be written; nothing has been evaluated.
+    """
+    check_folder(folder, [f"evaluation_{label}.rrd" for label in labels])
     scores = {}
     for label in labels:
         episodes = BOARDS[board].play(policy, label, threads)

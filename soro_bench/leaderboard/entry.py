@@ -16,7 +16,7 @@ import numpy as np
 
 from soro_bench import packed
 from soro_bench.envs.task import Task
-from soro_bench.files import replacing, write_json
+from soro_bench.files import check_folder, replacing, write_json
 from soro_bench.leaderboard.boards import BOARDS, Board
 from soro_bench.leaderboard.strict import check, read_strict
 from soro_bench.policies.onnx_policy import OnnxPolicy
@@ -189,6 +189,12 @@ def check_free(results: str | Path, board: str, entry: str, policy: TrainedPolic
     if packed.is_there(path) and read_entry(path)["policy"]["sha256"] != hashlib.sha256(policy.to_bytes()).hexdigest():
         raise ValueError(f"{path} is the entry of another policy; --replace puts this one in its place, another name "
                          "of the method (soro-bench train --name) or of the entry beside it")  # fmt: skip
+
+
+def check_writable(results: str | Path, board: str, entry: str, policy: TrainedPolicy) -> None:
+    """ValueError if the entry of a policy and its policy could not be written where they belong."""
+    path = _path(results, board, entry, policy.card)
+    check_folder(path.parent, [path.name, path.with_suffix(policy.suffix).name])
 
 
 def _path(results: str | Path, board: str, entry: str, card: PolicyCard) -> Path:

@@ -82,7 +82,9 @@ def gather_control(results: str | Path) -> dict[str, list[Group]]:
 
 
 def _entries(results: Path) -> list[Path]:
-    """Files of the control track, also those in archives, by their paths."""
+    """Files of the control track, also those in archives, by their paths; ValueError for a folder that is a link."""
+    if link := next((path for path in results.rglob("*") if path.is_symlink() and path.is_dir()), None):
+        raise ValueError(f"{link} is a link to a folder, in which no entries are read; move or copy the folder here")
     found = {path for path in results.rglob("*.json") if path.parent != results / DIAGNOSIS and not path.is_dir()}
     archives = (path for path in results.rglob(f"?*{SUFFIX}") if not path.is_dir())  # methods may be called so
     return sorted(found.union(*(entries_of(folder_of(archive)) for archive in archives)))

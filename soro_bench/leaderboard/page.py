@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from soro_bench.files import replacing
+from soro_bench.files import check_folder, replacing
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.entry import policy_bytes, policy_of
 from soro_bench.leaderboard.gather import Group, gather_control, gather_diagnosis
@@ -47,6 +47,7 @@ def build(
     """
     out = Path(out)
     boards, diagnoses = gathered(results, out)
+    check_folder(out, ["index.html"])
     groups = [group for members in boards.values() for group in members]
     for group in groups if record else ():
         progress(f"recording {title_of(group)} on {group.board}")

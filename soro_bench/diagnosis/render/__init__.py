@@ -6,11 +6,13 @@ nothing.
 
 from pathlib import Path
 
-from soro_bench.diagnosis.render.files import write_files
+from soro_bench.diagnosis.render.files import OPTIONAL, write_files
 from soro_bench.diagnosis.render.html import write_html
 from soro_bench.diagnosis.render.rerun import write_comparison
 from soro_bench.diagnosis.render.summary import summary
 from soro_bench.diagnosis.result import Result
+
+FILES = ("report.html", "comparison.rrd", "effects.json", "result.json", *OPTIONAL)
 
 
 def render(result: Result, folder: str | Path) -> str:
