@@ -112,6 +112,13 @@ def test_an_angle_that_seems_to_wrap_is_said(read):
     assert NOTES not in read(table, CLOCK + '[signals.q]\ncolumns = ["q"]\nunit = "mm"\n').metadata
 
 
+def test_a_counter_that_seems_to_wrap_is_said(read):
+    table = "t,q\n" + "".join(f"{i},{(300 * i) % 4096}\n" for i in range(40))
+    notes = read(table, CLOCK + '[signals.q]\ncolumns = ["q"]\nunit = "1"\n').metadata[NOTES]
+    assert notes.endswith("2 times; if the counter wraps, write unwrap = true and period = 4096")
+    assert NOTES not in read(table, CLOCK + '[commands.q]\ncolumns = ["q"]\nunit = "1"\n').metadata
+
+
 BACK = "t,f\n0,0\n1,1\n2,2\n1,3\n2,4\n3,5\n"
 
 

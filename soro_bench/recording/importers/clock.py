@@ -10,11 +10,15 @@ from soro_bench.recording.recording import RecordingError
 
 ORDERS = ("refuse", "keep_first", "keep_last", "sort", "continue")
 _COUNTERS = (16, 24, 32)  # bits
+_TICKS = (1e-3, 1e-6)  # such as microseconds in ms or in s
+DATE_ORDERS = ("day/month/year", "month/day/year")
 NO_STAMP = np.iinfo(np.int64).min
-_DATE = re.compile(r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})|(\d{1,2})\.(\d{1,2})\.(\d{4})")
+_DATE = re.compile(r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})|(\d{1,2})([./-])(\w{1,3})[./-](\d{4})")
+_MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _STAMP = re.compile(
     r"(?:(\d\S*?\d)[T_ ]+)?(\d{1,2}):(\d\d)(?::(\d\d)(?:[.,](\d{1,12}))?)? ?([AaPp][Mm])? ?(Z|UTC|[+-]\d\d:?\d\d)?"
 )
+_COMPACT = re.compile(r"^(\d{4})(\d\d)(\d\d)T(\d\d)(\d\d)(\d\d)")
 _DAY = 86_400_000_000_000  # ns
 _LONGEST = 64  # letters of a time stamp
 _YEARS = 1678, 2261  # whose nanoseconds since 1970 fit into 64 bits
@@ -23,19 +27,23 @@ _SOON = 100  # median steps, within which a counter goes on after it has overflo
 
 
 def overflowed(numbers: np.ndarray) -> tuple[np.ndarray, str]:
-    """(T,) whole numbers of a clock of 16, 24 or 32 bits as if it never overflowed, and what there is to say.
+    """(T,) numbers of a clock of 16, 24 or 32 bits as if it never overflowed, and what there is to say.
 
-    Every step back has to be an overflow; otherwise the numbers stay as they are.
+    Its ticks may have been turned into milliseconds or seconds, by thousands. Every step back has to be an overflow;
+    otherwise the numbers stay as they are.
     """
     steps = np.diff(numbers)
     back, on = steps[steps < 0], steps[steps > 0]
-    if not back.size or not on.size or not (numbers == np.rint(numbers)).all():
+    if not back.size or not on.size:
         return numbers, ""
-    for bits in _COUNTERS:
-        period = 2.0**bits
-        within = np.ptp(numbers) < period and (numbers.min() >= 0 or np.abs(numbers + 0.5).max() < period / 2)
-        if within and (back + period < _SOON * np.median(on)).all() and (back < -period / 2).all():
-            return unwrapped(numbers, period), f"a clock of {bits} bits overflows {len(back)} times; unwrapped"
+    whole = (numbers == np.rint(numbers)).all()
+    for bits in _COUNTERS if whole else (_COUNTERS[-1],):
+        for tick in (1.0,) if whole else _TICKS:
+            period = tick * 2.0**bits
+            low, high = numbers.min(), numbers.max()
+            within = high - low < period and (low >= 0 or max(-low, high) <= period / 2)
+            if within and (back + period < _SOON * np.median(on)).all() and (back < -period / 2).all():
+                return unwrapped(numbers, period), f"a clock of {bits} bits overflows {len(back)} times; unwrapped"
     return numbers, ""
 
 
@@ -95,23 +103,30 @@ def _complaint(time: np.ndarray, steps: np.ndarray, rows: np.ndarray | None) -> 
 
 def is_stamp(text: str) -> bool:
     """Whether a text is a time of day, with or without a date."""
-    return len(text) <= _LONGEST and _STAMP.fullmatch(text.strip()) is not None
+    return _found(text.strip()) is not None
+
+
+def _found(text: str) -> re.Match[str] | None:
+    return _STAMP.fullmatch(_COMPACT.sub(r"\1-\2-\3 \4:\5:\6", text)) if len(text) <= _LONGEST else None
 
 
 class Stamps:
     """Reads dates and times such as 2024-06-27T10:11:02.5+02:00, 27.06.2024 10:11:02,5 or 10:11:02.5.
 
     Those without a zone are taken for UTC; with and without one do not mix.
+
+    Args:
+        order: one of DATE_ORDERS, of dates such as 06/07/2024; "" refuses them.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, order: str = "") -> None:
+        self._order = order
         self._days: dict[str, int] = {}
         self._zoned: bool | None = None
 
     def __call__(self, text: str) -> int:
         """ns since 1970, or since midnight where there is no date; RecordingError for anything else."""
-        found = _STAMP.fullmatch(text) if len(text) <= _LONGEST else None
-        if not found:
+        if not (found := _found(text)):
             raise RecordingError(f"{ascii(text)[:40]} is no time such as 2024-06-27T10:11:02.5Z")
         date, hours, minutes, whole, fraction, half, zone = found.groups()
         if self._zoned is not None and self._zoned != bool(zone):
@@ -126,17 +141,31 @@ class Stamps:
         return (self._day(date) if date else 0) + 1_000_000_000 * seconds + int((fraction or "0").ljust(9, "0")[:9])
 
     def _day(self, date: str) -> int:
+        """ns from 1970 to the beginning of a day."""
         if date not in self._days:
-            if not (found := _DATE.fullmatch(date)):
-                raise RecordingError(f"{ascii(date)[:40]} is no date; expected year-month-day, or day.month.year")
-            year, month, day = found.groups()[:3] if found[1] else found.groups()[5:2:-1]
+            year, month, day = self._parts(date)
+            if not _YEARS[0] <= year <= _YEARS[1]:
+                raise RecordingError(f"{ascii(date)[:40]}: expected a year from {_YEARS[0]} to {_YEARS[1]}")
             try:
-                self._days[date] = (datetime.date(int(year), int(month), int(day)).toordinal() - _EPOCH) * _DAY
+                self._days[date] = (datetime.date(year, month, day).toordinal() - _EPOCH) * _DAY
             except ValueError as error:
                 raise RecordingError(f"{ascii(date)[:40]} is no date: {error}") from error
-            if not _YEARS[0] <= int(year) <= _YEARS[1]:
-                raise RecordingError(f"{ascii(date)[:40]}: expected a year from {_YEARS[0]} to {_YEARS[1]}")
         return self._days[date]
+
+    def _parts(self, date: str) -> tuple[int, int, int]:
+        """Year, month and day."""
+        if not (found := _DATE.fullmatch(date)):
+            raise RecordingError(f"{ascii(date)[:40]} is no date; expected year-month-day, or day.month.year")
+        if found[1]:
+            return int(found[1]), int(found[2]), int(found[3])
+        first, mark, second, year = found[4], found[5], found[6], int(found[7])
+        if second.lower() in _MONTHS:
+            return year, _MONTHS.index(second.lower()) + 1, int(first)
+        if not second.isdecimal() or (mark != "." and not self._order):
+            raise RecordingError(f"{ascii(date)[:40]}: month or day first? write [time] date = "
+                                 f"{' or '.join(map(repr, DATE_ORDERS))}")  # fmt: skip
+        day_first = mark == "." or self._order == DATE_ORDERS[0]
+        return (year, int(second), int(first)) if day_first else (year, int(first), int(second))
 
 
 def over_midnight(time: np.ndarray) -> np.ndarray:

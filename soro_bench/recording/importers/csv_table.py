@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from soro_bench.files import shown
-from soro_bench.recording.importers.clock import NO_STAMP, is_stamp, over_midnight
+from soro_bench.files import brief, shown
+from soro_bench.recording.importers.clock import DATE_ORDERS, NO_STAMP, Stamps, is_stamp, over_midnight
 from soro_bench.recording.importers.guess_table import guessed
 from soro_bench.recording.importers.mapping import FileMapping, load_mapping
 from soro_bench.recording.importers.names import chosen_by_name
@@ -23,7 +23,7 @@ from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, named_errors, read_bytes
 
 _PLACE = ("columns", "first", "last", "time", "time_unit", "missing", "label", "only", "names", "names_in")
-_TIME = ("column", "columns", "unit", "units", "interval", "rate", "period")
+_TIME = ("column", "columns", "unit", "units", "interval", "rate", "period", "date")
 _LATEST = 9.2e9  # s, whose nanoseconds fit into 64 bits
 _PEEKED = 20  # rows that tell whether a column holds dates
 
@@ -40,6 +40,8 @@ def import_csv(
         spec.to_seconds()
         if {"unit", "units"} <= spec.time.keys():
             raise RecordingError("[time] says both unit and units; units are of columns, one for each")
+        if spec.time.get("date", DATE_ORDERS[0]) not in DATE_ORDERS:
+            raise RecordingError(f"[time] date = {brief(spec.time['date'])}; expected one of {', '.join(DATE_ORDERS)}")
         table = read_text(data, spec.format)
         del data
         spec.notes.add("the file", table.note)
@@ -190,7 +192,9 @@ class _Reader:
             own = "time" in source.place
             if {"time_unit"} & source.place.keys() if own else {"unit", "units"} & self._spec.time.keys():
                 raise RecordingError("a unit of time has no effect: its column holds dates or times of day")
-            return [Times(tuple(positions))]
+            return [Times(tuple(positions), Stamps(self._spec.time.get("date", "")))]
+        if "date" in self._spec.time:
+            raise RecordingError("[time] date has no effect: the column of times holds no dates")
         missing = frozenset(word.strip().lower() for word in self._words if _value(word) is None)
         return [Numbers(i, missing) for i in positions]
 

@@ -19,7 +19,7 @@ _TRIED = 200  # lines of which the delimiter is tried
 _ROWS = 20_000  # rows that are looked at
 _DELIMITERS = (",", ";", "\t", "|", BLANK)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
-_DATE = re.compile(r"\d{4}[-/]\d{1,2}[-/]\d{1,2}|\d{1,2}\.\d{1,2}\.\d{4}")
+_DATE = re.compile(r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[./-]\w{1,3}[./-]\d{4}")
 _MOST = 0.5  # of the cells of a row of data that are numbers
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from soro_bench.files import shown
 from soro_bench.recording.importers.clock import overflowed
 from soro_bench.recording.importers.guess_layout import Column, layout
-from soro_bench.recording.importers.source import seen_wraps
+from soro_bench.recording.importers.source import counter_period, seen_wraps
 from soro_bench.recording.importers.tracks import signal_name
 from soro_bench.recording.importers.units import UNITS, of_text, si
 from soro_bench.recording.recording import RecordingError
@@ -276,6 +276,9 @@ def _unit_lines(group: Group, numbers: np.ndarray) -> list[str]:
             f"the file says {shown(said)}, which is unknown here: write scale" if said else "which? nothing says it"
         )
         lines = [f'unit = "{unit}"  # {"it seems to wrap; is it an angle?" if wraps else reason}']
+    if not wraps and unit == "1" and not group.command and (period := counter_period(numbers)):
+        turns = seen_wraps(numbers, period)
+        lines += [f"unwrap = true  # it jumps by nearly {period} {turns} times: a counter?", f"period = {period}"]
     if wraps and not group.command:
         lines.append(f"unwrap = true  # it jumps by nearly a turn {wraps} times")
     return lines

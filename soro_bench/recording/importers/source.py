@@ -17,6 +17,8 @@ VALUE_KEYS = (
 _TURN = 2 * math.pi
 _ROTATION_ERROR = 1e-3  # of what has three digits in the mapping
 _WRAPS = 0.75  # of a turn: larger steps within one turn look like wraps
+_SMALLEST, _LARGEST = 256, 2**32  # counts of a turn of encoders that wrap
+_USED = 0.9  # of the counts, that one that wraps has seen
 _FAST = 0.35  # of a period, over which steps may as well be wraps the other way
 
 
@@ -69,6 +71,9 @@ class Source:
             return _told(numbers, self._period(factor, unit))
         if unit == "rad" and (count := seen_wraps(numbers, _TURN / factor)):
             return f"jumps by nearly a turn {count} times; if the angle wraps, write unwrap = true"
+        if unit == "1" and (period := counter_period(numbers)):
+            said = f"jumps by nearly {period} {seen_wraps(numbers, period)} times"
+            return f"{said}; if the counter wraps, write unwrap = true and period = {period}"
         return ""
 
     def _period(self, factor: float, unit: str) -> float:
@@ -235,6 +240,16 @@ def seen_wraps(numbers: np.ndarray, period: float) -> int:
     finite = [column[np.isfinite(column)] for column in columns.T]
     within = [column for column in finite if column.size and np.ptp(column) <= period * (1 + 1e-6)]
     return sum(int((np.abs(np.diff(column)) > _WRAPS * period).sum()) for column in within)
+
+
+def counter_period(numbers: np.ndarray) -> int:
+    """The power of two at which whole (T, ...) numbers from zero on seem to wrap; 0 if they do not."""
+    finite = numbers[np.isfinite(numbers)]
+    if not finite.size or finite.min() < 0 or finite.max() > _LARGEST or (finite != np.rint(finite)).any():
+        return 0
+    period = 2 ** int(finite.max()).bit_length()
+    used = period >= _SMALLEST and np.ptp(finite) > _USED * period
+    return period if used and seen_wraps(numbers, period) else 0
 
 
 def _told(numbers: np.ndarray, period: float) -> str:

@@ -223,6 +223,8 @@ class _Rows:
     def _hint(self, cell: str, i: int) -> str:
         if "," in cell and self._table.decimal == ".":
             return 'of decimal commas [format] says decimal = ","'
+        if ":" in cell:
+            return "times are read if they are written as 2024-06-27T10:11:02.5Z or 10:11:02.5"
         if self.lines[i] == self._table.line and not any(_is_number(each) for each in self._rows[i]):
             return 'of a row of units [format] says unit_row = "take" or "skip"'
         return "what stands for a missing one belongs into [format] missing, or into missing at one signal"

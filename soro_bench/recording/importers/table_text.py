@@ -110,9 +110,7 @@ def read_text(data: bytes, options: Mapping[str, Any]) -> TableText:
 
 def decoded(data: bytes, encoding: str) -> str:
     """Text with the line ends of Unix; RecordingError names the entry that is wrong."""
-    if encoding.lower() not in ENCODINGS:
-        raise RecordingError(f"[format] encoding = {ascii(encoding)[:40]}; expected one of {', '.join(ENCODINGS)}")
-    codec = "utf-8-sig" if encoding.lower() == "utf-8" else encoding
+    codec = _codec(encoding)
     try:
         text = data.decode(codec)
     except UnicodeDecodeError as error:
@@ -123,6 +121,7 @@ def decoded(data: bytes, encoding: str) -> str:
         ):
             raise RecordingError(_undecodable(data, encoding, error)) from error
         text = data[: error.start].decode(codec)  # cut within a letter
+    text = text.removeprefix("\ufeff")
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
     if (zero := text.rstrip(_ZERO).find(_ZERO)) >= 0:
@@ -131,6 +130,17 @@ def decoded(data: bytes, encoding: str) -> str:
             f'zero bytes in line {line}; of text of two bytes a letter [format] says encoding = "utf-16"'
         )
     return text
+
+
+def _codec(encoding: str) -> str:
+    """Python's name of an encoding of texts; others could run code, or take memory without bound."""
+    try:
+        name = codecs.lookup(encoding).name
+    except (LookupError, ValueError):
+        name = ""
+    if name not in {codecs.lookup(known).name for known in ENCODINGS}:
+        raise RecordingError(f"[format] encoding = {ascii(encoding)[:40]}; expected one of {', '.join(ENCODINGS)}")
+    return name
 
 
 def _undecodable(data: bytes, encoding: str, error: UnicodeDecodeError) -> str:
