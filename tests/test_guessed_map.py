@@ -88,6 +88,13 @@ def test_markers_begin_at_the_joints_that_were_recorded_too(guessed):
     assert robot.measured(only).start.tolist() == [-2.0]
 
 
+def test_velocities_are_a_comment_where_the_recording_begins_elsewhere(guessed):
+    recording = recorded(-2.0, action=np.zeros((STEPS, 2)))
+    speed = Signal(TIME, np.ones(STEPS + 1), "rad/s")
+    text, _, _ = guessed(Recording(recording.commands, {**recording.signals, "speed": speed}))
+    assert '# [initial.signals.speed]   # if the robot moves then\n# velocities = ["hinge"]' in text
+
+
 def test_what_could_not_be_matched_is_a_comment(guessed):
     """And actuators without a command, to be given constant controls."""
     recording = recorded(motor=np.zeros(STEPS), other=np.zeros((STEPS, 3)))

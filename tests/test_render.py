@@ -4,6 +4,7 @@ import html as markup
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from soro_bench.diagnosis.render import render, words
 from soro_bench.diagnosis.render.html import html
 from soro_bench.diagnosis.render.rerun import rmse
 from soro_bench.diagnosis.render.summary import WIDTH, summary
+from soro_bench.diagnosis.result import Result
 from soro_bench.effects import catalogue
 from soro_bench.effects.equations import EQUATIONS
 from tests.results import RESULTS
@@ -85,6 +87,13 @@ def test_no_number_that_nobody_can_use(name: str) -> None:
         assert not re.search(r"p = \S*e-|\d e-\d{2,}", text)
         assert not re.search(rf"\b({'|'.join(each for each in catalogue.ALL if '_' in each)})\b", text)
         assert not re.search(r"\bnan\b", text)
+
+
+def test_notes_on_model_and_recordings_are_on_the_console_and_in_the_report() -> None:
+    result = replace(RESULTS["adequate"](), notes=("no command drives gripper; held at 0",))
+    assert "note         No command drives gripper; held at 0." in summary(result)
+    assert "No command drives gripper; held at 0." in text_of(html(result))
+    assert Result.from_json(result.to_json()).notes == result.notes
 
 
 def test_p_value_is_never_smaller_than_can_be_known() -> None:

@@ -252,15 +252,29 @@ class _Guess:
             yield f"keyframe = {_text(names[nearest] if nearest else '')}   # the nearest of {_shown(names)}{why}"
         if there or not np.isfinite(first).all():
             return
+        yield from self._first_samples(best, float(misses[nearest]))
+
+    def _first_samples(self, best: _Match, miss: float) -> Iterator[str]:
+        """Joints that begin at the first sample of a signal; ``miss``: how far from there the model begins."""
         if best.kind == "joints":
             yield f"joints = {_list(best.names)}   # the recording begins elsewhere"
+            yield from self._speeds(best)
             return
         starts = {name: [m for m in self.matches[name] if m.kind == "joints"] for name in self.matches}
         if begins := next(((name, found[0]) for name, found in starts.items() if found), None):
             yield f"[initial.signals.{_key(begins[0])}]   # the recording begins elsewhere"
             yield f"joints = {_list(begins[1].names)}"
+            yield from self._speeds(begins[1])
         else:
-            yield f"# the recording begins {misses[nearest]:.3g} {signal.unit} from there; settle, or give joints"
+            yield f"# the recording begins {miss:.3g} from there, in the unit of the signal; settle, or give joints"
+
+    def _speeds(self, match: _Match) -> Iterator[str]:
+        """Comments: a signal that may be the velocities of joints."""
+        assert self.recording is not None
+        for name, signal in self.recording.signals.items():
+            if signal.unit in ("rad/s", "m/s") and signal.values[0].size == len(match.names):
+                yield f"# [initial.signals.{_key(name)}]   # if the robot moves then"
+                yield f"# velocities = {_list(match.names)}"
 
     def _simulated(self, match: _Match, keyframe: int) -> Floats:
         """(n,) the signal where the model begins."""
