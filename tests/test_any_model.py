@@ -177,12 +177,20 @@ def test_a_payload_may_be_on_a_body_that_is_welded_to_one_that_moves(robot_of):
     np.testing.assert_allclose(values[:, 0, 0], expected, atol=1e-6)
 
 
-def test_bodies_that_share_a_centre_of_mass_are_one_place(robot_of):
-    frames = HAND.replace(
-        '<site name="tip"/>', '<site name="tip"/><body name="tool"/><body name="camera" pos="0 0 1"/>'
-    )
-    at = {one.location.name for one in terms(robot_of(MAP, frames)) if one.name == "payload"}
-    assert "tool" not in at and {"hand", "camera"} <= at
+def test_welded_bodies_that_share_a_centre_of_mass_or_have_none_carry_nothing(robot_of):
+    more = '<body name="pad"><geom size="0.01" mass="0.01"/></body><body name="frame" pos="0 0 0.1"/>'
+    more += '<body name="camera" pos="0 0 0.1"><geom size="0.01" mass="0.01"/></body>'
+    model = HAND.replace('<site name="tip"/>', f'<site name="tip"/>{more}')
+    at = {one.location.name for one in terms(robot_of(MAP, model)) if one.name == "payload"}
+    assert at == {"arm", "hand", "camera", "finger", "ball", "box"}
+
+
+def test_an_actuator_that_ignores_its_control_needs_none(robot_of):
+    """Such as one that is a damper."""
+    damper = '<general name="drag" joint="hinge" gainprm="0" biastype="affine" biasprm="0 0 -0.1"/>'
+    robot = robot_of(f"{MAP}\n[fixed]\ngripper = 0.03", HAND.replace("</actuator>", f"{damper}</actuator>").replace(
+        'ctrl="0.5 0.04"', 'ctrl="0.5 0.04 0"'))  # fmt: skip
+    assert not any("drives" in note for note in robot.notes)
 
 
 def test_unnamed_elements_are_called_by_number(robot_of):

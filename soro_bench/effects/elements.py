@@ -87,8 +87,8 @@ class Elements:
     def welded(self) -> list[Location]:
         """Bodies without a joint that move with one before them, such as a gripper that is fixed to a hand.
 
-        Of those whose masses are at one point, and at that of a moving body, the first is enough: nothing can tell
-        them apart.
+        They have a mass; frames without one are no parts that carry. Of those whose masses are at one point, and at
+        that of a moving body, the first is enough: nothing can tell them apart.
         """
         model = self.model
         data = mujoco.MjData(model)
@@ -97,7 +97,7 @@ class Elements:
         found: list[Location] = []
         kept = {i: [data.xipos[i]] for i in range(model.nbody) if model.body_jntnum[i] > 0}
         for i in range(model.nbody):
-            near = kept.get(int(root[i]))
+            near = kept.get(int(root[i])) if model.body_mass[i] > 0 else None
             if root[i] == i or near is None or min(np.abs(data.xipos[i] - each).max() for each in near) < _APART:
                 continue
             near.append(data.xipos[i])

@@ -139,7 +139,8 @@ class ModelRobot(Robot):
             )
         said += [keyframes] if keyframes else []
         driven = fixed.union(*(command.actuators for command in self._commands))
-        left = [i for i in range(model.nu) if i not in driven]
+        ignores = (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED) & (model.actuator_gainprm[:, 0] == 0)
+        left = [i for i in range(model.nu) if i not in driven and not ignores[i]]
         where = "at their controls in the keyframe" if self._initial.keyframe >= 0 else "at 0"
         if left:
             names = _listed(model, mujoco.mjtObj.mjOBJ_ACTUATOR, left)
