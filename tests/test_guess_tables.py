@@ -49,7 +49,7 @@ def test_encoding_delimiter_decimal_and_units_of_the_header(guessed):
         (table("t,q,u", "{t},{i},1,"), None),
         (table("sep=;\nt;q;u", "{t};{i};1"), None),
         (table("# t  q u", "{t}   {i}  1 "), {"delimiter": "blank"}),
-        (table("Take 7\nby hand, at noon\nt\tq\tu", "{t}\t{i}\t1"), {"delimiter": "\t", "skip_rows": 2}),
+        (table("Take 7\nat noon, in the hall\nt\tq\tu", "{t}\t{i}\t1"), {"delimiter": "\t", "skip_rows": 2}),
         (table("t,q,u\ns,deg,V", "{t},{i},1"), {"unit_row": "take"}),
         (table("t,q,u", "{t},{i},1", "\r\n")[:-5], None),
     ],

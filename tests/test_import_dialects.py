@@ -226,7 +226,7 @@ WIDE = "t,n1,n2,q1,q2\n0,b,a,2,1\n1,a,b,3,4\n2,b,c,6,9\n"
 
 @pytest.mark.parametrize(
     ("table", "place"),
-    [(LONG, 'columns = ["q"]\nnames_in = "joint"'), (WIDE, 'columns = ["q1", "q2"]\nnames_in = ["n1", "n2"]')],
+    [(LONG, 'columns = ["q"]\nnames_from = "joint"'), (WIDE, 'columns = ["q1", "q2"]\nnames_from = ["n1", "n2"]')],
 )
 def test_numbers_are_chosen_by_the_names_beside_them(read, table, place):
     signal = f'[signals.x]\nunit = "mm"\n{place}\nnames = ["a", "b"]\n'

@@ -22,7 +22,7 @@ from soro_bench.recording.importers.units import of_text, si
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, named_errors, read_bytes
 
-_PLACE = ("columns", "first", "last", "time", "time_unit", "missing", "label", "only", "names", "names_in")
+_PLACE = ("columns", "first", "last", "time", "time_unit", "missing", "label", "only", "names", "names_from")
 _TIME = ("column", "columns", "unit", "units", "interval", "rate", "period", "date")
 _LATEST = 9.2e9  # s, whose nanoseconds fit into 64 bits
 _PEEKED = 20  # rows that tell whether a column holds dates
@@ -106,8 +106,8 @@ class _Reader:
         """Every column that a signal needs."""
         place = source.place
         self._check_unit(source)
-        if ("names" in place) != ("names_in" in place):
-            raise RecordingError("names and names_in belong together: names, and the columns that they stand in")
+        if ("names" in place) != ("names_from" in place):
+            raise RecordingError("names and names_from belong together: names, and the columns that they stand in")
         label = self._kept("it", place)
         names = self._names(source) if "names" in place else []
         wants: list[Want] = [*self._time_wants(source), *self._number_wants(source), *names]
@@ -238,10 +238,10 @@ class _Reader:
     def _names(self, source: Source) -> list[Names]:
         """The columns in which names stand: one, or one beside each column of numbers."""
         wanted = tuple(_texts("names", source.place["names"]))
-        given = source.place["names_in"]
+        given = source.place["names_from"]
         positions = [self._table.position(name) for name in (given if isinstance(given, list) else [given])]
         if len(positions) not in (1, len(self._positions(source))):
-            raise RecordingError(f"names_in has {len(positions)} columns; expected one, or one for each of columns")
+            raise RecordingError(f"names_from has {len(positions)} columns; expected one, or one for each of columns")
         if not self._clock_columns(source):
             raise RecordingError("names need times: rows of one time belong together")
         wants = [Names(i, tuple(map(str, wanted))) for i in positions]

@@ -302,5 +302,5 @@ def _range(numbers: np.ndarray) -> str:
 
 def _text_column(column: Column) -> str:
     found = ", ".join(shown(word) for word, _ in column.words.most_common(5))[:100]
-    use = "rows can be chosen by them (label, only), or numbers by names (names, names_in)"
+    use = "rows can be chosen by them (label, only), or numbers by names (names, names_from)"
     return f"# column {toml(column.label)} holds texts: {found}; {use}"
