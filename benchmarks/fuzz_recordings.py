@@ -199,11 +199,13 @@ def mutated(data: bytes, rng: np.random.Generator) -> bytes:
 
 
 def outcome(path: Path, read: Callable[[], Recording], data: bytes) -> str:
-    """ "read" or "refused"; any other error escapes."""
+    """ "read" or "refused", in one line; any other error escapes."""
     path.write_bytes(data)
     try:
         read()
-    except RecordingError:
+    except RecordingError as error:
+        if "\n" in str(error):
+            raise AssertionError(f"a message of several lines: {error}") from error
         return "refused"
     return "read"
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from soro_bench import files
+from soro_bench.files import shown
 from soro_bench.recording.recording import RecordingError
 
 MAX_BYTES = 200_000_000  # of a file
@@ -32,9 +33,12 @@ def named_errors(path: str | Path) -> Iterator[None]:
     try:
         yield
     except RecordingError as error:
+        if str(error).startswith(str(path)):  # a file of a folder, which has been named
+            raise
         raise RecordingError(f"{path}: {error}") from error
     except _BROKEN as error:
-        raise RecordingError(f"{path} cannot be read: {type(error).__name__}: {str(error)[:200]}") from error
+        first = shown(str(error).strip().split("\n")[0][:200])  # libraries say more in further lines
+        raise RecordingError(f"{path} cannot be read: {type(error).__name__}: {first}") from error
 
 
 def read_bytes(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:

@@ -83,7 +83,7 @@ def _everything(dataset: Dataset) -> FileMapping:
     for column in _numeric(dataset):
         kind, _, name = column.partition(".")
         groups[_GROUPS[kind]][name or kind] = Source("1", 1.0, np.zeros(()), "", None, 0.0, None, {"column": column})
-    return FileMapping(**groups)
+    return FileMapping(groups["commands"], groups["signals"])
 
 
 def _column(source: Source) -> str:
@@ -133,7 +133,7 @@ def _samples(table: pa.Table, time: np.ndarray, dataset: Dataset, source: Source
 
 def _numbers(column: pa.ChunkedArray, count: int) -> np.ndarray:
     """(T,) numbers or (T, ...) lists of them; NaN for a missing one."""
-    shape = []
+    shape: list[int] = []
     while pa.types.is_nested(column.type):
         lengths = set(pc.list_value_length(column).unique().to_pylist())
         if len(lengths) != 1:
