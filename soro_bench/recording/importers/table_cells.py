@@ -5,6 +5,7 @@ read again cell by cell, which either succeeds or says in which line and why it 
 """
 
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -14,7 +15,7 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 
 from soro_bench.recording.importers.clock import NO_STAMP, Stamps
-from soro_bench.recording.importers.table_text import BLANK, MAX_LETTERS, Lines, TableText
+from soro_bench.recording.importers.table_text import BLANK, MAX_LETTERS, Lines, TableText, split
 from soro_bench.recording.recording import RecordingError
 from soro_bench.recording.untrusted import MAX_ROWS
 
@@ -25,8 +26,9 @@ MISSING = frozenset((
 ))  # fmt: skip
 _MAX_CELLS = 50_000_000  # that a mapping asks for
 _BLOCK = 4_000_000  # letters that are read at once
+_NO_SIGN = re.compile(rb"\+(?![0-9.])")
 _ROWS = 20_000  # that are read at once where cells have quotation marks
-_NEWLINE = 10
+_NEWLINE, _QUOTE = b'\n"'
 
 Progress = Callable[[str, int, int], None]
 
@@ -139,13 +141,13 @@ def read_columns(
 
 def _chunks(table: TableText, wants: Sequence[Want]) -> Iterator[tuple[Chunk, int]]:
     """All rows, and how many letters are behind them."""
-    if table.text.find('"', table.start) >= 0:  # which may join lines
-        yield from _row_chunks(table, table.lines())
-        return
     position, line = table.start, table.line
     while position < len(table.text):
         end = table.text.find("\n", min(position + _BLOCK, len(table.text)) - 1) + 1
         block = table.text[position:end]
+        if '"' in block and table.delimiter != BLANK and not _is_regular(block.encode(), table.delimiter):
+            yield from _row_chunks(table, Lines(table.text, position, line - 1))  # a cell may go on in the next block
+            return
         if chunk := _plain(table, block, line, wants):
             if len(chunk.lines):
                 yield chunk, end
@@ -153,6 +155,20 @@ def _chunks(table: TableText, wants: Sequence[Want]) -> Iterator[tuple[Chunk, in
             for rows, done in _row_chunks(table, Lines(block, 0, line - 1)):
                 yield rows, position + done
         position, line = end, line + block.count("\n")
+
+
+def _is_regular(data: bytes, delimiter: str) -> bool:
+    """Whether quotation marks stand around whole cells of one line only."""
+    letters = np.frombuffer(data, np.uint8)
+    marks = np.flatnonzero(letters == _QUOTE)
+    lines = np.searchsorted(np.flatnonzero(letters == _NEWLINE), marks)
+    if len(marks) % 2 or (lines[::2] != lines[1::2]).any() or len(delimiter.encode()) != 1:
+        return False
+    borders = (ord(delimiter), _NEWLINE)
+    before = letters[np.maximum(marks[::2] - 1, 0)]
+    return bool(
+        (np.isin(before, borders) | (marks[::2] == 0)).all() and np.isin(letters[marks[1::2] + 1], borders).all()
+    )
 
 
 def _row_chunks(table: TableText, lines: Lines) -> Iterator[tuple["_Rows", int]]:
@@ -251,14 +267,17 @@ class _Plain:
 
 
 def _plain(table: TableText, block: str, line: int, wants: Sequence[Want]) -> _Plain | None:
-    """The rows of a block without quotation marks as pyarrow reads them; None if it cannot, or not for certain."""
+    """The rows of a block as pyarrow reads them; None if it cannot, or not for certain."""
     numeric = {want.position for want in wants if isinstance(want, Numbers)}
-    textual = {i for want in wants for i in (want.positions if isinstance(want, Times) else (want.position,))} - numeric
-    if any(want.position in numeric for want in wants if isinstance(want, (Labels, Names))):
+    others = [want for want in wants if not isinstance(want, Numbers)]
+    textual = {i for want in others for i in (want.positions if isinstance(want, Times) else (want.position,))}
+    if numeric & textual:
         return None
     delimiter, data = table.delimiter, block.encode()
     if delimiter == BLANK:
         delimiter, data = " ", _narrowed(data)
+    if b"+" in data and not textual:
+        data = _unsigned(data, delimiter.encode())
     ends = np.flatnonzero(np.frombuffer(data, np.uint8) == _NEWLINE)
     lengths = np.diff(ends, prepend=-1) - 1
     if not (delimiter + table.decimal).isascii() or lengths.max(initial=0) > MAX_LETTERS:
@@ -266,7 +285,9 @@ def _plain(table: TableText, block: str, line: int, wants: Sequence[Want]) -> _P
     if not (filled := np.flatnonzero(lengths)).size:
         return _Plain({i: pa.chunked_array([[]], pa.float64()) for i in (*numeric, *textual)}, filled)
     first = data[ends[filled[0] - 1] + 1 if filled[0] else 0 : ends[filled[0]]]
-    count = first.count(delimiter.encode()) + 1
+    count = len(next(split(iter([first.decode()]), table.delimiter)))
+    if count == 1 and b'"' in data:
+        return None  # an empty cell, which is no row
     try:
         extra = table.fits(count)
     except RecordingError:
@@ -290,12 +311,13 @@ def _arrow(
     """Columns by their place; None if anything is unusual."""
     types = {i: pa.float64() for i in numeric} | {i: pa.string() for i in textual}
     types |= {i: pa.string() for i in range(count - extra, count)}
+    quote = False if delimiter == " " else '"'
     types = {i: kind for i, kind in types.items() if i < count} or {0: pa.string()}
     try:
         found = pacsv.read_csv(
             pa.py_buffer(data),
             pacsv.ReadOptions(use_threads=False, block_size=len(data) + 1, column_names=[str(i) for i in range(count)]),
-            pacsv.ParseOptions(delimiter=delimiter, quote_char=False, ignore_empty_lines=True),
+            pacsv.ParseOptions(delimiter=delimiter, quote_char=quote, ignore_empty_lines=True),
             pacsv.ConvertOptions(
                 column_types={str(i): kind for i, kind in types.items()},
                 include_columns=[str(i) for i in types],
@@ -313,6 +335,14 @@ def _words(wants: Sequence[Want]) -> list[str]:
     sets = [want.missing for want in wants if isinstance(want, Numbers)]
     common = MISSING.union(frozenset.intersection(*sets) if sets else ())
     return sorted({form for word in common for form in (word, word.upper(), word.capitalize())} | {"NaN", "-NaN"})
+
+
+def _unsigned(data: bytes, delimiter: bytes) -> bytes:
+    """Without the plus before numbers, which pyarrow takes for none."""
+    if _NO_SIGN.search(data):
+        return data
+    data = data.replace(delimiter + b"+", delimiter).replace(b"\n+", b"\n")
+    return data.removeprefix(b"+")
 
 
 def _narrowed(data: bytes) -> bytes:
