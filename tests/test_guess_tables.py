@@ -103,6 +103,14 @@ def test_a_second_clock_is_that_of_the_columns_after_it(guessed):
     assert recording.signals["Angle"].time[0] == pytest.approx(0.005)
 
 
+def test_a_row_for_each_joint(guessed):
+    rows = "".join(f"{t},elbow,{i},0.5\n{t},wrist,{-i},0.5\n" for i, t in enumerate(T))
+    mapping, recording = guessed("time,joint,pos_rad,goal\n" + rows)
+    assert mapping["signals"]["pos_rad"]["names"] == ["elbow", "wrist"]
+    assert recording.signals["pos_rad"].values[3].tolist() == [3, -3]
+    assert recording.commands["goal"].values.shape == (50, 2)
+
+
 def test_wraps_words_and_held_columns_are_seen(guessed, tmp_path):
     rows = [f"{t},{(10 * i) % 360},{'lost' if i == 7 else i},{i // 10}" for i, t in enumerate(T)]
     mapping, _ = guessed("t,angle,x,valve\n" + "\n".join(rows) + "\n")

@@ -27,6 +27,8 @@ _SHORT = ("1", "%", "in", "l", "g", "min")  # endings that rarely mean a unit
 _EPOCH = 1e9, 1e10  # s since 1970 of the years 2001 to 2286
 _STEPS = ("s", 1e-5, 2.0), ("ms", 2.0, 2e3), ("us", 2e3, 2e5), ("ns", 2e5, 1e12)  # the step that each unit has
 _HELD = 0.8  # of the samples of a command are as the one before
+_ON, _BACK = 0.01, 0.05  # of the steps of a clock go on at least, and back at most
+_REPEATED, _NAMES = 0.7, 100  # of the stamps are others, where rows of several names share one; names at most
 _NEARLY = 0.9  # of a turn, that an angle that wraps has seen
 _ROW = "row of units"
 _CLOCK = ("s", "ms", "us", "ns")
@@ -40,6 +42,7 @@ class Group:
     columns: list[Column] = field(default_factory=list)
     points: bool = False  # x, y and z, one point after the other
     clock: Column | None = None  # with other times than those of [time]
+    beside: Column | None = None  # the names that stand beside its numbers
 
     def alike(self, other: "Group") -> bool:
         """Whether both are parts of one signal."""
@@ -63,12 +66,15 @@ def guessed(path: str | Path) -> str:
         options, columns = layout(data)
         clock, others, lines = _time(columns)
         rest = [column for column in columns if column not in clock]
+        beside, numbers = _beside(rest, clock), [c for c in rest if c.numeric or c in others]
+        groups = _groups(numbers, others) if beside is None else [Group(c.name, [c], beside=beside) for c in numbers]
         names: set[str] = set()
-        entries = [_entry(group, names) for group in _groups([c for c in rest if c.numeric or c in others], others)]
+        entries = [_entry(group, names) for group in groups]
         if not entries:
             raise RecordingError("no column of numbers is found beside time")
         head = [f"# A guess from {shown(Path(path).name)}: correct what is wrong, and take out what you do not need."]
         about = [_text_column(column) for column in rest if not column.numeric and any(column.texts)]
+        lines = [*lines, *([] if beside else _order(*clock))]
         sections = [[*head, *_format(options)], lines, *([about] if about else []), *entries]
         text = "\n\n".join("\n".join(section) for section in sections) + "\n"
         return text
@@ -122,7 +128,7 @@ def _time(columns: Sequence[Column]) -> tuple[list[Column], list[Column], list[s
         if column.dated and after.stamped:
             return [column, after], [], ["[time]", f"{labels}  # a date, and a time"]
         if _are_seconds_and_nanoseconds(column, after):
-            return [column, after], [], ["[time]", labels, 'units = ["s", "ns"]', *_order(column, after)]
+            return [column, after], [], ["[time]", labels, 'units = ["s", "ns"]']
     found = [column for column in columns if column.numeric and _goes_on(column)]
     named = [column for column in found if _TIME.fullmatch(split_unit(column.name)[0].lower())]
     steady = [column for column in found if not _COUNT.fullmatch(column.name.lower()) and _is_clock(column)]
@@ -134,7 +140,7 @@ def _time(columns: Sequence[Column]) -> tuple[list[Column], list[Column], list[s
     lines = _section(column, "" if named else "  # the numbers increase steadily; is this the time?")
     if unit != "s" and reason != _ROW:
         lines.append(f'unit = "{unit}"  # {reason}')
-    return [column], others, [*lines, *_order(column)]
+    return [column], others, lines
 
 
 def _section(column: Column, comment: str) -> list[str]:
@@ -152,9 +158,22 @@ def _are_seconds_and_nanoseconds(first: Column, second: Column) -> bool:
 
 
 def _goes_on(column: Column) -> bool:
-    """Whether numbers increase but for some."""
+    """Whether numbers increase but for some, or stay for some rows each time."""
     steps = np.diff(column.numbers[np.isfinite(column.numbers)])
-    return len(steps) > 0 and (steps > 0).mean() > 0.5 and (steps < 0).mean() < 0.05
+    on = _ON if _TIME.fullmatch(split_unit(column.name)[0].lower()) else 0.5
+    return len(steps) > 0 and (steps > 0).mean() > on and (steps < 0).mean() < _BACK
+
+
+def _beside(columns: Sequence[Column], clock: Sequence[Column]) -> Column | None:
+    """The column whose names come once at each time, where times repeat: a row for each joint."""
+    times = list(zip(*(column.texts for column in clock), strict=True))
+    if not times or len(set(times)) > _REPEATED * len(times):
+        return None
+    for column in columns:
+        pairs = set(zip(times, column.texts, strict=True))
+        if not column.numeric and 1 < len(column.words) <= _NAMES and len(pairs) == len(times):
+            return column
+    return None
 
 
 def _is_clock(column: Column) -> bool:
@@ -187,6 +206,8 @@ def _time_unit(column: Column) -> tuple[str, str]:
 
 def _order(*columns: Column) -> list[str]:
     """A comment on stamps that do not increase."""
+    if not columns or not all(column.numeric for column in columns):
+        return []
     known = np.all([np.isfinite(column.numbers) for column in columns], axis=0)
     time = sum(scale * column.numbers[known] for scale, column in zip((1.0, 1e-9), columns, strict=False))
     steps = np.diff(overflowed(np.asarray(time))[0])
@@ -239,6 +260,8 @@ def _entry(group: Group, names: set[str]) -> list[str]:
     """The section of a signal or command, whose name is none of those that are taken."""
     first = group.columns[0]
     numbers = np.column_stack([column.numbers for column in group.columns])
+    if group.beside:
+        numbers = numbers[np.array(group.beside.texts) == min(group.beside.words)]
     section = "commands" if group.command else "signals"
     name = signal_name(group.name or split_unit(first.name)[0])
     while name in names:
@@ -253,6 +276,8 @@ def _entry(group: Group, names: set[str]) -> list[str]:
         unit, reason = _time_unit(group.clock)
         lines.append(f"time = {toml(group.clock.label)}  # the clock before it")
         lines += [f'time_unit = "{unit}"  # {reason}'] if reason and reason != _ROW else []
+    if group.beside:
+        lines += [f"names = {toml(sorted(group.beside.words))}", f"names_from = {toml(group.beside.label)}"]
     lines += _unit_lines(group, numbers)
     if group.points:
         lines += [f"shape = [{len(group.columns) // 3}, 3]"] if len(group.columns) > 3 else []
