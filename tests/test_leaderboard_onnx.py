@@ -157,18 +157,10 @@ def _values_that_double(times):
     return model(nodes, "again", weights=[numpy_helper.from_array(np.ones(2, np.int64), "sizes")])
 
 
-def _much_to_read(times):
-    """Nodes that all read the same large weight."""
-    wide = numpy_helper.from_array(np.zeros((OUTPUTS, 100_000)), "wide")
-    nodes = [helper.make_node("ReduceMean", ["wide"], [f"mean{i}"]) for i in range(times)]
-    nodes += [helper.make_node("Identity", ["answer"], ["again"])]
-    return model(nodes, "again", weights=[wide])
-
-
-def _much_to_multiply(kind):
-    """A small file whose only product is of two large matrices."""
-    sides = {"left": np.zeros((300, 300), kind), "right": np.zeros((300, 300), kind)}
-    nodes = [helper.make_node("MatMul", ["left", "right"], ["much"])]
+def _much_to_multiply(kind, count=1, rows=300, columns=300):
+    """A small file with products of two large matrices."""
+    sides = {"left": np.zeros((rows, columns), kind), "right": np.zeros((columns, rows), kind)}
+    nodes = [helper.make_node("MatMul", ["left", "right"], [f"much{i}"]) for i in range(count)]
     nodes += [helper.make_node("Identity", ["answer"], ["again"])]
     return model(nodes, "again", weights=[numpy_helper.from_array(value, name) for name, value in sides.items()])
 
@@ -201,9 +193,9 @@ def _nan():
         (lambda: _doubling(MAX_NODES), ("nodes; allowed: 1000",)),
         (_shape_from_input, ("fixed sizes are needed",)),
         (lambda: _values_that_double(30), ("fixed sizes are needed",)),
-        (lambda: _much_to_read(70), ("read 2.1e+07 numbers; allowed: 20000000",)),
-        (lambda: _much_to_multiply(np.float64), ("take 2.7e+07 products; allowed: 20000000",)),
-        (lambda: _much_to_multiply(np.float16), ("MatMul of other numbers than float or double",)),
+        (lambda: _much_to_multiply(np.float32, 200, 5, 120_000), ("an action takes", "allowed: 0.1 s")),
+        (lambda: _much_to_multiply(np.float16), ("another type than float",)),
+        (lambda: _much_to_multiply(np.int64), ("180000 integers among its weights; allowed: 1000",)),
         (lambda: model(opsets=(("", 6),)), ("version 6 of the operators", "13 and later")),
         (lambda: model([helper.make_node("Identity", ["hidden"], ["answer"])]), ("a name twice",)),
         (lambda: model(shape=("n", "k")), ("no array (n, k)",)),
