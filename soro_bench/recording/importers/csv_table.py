@@ -73,7 +73,7 @@ class _Reader:
     def samples(self, source: Source) -> tuple[np.ndarray, ...]:
         """(T,) times [s] or ns, (T, k) numbers of a signal and (T,) the lines that they are from."""
         label = self._kept("it", source.place)
-        rows = self._columns[label] if label else np.ones(len(self._lines), bool)
+        rows = self._columns[label] if label else slice(None)
         numbers = np.column_stack([self._numbers(source, want)[rows] for want in self._number_wants(source)])
         if clock := self._times(source):
             time, known = clock[0][rows], clock[1][rows]
@@ -88,6 +88,8 @@ class _Reader:
         present = known & ~np.isnan(numbers).all(axis=1)
         if not present.any():
             raise RecordingError("no row has a time and a number")
+        if present.all():  # without a copy
+            return time, numbers, lines
         return time[present], numbers[present], lines[present]
 
     def unit(self, source: Source) -> str:

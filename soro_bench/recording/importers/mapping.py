@@ -118,7 +118,8 @@ class FileMapping:
             found = {key: (_nanoseconds(time), *others) for key, (time, *others) in found.items()}
         start = min((time[0] for time, *_ in found.values() if len(time)), default=np.int64(0))
         groups: dict[str, dict[str, Signal]] = {"commands": {}, "signals": {}}
-        for (group, name), samples in found.items():
+        for group, name in list(found):
+            samples = found.pop((group, name))  # so that their numbers are not kept twice
             source = getattr(self, group)[name]
             unit = unit_of(source) if unit_of and source.unit is None else None
             label = f"{group}.{name}"
@@ -166,10 +167,12 @@ class FileMapping:
             kept = np.union1d(_in_force(since[: kept[-1] + 1] if kept.size else since), kept)
         if len(time) and not kept.size:
             raise RecordingError(f"{label} has nothing from [time] begin = {begin:g} to until = {until:g}")
-        _named(label, chosen, time[kept], "refuse", *(each[kept] for each in rows))
+        if len(kept) < len(time):
+            time, numbers, since, rows = time[kept], numbers[kept], since[kept], tuple(each[kept] for each in rows)
+        _named(label, chosen, time, "refuse", *rows)
         if label.startswith("signals.") or source.unwrap:
-            self.notes.add(label, _named(label, source.note, numbers[kept], unit))
-        return _named(label, source.signal, np.maximum(since[kept], 0.0), numbers[kept], unit)
+            self.notes.add(label, _named(label, source.note, numbers, unit))
+        return _named(label, source.signal, np.maximum(since, 0.0), numbers, unit)
 
 
 def _between(since: np.ndarray, until: float) -> np.ndarray:

@@ -59,7 +59,7 @@ class Source:
             if shape[-1:] != (3,):
                 raise RecordingError(f"rotation is of samples of three numbers; shape is {list(shape)}, write [n, 3]")
             values = values @ self.rotation.T
-        values = values + offset
+        values += offset
         if self.leaves is not None:
             return _staying(time, values, self.leaves, self.shift)
         return Signal(time, values, unit, self.frame)
@@ -244,12 +244,13 @@ def seen_wraps(numbers: np.ndarray, period: float) -> int:
 
 def counter_period(numbers: np.ndarray) -> int:
     """The power of two at which whole (T, ...) numbers from zero on seem to wrap; 0 if they do not."""
-    finite = numbers[np.isfinite(numbers)]
-    if not finite.size or finite.min() < 0 or finite.max() > _LARGEST or (finite != np.rint(finite)).any():
+    low, high = np.fmin.reduce(numbers, axis=None), np.fmax.reduce(numbers, axis=None)  # which copy nothing
+    if not 0 <= low <= high <= _LARGEST:
         return 0
-    period = 2 ** int(finite.max()).bit_length()
-    used = period >= _SMALLEST and np.ptp(finite) > _USED * period
-    return period if used and seen_wraps(numbers, period) else 0
+    period = 2 ** int(high).bit_length()
+    if period < _SMALLEST or high - low <= _USED * period or ((numbers % 1) > 0).any():
+        return 0
+    return period if seen_wraps(numbers, period) else 0
 
 
 def _told(numbers: np.ndarray, period: float) -> str:
