@@ -213,6 +213,29 @@ def test_c3d(tmp_path):
     assert (found.unit, pump.unit) == ("m", "V")
 
 
+def test_c3d_without_channels_and_with_frames_that_count_on(tmp_path):
+    """As other systems write them: no analogue part, and the trial begins at a later frame."""
+    writer = c3d.Writer(point_rate=50.0, analog_rate=0.0, point_scale=-1.0)
+    for i in range(3):
+        writer.add_frames([(np.full((1, 5), float(i), np.float32), np.zeros((0, 0), np.float32))])
+    writer.set_point_labels(["tip\0"])
+    writer.point_group.set_str("UNITS", "", "mm", 2)
+    writer.set_start_frame(41)
+    with open(tmp_path / "a.c3d", "wb") as file:
+        writer.write(file)
+    recording = import_recording(tmp_path / "a.c3d", {"signals": {"tip": {"markers": ["tip"]}}})
+    np.testing.assert_allclose(recording.signals["tip"].values[:, 0], [0, 0.001, 0.002], atol=1e-9)
+    assert float(recording.metadata["start_time"]) == pytest.approx(41 / 50)
+
+
+def test_trc_with_commas(read):
+    """As some exporters write it; text behind the header's own cells does no harm."""
+    text = "\n".join(line.replace("\t", ",") for line in TRC.splitlines()) + "\n"
+    np.testing.assert_array_equal(
+        read("a.trc", text, BOTH).signals["points"].values, read("b.trc", TRC, BOTH).signals["points"].values
+    )
+
+
 @pytest.mark.parametrize(("name", "text"), [("a.trc", TRC), ("a.csv", MOTIVE), ("b.csv", VICON), ("a.tsv", QUALISYS)])
 def test_a_guess_is_a_mapping_that_imports_the_file(tmp_path, name, text):
     (tmp_path / name).write_text(text)

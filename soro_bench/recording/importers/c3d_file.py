@@ -8,16 +8,18 @@ import io
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+
+try:
+    import c3d
+except ImportError as error:
+    raise ImportError("C3D files need c3d: pip install soro_bench[logs]") from error
 
 from soro_bench.recording.importers.tracks import Track, Tracks, import_tracks, known_unit, written
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, MAX_ROWS, named_errors, read_bytes
-
-if TYPE_CHECKING:
-    from c3d import Reader
 
 _COORDINATES = 5  # of a point: position, residual, cameras
 _MOST_LABELS = 10_000
@@ -37,16 +39,11 @@ def guess(path: str | Path) -> str:
 
 def read_c3d(path: str | Path, max_bytes: int = MAX_BYTES) -> Tracks:
     """Everything in a C3D file; a marker that no camera saw (residual -1) is NaN."""
-    try:
-        import c3d
-    except ImportError as error:
-        raise ImportError("C3D files need c3d: pip install soro_bench[logs]") from error
-
     data = read_bytes(path, max_bytes)
     with named_errors(path), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of groups that are missing, which is seen below
         try:
-            reader = c3d.Reader(io.BytesIO(data))
+            reader = _Reader(io.BytesIO(data))
             return _tracks(reader, len(data), EXPANSION * max_bytes)
         except RecordingError:
             raise
@@ -54,7 +51,28 @@ def read_c3d(path: str | Path, max_bytes: int = MAX_BYTES) -> Tracks:
             raise RecordingError(f"is no C3D file that can be read ({str(error)[:120]}); export it again") from error
 
 
-def _tracks(reader: "Reader", size: int, most: int) -> Tracks:
+class _Reader(c3d.Reader):
+    """The library's, also for files that have the frames of the trial in an array of another shape (c3d 0.6)."""
+
+    @property
+    def first_frame(self) -> int:
+        """Of the trial."""
+        found = self._frame("TRIAL:ACTUAL_START_FIELD")
+        return self.header.first_frame if found is None else found
+
+    @property
+    def last_frame(self) -> int:
+        """Of the trial."""
+        found = self._frame("TRIAL:ACTUAL_END_FIELD")
+        return super().last_frame if found is None or found < self.header.last_frame else found
+
+    def _frame(self, key: str) -> int | None:
+        """The number in two words of 16 bits."""
+        words = [] if (found := self.get(key)) is None else np.ravel(found.uint16_array).tolist()
+        return words[0] + 65536 * words[1] if len(words) > 1 else None
+
+
+def _tracks(reader: _Reader, size: int, most: int) -> Tracks:
     points, channels = reader.point_used, reader.analog_used
     frames, rate = reader.last_frame - reader.first_frame + 1, float(reader.point_rate)
     if not points and not channels:
@@ -69,7 +87,7 @@ def _tracks(reader: "Reader", size: int, most: int) -> Tracks:
     seen, analog = [], []
     for _, point, sample in reader.read_frames(copy=True):
         seen.append(np.where(point[:, 3:4] < 0, np.nan, point[:, :3]))
-        analog.append(np.asarray(sample).reshape(channels, -1))
+        analog.append(np.asarray(sample).reshape(channels, per_frame))
     if not seen:
         raise RecordingError("holds no whole frame")
     notes = [f"{frames - len(seen)} of the {frames} frames that it declares are missing"] if len(seen) < frames else []
@@ -83,7 +101,7 @@ def _tracks(reader: "Reader", size: int, most: int) -> Tracks:
     return Tracks("C3D file", markers=markers, channels=channels_found, notes=notes)
 
 
-def _channels(reader: "Reader", analog: list[np.ndarray], start: float, rate: float) -> dict[str, Track]:
+def _channels(reader: _Reader, analog: list[np.ndarray], start: float, rate: float) -> dict[str, Track]:
     if not reader.analog_used:
         return {}
     values = np.concatenate(analog, axis=1)
@@ -96,7 +114,7 @@ def _channels(reader: "Reader", analog: list[np.ndarray], start: float, rate: fl
     return found
 
 
-def _labels(reader: "Reader", group: str, count: int) -> list[str]:
+def _labels(reader: _Reader, group: str, count: int) -> list[str]:
     """Names, of which every 255 are in a parameter of their own; later ones that come again are left out."""
     names: list[str] = []
     for suffix in ("", *map(str, range(2, 2 + count // 255))):
@@ -105,14 +123,14 @@ def _labels(reader: "Reader", group: str, count: int) -> list[str]:
     return [name if name not in names[:i] else "" for i, name in enumerate(names)]
 
 
-def _texts(reader: "Reader", key: str) -> list[str]:
+def _texts(reader: _Reader, key: str) -> list[str]:
     found: Any = reader.get(key)
     if found is None:
         return []
     if found.total_bytes != len(found.bytes):  # its array would be as large as it says
         raise RecordingError(f"{key} is damaged; export it again")
-    return [str(text).strip() for text in np.ravel(found.string_array)]
+    return [str(text).strip(" \0") for text in np.ravel(found.string_array)]
 
 
-def _text(reader: "Reader", key: str) -> str:
+def _text(reader: _Reader, key: str) -> str:
     return next(iter(_texts(reader, key)), "")

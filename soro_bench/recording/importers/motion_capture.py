@@ -32,6 +32,7 @@ _MAX_ROW = 1_000_000  # letters
 _MAX_CELLS = 50_000_000
 _SECTIONS = ("Trajectories", "Devices", "Objects", "Segments", "Joints", "Model Outputs", "Events")  # of Vicon
 _HEADS = ("NO_OF_FRAMES", "FILE_VERSION")  # one of them begins a file of Qualisys
+_BY_TAB = ("\tSub Frame", "Frame#\t", "NO_OF_FRAMES\t", "FILE_VERSION\t")
 _BODY = 16  # numbers of a body of Qualisys: position, three angles, residual, rotation matrix
 _UNSEEN = ("", "nan", "null", "none", "#n/a")
 _MAX_HEADER = 200  # rows
@@ -72,7 +73,8 @@ def read_tracks(path: str | Path, max_bytes: int = MAX_BYTES) -> Tracks:
     with named_errors(path):
         text = read_text(path, max_bytes)
         head = _head(text)
-        by_comma = head == "Format Version" or (head in _SECTIONS and "\tSub Frame" not in text)
+        # a table of Vicon or OpenSim has tabs or commas, but for its names
+        by_comma = head == "Format Version" or (head != "" and not any(sign in text for sign in _BY_TAB))
         rows = _Rows(text, "," if by_comma else "\t")
         readers = {"PathFileType": _trc, "Format Version": _motive, **dict.fromkeys(_HEADS, _qualisys)}
         readers.update(dict.fromkeys(_SECTIONS, _vicon))
