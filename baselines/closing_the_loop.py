@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from rich.progress import Progress, TaskID
 
-from soro_bench.blind_benchmark import body_laws, command_laws
+from soro_bench.blind_benchmark import body_laws, cable_laws
 from soro_bench.blind_benchmark.cases import recording
 from soro_bench.blind_benchmark.closed_loop import final_distances
 from soro_bench.blind_benchmark.draw import manoeuvre
@@ -26,7 +26,6 @@ from soro_bench.cli import plain_errors
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.render import render
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
-from soro_bench.diagnosis.version import method_version
 from soro_bench.effects.effect import EVERY, Effect, Location, save_effects
 from soro_bench.envs.task import effects_of
 from soro_bench.files import read_json, replacing, write_json
@@ -39,6 +38,7 @@ from soro_bench.policies.policy import Policy
 from soro_bench.randomization import Distribution, holding, load
 from soro_bench.recording.excitation import excitation
 from soro_bench.registration import make_task
+from soro_bench.sources import method_version
 from soro_bench.training.methods import METHODS
 from soro_bench.training.ppo import TRAINER, default_config, train
 
@@ -65,12 +65,12 @@ class Hidden:
 HIDDEN = {
     "delay": Hidden(
         {"trunk_mass": 1.2, "young_modulus": 0.85},
-        lambda: command_laws.Delay(0.15),
+        lambda: cable_laws.Delay(0.15),
         Effect("actuator_delay", Location("actuator", EVERY), {"delay": 0.15}),
     ),
     "weak_cable": Hidden(
         {"trunk_mass": 0.85, "young_modulus": 1.2},
-        lambda: command_laws.Gain(0, 0.5),
+        lambda: cable_laws.Gain(0, 0.5),
         Effect("actuator_gain", Location("actuator", geo.CABLE_NAMES[0]), {"gain": 0.5}),
     ),
     "payload": Hidden(

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.files import read_json
-from soro_bench.leaderboard.release import Release
+from soro_bench.leaderboard.diagnosis_entry import Release
 from soro_bench.markdown import table
 
 ROOT = Path(__file__).parents[1]

@@ -24,7 +24,7 @@ from soro_bench.diagnosis.result import Errors, NamedLocation, Result
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.effects.effect import Location
 from soro_bench.files import read_json, write_json
-from soro_bench.leaderboard.release import Release
+from soro_bench.leaderboard.diagnosis_entry import Release
 from soro_bench.markdown import table
 from soro_bench.parallel import Workers, each, processors
 from soro_bench.recording.parquet import load, save

@@ -7,7 +7,7 @@ python benchmarks/releases.py unpack docs/results/releases/release_6.json.xz FOL
 import argparse
 from pathlib import Path
 
-from soro_bench.leaderboard.release import Release
+from soro_bench.leaderboard.diagnosis_entry import Release
 
 
 def main() -> None:

@@ -8,6 +8,7 @@ from soro_bench.assets import mjcf_path
 from soro_bench.files import is_temporary, replacing
 
 SIMULATION = ("parameters.py", "rotation.py", "models/*.py", "envs/*.py", "effects/*.py")  # of an episode; and scenes
+METHOD = (*SIMULATION, "diagnosis/**/*.py", "recording/*.py", "inference/statistical_linearisation.py")
 
 
 def version_of(parts: Iterable[str]) -> str:
@@ -31,3 +32,8 @@ def claim(path: Path, version: str) -> None:
                          "choose another folder")  # fmt: skip
     with replacing(path) as temporary:
         temporary.write_text(version + "\n")
+
+
+def method_version() -> str:
+    """A hash of the source files that the method consists of."""
+    return version_of(METHOD)

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from soro_bench.blind_benchmark import cable_laws, neck_laws
+from soro_bench.blind_benchmark import body_laws, cable_laws
 from soro_bench.blind_benchmark.robot import simulate
 from soro_bench.diagnosis.candidates import terms, typical
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
@@ -105,14 +105,14 @@ def moved(model, effects, actions):
 
 
 MATERIAL = {
-    "stiffening": ({"beta": 3.0}, [neck_laws.Stiffening(3.0)]),
-    "mullins_softening": ({"softening": 0.5, "strain": 0.05}, [neck_laws.Mullins(0.5, 0.05)]),
-    "viscoelastic_creep": ({"ratio": 0.5, "time_constant": 0.5}, [neck_laws.Creep(0.5, 0.5)]),
-    "plastic_set": ({"softness": 20.0, "share": 0.5}, [neck_laws.PlasticSet(k, 0.05, 0.5) for k in range(10)]),
+    "stiffening": ({"beta": 3.0}, [body_laws.Stiffening(3.0)]),
+    "mullins_softening": ({"softening": 0.5, "strain": 0.05}, [body_laws.Mullins(0.5, 0.05)]),
+    "viscoelastic_creep": ({"ratio": 0.5, "time_constant": 0.5}, [body_laws.Creep(0.5, 0.5)]),
+    "plastic_set": ({"softness": 20.0, "share": 0.5}, [body_laws.PlasticSet(k, 0.05, 0.5) for k in range(10)]),
     # a spring that does not slip here: on `cable` each joint slips by itself, which the other code's necks do not
     "hysteresis": (
         {"ratio": 0.5, "yield_strain": 3.0},
-        [neck_laws.Hysteresis(k, 3.0 * 0.5 * geo.BEND[1][k], 3.0) for k in range(10)],
+        [body_laws.Hysteresis(k, 3.0 * 0.5 * geo.BEND[1][k], 3.0) for k in range(10)],
     ),
 }
 
@@ -122,8 +122,8 @@ MATERIAL = {
 def test_a_law_of_the_material_does_what_it_does_in_another_code(name, model, kind, monkeypatch):
     """That of the hidden robots, which shares nothing with the effects. Bent to and fro by the cables; hysteresis of
     one slider."""
-    monkeypatch.setattr(neck_laws, "_YIELDS", np.ones(1))
-    monkeypatch.setattr(neck_laws, "_SHARES", np.ones(1))
+    monkeypatch.setattr(body_laws, "_YIELDS", np.ones(1))
+    monkeypatch.setattr(body_laws, "_SHARES", np.ones(1))
     parameters, laws = MATERIAL[name]
     actions = np.zeros((60, 8), np.float32)
     actions[:15, [0, 4]], actions[15:30, [0, 4]], actions[35:45, [1, 5]] = 1.0, -1.0, 1.0

@@ -9,19 +9,19 @@ import mujoco
 import numpy as np
 import pytest
 
-from soro_bench.blind_benchmark import body_laws, cable_laws, closed_loop, command_laws, neck_laws
+from soro_bench.blind_benchmark import body_laws, cable_laws, closed_loop
 from soro_bench.blind_benchmark.draw import manoeuvre
 from soro_bench.blind_benchmark.hidden import ALL, MEASUREMENT, PHYSICS, UNKNOWN
 from soro_bench.blind_benchmark.robot import CONTROL_TIMESTEP, Diverged, Robot, simulate
 from soro_bench.blind_benchmark.sensor_laws import SensorLaw
-from soro_bench.campaign.hidden_robot import HIDDEN, NOISE, PARAMETERS, record_hidden
+from soro_bench.campaign.inputs import HIDDEN, NOISE, PARAMETERS, record_hidden
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.files import write_json
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 
 pytest.importorskip("pyarrow")
-from soro_bench.blind_benchmark import bench, cases, draw
+from soro_bench.blind_benchmark import cases, draw
 from soro_bench.recording.parquet import load
 from soro_bench.recording.simulated import replay
 
@@ -113,7 +113,7 @@ def test_friction_sticks(kind):
 
 
 @pytest.mark.parametrize("law", [
-    neck_laws.StiffnessDrift(0.3), body_laws.Tilt(0.2, 0.3, 1.0), cable_laws.Capstan(0, 0.5)
+    body_laws.StiffnessDrift(0.3), body_laws.Tilt(0.2, 0.3, 1.0), cable_laws.Capstan(0, 0.5)
 ], ids=lambda law: type(law).__name__)  # fmt: skip
 def test_a_robot_that_runs_twice_does_the_same_twice(law):
     robot = Robot("fine", NOMINAL, [law])
@@ -150,9 +150,9 @@ def test_laws_that_need_no_robot():
 
     path = [np.full(8, x) for x in (0.0, 1.0, 2.0, 1.5, 1.0, 0.0)]
     for law, expected in (
-        (command_laws.Backlash(3, 1.0), [0, 0.5, 1.5, 1.5, 1.5, 0.5]),
-        (command_laws.Deadband(3, 1.2), [0, 0, 0.8, 0.3, 0, 0]),
-        (command_laws.Delay(0.015), [0, 0, 0.5, 1.5, 1.75, 1.25]),
+        (cable_laws.Backlash(3, 1.0), [0, 0.5, 1.5, 1.5, 1.5, 0.5]),
+        (cable_laws.Deadband(3, 1.2), [0, 0, 0.8, 0.3, 0, 0]),
+        (cable_laws.Delay(0.015), [0, 0, 0.5, 1.5, 1.75, 1.25]),
     ):
         law.begin(Stub, None)
         assert np.allclose([law.command(Stub, pull)[3] for pull in path], expected)
@@ -171,7 +171,7 @@ def test_plastic_set_keeps_its_shape():
         def push_necks(self, moments):
             self.moment = moments[4, 0]
 
-    law, stub, moments = neck_laws.PlasticSet(4, 0.3, 0.5), Stub(), []
+    law, stub, moments = body_laws.PlasticSet(4, 0.3, 0.5), Stub(), []
     law.begin(stub, None)
     for _ in range(4):
         law.push(stub)
@@ -277,7 +277,7 @@ def test_effects_are_scaled(short):
 def test_labels_name_what_is_outside_the_catalogue_unknown(base):
     for name in UNKNOWN:
         hidden = UNKNOWN[name][1](np.random.default_rng(0), base)
-        label = bench.Scaled(name, hidden, 1.0, 2.0, 2.0).label()
+        label = cases.Scaled(name, hidden, 1.0, 2.0, 2.0).label()
         assert (label["name"], label["class"], label["law"]) == ("unknown", "unknown", name)
         assert label["description"] and label["where"]["name"]
         assert json.dumps(label)

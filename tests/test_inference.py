@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from soro_bench.campaign.inferred import inferred
+from soro_bench.campaign.inputs import inferred
 from soro_bench.inference import rf_dropo
 from soro_bench.inference.identifiability import combinations
 from soro_bench.inference.likelihood import horizon, log_likelihood, sample_factor
@@ -406,7 +406,7 @@ def test_a_baseline_infers_once_and_refuses_another_recording(reach, tmp_path, m
     known = {"poisson_ratio": 0.43, "young_modulus": 3.9e6}
     method = inferred("rf-dropo", tmp_path / "reach.parquet", known)
     first = method.distribution("TrunkReach-v0", 0, tmp_path)
-    monkeypatch.setattr("soro_bench.campaign.inferred.infer", None)
+    monkeypatch.setattr("soro_bench.campaign.inputs.infer", None)
     assert method.distribution("TrunkReach-v0", 0, tmp_path).to_dict() == first.to_dict()
     with pytest.raises(ValueError, match="inferred from another recording, model or known values"):
         inferred("rf-dropo", tmp_path / "reach.parquet").distribution("TrunkReach-v0", 0, tmp_path)

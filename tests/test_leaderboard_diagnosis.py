@@ -11,7 +11,7 @@ from soro_bench.blind_benchmark import score
 from soro_bench.commands.blind_benchmark import BlindBenchmark
 from soro_bench.files import write_json
 from soro_bench.leaderboard import diagnosis_entry
-from soro_bench.leaderboard.release import Release
+from soro_bench.leaderboard.diagnosis_entry import Release
 from soro_bench.leaderboard.verify import verify_diagnosis, verify_release
 from tests.entries import edit
 from tests.test_bad_input import says

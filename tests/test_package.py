@@ -70,7 +70,7 @@ def test_assets_inside_the_package(tmp_path):
 def test_another_simulation_is_another_version_of_the_method(part, tmp_path):
     for folder in ("soro_bench", "assets"):
         shutil.copytree(CHECKOUT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
-    code = "from soro_bench.diagnosis.version import method_version; print(method_version())"
+    code = "from soro_bench.sources import method_version; print(method_version())"
     before = run_python(code, tmp_path)
     (tmp_path / part).write_text((tmp_path / part).read_text() + "\n")
     assert run_python(code, tmp_path) != before

@@ -10,8 +10,6 @@ import numpy as np
 
 from soro_bench.blind_benchmark import body_laws as body
 from soro_bench.blind_benchmark import cable_laws as cable
-from soro_bench.blind_benchmark import command_laws as command
-from soro_bench.blind_benchmark import neck_laws as neck
 from soro_bench.blind_benchmark import sensor_laws as sensor
 from soro_bench.blind_benchmark import uncatalogued
 from soro_bench.blind_benchmark.places import (
@@ -62,7 +60,7 @@ def _viscous_friction(rng: np.random.Generator, base: Trace) -> Hidden:
 
 def _backlash(rng: np.random.Generator, base: Trace) -> Hidden:
     c, location = any_cable(rng, "actuator")
-    return Hidden(location, lambda m: command.Backlash(c, m), lambda m: {"width": (m, "m")}, 0.0023, 0.02)
+    return Hidden(location, lambda m: cable.Backlash(c, m), lambda m: {"width": (m, "m")}, 0.0023, 0.02)
 
 
 def _compliance(rng: np.random.Generator, base: Trace) -> Hidden:
@@ -73,13 +71,13 @@ def _compliance(rng: np.random.Generator, base: Trace) -> Hidden:
 def _actuator_gain(rng: np.random.Generator, base: Trace) -> Hidden:
     c, location = any_cable(rng, "actuator")
     sign = rng.choice([-1.0, 1.0], p=[0.7, 0.3])
-    return Hidden(location, lambda m: command.Gain(c, 1 + sign * m), lambda m: {"gain": (1 + sign * m, "1")}, 0.15, 0.9)
+    return Hidden(location, lambda m: cable.Gain(c, 1 + sign * m), lambda m: {"gain": (1 + sign * m, "1")}, 0.15, 0.9)
 
 
 def _pretension(rng: np.random.Generator, base: Trace) -> Hidden:
     c, location = any_cable(rng, "actuator")
     sign = rng.choice([-1.0, 1.0])
-    return Hidden(location, lambda m: command.Offset(c, sign * m), lambda m: {"offset": (sign * m, "m")}, 0.0012, 0.02)
+    return Hidden(location, lambda m: cable.Offset(c, sign * m), lambda m: {"offset": (sign * m, "m")}, 0.0012, 0.02)
 
 
 def _actuator_saturation(rng: np.random.Generator, base: Trace) -> Hidden:
@@ -94,26 +92,26 @@ def _actuator_saturation(rng: np.random.Generator, base: Trace) -> Hidden:
 
 def _actuator_deadband(rng: np.random.Generator, base: Trace) -> Hidden:
     c, location = any_cable(rng, "actuator")
-    return Hidden(location, lambda m: command.Deadband(c, m), lambda m: {"width": (m, "m")}, 0.0016, 0.02)
+    return Hidden(location, lambda m: cable.Deadband(c, m), lambda m: {"width": (m, "m")}, 0.0016, 0.02)
 
 
 def _actuator_delay(rng: np.random.Generator, base: Trace) -> Hidden:
-    return Hidden(_ALL_ACTUATORS, command.Delay, lambda m: {"delay": (m, "s")}, 0.01, 0.3)
+    return Hidden(_ALL_ACTUATORS, cable.Delay, lambda m: {"delay": (m, "s")}, 0.01, 0.3)
 
 
 def _actuator_lag(rng: np.random.Generator, base: Trace) -> Hidden:
-    return Hidden(_ALL_ACTUATORS, command.Lag, lambda m: {"time_constant": (m, "s")}, 0.011, 0.3)
+    return Hidden(_ALL_ACTUATORS, cable.Lag, lambda m: {"time_constant": (m, "s")}, 0.011, 0.3)
 
 
 def _hysteresis(rng: np.random.Generator, base: Trace) -> Hidden:
     k, location = any_neck(rng)
     angle = log_uniform(rng, 0.06, 0.2)
-    highest = _STIFFEST * float(geo.BEND[1, k]) / neck.Hysteresis(k, 1.0, angle).stiffness
+    highest = _STIFFEST * float(geo.BEND[1, k]) / body.Hysteresis(k, 1.0, angle).stiffness
 
     def parameters(m: float) -> Quantities:
         return {"moment": (m, "N m"), "yield_angle": (angle, "rad")}
 
-    return Hidden(location, lambda m: neck.Hysteresis(k, m, angle), parameters, 0.04, highest)
+    return Hidden(location, lambda m: body.Hysteresis(k, m, angle), parameters, 0.04, highest)
 
 
 def _plastic_set(rng: np.random.Generator, base: Trace) -> Hidden:
@@ -123,7 +121,7 @@ def _plastic_set(rng: np.random.Generator, base: Trace) -> Hidden:
     def parameters(m: float) -> Quantities:
         return {"yield_angle": (angle, "rad"), "share": (m, "1")}
 
-    return Hidden(location, lambda m: neck.PlasticSet(k, angle, m), parameters, 0.5, 0.95)
+    return Hidden(location, lambda m: body.PlasticSet(k, angle, m), parameters, 0.5, 0.95)
 
 
 def _local_stiffness(rng: np.random.Generator, base: Trace) -> Hidden:
@@ -134,7 +132,7 @@ def _local_stiffness(rng: np.random.Generator, base: Trace) -> Hidden:
         return math.exp(sign * m)
 
     return Hidden(
-        location, lambda m: neck.LocalStiffness(k, factor(m)), lambda m: {"factor": (factor(m), "1")}, 0.4, 1.6
+        location, lambda m: body.LocalStiffness(k, factor(m)), lambda m: {"factor": (factor(m), "1")}, 0.4, 1.6
     )
 
 
@@ -144,11 +142,11 @@ def _viscoelastic_creep(rng: np.random.Generator, base: Trace) -> Hidden:
     def parameters(m: float) -> Quantities:
         return {"stiffness_ratio": (m, "1"), "time_constant": (time_constant, "s")}
 
-    return Hidden(_ALL_NECKS, lambda m: neck.Creep(m, time_constant), parameters, 0.25, 3.0)
+    return Hidden(_ALL_NECKS, lambda m: body.Creep(m, time_constant), parameters, 0.25, 3.0)
 
 
 def _stiffening(rng: np.random.Generator, base: Trace) -> Hidden:
-    return Hidden(_ALL_NECKS, neck.Stiffening, lambda m: {"cubic": (m, "1/rad^2")}, 1.5, 20.0)
+    return Hidden(_ALL_NECKS, body.Stiffening, lambda m: {"cubic": (m, "1/rad^2")}, 1.5, 20.0)
 
 
 def _mullins_softening(rng: np.random.Generator, base: Trace) -> Hidden:
@@ -157,7 +155,7 @@ def _mullins_softening(rng: np.random.Generator, base: Trace) -> Hidden:
     def parameters(m: float) -> Quantities:
         return {"softening": (m, "1"), "angle": (angle, "rad")}
 
-    return Hidden(_ALL_NECKS, lambda m: neck.Mullins(m, angle), parameters, 0.3, 0.9)
+    return Hidden(_ALL_NECKS, lambda m: body.Mullins(m, angle), parameters, 0.3, 0.9)
 
 
 def _stiffness_drift(rng: np.random.Generator, base: Trace) -> Hidden:
@@ -166,7 +164,7 @@ def _stiffness_drift(rng: np.random.Generator, base: Trace) -> Hidden:
     def rate(m: float) -> float:
         return sign * m / _EXCITATION
 
-    return Hidden(_ALL_NECKS, lambda m: neck.StiffnessDrift(rate(m)), lambda m: {"rate": (rate(m), "1/s")}, 0.15, 0.8)
+    return Hidden(_ALL_NECKS, lambda m: body.StiffnessDrift(rate(m)), lambda m: {"rate": (rate(m), "1/s")}, 0.15, 0.8)
 
 
 def _payload(rng: np.random.Generator, base: Trace) -> Hidden:

@@ -13,11 +13,10 @@ from soro_bench.blind_benchmark.scorecard import ablation_rows, as_tables, markd
 from soro_bench.diagnosis.assembly.build import build_result
 from soro_bench.diagnosis.pipeline import run_diagnosis
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
-from soro_bench.diagnosis.version import method_version
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.parallel import HERE, Workers, each, processors
 from soro_bench.recording.parquet import load
-from soro_bench.sources import claim
+from soro_bench.sources import claim, method_version
 
 METHOD = "method.txt"
 

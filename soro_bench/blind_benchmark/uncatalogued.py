@@ -3,8 +3,7 @@
 import numpy as np
 
 from soro_bench.blind_benchmark import body_laws as body
-from soro_bench.blind_benchmark import command_laws as command
-from soro_bench.blind_benchmark import neck_laws as neck
+from soro_bench.blind_benchmark import cable_laws as cable
 from soro_bench.blind_benchmark.places import Hidden, any_neck, log_uniform, offset_values, random_direction, vertebra
 from soro_bench.blind_benchmark.robot import Trace
 from soro_bench.models import trunk_geometry as geo
@@ -15,7 +14,7 @@ def cross_talk(rng: np.random.Generator, base: Trace) -> Hidden:
     source, c = map(int, rng.choice(len(geo.CABLE_NAMES), 2, replace=False))
     return Hidden(
         {"kind": "actuator", "name": geo.CABLE_NAMES[c]},
-        lambda m: command.CrossTalk(source, c, m),
+        lambda m: cable.CrossTalk(source, c, m),
         lambda m: {"share": (m, "1")},
         0.2,
         2.0,
@@ -86,7 +85,7 @@ def coupled_bend(rng: np.random.Generator, base: Trace) -> Hidden:
     source, k = map(int, rng.choice(8, 2, replace=False))
     return Hidden(
         vertebra(k),
-        lambda m: neck.CoupledBend(source, k, m),
+        lambda m: body.CoupledBend(source, k, m),
         lambda m: {"share": (m, "1")},
         0.6,
         1.5,

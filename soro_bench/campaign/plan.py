@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.assets import asset_path
-from soro_bench.campaign.inferred import inferred
+from soro_bench.campaign.inputs import inferred
 from soro_bench.campaign.run import Run
 from soro_bench.envs.multigait import PUBLISHED_RANDOMIZATION
 from soro_bench.leaderboard.boards import BOARDS

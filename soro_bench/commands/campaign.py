@@ -50,7 +50,7 @@ class RunPreset:
 
 def _diagnose_hidden(folder: Path) -> None:
     """Record a robot with hidden physics and say what the simulation lacks, unless that is done."""
-    from soro_bench.campaign.hidden_robot import ENV_ID, SUMMARY, record_hidden
+    from soro_bench.campaign.inputs import ENV_ID, SUMMARY, record_hidden
     from soro_bench.diagnosis.commands import Diagnose
 
     if (folder / "report.html").exists():
@@ -108,7 +108,7 @@ class InferenceBaseline(_OfOneMethod):
 
     def run(self, method: str) -> None:
         """Infer by the method, and carry out a run for every seed; ValueError if one fails."""
-        from soro_bench.campaign.inferred import inferred
+        from soro_bench.campaign.inputs import inferred
         from soro_bench.campaign.plan import recording_path
         from soro_bench.leaderboard.boards import BOARDS
         from soro_bench.recording.simulated import parse_params

@@ -22,10 +22,10 @@ from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer
-from soro_bench.diagnosis.version import method_version
 from soro_bench.files import check_folder, read_json, read_toml, write_json
 from soro_bench.recording.importers import import_recording
 from soro_bench.recording.recording import Recording
+from soro_bench.sources import method_version
 
 SUMMARY = "summary.json"
 METHOD = method_version()  # of the sources as this process loaded them

@@ -7,10 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.leaderboard.boards import BOARDS
-from soro_bench.leaderboard.diagnosis_entry import opened, rescored
+from soro_bench.leaderboard.diagnosis_entry import Release, opened, rescored
 from soro_bench.leaderboard.diagnosis_entry import read_entry as read_diagnosis_entry
 from soro_bench.leaderboard.entry import evaluated, policy_of, read_entry
-from soro_bench.leaderboard.release import Release
 
 
 def verify_control(path: str | Path, labels: Sequence[str] = (), num_threads: int = 0) -> dict[str, str]:
