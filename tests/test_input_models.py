@@ -1,14 +1,22 @@
-"""How an unknown input changes in time."""
+"""Test inputs: their models, and forces over the state."""
+
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from soro_bench.diagnosis.assembly.force_against_state import force_against_state
+from soro_bench.diagnosis.candidates import term
+from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.localisation.input_models import Free, Linear
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
+from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.inference.statistical_linearisation import LowRank
 from tests.arm import SIGMA
+from tests.test_model_robot import ARM, MAP
 
 STEPS = (120, 90)
 MEMORY = 45  # control steps of 0.02 s, after which the arm has forgotten a pulse
@@ -75,3 +83,157 @@ def test_shares_say_in_what_an_input_is_linear(problem):
     b = np.concatenate(setpoints)[:, 1]
     b = b - b.mean()
     np.testing.assert_allclose(np.concatenate(model.factors(values))[:, 0], 3.0 * b / np.sqrt((b**2).mean()))
+
+
+NOISE = 2e-4
+CABLE, CHANNEL = Location("tendon", "L1"), 1
+
+
+@pytest.fixture(scope="module")
+def trunk():
+    return SuiteRobot("TrunkReach-v0", threads=1)
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("arm")
+    (folder / "arm.xml").write_text(ARM)
+    (folder / "map.toml").write_text(MAP.replace("deviation = 0.3", "deviation = 0.001"))  # its damping is known
+    return ModelRobot(folder / "arm.xml", folder / "map.toml", threads=1)
+
+
+def strokes(slowness=(1, 2, 3)):
+    """(T, 8) actions: one cable is pulled in by 15 mm and let out again, twice at each of several speeds."""
+    rates = [sign / k for k in slowness for sign in (1, -1) for _ in range(3 * k)]
+    actions = np.zeros((2 * len(rates), 8), np.float32)
+    actions[:, CHANNEL] = 2 * rates
+    return actions
+
+
+def swings(robot):
+    """(T, 1) setpoints that sweep to and fro at changing speeds."""
+    time = robot.control_timestep * np.arange(200)
+    return 0.5 * np.sin(2 * np.pi * (0.5 * time + 0.15 * time**2))[:, None]
+
+
+def diagnosis(robot, actions, hidden, fitted, coordinates):
+    """Of a robot with a hidden effect: one hypothesis with another effect, and the true parameters."""
+    rng, nominal = np.random.default_rng(0), np.array([[prior.nominal for prior in robot.priors]])
+    values = robot.simulate(actions, nominal, [[hidden]])[0]
+    values = values + NOISE * rng.standard_normal(values.shape)
+    time = robot.control_timestep * np.arange(1, len(actions) + 1)
+    measured, nothing = Measured(actions, time, values, robot.signal, robot.unit), np.zeros((0, values.size))
+    problem = Problem(robot, (measured,), NOISE, np.ones(values.size), LowRank(nothing))
+    x = np.concatenate([np.zeros(len(robot.priors)), coordinates])
+    points = np.concatenate([x[None], x + 0.05 * np.eye(len(x))])
+    residuals = problem.residuals([(point, (fitted,)) for point in points])
+    best = Hypothesis((fitted,), x, residuals[0], 0.0, (residuals[1:] - residuals[0]) / 0.05, nothing)
+    return SimpleNamespace(explanation=SimpleNamespace(problem=problem), best=SimpleNamespace(hypothesis=best))
+
+
+def curve(robot, actions, fitted, coordinates, hidden=None):
+    """For a hypothesis with the hidden effect itself, if no other one is given."""
+    hidden = hidden or fitted.effect(np.array(coordinates))
+    return force_against_state(diagnosis(robot, actions, hidden, fitted, coordinates))
+
+
+def jacobians(found, force):
+    """Of straight lines through the origin, for falling and for rising states."""
+    known = np.isfinite(force)
+    return [(s[k] @ f[k]) / (s[k] @ s[k]) for s, f, k in zip(found.state, force, known, strict=True)]
+
+
+def assert_agrees(found):
+    """The recordings say what the fitted law does, at four nodes and more, within their errors or a few percent."""
+    known = np.isfinite(found.measured)
+    assert known.sum() >= 4
+    off, least = np.abs(found.measured - found.law)[known], 0.03 * np.nanmax(np.abs(found.law))
+    assert (off < np.maximum(3 * found.deviation[known], least)).all(), found
+
+
+def test_viscous_friction_shows_as_a_force_against_the_speed(trunk):
+    found = curve(trunk, strokes(), term(trunk, "viscous_friction", CABLE), [0.4])
+    assert found.labels == ("rate of the length pulled in [mm/s]", "force in the tendon [N]")
+    assert jacobians(found, found.law) == pytest.approx([-1e-3 * found.effect.parameters["damping"]] * 2, rel=0.15)
+    assert_agrees(found)
+
+
+def test_the_recording_shows_how_strong_the_friction_of_a_cable_is_beside_a_fit_that_is_too_weak(trunk):
+    fitted, hidden = term(trunk, "viscous_friction", CABLE), Effect("viscous_friction", CABLE, {"damping": 30.0})
+    found = curve(trunk, strokes((1, 2, 3, 4)), fitted, [0.25], hidden)
+    assert jacobians(found, found.law) == pytest.approx([-0.0225, -0.0225], rel=0.15)
+    assert jacobians(found, found.measured) == pytest.approx([-0.03, -0.03], rel=0.15)
+
+
+def test_the_recording_shows_the_hidden_law_beside_a_wrong_one(arm):
+    hinge = Location("joint", "hinge")
+    hidden = Effect("viscous_friction", hinge, {"damping": 0.01})
+    found = curve(arm, swings(arm), term(arm, "coulomb_friction", hinge), [0.15, 0.0], hidden)
+    assert jacobians(found, found.measured) == pytest.approx([-0.01, -0.01], rel=0.1)
+    assert found.law == pytest.approx(-0.0225 * np.sign(found.state), rel=0.05)
+
+
+def test_a_delay_shows_as_a_cable_that_lags_behind_its_command(trunk):
+    found = curve(trunk, strokes(), term(trunk, "actuator_delay", Location("actuator", EVERY)), [0.2])
+    assert found.labels == ("rate of the command [mm/s]", "beside the command by [mm]")
+    assert jacobians(found, found.law) == pytest.approx([-0.015, -0.015], rel=0.05)
+    assert_agrees(found)
+
+
+def test_stiffening_shows_as_a_moment_that_grows_with_the_cube_of_the_bend(trunk):
+    found = curve(trunk, strokes(), term(trunk, "stiffening", Location("body", "vertebra3")), [0.6])
+    assert found.labels == ("bend [rad]", "moment [N m]")
+    model = trunk.model({prior.name: prior.nominal for prior in trunk.priors}, [])
+    hinge = trunk.elements.joints_of(model.body("vertebra3").id, bending_only=True)[0]
+    cube = -model.jnt_stiffness[hinge] * found.effect.parameters["beta"] * found.state**3
+    assert found.law[:, -2:] == pytest.approx(cube[:, -2:], rel=0.1)
+    assert_agrees(found)
+
+
+def test_friction_in_a_joint_of_any_model_is_a_constant_moment_against_its_motion(arm):
+    fitted = term(arm, "coulomb_friction", Location("joint", "hinge"))
+    found = curve(arm, swings(arm), fitted, [0.3, 0.0])
+    assert found.law == pytest.approx(-found.effect.parameters["friction"] * np.sign(found.state), rel=0.05)
+    assert_agrees(found)
+
+
+def test_a_delay_of_a_servo_of_any_model_shows_against_the_speed_of_its_command(arm):
+    found = curve(arm, swings(arm), term(arm, "actuator_delay", Location("actuator", "motor")), [0.4])
+    assert jacobians(found, found.law) == pytest.approx([-found.effect.parameters["delay"]] * 2, rel=0.15)
+    assert_agrees(found)
+
+
+@pytest.mark.parametrize(
+    ("name", "location"),
+    [
+        ("payload", Location("body", "vertebra7")),
+        ("base_tilt", Location("model", "gravity")),
+    ],
+)
+def test_what_has_no_force_at_a_place_has_no_curve(trunk, name, location):
+    fitted = term(trunk, name, location)
+    assert curve(trunk, strokes((2,)), fitted, [0.2, *[0.0] * (fitted.size - 1)]) is None
+
+
+def test_what_depends_on_the_past_has_no_curve(trunk):
+    fitted, actions = term(trunk, "viscoelastic_creep", Location("body", EVERY)), np.zeros((70, 8), np.float32)
+    actions[:5, CHANNEL], actions[35:40, CHANNEL] = 1.0, -1.0  # held between
+    assert curve(trunk, actions, fitted, [0.2, -2.0]) is None
+
+
+def test_a_neck_of_flex_has_no_curve_and_its_cables_have_one():
+    robot = SuiteRobot("TrunkReach-v0", "flex", threads=1)
+    assert curve(robot, strokes((1,)), term(robot, "stiffening", Location("body", EVERY)), [0.2]) is None
+    found = curve(robot, strokes((1,)), term(robot, "viscous_friction", CABLE), [0.4])
+    assert jacobians(found, found.law) == pytest.approx([-1e-3 * found.effect.parameters["damping"]] * 2, rel=0.15)
+
+
+def test_a_curve_is_the_same_again_and_later_replays_are_as_before(trunk):
+    for name, location in ("viscous_friction", CABLE), ("actuator_delay", Location("actuator", "L1")):
+        fitted = term(trunk, name, location)
+        given = diagnosis(trunk, strokes((1,)), fitted.effect(np.array([0.3])), fitted, [0.3])
+        problem = given.explanation.problem
+        first, before = force_against_state(given), problem.residuals([(np.zeros(6), ())])
+        again, after = force_against_state(given), problem.residuals([(np.zeros(6), ())])
+        assert np.array_equal(first.measured, again.measured, equal_nan=True)
+        assert np.array_equal(before, after)
