@@ -13,8 +13,7 @@ import sys
 import traceback
 from pathlib import Path
 
-from soro_bench.diagnosis.study import STUDIES, check_summaries, load_study, run_study
-from soro_bench.diagnosis.study_table import named, results
+from soro_bench.diagnosis.study import STUDIES, check_summaries, load_study, named, results, run_study
 from soro_bench.files import read_json, write_json
 from soro_bench.markdown import table
 

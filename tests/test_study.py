@@ -13,8 +13,7 @@ pytest.importorskip("pyarrow")
 from soro_bench.diagnosis import study as module
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison
-from soro_bench.diagnosis.study import STUDIES, Part, Study, errors, load_study, run_study
-from soro_bench.diagnosis.study_table import results
+from soro_bench.diagnosis.study import STUDIES, Part, Study, errors, load_study, results, run_study
 from tests.arm import ARM, MAP, recording
 
 

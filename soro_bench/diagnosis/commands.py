@@ -158,8 +158,7 @@ class Study:
     seed: int = 0
 
     def run(self) -> None:
-        from soro_bench.diagnosis.study import load_study, run_study
-        from soro_bench.diagnosis.study_table import results
+        from soro_bench.diagnosis.study import load_study, results, run_study
         from soro_bench.files import replacing
 
         check_folder(self.out, ["results.md"])

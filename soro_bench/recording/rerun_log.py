@@ -27,8 +27,7 @@ def write_recording(path: str | Path, episodes: Sequence[Episode], title: str) -
     chunks and the blueprint, and orders the columns of the file's index at random.
     """
     require_rerun()
-    from soro_bench.recording.rerun_entities import log_episodes
-    from soro_bench.recording.rerun_layout import layout
+    from soro_bench.recording.rerun_entities import layout, log_episodes
 
     if not episodes:
         raise ValueError("a recording needs at least one episode")

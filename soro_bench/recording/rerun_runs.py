@@ -19,15 +19,19 @@ from soro_bench.parameters import ALL_PARAMETERS
 from soro_bench.recording.distances import over_points
 from soro_bench.recording.drawing import Drawing, Points
 from soro_bench.recording.rerun_entities import (
+    blueprint,
     log_columns,
     log_curves,
     log_drawing,
     log_plots,
     log_static,
     markdown,
+    painted,
+    plot,
+    plots,
+    view3d,
     view_coordinates,
 )
-from soro_bench.recording.rerun_layout import blueprint, painted, plot, plots, view3d
 from soro_bench.recording.rerun_log import draw
 from soro_bench.recording.rerun_stream import identity, recorded
 
