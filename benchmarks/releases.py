@@ -1,26 +1,170 @@
-"""Pack a scored release of the diagnosis into one file, or write its labels and reports out again.
+"""Releases of the diagnosis: packed, unpacked, and measured again.
 
-python benchmarks/releases.py pack FOLDER docs/results/releases/release_7.json.xz    # as the blind benchmark leaves it
-python benchmarks/releases.py unpack docs/results/releases/release_6.json.xz FOLDER
+    python benchmarks/releases.py pack FOLDER docs/results/releases/release_7.json.xz
+    python benchmarks/releases.py unpack docs/results/releases/release_6.json.xz FOLDER
+    python benchmarks/releases.py cost FOLDER [--cases 20]
+    python benchmarks/releases.py accurate FOLDER
+
+FOLDER is as soro-bench blind-benchmark leaves it.
+
+pack, unpack: a scored release becomes one file; its labels and reports are written out again.
+
+cost: seconds and memory of `soro-bench diagnose` on its cases, each in a process of its own. Run it with nothing beside
+it. The diagnosis has all processors, or OMP_NUM_THREADS of them. A case that is in FOLDER/cost is not diagnosed again.
+Machines are compared by how often the bare engine could have simulated 30 s of the same robot instead.
+
+accurate: what a diagnosis has found with the cheap model, in the accurate one, on motion that it has not seen. Of
+robots that are the accurate model with hidden physics, most of what the patched cheap model gets wrong is the
+difference between the two models. The fitted parameters and effects belong to the robot, not to a model: this puts them
+into the accurate one too. Prints medians over the cases whose report names missing physics.
 """
 
 import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
 from pathlib import Path
 
+import mujoco
+import numpy as np
+from rich.progress import track
+
+from soro_bench.blind_benchmark.ablations import ENV_ID
+from soro_bench.blind_benchmark.score import opened_labels
+from soro_bench.diagnosis.result import Result
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
+from soro_bench.effects.effect import Effect, Location
+from soro_bench.files import read_json, write_json
 from soro_bench.leaderboard.diagnosis_entry import Release
+from soro_bench.markdown import table
+from soro_bench.parallel import processors
+from soro_bench.recording.parquet import load
+from soro_bench.recording.recording import Recording
+
+# --- cost ---
+
+DURATION = 30.0  # s, of a recording
+
+
+def bare_replay() -> float:
+    """Wall time [s] of mj_step for DURATION of the robot at rest, on one thread; the least of three."""
+    model, taken = SuiteRobot(ENV_ID, threads=1).simulation.model, []
+    for _ in range(3):
+        data, begin = mujoco.MjData(model), time.perf_counter()
+        mujoco.mj_step(model, data, nstep=round(DURATION / model.opt.timestep))
+        taken.append(time.perf_counter() - begin)
+    return min(taken)
+
+
+def diagnosed(case: Path) -> dict:
+    """Wall time [s] and memory [MB] of a diagnosis from the command line, and the verdict."""
+    with tempfile.TemporaryDirectory() as out:
+        paths = [str(case / "train.parquet"), "--heldout", str(case / "heldout.parquet")]
+        command = [sys.executable, "-m", "soro_bench.cli", "diagnose", *paths, "--env", ENV_ID, "--out", out]
+        begin = time.perf_counter()
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+        _, status, usage = os.wait4(process.pid, 0)
+        seconds = time.perf_counter() - begin
+        if status:
+            raise SystemExit(f"the diagnosis of {case} failed")
+        result = Result.load(Path(out) / "result.json")
+    return {
+        "seconds": round(seconds, 1),
+        "diagnosis": result.seconds,
+        "bare_replay": round(bare_replay(), 3),
+        "megabytes": usage.ru_maxrss // 1024,
+        "threads": processors(),
+        "verdict": result.verdict,
+        "effects": [finding.name for finding in result.findings][:3],
+    }
+
+
+def cost(folder: Path, count: int) -> None:
+    """Print the table, and medians."""
+    cases = sorted((folder / "cases").glob("case_*"))[:count]
+    if not cases:
+        raise SystemExit(f"{folder} has no cases")
+    found = [folder / "cost" / f"{case.name}.json" for case in cases]
+    for case, path in track(list(zip(cases, found, strict=True)), "cases"):
+        if not path.exists():
+            write_json(path, diagnosed(case))
+    rows = [read_json(path) for path in found]
+    cells = [
+        (case.name, row["seconds"], row["diagnosis"], row["megabytes"], ", ".join(row["effects"]))
+        for case, row in zip(cases, rows, strict=True)
+    ]
+    print(table(("case", "seconds, whole command", "of it the diagnosis", "MB", "answers"), cells))
+    seconds = [row["diagnosis"] for row in rows]
+    print(f"\nMedian {np.median(seconds):.0f} s on {rows[0]['threads']} threads ({min(seconds):.0f} to "
+          f"{max(seconds):.0f}), at most {max(row['megabytes'] for row in rows)} MB.")  # fmt: skip
+    ratios = [row["diagnosis"] / row["bare_replay"] for row in rows if "bare_replay" in row]  # older ones lack it
+    if ratios:
+        print(f"Median {np.median(ratios):.0f} times {DURATION:.0f} s of the bare engine on one thread.")
+
+
+# --- in the accurate model ---
+
+MODELS = ("cable", "flex")
+
+
+def found(report: dict) -> list[Effect]:
+    """The effects of the most probable hypothesis."""
+    best, effects = report["hypotheses"][0], []
+    for name, location in zip(best["names"], best["where"], strict=True):
+        values = next(e["parameters"] for e in report["effects"] if (e["name"], e["where"]) == (name, location))
+        effects.append(Effect(name, Location(**location), {key: each["value"] for key, each in values.items()}))
+    return effects
+
+
+def errors(robot: SuiteRobot, report: dict, recording: Recording) -> tuple[float, float]:
+    """rms of a coordinate [m] with the fitted parameters, without the effects and with them."""
+    measured = robot.measured(recording)
+    parameters = np.array([[report["parameters"][prior.name]["value"] for prior in robot.priors]] * 2)
+    simulated = robot.simulate(measured.actions, parameters, [(), found(report)])
+    return tuple(np.sqrt(np.nanmean((measured.values - simulated) ** 2, axis=(1, 2, 3))))
+
+
+def accurate(folder: Path) -> None:
+    """Print the table."""
+    robots = {model: SuiteRobot(ENV_ID, model) for model in MODELS}
+    pairs: dict[str, list] = {model: [] for model in MODELS}
+    labels = {label["id"]: label for label in opened_labels(folder / "cases")}
+    for path in track(sorted((folder / "reports").glob("case_*.json")), "cases"):
+        report, label = read_json(path), labels[path.stem]
+        if label["robot"] != "flex" or not label["effects"] or report["verdict"] != "missing_physics":
+            continue
+        for model, robot in robots.items():
+            pairs[model].append(errors(robot, report, load(folder / "cases" / path.stem / "task.parquet")))
+    rows = []
+    for model, both in pairs.items():
+        before, after = 1e3 * np.array(both).T
+        medians = (f"{np.median(values):.2f}" for values in (before, after, after / before))
+        rows.append((f"`{model}`", len(both), *medians))
+    heads = ("model", "cases", "fitted parameters only [mm]", "with the effects [mm]", "after over before")
+    print(table(heads, rows))
 
 
 def main() -> None:
-    """Pack or unpack."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("do", choices=("pack", "unpack"))
-    parser.add_argument("source", type=Path)
-    parser.add_argument("target", type=Path)
+    commands = parser.add_subparsers(required=True, dest="do", metavar="pack | unpack | cost | accurate")
+    for name in ("pack", "unpack"):
+        command = commands.add_parser(name)
+        command.add_argument("source", type=Path)
+        command.add_argument("target", type=Path)
+    for name in ("cost", "accurate"):
+        commands.add_parser(name).add_argument("folder", type=Path)
+    commands.choices["cost"].add_argument("--cases", type=int, default=20, help="the first ones")
     options = parser.parse_args()
     if options.do == "pack":
         Release.gather(options.source).pack(options.target)
-    else:
+    elif options.do == "unpack":
         Release.load(options.source).unpack(options.target)
+    elif options.do == "cost":
+        cost(options.folder, options.cases)
+    else:
+        accurate(options.folder)
 
 
 if __name__ == "__main__":
