@@ -40,7 +40,10 @@ def mapping(model: mujoco.MjModel) -> str:
     sites = [model.site(i).name for i in range(model.nsite) if model.site(i).name]
     read = f"joints = {json.dumps(joints)}" if joints else f"sites = {json.dumps(sites)}"
     bodies = [model.body(i).name for i in range(1, model.nbody) if model.body_mass[i] > 0]
-    fields = {f"mass_{i}": [f"body_mass:{name}", f"body_inertia:{name}"] for i, name in enumerate(bodies)}
+    fields = {}
+    for i, name in enumerate(bodies):
+        some = ("body_mass", "body_inertia") if model.body(name).inertia.any() else ("body_mass",)
+        fields[f"mass_{i}"] = [f"{field}:{name}" for field in some]
     if model.dof_damping.any():
         fields["damping"] = ["dof_damping:*"]
     if model.actuator_gainprm[:, 0].any():
