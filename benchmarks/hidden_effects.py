@@ -31,6 +31,7 @@ BITS = 4096  # values of a sensor over a turn, or over the range of a slide
 DEVIATION = 0.2  # of the priors of masses and damping, logarithmic
 _RATES = 0.15, 0.9  # Hz, of the sines of a command
 _SINES, _SHARE = 5, 0.7  # of a command; of the range that it has
+_STIFF = 0.99  # of a slip that MuJoCo's friction stops; its default is soft, and no dry friction
 _REST = 1.0  # s, at the beginning
 _SCALAR = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
 _HINGE = _SCALAR[0]
@@ -95,7 +96,9 @@ def hidden_robot(path: Path, case: Case | None, factors: dict[str, float]) -> tu
     model.dof_damping[:] *= factors["damping"]
     model.actuator_ctrllimited[:] = 0
     if case and case.effect == "friction":
-        model.dof_frictionloss[model.jnt_dofadr[model.joint(case.location).id]] += case.magnitude
+        dof = model.jnt_dofadr[model.joint(case.location).id]
+        model.dof_frictionloss[dof] += case.magnitude
+        model.dof_solref[dof], model.dof_solimp[dof, :2] = (2 * model.opt.timestep, 1.0), _STIFF
     elif case and case.effect == "payload":
         model.body_mass[model.body(case.location).id] += case.magnitude
     elif case and case.effect == "tilt":

@@ -1,21 +1,29 @@
 """What the diagnosis says of recordings of real robots, with several seeds.
 
-    python benchmarks/real_robots.py --data data/real [--only bam_servo ...] [--seeds 3]
+    python benchmarks/real_robots.py --data data/real [--only bam_servo ...] [--seeds 3] [--alone]
 
 Every part of a study is a folder in --work, and the same command goes on with what is missing. Prints tables and writes
-docs/results/real_robots.json, which has the numbers of docs/archive/real_robots.md. What fails costs nothing else; then
-the exit status is 1.
+docs/results/real_robots.json, which has the numbers of docs/archive/real_robots.md. A study whose data are missing or
+cannot be diagnosed is named, and the others go on; then the exit status is 1.
+
+--alone diagnoses nothing: it replays every patched_model.xml of --work alone on the recordings of its study, beside the
+model as built. The exit status is 1 where one is worse on training or held-out recordings.
 """
 
 import argparse
 import re
 import sys
-import traceback
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.study import STUDIES, check_summaries, load_study, named, results, run_study
 from soro_bench.files import read_json, write_json
 from soro_bench.markdown import table
+from soro_bench.recording.recording import Recording
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results" / "real_robots.json"
@@ -63,7 +71,10 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", default=list(STUDIES), choices=list(STUDIES))
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--threads", type=int, default=0)
+    parser.add_argument("--alone", action="store_true")
     options = parser.parse_args()
+    if options.alone:
+        sys.exit(1 if print_alone(options) else 0)
     studies = {name: load_study(name, options.data) for name in options.only}
     runs = [(study, options.work / f"{name}_{seed}", seed) for name, study in studies.items()
             for seed in range(options.seeds)]  # fmt: skip
@@ -73,18 +84,49 @@ def main() -> None:
     for study, folder, seed in runs:
         try:
             found += run_study(study, folder, seed, options.threads, lambda s, f=folder.name: print(f, s, flush=True))
-        except Exception:
-            failed.append(folder.name)
-            traceback.print_exc()
+        except (ValueError, OSError) as error:  # what a recording, a model or a folder lacks
+            failed.append(f"{folder.name}: {error}")
         write_results(found)
     print(first_seed(), every_seed(), sep="\n\n")
     if failed:
-        sys.exit(f"failed: {', '.join(failed)}")
+        sys.exit("\n".join(["failed:", *failed]))
 
 
 def first_seed() -> str:
     """Markdown: what all studies have found with seed 0."""
     return results([s for s in read_json(RESULTS) if s["seed"] == 0])
+
+
+def print_alone(options: argparse.Namespace) -> bool:
+    """Print errors of all patched models of a folder of studies; whether one is worse than the model as built."""
+    rows, worse = [], False
+    for name in options.only:
+        study = load_study(name, options.data)
+        built = ModelRobot(study.model, study.map, options.threads)
+        for seed in range(options.seeds):
+            for part in study.parts:
+                path = options.work / f"{name}_{seed}" / part.name / "patched_model.xml"
+                if not path.exists():
+                    continue
+                patched = built.as_built(path.read_text(encoding="utf-8"))
+                for key in DATA:
+                    if some := getattr(part, key):
+                        before, after = (replay_rms(robot, some) for robot in (built, patched))
+                        worse |= after > before and key != "unseen"
+                        rows.append((f"{name}, {part.name}", seed, key, f"{before:.4g}", f"{after:.4g}", built.unit))
+    print(table(("robot, part", "seed", "data", "as built", "patched alone", "unit"), rows))
+    return worse
+
+
+def replay_rms(robot: Robot, recordings: Sequence[Recording]) -> float:
+    """Root mean square [signal's unit] of all samples, of a robot with nominal parameters."""
+    parameters, found = np.array([[prior.nominal for prior in robot.priors]]), []
+    for recording in recordings:
+        measured = robot.measured(recording)
+        drive = measured.drive
+        (values,) = robot.simulate(drive.actions, parameters, [()], drive.start, settings=drive.settings)
+        found.append((values - measured.values).ravel())
+    return float(np.sqrt(np.nanmean(np.concatenate(found) ** 2)))
 
 
 def write_results(found: list[dict]) -> None:

@@ -1,7 +1,8 @@
 """The patch: physics that the simulation should have, and a MuJoCo model with as much of it as MJCF can express.
 
-The model alone is replayed from its MJCF on the recordings. Where it is worse there than the model as it was built, its
-parameters are fitted again with what MJCF can express; if that does not help, there is no patched model.
+The model alone is replayed from its MJCF on the recordings. Where it is worse there than the model as it was built, or
+than one with fitted parameters only, its parameters are fitted again with what MJCF can express; if it is still worse
+than the model as built, there is no patched model.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,6 +27,7 @@ from soro_bench.effects.effect import Effect
 from soro_bench.inference.statistical_linearisation import LowRank
 
 KEPT = 0.5  # of the share of the variance that is explained
+_SAME = 1e-3  # share of the cost; fits that differ by less are one
 _NOISE = 9.0  # of squared errors over that of the sensor: three standard deviations, once, make no model worse
 _OF_FRICTION = ("coulomb_friction", "viscous_friction")  # what MJCF has of friction, whatever its law
 _REFITTED = "Its parameters were fitted without what is not in this model: do not add that."
@@ -87,19 +89,31 @@ def model_patch(diagnosis: Diagnosis) -> ModelPatch:
     except PatchError as error:
         return ModelPatch("not_written", None, (), effects, str(error))
     problems = [each for each in (diagnosis.explanation.problem, diagnosis.tested) if each is not None]
-    before = _replayed(robot.as_built(), problems)
-    first = _errors(before, _replayed(robot.as_built(found.xml), problems))
+    built, alone = _replayed(robot.as_built(), problems), _replayed(robot.as_built(found.xml), problems)
+    first = _errors(built, alone)
     if not _worse(first, problems):
-        return ModelPatch("as_found", found.xml, found.effects, found.remaining, None, first)
-    obstacle = "replayed alone, it is worse than the model as built"
-    for other in _refitted(diagnosis):
-        errors = _errors(before, _replayed(robot.as_built(other.xml), problems))
-        if not _worse(errors, problems):
-            remaining = tuple(effect for effect in effects if effect.name not in [one.name for one in other.effects])
-            return ModelPatch("refitted", other.xml, other.effects, remaining, obstacle, errors)
-    return ModelPatch(
-        "not_written", None, (), effects, f"{obstacle}, also with parameters that were fitted to it alone", first
-    )
+        simple = _with_parameters_only(diagnosis) if found.remaining else None
+        if simple is None or not _worse(_errors(_replayed(robot.as_built(simple.xml), problems), alone), problems):
+            return ModelPatch("as_found", found.xml, found.effects, found.remaining, None, first)
+        obstacle = "replayed alone, it is worse than with parameters that were fitted without effects"
+    else:
+        obstacle = "replayed alone, it is worse than the model as built"
+    tried = [(each, _errors(built, _replayed(robot.as_built(each.xml), problems))) for each in _refitted(diagnosis)]
+    if not (good := [(each, errors) for each, errors in tried if not _worse(errors, problems)]):
+        obstacle += ", and so is every one with parameters that were fitted to it alone"
+        return ModelPatch("not_written", None, (), effects, obstacle, first)
+    other, errors = min(good, key=lambda pair: pair[1][-1].patched)  # of held-out recordings, if there are any
+    remaining = tuple(effect for effect in effects if effect.name not in [one.name for one in other.effects])
+    return ModelPatch("refitted", other.xml, other.effects, remaining, obstacle, errors)
+
+
+def _with_parameters_only(diagnosis: Diagnosis) -> ExportedModel | None:
+    """The model with parameters that were fitted without the patch; None if MJCF cannot hold it."""
+    robot = diagnosis.robot
+    try:
+        return exported(robot, robot.parameters(diagnosis.explanation.nominal.x), robot.known, _REFITTED)
+    except PatchError:
+        return None
 
 
 def _replayed(robot: Robot, problems: Sequence[Problem]) -> list[float]:
@@ -125,16 +139,26 @@ def _worse(errors: Sequence[ReplayError], problems: Sequence[Problem]) -> bool:
 
 
 def _refitted(diagnosis: Diagnosis) -> Iterator[ExportedModel]:
-    """Models with parameters, and laws of MJCF in the place of the patch's, that were fitted by least squares; the best
-    first, then the one with fitted parameters only."""
+    """Models with parameters, and laws of MJCF in the place of the patch's, that were fitted by least squares; the last
+    one with fitted parameters only."""
     robot, problem = diagnosis.robot, _plain(diagnosis.explanation.problem, diagnosis.robot)
-    hypotheses = sorted(descended(problem, _begun(diagnosis, problem)), key=lambda h: h.cost)
-    for each in [*hypotheses, diagnosis.explanation.nominal]:
+    for each in _distinct(descended(problem, _begun(diagnosis, problem))):
         effects = (*robot.known, *each.effects(problem.parameters))
         try:
             yield exported(robot, robot.parameters(each.x), effects, _REFITTED)
         except PatchError:
             continue
+    if simple := _with_parameters_only(diagnosis):
+        yield simple
+
+
+def _distinct(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """One hypothesis of those that have ended at the same cost."""
+    found: list[Hypothesis] = []
+    for each in hypotheses:
+        if not any(np.isclose(each.cost, one.cost, rtol=_SAME) for one in found):
+            found.append(each)
+    return found
 
 
 def _begun(diagnosis: Diagnosis, problem: Problem) -> list[Hypothesis]:
