@@ -181,6 +181,8 @@ def test_a_row_of_units(read):
         read(table, '[format]\nunit_row = "take"\n' + CLOCK + X.replace('"mm"', '"m"'))
     with pytest.raises(RecordingError, match=says("signals.x", "'[mm]'", "'ms'", "unit")):
         read(table, '[format]\nunit_row = "take"\n' + CLOCK + '[signals.x]\ncolumns = ["t", "x"]\n')
+    short = read(table.replace(",\u00b0", ""), '[format]\nunit_row = "take"\n' + CLOCK + X)
+    assert values(short) == [1, 2]
     with pytest.raises(RecordingError, match="no unit"):
         read(table, CLOCK + '[signals.x]\ncolumns = ["x"]\n')
 

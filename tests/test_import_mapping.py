@@ -164,3 +164,9 @@ def test_a_counter_that_overflows_is_unwrapped_and_said(read, bits, first):
 def test_a_clock_of_another_period_is_unwrapped_on_request(read):
     recording = read("t,f\n58,0\n59,1\n0,2\n1,3\n", CLOCK + "period = 60\n" + F)
     np.testing.assert_allclose(recording.signals["f"].time, range(4))
+
+
+def test_a_unit_of_time_that_no_robot_has_is_asked_for(read):
+    table = "t,f\n" + "".join(f"{10_000 * i},{i}\n" for i in range(20))
+    assert read(table, CLOCK + F).metadata[NOTES] == "signals.f: a sample every 10000 s; is the unit of time right?"
+    assert NOTES not in read(table, CLOCK + "unit = 'us'\n" + F).metadata

@@ -18,6 +18,8 @@ from soro_bench.recording.untrusted import named_errors, read_bytes
 MAX_BYTES = 1_000_000
 _ROUNDING = 1e-9  # s
 _REGULAR = 1.5  # times the median interval, up to which others are regular too
+_FEW = 10  # samples, of which nothing is asked
+_PACE = 1e-6, 100.0  # s between samples of a robot
 _SECTIONS = ("format", "time", "commands", "signals", "parameters", "metadata")
 _CLOCKS = ("column", "columns", "array", "source", "interval", "rate")  # one of them says when samples are
 _COUNTED = ("interval", "rate")
@@ -172,6 +174,7 @@ class FileMapping:
         _named(label, chosen, time, "refuse", *rows)
         if label.startswith("signals.") or source.unwrap:
             self.notes.add(label, _named(label, source.note, numbers, unit))
+        self.notes.add(label, _pace(since))
         return _named(label, source.signal, np.maximum(since, 0.0), numbers, unit)
 
 
@@ -182,6 +185,12 @@ def _between(since: np.ndarray, until: float) -> np.ndarray:
         return begun
     ended = np.flatnonzero(since[begun[0] :] >= until - _ROUNDING)
     return np.arange(begun[0], begun[0] + ended[0] if ended.size else len(since))
+
+
+def _pace(since: np.ndarray) -> str:
+    """A question about the unit of times that robots do not have, or ""."""
+    step = float(np.median(np.diff(since))) if len(since) > _FEW else 1.0
+    return "" if _PACE[0] <= step <= _PACE[1] else f"a sample every {step:g} s; is the unit of time right?"
 
 
 def _regular(since: np.ndarray) -> bool:

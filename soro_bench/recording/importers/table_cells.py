@@ -4,6 +4,7 @@ A block of lines is first read by pyarrow, which knows fewer ways to write a num
 read again cell by cell, which either succeeds or says in which line and why it cannot.
 """
 
+import csv
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -175,7 +176,7 @@ def _row_chunks(table: TableText, lines: Lines) -> Iterator[tuple["_Rows", int]]
     """Rows that are read one by one, and how many letters are behind them."""
     rows: list[list[str]] = []
     numbers: list[int] = []
-    for row in table.rows(lines):
+    for row in _parsed(table, lines):
         lines.begin_row()
         if len(row) > 1 or any(cell.strip() for cell in row):  # a row of empty cells counts, an empty line does not
             rows.append(_whole(table, row, lines.count))
@@ -185,6 +186,14 @@ def _row_chunks(table: TableText, lines: Lines) -> Iterator[tuple["_Rows", int]]
             rows, numbers = [], []
     if rows:
         yield _Rows(rows, np.array(numbers), table), lines.position
+
+
+def _parsed(table: TableText, lines: Lines) -> Iterator[list[str]]:
+    """The cells of each row; RecordingError for quotation marks that do not fit together."""
+    try:
+        yield from table.rows(lines)
+    except csv.Error as error:
+        raise RecordingError(f"the row in line {lines.count}: {error}; are quotation marks closed?") from error
 
 
 def _whole(table: TableText, row: list[str], line: int) -> list[str]:

@@ -71,7 +71,8 @@ class TableText:
         there = ", ".join(ascii(column)[1:-1] for column in self.header)[:200]
         called = f"called {ascii(name)[:80]}; there {'is' if len(self.header) == 1 else 'are'} {there}"
         if not found:
-            hint = "; are [format] delimiter and skip_rows right?" if len(self.header) == 1 else ""
+            odd = len(self.header) == 1 or not any(letter.isalpha() for column in self.header for letter in column)
+            hint = "; are [format] delimiter, skip_rows and header right?" if odd else ""
             raise RecordingError(f"no column is {called}{hint}")
         numbers = ", ".join(str(i + 1) for i in found)
         raise RecordingError(f"{len(found)} columns are {called}; choose one by its number, without quotes: {numbers}")
@@ -102,8 +103,16 @@ def read_text(data: bytes, options: Mapping[str, Any]) -> TableText:
     if not has_header:
         first, (lines.position, lines.count) = [str(i + 1) for i in range(len(first))], before
     units = [cell.strip() for cell in _first(lines, delimiter)] if unit_row else []
+    units += [""] * (len(first) - len(units))
     table = TableText(
-        text, lines.position, lines.count + 1, first, units if unit_row == "take" else [], delimiter, decimal, note
+        text,
+        lines.position,
+        lines.count + 1,
+        first,
+        units[: len(first)] if unit_row == "take" else [],
+        delimiter,
+        decimal,
+        note,
     )
     return _without_cut_line(table)
 
