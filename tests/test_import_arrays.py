@@ -153,13 +153,14 @@ def test_rows_with_a_label(read, labels, only):
             read(mapping.replace(only, wrong), t=TIME, x=FLAT, trial=labels)
 
 
-def test_times_of_single_precision_that_repeat(read):
+def test_times_of_single_precision_that_repeat(read, tmp_path):
     """Seconds since 1970 do not fit into one; what to write stands there, and works."""
     t = (1.7e9 + TIME).astype(np.float32)
     with pytest.raises(RecordingError, match=says("'t'", "single precision, steps of 128", "interval")):
         read(MAPPING, t=t, x=FLAT)
     signal = read(MAPPING.replace('array = "t"', "interval = 0.1"), t=t, x=FLAT).signals["x"]
     np.testing.assert_allclose(signal.time, TIME)
+    assert "t does not increase" in guess_mapping(tmp_path / "a.npz")
 
 
 def test_times_in_whole_nanoseconds_and_dates_keep_every_digit(read):

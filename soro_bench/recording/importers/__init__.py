@@ -21,7 +21,7 @@ _FUNCTIONS = {
     "motion_capture": "import_motion_capture", "csv_table": "import_csv", "lerobot": "import_lerobot",
 }  # fmt: skip
 _WITH_EPISODES = ("lerobot", "npz", "mat")
-_WITH_PROGRESS = ("csv_table", "bags")
+_WITH_PROGRESS = ("csv_table", "bags", "motion_capture")
 
 
 def import_recording(

@@ -267,14 +267,16 @@ def written(file: ArrayFile) -> str:
             continue
         parts = {f"{name}.{part}": array[part] for part in array.dtype.names or ()} or {name: array}
         shapes.update({key: each for key, each in parts.items() if each.dtype.kind in "fiubM" and each.size > 1})
-    clock = next((name for name in shapes if name.rpartition(".")[2].lower() in _CLOCKS), None)
+    clocks = [name for name in shapes if name.rpartition(".")[2].lower() in _CLOCKS]
+    clock = next((name for name in clocks if (np.diff(shapes[name].ravel().astype(float)) > 0).all()), None)
     rows = shapes[clock].size if clock else max((len(_line(array)) for array in shapes.values()), default=0)
     lines += ["", "[time]"]
     if clock:
         whole = ', or "ms", "us", "ns"' if shapes[clock].dtype.kind != "M" else ""
         lines += [f"array = {json.dumps(clock)}", f'unit = "s"{"  # " + whole[2:] if whole else ""}']
     else:
-        lines.append("interval = 0.01  # s between rows: no array is called time")
+        why = f"{ascii(clocks[0])[1:-1]} does not increase" if clocks else "no array is called time"
+        lines.append(f"interval = 0.01  # s between rows: {why}")
     lines.append("# [format] episode = 0 takes the first entry of the first axis; ends, lengths or label cut rows")
     for name, array in shapes.items():
         if name != clock:

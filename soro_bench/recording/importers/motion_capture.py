@@ -7,6 +7,7 @@ on CSV export in OptiTrack's, on ASCII export in Vicon's, and on motion data (.t
 import csv
 import io
 import math
+import re
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -36,6 +37,10 @@ _BY_TAB = ("\tSub Frame", "Frame#\t", "NO_OF_FRAMES\t", "FILE_VERSION\t")
 _BODY = 16  # numbers of a body of Qualisys: position, three angles, residual, rotation matrix
 _UNSEEN = ("", "nan", "null", "none", "#n/a")
 _MAX_HEADER = 200  # rows
+_PLAIN = re.compile(r"[-+0-9.,\s]*")
+_TOLD = 2000  # rows, after which the progress is told
+
+Progress = Callable[[str, int, int], None]
 
 Cells = list[str]
 
@@ -55,12 +60,12 @@ def is_export(path: str | Path, mapping: str | Path | Mapping | None) -> bool:
 
 
 def import_motion_capture(
-    path: str | Path, mapping: str | Path | Mapping | None, max_bytes: int = MAX_BYTES
+    path: str | Path, mapping: str | Path | Mapping | None, max_bytes: int = MAX_BYTES, progress: Progress | None = None
 ) -> Recording:
     """Read an export with a mapping that names markers; RecordingError says what is wrong with either."""
     if mapping is None:
         raise RecordingError(f"{path}: needs a mapping; soro-bench import {Path(path).name} --guess writes one")
-    return import_tracks(path, read_tracks(path, max_bytes), mapping, max_bytes)
+    return import_tracks(path, read_tracks(path, max_bytes, progress), mapping, max_bytes)
 
 
 def guess(path: str | Path) -> str:
@@ -68,14 +73,14 @@ def guess(path: str | Path) -> str:
     return written(read_tracks(path))
 
 
-def read_tracks(path: str | Path, max_bytes: int = MAX_BYTES) -> Tracks:
+def read_tracks(path: str | Path, max_bytes: int = MAX_BYTES, progress: Progress | None = None) -> Tracks:
     """Everything in an export; RecordingError says what is wrong with it."""
     with named_errors(path):
         text = read_text(path, max_bytes)
         head = _head(text)
         # a table of Vicon or OpenSim has tabs or commas, but for its names
         by_comma = head == "Format Version" or (head != "" and not any(sign in text for sign in _BY_TAB))
-        rows = _Rows(text, "," if by_comma else "\t")
+        rows = _Rows(text, "," if by_comma else "\t", progress)
         readers = {"PathFileType": _trc, "Format Version": _motive, **dict.fromkeys(_HEADS, _qualisys)}
         readers.update(dict.fromkeys(_SECTIONS, _vicon))
         if head not in readers:
@@ -91,12 +96,13 @@ def _head(text: str) -> str:
 class _Rows:
     """The rows of a table, which can be looked at before they are taken, and the line of the last one taken."""
 
-    def __init__(self, text: str, delimiter: str) -> None:
+    def __init__(self, text: str, delimiter: str, progress: Progress | None = None) -> None:
         self.line, self.notes = 0, list[str]()
         self._ahead: Cells | None = None
         self._complete = text.endswith("\n")
         self._lines = io.StringIO(text.lstrip("\r\n"), newline=None)
-        self._delimiter = delimiter
+        self._delimiter, self._progress, self._size = delimiter, progress, len(text)
+        self._plain = False  # whether the row that comes next has nothing but finite numbers
 
     def take(self, label: str) -> Cells:
         """The next row."""
@@ -111,22 +117,23 @@ class _Rows:
         if self._ahead is None and (line := self._lines.readline(_MAX_ROW + 1)):
             if len(line) > _MAX_ROW:
                 raise RecordingError(f"line {self.line + 1} has more than {_MAX_ROW} letters")
-            row = next(csv.reader([line], delimiter=self._delimiter), [])
+            row = (
+                line.split(self._delimiter) if '"' not in line else next(csv.reader([line], delimiter=self._delimiter))
+            )
             if len(row) > MAX_COLUMNS:
                 raise RecordingError(f"line {self.line + 1} has {len(row)} cells; at most {MAX_COLUMNS} are read")
-            self._ahead = [cell.strip() for cell in row] or [""]
+            self._ahead, self._plain = [cell.strip() for cell in row], _PLAIN.fullmatch(line) is not None
         return self._ahead
 
     def header(self, until: Callable[[Cells], bool], label: str) -> list[Cells]:
         """The rows before one, of which there are few."""
         found: list[Cells] = []
-        while (row := self.look()) is not None and not until(row):
-            found.append(self.take(label))
-            if len(found) > _MAX_HEADER:
+        for _ in range(_MAX_HEADER):
+            if (row := self.look()) is None:
                 break
-        else:
-            if row is not None:
+            if until(row):
                 return found
+            found.append(self.take(label))
         raise RecordingError(f"has no {label} in its first {_MAX_HEADER} lines; export it again with its header")
 
     def numbers(self, width: int, blocks: bool = False) -> np.ndarray:
@@ -148,9 +155,11 @@ class _Rows:
                 break
             if any(row[width:]):
                 raise RecordingError(f"line {self.line} has {len(row)} cells; the header has {width}")
-            cells.extend([self._number(cell) for cell in row[:width]])
+            cells.extend(self._numbers(row[:width]))
             cells.extend([math.nan] * (width - len(row)))
             count += 1
+            if self._progress and not count % _TOLD:
+                self._progress("read", self._lines.tell(), self._size)
             if count > MAX_ROWS or len(cells) > _MAX_CELLS:
                 raise RecordingError(f"more than {MAX_ROWS} rows or {_MAX_CELLS} cells")
         if not count:
@@ -159,6 +168,14 @@ class _Rows:
 
     def _is_cut(self) -> bool:
         return not self._complete and self.look() is None
+
+    def _numbers(self, cells: Cells) -> list[float]:
+        if self._plain and "" not in cells:
+            try:
+                return list(map(float, cells))
+            except ValueError:  # a decimal comma, or no number
+                pass
+        return [self._number(cell) for cell in cells]
 
     def _number(self, cell: str) -> float:
         if cell.lower() in _UNSEEN:
