@@ -3,7 +3,7 @@
 Takes a valid file of each kind, changes it at random (flips, overwrites, removes, repeats and moves bytes, cuts its end
 off) and counts what the reader makes of it.
 
-    python benchmarks/fuzz_recordings.py --examples 2000
+    python -m benchmarks.fuzz_recordings --examples 2000
 """
 
 import argparse
@@ -14,6 +14,7 @@ import tempfile
 import time
 import zipfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from mcap.writer import CompressionType, Writer
 
+from benchmarks.write_bags import mapping, states, write_ros1, write_ros2
+from benchmarks.write_bags import write_mcap as write_bag_mcap
 from soro_bench.markdown import header, row
 from soro_bench.recording.importers import import_recording
 from soro_bench.recording.parquet import load, save
@@ -158,6 +161,7 @@ def readers(folder: Path) -> dict[str, tuple[Path, Callable[[], Recording]]]:
     mapping = folders["csv"] / "map.toml"
     info = folders["lerobot"] / "meta" / "info.json"
     return {
+        **bag_readers(folder / "bags"),
         "native": (native, lambda: load(native)),
         "csv": (table, lambda: import_recording(table, mapping)),
         "mapping": (mapping, lambda: import_recording(table, mapping)),
@@ -168,6 +172,22 @@ def readers(folder: Path) -> dict[str, tuple[Path, Callable[[], Recording]]]:
         "lerobot": (data, lambda: import_recording(folders["lerobot"], episode=1)),
         "lerobot info": (info, lambda: import_recording(folders["lerobot"], episode=1)),
     }
+
+
+def bag_readers(folder: Path) -> dict[str, tuple[Path, Callable[[], Recording]]]:
+    """Bags with binary messages, by kind."""
+    folder.mkdir()
+    rows = list(states(count=50))
+    paths = {
+        "mcap cdr": write_bag_mcap(folder / "cdr.mcap", rows, chunk_size=2000),
+        "mcap cdr plain": write_bag_mcap(folder / "plain.mcap", rows, use_chunking=False),
+        "db3": write_ros2(folder / "sqlite", rows, "db3") / "sqlite.db3",
+        "bag": write_ros1(folder / "plain.bag", rows, chunk=2000),
+        "bag bz2": write_ros1(folder / "packed.bag", rows, "BZ2"),
+        "bag metadata": write_ros2(folder / "ros2", rows) / "metadata.yaml",
+    }
+    read = {name: path.parent if name == "bag metadata" else path for name, path in paths.items()}
+    return {name: (path, partial(import_recording, read[name], mapping(names=["b"]))) for name, path in paths.items()}
 
 
 def mutated(data: bytes, rng: np.random.Generator) -> bytes:

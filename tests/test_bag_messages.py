@@ -11,11 +11,22 @@ from mcap.writer import CompressionType
 from rosbags.interfaces import Nodetype
 
 from benchmarks.fuzz_recordings import write_mcap as write_two_topics
+from benchmarks.write_bags import (
+    HUMBLE,
+    JOINTS,
+    NOETIC,
+    START,
+    STEP,
+    mapping,
+    states,
+    write_json,
+    write_mcap,
+    write_ros2,
+)
 from soro_bench.recording.importers import guess_mapping, import_recording
 from soro_bench.recording.importers.bags.fields import Slot
 from soro_bench.recording.importers.bags.layout import Run, Walk, types_of
 from soro_bench.recording.recording import RecordingError
-from tests.bags import HUMBLE, JOINTS, NOETIC, START, STEP, mapping, states, write_json, write_mcap, write_ros2
 from tests.recordings import says
 
 NOTES = "import_notes"

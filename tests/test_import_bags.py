@@ -13,9 +13,7 @@ pytest.importorskip("rosbags")
 import zstandard
 from mcap.writer import CompressionType
 
-from soro_bench.recording.importers import guess_mapping, import_recording
-from soro_bench.recording.recording import RecordingError
-from tests.bags import (
+from benchmarks.write_bags import (
     HUMBLE,
     JOINTS,
     LATE,
@@ -30,6 +28,8 @@ from tests.bags import (
     write_ros1,
     write_ros2,
 )  # fmt: skip
+from soro_bench.recording.importers import guess_mapping, import_recording
+from soro_bench.recording.recording import RecordingError
 from tests.recordings import says
 
 NOTES = "import_notes"

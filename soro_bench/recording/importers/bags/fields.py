@@ -126,6 +126,15 @@ def names_beside(content: Any, path: Sequence[Step]) -> list[str]:
     return seen.labels[: len(node)] if is_list(node) and len(seen.labels) >= len(node) else []
 
 
+def entry_names(entries: Sequence[Mapping[str, Any]]) -> list[str]:
+    """How a path chooses each entry of a list by its name, such as "child_frame_id=tool"; none if it cannot."""
+    keys = _members(entries[0])
+    key = next(iter(keys), "")
+    names = [str(entry.get(key)) for entry in entries]
+    fit = len(keys) == 1 and len(set(names)) == len(names) and all(_STEP.fullmatch(f"[{key}={name}]") for name in names)
+    return [f"{key}={name}" for name in names] if fit and isinstance(keys[key], str) else []
+
+
 def flatten(node: Any, leaves: list[Any]) -> None:
     """Append the numbers, or what stands for them, of a number or of nested lists."""
     if is_list(node):

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from soro_bench.recording.importers.bags.fields import (
     Seen,
     Slot,
     Step,
+    entry_names,
     follow,
     is_list,
     listed,
@@ -31,6 +32,9 @@ from soro_bench.recording.importers.tracks import signal_name
 from soro_bench.recording.recording import RecordingError
 from soro_bench.recording.untrusted import EXPANSION, named_errors
 
+_IS_NUMBER = re.compile(r"[+-]?(nan|inf(inity)?|[\d.]+)", re.IGNORECASE)  # as JSON has those that it cannot write
+_BYTES = "Bb?"  # codes of what is rarely a signal
+_MOST_PUBLISHERS = 8  # of a topic
 _KEPT = 50  # messages of a topic that are looked at
 _MOST_FIELDS, _MOST_NUMBERS = 40, 1000  # of a topic, and of a field that becomes a signal
 _DAY, _ALIKE = (
@@ -41,8 +45,12 @@ _STAMPS = ("header.stamp", "stamp", "timestamp", "time")
 _COMMANDS = re.compile(
     r"(^|[/_])(cmd|command|commands|action|actions|target|goal|desired|reference|setpoint)s?($|[/_])"
 )
-_IGNORED = re.compile(r"covariance|^header\.|(^|\.)(stamp|timestamp|time|sec|nanosec|secs|nsecs|seq)$")
-_LEFT_OUT = ("/rosout", "/parameter_events", "/tf_static")
+_IGNORED = re.compile(
+    r"covariance|variance|^header\.|^layout\.|(^|\.)(stamp|timestamp|time|sec|nanosec|secs|nsecs|seq)$"
+)
+_LEFT_OUT = re.compile(  # types that hold no signals
+    r"/(Log|ParameterEvent|DiagnosticArray|(Compressed)?Image|CameraInfo|PointCloud2?|LaserScan|OccupancyGrid|Marker(Array)?)$"
+)
 _UNITS = (  # by the end of the path, the first that fits
     (r"angular_velocity(\.[xyz])?|angular\.[xyz]|velocity|velocities", "rad/s"),
     (r"linear_acceleration(\.[xyz])?|accel\.linear\.[xyz]", "m/s^2"),
@@ -76,8 +84,15 @@ class _Proposal:
 
     fields: list[str]
     names: list[str]
-    size: int
     unit: str
+
+
+class _Leaf(NamedTuple):
+    """What a field of a message holds."""
+
+    kind: str  # numbers, text, names, entries, bytes
+    size: int | None
+    is_list: bool
 
 
 def guess(path: str | Path) -> str:
@@ -127,7 +142,7 @@ def _look(topic: _Topic, channel: Channel, received: int, data: bytes) -> None:
 
 
 def _written(path: Path, topics: Mapping[str, _Topic], notes: list[str]) -> str:
-    proposals = {name: _proposals(topic) for name, topic in sorted(topics.items()) if name not in _LEFT_OUT}
+    proposals = {name: _proposals(topic) for name, topic in sorted(topics.items())}
     clocks = {name: _clock(topics[name]) for name, found in proposals.items() if found}
     used = set(clocks.values())
     clock = used.pop() if len(used) == 1 else "log_time"
@@ -143,7 +158,7 @@ def _written(path: Path, topics: Mapping[str, _Topic], notes: list[str]) -> str:
     for name, topic in sorted(topics.items()):
         lines += ["", *_described(name, topic)]
         group = "commands" if _COMMANDS.search(name.lower()) else "signals"
-        for proposal in proposals.get(name, []):
+        for proposal in proposals[name]:
             lines += _section(group, name, proposal, taken)
     return "\n".join(lines) + "\n"
 
@@ -155,9 +170,18 @@ def _described(name: str, topic: _Topic) -> list[str]:
     lines = [f"# {shown(name)}: {shown(topic.channel.type) or topic.channel.encoding}, {topic.count} messages{rate}"]
     if topic.problem:
         return [*lines, f"#   not read: {topic.problem}"]
-    fields = [f"{path} {size}" for path, size, _ in _leaves(topic.contents[0])]
+    fields = [f"{path}: {_sizes(leaves)}" for path, leaves in _fields(topic).items()]
     more = [f"and {len(fields) - _MOST_FIELDS} more"] if len(fields) > _MOST_FIELDS else []
     return [*lines, *(f"#   {shown(text)}" for text in (*fields[:_MOST_FIELDS], *more))]
+
+
+def _sizes(leaves: list[_Leaf]) -> str:
+    """What a field holds in all messages."""
+    sizes = sorted({leaf.size for leaf in leaves if leaf.size is not None})
+    if not sizes:
+        return leaves[0].kind
+    count = f"{sizes[0]} to {sizes[-1]}" if len(sizes) > 1 else f"{sizes[0]}"
+    return count if leaves[0].kind == "numbers" else f"{count} {leaves[0].kind}"
 
 
 def _section(group: str, topic: str, proposal: _Proposal, taken: set[str]) -> list[str]:
@@ -184,24 +208,26 @@ def _common(fields: list[str]) -> str:
 
 
 def _proposals(topic: _Topic) -> list[_Proposal]:
-    """Signals of a topic: each list of numbers, and the numbers that stand together in one part of a message."""
-    if topic.problem or not topic.contents:
+    """Signals of a topic: lists of numbers, and the numbers of one unit that stand together in a part of a message."""
+    if topic.problem or _LEFT_OUT.search(topic.channel.type):
         return []
-    groups: dict[str, list[str]] = {}
+    groups: dict[tuple[str, str], list[str]] = {}
     found = []
-    for path, size, value in _leaves(max(topic.contents, key=lambda content: len(_leaves(content)))):
-        if _IGNORED.search(path) or not path or not isinstance(size, int):
+    for path, leaves in _fields(topic).items():
+        sizes = {leaf.size for leaf in leaves}
+        if leaves[0].kind != "numbers" or _IGNORED.search(path) or not path:
             continue
-        if not is_list(value):
-            groups.setdefault(path.rpartition(".")[0], []).append(path)
-        elif 0 < size <= _MOST_NUMBERS and getattr(value, "code", "d") not in ("B", "b"):
-            found += [_Proposal([path], names, size, _unit(path)) for names in _names(topic, path)]
-    scalars = [_Proposal(paths, [], len(paths), _unit(paths[0])) for paths in groups.values()]
-    return [*found, *scalars][:_MOST_FIELDS]
+        if not leaves[0].is_list:
+            groups.setdefault((path.rpartition(".")[0], _unit(path)), []).append(path)
+        elif 0 < max(filter(None, sizes), default=0) <= _MOST_NUMBERS:
+            names = _names(topic, path)
+            if names or len(sizes) == 1:  # otherwise which number is which changes
+                found += [_Proposal([path], each, _unit(path)) for each in names or [[]]]
+    return [*found, *(_Proposal(paths, [], unit) for (_, unit), paths in groups.items())][:_MOST_FIELDS]
 
 
 def _names(topic: _Topic, path: str) -> list[list[str]]:
-    """The names beside a list, a list for each publisher whose names no other has; [[]] if there are none."""
+    """The names beside a list, a list for each publisher whose names no other has; none if there are none."""
     found: list[list[str]] = []
     for content in topic.contents:
         try:
@@ -211,9 +237,9 @@ def _names(topic: _Topic, path: str) -> list[list[str]]:
         known = next((each for each in found if set(each) & set(names)), None)
         if known is not None:
             known += [name for name in names if name not in known]
-        elif names:
+        elif names and len(set(names)) == len(names):
             found.append(names)
-    return found or [[]]
+    return found[:_MOST_PUBLISHERS]
 
 
 def _clock(topic: _Topic) -> str:
@@ -236,24 +262,39 @@ def _time(content: Any, path: tuple[Step, ...]) -> int:
     return nanoseconds([part.value if isinstance(part, Slot) else part for part in parts], 1.0, "")
 
 
-def _leaves(content: Any, path: str = "") -> list[tuple[str, int | str, Any]]:
-    """Path, size and value of every field of a message; of texts, and of lists of other things, what they are."""
+def _fields(topic: _Topic) -> dict[str, list[_Leaf]]:
+    """What messages hold, by path: a leaf for each message that has it."""
+    found: dict[str, list[_Leaf]] = {}
+    for content in topic.contents:
+        for path, leaf in _leaves(content, ""):
+            found.setdefault(path, []).append(leaf)
+    return found
+
+
+def _leaves(content: Any, path: str) -> Iterator[tuple[str, _Leaf]]:
+    """Every field of a message, and of the entries of its lists those that have names, or the first."""
     if isinstance(content, Mapping):
-        return [
-            leaf
-            for key, value in content.items()
-            for leaf in _leaves(value, f"{path}.{key}".removeprefix("."))
-            if re.fullmatch(r"[^.\[\]]+", str(key))
-        ]
-    if not is_list(content):
-        return [(path, 1 if isinstance(content, (int, float, Slot)) else "text", content)]
-    if len(content) and isinstance(content[0], Mapping):
-        return [(path, f"{len(content)} entries", content), *_leaves(content[0], f"{path}[0]")[:_MOST_FIELDS]]
-    if len(content) and all(isinstance(entry, str) for entry in content):
-        return [(path, f"texts: {listed(content)}", content)]
-    if len(content) and is_list(content[0]):
-        return [(path, int(np.size(content)) if _is_even(content) else "uneven lists", content)]
-    return [(path, len(content), content)]
+        for key, value in content.items():
+            if re.fullmatch(r"[^.\[\]]+", str(key)):
+                yield from _leaves(value, f"{path}.{key}".removeprefix("."))
+    elif not is_list(content):
+        is_number = isinstance(content, (int, float, Slot)) or content is None
+        yield path, _Leaf("numbers", 1, False) if is_number else _Leaf("text", None, False)
+    elif len(content) and isinstance(content[0], Mapping):
+        yield path, _Leaf("entries", len(content), True)
+        names = entry_names(content)
+        for i, entry in enumerate(content[: len(names) or 1]):
+            place = f"{path}[{names[i]}]" if names else f"{path}[0]"
+            yield from _leaves(entry, place)
+    elif len(content) and all(isinstance(entry, str) and not _IS_NUMBER.fullmatch(entry) for entry in content):
+        yield path, _Leaf(f"names ({listed(content)})", len(content), True)
+    elif len(content) and is_list(content[0]):
+        is_even = _is_even(content)
+        yield path, _Leaf("numbers" if is_even else "uneven lists", int(np.size(content)) if is_even else None, True)
+    elif getattr(content, "code", "d") in _BYTES:
+        yield path, _Leaf("bytes", len(content), True)
+    else:
+        yield path, _Leaf("numbers", len(content), True)
 
 
 def _is_even(content: Any) -> bool:

@@ -1,4 +1,4 @@
-"""Small bags for tests, written by the libraries that others write theirs with."""
+"""Small bags for tests and large ones to measure with, written by the libraries that others write theirs with."""
 
 import json
 

@@ -1,0 +1,110 @@
+"""Time and memory that it takes to read and check large logs: a file of each kind, read by a process of its own.
+
+    python -m benchmarks.import_speed --megabytes 100
+
+A bag holds the states of seven joints at 1 kHz, of which the mapping takes the positions by name.
+"""
+
+import argparse
+import multiprocessing
+import resource
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.write_bags import (
+    START,
+    TOPIC,
+    CompressionType,
+    write_json,
+    write_mcap,
+    write_ros1,
+    write_ros2,
+)
+from soro_bench.markdown import header, row
+from soro_bench.progress import ReadingBar
+from soro_bench.recording.importers import import_recording
+
+JOINTS = [f"joint_{i}" for i in range(7)]
+MAPPING = {"signals": {"q": {"topic": TOPIC, "fields": ["position"], "names": JOINTS, "unit": "rad",
+                             "time": "header.stamp"}}}  # fmt: skip
+STEP = 1_000_000  # ns
+SAMPLE = 1000  # messages, of which one more file tells how large a message is
+
+
+def states(count: int) -> Iterator[tuple]:
+    """(time of receipt [ns], stamp [ns], names, positions) of so many messages."""
+    rng = np.random.default_rng(0)
+    for k in range(count):
+        yield START + k * STEP + STEP // 2, START + k * STEP, JOINTS, rng.normal(size=len(JOINTS))
+
+
+def json_states(count: int) -> Iterator[tuple]:
+    """The same as JSON."""
+    for received, stamp, names, positions in states(count):
+        header = {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}, "frame_id": "base"}
+        yield received, {"header": header, "name": names, "position": list(positions)}
+
+
+# by kind: what writes so many messages into a folder, and the mapping that reads them
+KINDS: dict[str, tuple[Callable[[Path, int], Path], dict]] = {
+    "MCAP, JSON": (
+        lambda folder, n: write_json(folder / "a.mcap", json_states(n), compression=CompressionType.NONE), MAPPING,
+    ),
+    "MCAP, CDR": (lambda folder, n: write_mcap(folder / "a.mcap", states(n)), MAPPING),
+    "MCAP, CDR, not compressed": (
+        lambda folder, n: write_mcap(folder / "a.mcap", states(n), compression=CompressionType.NONE), MAPPING,
+    ),
+    "SQLite": (lambda folder, n: write_ros2(folder / "bag", states(n), "db3"), MAPPING),
+    "ROS 1 bag": (lambda folder, n: write_ros1(folder / "a.bag", states(n)), MAPPING),
+}  # fmt: skip
+
+
+def size_of(path: Path) -> int:
+    """Bytes of a file, or of all files in a folder."""
+    return sum(file.stat().st_size for file in path.iterdir()) if path.is_dir() else path.stat().st_size
+
+
+def measure(path: Path, mapping: dict, answer: multiprocessing.Queue) -> None:
+    """Read a log; answer with its samples, seconds, and the largest memory of this process [MB]."""
+    begin = time.perf_counter()
+    with ReadingBar() as bar:
+        recording = import_recording(path, mapping, bar)
+    took = time.perf_counter() - begin
+    samples = len(recording.signals["q"].time)
+    answer.put((samples, took, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--megabytes", type=float, default=100.0, help="of each file")
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS), choices=list(KINDS))
+    arguments = parser.parse_args()
+    context = multiprocessing.get_context("spawn")  # nothing of this process counts there
+    rows = []
+    for kind in arguments.kinds:
+        write, mapping = KINDS[kind]
+        folder = Path(tempfile.mkdtemp())
+        small, some = size_of(write(folder, SAMPLE)), folder.with_name(folder.name + "_large")
+        some.mkdir()
+        path = write(some, max(1, round(SAMPLE * 1e6 * arguments.megabytes / small)))
+        answer: multiprocessing.Queue = context.Queue()
+        process = context.Process(target=measure, args=(path, mapping, answer))
+        process.start()
+        samples, took, memory = answer.get()
+        process.join()
+        size = size_of(path) / 1e6
+        rows.append((kind, f"{size:.0f}", samples, f"{took:.1f}", f"{size / took:.0f}", f"{memory:.0f}"))
+        for used in (folder, some):
+            shutil.rmtree(used)
+    print(header(("log", "MB", "samples", "seconds", "MB per s", "largest memory [MB]")))
+    for each in rows:
+        print(row(each))
+
+
+if __name__ == "__main__":
+    main()
