@@ -24,8 +24,8 @@ from benchmarks.write_bags import (
     write_ros2,
 )
 from soro_bench.recording.importers import guess_mapping, import_recording
-from soro_bench.recording.importers.bags.fields import Slot
-from soro_bench.recording.importers.bags.layout import Run, Walk, types_of
+from soro_bench.recording.importers.bags.fields import Run, Slot
+from soro_bench.recording.importers.bags.layout import Walk, types_of
 from soro_bench.recording.recording import RecordingError
 from tests.recordings import says
 

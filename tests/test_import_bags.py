@@ -296,8 +296,8 @@ def test_a_guess_describes_what_it_does_not_take(tmp_path):
     ]
     write_json(tmp_path / "a.mcap", ((START + k * STEP, row) for k, row in enumerate(rows)))
     guess = guess_mapping(tmp_path / "a.mcap")
-    assert "#   image 2000" in guess
-    assert "#   mode text" in guess
+    assert "#   image: 2000" in guess
+    assert "#   mode: text" in guess
     assert json.dumps(["pose.position.x", "pose.position.y", "pose.position.z"]) in guess
     (tmp_path / "a.toml").write_text(guess)
     assert import_recording(tmp_path / "a.mcap", tmp_path / "a.toml").names == ["joint_states_pose_position"]

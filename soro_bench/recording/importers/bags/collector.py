@@ -20,7 +20,6 @@ from soro_bench.recording.importers.bags.fields import (
     nanoseconds,
     number,
     parse_path,
-    shown_path,
     stamp_parts,
 )
 from soro_bench.recording.importers.bags.layout import Channel, Layout, Types, Walk
@@ -49,15 +48,17 @@ class Collector:
 
     def __init__(self, source: Source, spec: FileMapping) -> None:
         self.topic = _text("topic", source.place.get("topic"))
-        self._fields = [parse_path(text) for text in texts("fields", source.place.get("fields"))]
-        self._names = texts("names", source.place["names"]) if "names" in source.place else []
-        if "names_from" in source.place and not self._names:
+        self._asked = texts("fields", source.place.get("fields"))  # of each number, if they are chosen by name
+        self._fields = [parse_path(text) for text in self._asked]
+        names = texts("names", source.place["names"]) if "names" in source.place else []
+        if "names_from" in source.place and not names:
             raise RecordingError("names_from has no effect without names = [...]")
-        if self._names:
+        if names:
             if any(isinstance(step, Named) for path in self._fields for step in path):
                 raise RecordingError("names and a name in the path of a field: write one of them")
             where = _text("names_from", source.place.get("names_from", ""))
-            self._fields = [(*path, Named(name, where)) for path in self._fields for name in self._names]
+            self._fields = [(*path, Named(tuple(names), where, True)) for path in self._fields]
+            self._asked = [f"{text}[{name}]" for text in self._asked for name in names]
         self._by_name = any(isinstance(step, Named) for path in self._fields for step in path)
         clock = _text("time", source.place.get("time", spec.time.get("source", "log_time")))
         self._clock, self._path = clock, () if clock in CLOCKS else parse_path(clock)
@@ -65,7 +66,8 @@ class Collector:
         self._known = spec.format.get("definitions", {})
         self._received, self._stamps = array("q"), array("q")  # ns; lists would take four times the memory
         self._numbers = array("d")
-        self._size, self._labels, self._messages = 0, [""], 0
+        self._size, self._messages = 0, 0
+        self._labels: list[list[str]] = []  # the names beside the values of the first sample
         self._layouts: dict[tuple, list[Layout]] = {}
         self._types: dict[Channel, Types] = {}
         self._unknown: list[str] = []  # names of the first message that has none of those asked for
@@ -136,13 +138,13 @@ class Collector:
         if self._by_name and all(leaf is MISSING for leaf in leaves):
             self._unknown = self._unknown or list(dict.fromkeys(seen.names))
             return [], (), seen
-        if self._labels != seen.labels:
-            if self._labels != [""]:
-                raise RecordingError(
-                    f"topic {self.topic}: the names beside the values change, from {listed(self._labels)} to "
-                    f"{listed(seen.labels)}; choose values by name: names = [{listed(map(json.dumps, self._labels))}]"
-                )
-            self._labels = seen.labels
+        self._labels = self._labels or [seen.labels]
+        if seen.labels != self._labels[0]:
+            such = max(self._labels[0], seen.labels, key=len)
+            raise RecordingError(
+                f"topic {self.topic}: the names beside the values change, from {listed(self._labels[0])} to "
+                f"{listed(seen.labels)}; choose values by name, such as names = [{listed(map(json.dumps, such))}]"
+            )
         if not self._path:
             return leaves, (), seen
         return leaves, stamp_parts(follow(content, self._path, Seen()), self.topic), seen
@@ -181,13 +183,13 @@ class Collector:
     def _note_missing(self, numbers: np.ndarray, note: Callable[[str], None]) -> None:
         """Say which names some messages do not have, so that a signal of several may never be complete."""
         absent = np.isnan(numbers).mean(axis=0) if self._by_name else np.zeros(0)
-        few = [i for i, share in enumerate(absent) if share > 0]
-        if few and len(absent) > 1:
-            paths = listed([shown_path(self._fields[i]) for i in few]) if len(absent) == len(self._fields) else "values"
-            note(
-                f"{paths} missing in up to {100 * absent.max():.0f} % of the samples; if another node publishes them, "
-                "give them a signal of their own"
-            )
+        if not absent.any() or len(absent) < 2:
+            return
+        few = [asked for asked, share in zip(self._asked, absent, strict=False) if share > 0]
+        note(
+            f"{listed(few)} missing in up to {100 * absent.max():.0f} % of the samples; if another node publishes "
+            "them, give them a signal of their own"
+        )
 
 
 def _of_one_clock(

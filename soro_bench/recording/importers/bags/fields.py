@@ -4,11 +4,14 @@ A message is what JSON makes of one: dicts, lists, texts and numbers. Binary mes
 with a :class:`Slot` in the place of every number, so that what is found in one message says where it is in others.
 """
 
+import math
 import re
+import struct
 from calendar import timegm
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 from soro_bench.files import brief
@@ -47,15 +50,33 @@ class Text(str):
         return self
 
 
+class Run(Sequence):
+    """Numbers of one type that lie one after the other in a message."""
+
+    def __init__(self, data: bytes, order: str, offset: int, code: str, count: int) -> None:
+        self._data, self._order, self._offset, self.code, self._count = data, order, offset, code, count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, i: Any) -> Slot:
+        if not 0 <= i < self._count:
+            raise IndexError(i)
+        offset = self._offset + i * struct.calcsize("=" + self.code)
+        return Slot(offset, self.code, struct.unpack_from(self._order + self.code, self._data, offset)[0])
+
+
 @dataclass(frozen=True)
 class Named:
-    """A step to the entry that has a name, by a list of names beside it or by a member of its own."""
+    """A step to the entries that have these names, by a list of names beside them or by a member of their own."""
 
-    name: str
+    names: tuple[str, ...]
     key: str = ""  # where the names are; "": what looks like it
+    is_list: bool = False  # whether the entries of all names are meant, or that of the only one
 
     def __str__(self) -> str:
-        return f"[{self.key}={self.name}]" if self.key else f"[{self.name}]"
+        names = ", ".join(self.names)
+        return f"[{self.key}={names}]" if self.key else f"[{names}]"
 
 
 Step = str | int | Named
@@ -71,6 +92,8 @@ class Seen:
 
     def label(self, value: Any) -> str:
         """A name as text."""
+        if type(value) is str:
+            return value
         if isinstance(value, (Text, Slot)):
             self.compared.append(value)
         return str(value.value if isinstance(value, Slot) else value)
@@ -81,7 +104,7 @@ def parse_path(text: str) -> tuple[Step, ...]:
     if not text or _STEP.sub("", text).strip("."):
         raise RecordingError(f"field {ascii(text)[:80]} is no path such as pose.position[2] or position[name=elbow]")
     found = _STEP.findall(text)
-    return tuple(key or (Named(name, where) if where else int(index)) for key, index, where, name in found)
+    return tuple(key or (Named((name,), where) if where else int(index)) for key, index, where, name in found)
 
 
 def shown_path(path: Iterable[Step]) -> str:
@@ -96,13 +119,14 @@ def follow(content: Any, path: Sequence[Step], seen: Seen) -> Any:
     node = content
     for step in path:
         if isinstance(step, Named):
-            node = _named(node, above, step, path, seen)
-            if node is MISSING:
-                return MISSING
+            found = _named(node, above, step, path, seen)
+            if step.is_list or found[0] is MISSING:
+                return found if step.is_list else MISSING
+            node = found[0]
             continue
         if isinstance(step, int) and is_list(node) and step < len(node):
             seen.labels += _labels_of_entry(node, step, above, seen)
-        elif isinstance(node, Mapping):
+        elif isinstance(node, dict):
             above.append(node)
         try:
             node = node[step]
@@ -111,10 +135,7 @@ def follow(content: Any, path: Sequence[Step], seen: Seen) -> Any:
     if is_list(node):
         seen.labels += [seen.label(name) for names in _beside(node, above).values() for name in names]
     seen.labels += [
-        seen.label(value)
-        for each in above
-        for key, value in each.items()
-        if isinstance(value, str) and _NAME.search(key)
+        seen.label(value) for each in above for key, value in each.items() if isinstance(value, str) and _is_name(key)
     ]
     return node
 
@@ -139,8 +160,11 @@ def flatten(node: Any, leaves: list[Any]) -> None:
     """Append the numbers, or what stands for them, of a number or of nested lists."""
     if is_list(node):
         for entry in node:
-            flatten(entry, leaves)
-    elif isinstance(node, Mapping):
+            if isinstance(entry, (float, Slot)):
+                leaves.append(entry)
+            else:
+                flatten(entry, leaves)
+    elif isinstance(node, dict):
         raise RecordingError(f"a field holds {listed(node)}: name one of these in its path")
     else:
         leaves.append(node)
@@ -150,23 +174,23 @@ def flatten(node: Any, leaves: list[Any]) -> None:
 
 def number(leaf: Any) -> float:
     """A number of a JSON message; null and "NaN" are missing ones."""
-    if leaf is None or leaf is MISSING:
-        return float("nan")
-    if isinstance(leaf, str) and _NUMBER.fullmatch(leaf.strip()):
-        return float(leaf)
     if isinstance(leaf, (int, float)):
+        return float(leaf)
+    if leaf is None or leaf is MISSING:
+        return math.nan
+    if isinstance(leaf, str) and _NUMBER.fullmatch(leaf.strip()):
         return float(leaf)
     raise RecordingError(f"{ascii(leaf)[:80]} is no number")
 
 
 def is_list(node: Any) -> bool:
     """Whether it is a list of a message."""
-    return isinstance(node, Sequence) and not isinstance(node, (str, Slot))
+    return isinstance(node, (list, Run))
 
 
 def stamp_parts(node: Any, topic: str) -> tuple[Any, ...]:
     """Seconds and nanoseconds, or one number or text, of the field that holds a time."""
-    if not isinstance(node, Mapping):
+    if not isinstance(node, dict):
         return (node,)
     whole = [key for key in _WHOLE if key in node]
     if not whole:
@@ -215,18 +239,14 @@ def _single(stamp: Any, to_seconds: float) -> int:
     return round(factor * stamp)
 
 
-def _named(node: Any, above: list[Any], step: Named, path: Sequence[Step], seen: Seen) -> Any:
-    """The entry of a list that has a name, or a value beside which the name stands alone; MISSING if there is none."""
+def _named(node: Any, above: list[Any], step: Named, path: Sequence[Step], seen: Seen) -> list[Any]:
+    """The entries of a list that have the names, or the value beside which one stands; MISSING where it is not."""
     if not is_list(node):
-        for each in reversed(above):
-            keys = [step.key] if step.key else [k for k, v in each.items() if isinstance(v, str) and _NAME.search(k)]
-            if found := [seen.label(each[key]) for key in keys if key in each and not is_list(each[key])]:
-                seen.names += found
-                return node if step.name in found else MISSING
-        raise RecordingError(f"no name stands beside {shown_path(path)}")
+        names = _names_alone(above, step.key, path, seen)
+        return [node if name in names else MISSING for name in step.names]
     if not len(node):
-        return MISSING
-    own = _members(node[0]) if isinstance(node[0], Mapping) else {}
+        return [MISSING for _ in step.names]
+    own = _members(node[0]) if isinstance(node[0], dict) else {}
     if step.key in own or (own and not step.key):
         key = step.key or _only(own, path)
         names = [seen.label(entry.get(key)) for entry in node]
@@ -234,10 +254,26 @@ def _named(node: Any, above: list[Any], step: Named, path: Sequence[Step], seen:
         beside = _beside(node, above, step.key)
         names = [seen.label(name) for name in beside[_only(beside, path)]]
     seen.names += names
-    if names.count(step.name) > 1:
-        raise RecordingError(f"{brief(step.name)} stands {names.count(step.name)} times in the names {listed(names)}")
-    i = names.index(step.name) if step.name in names else len(node)
-    return node[i] if i < len(node) else MISSING
+    places = dict(zip(names, range(len(node)), strict=False))
+    if len(set(names)) < len(names) and (twice := [name for name in step.names if names.count(name) > 1]):
+        raise RecordingError(f"{brief(twice[0])} stands {names.count(twice[0])} times in the names {listed(names)}")
+    return [node[places[name]] if name in places else MISSING for name in step.names]
+
+
+def _names_alone(above: list[Any], key: str, path: Sequence[Step], seen: Seen) -> list[str]:
+    """The names that stand beside a single value: the nearest."""
+    for each in reversed(above):
+        keys = [key] if key else [k for k, v in each.items() if isinstance(v, str) and _is_name(k)]
+        if found := [seen.label(each[k]) for k in keys if k in each and not is_list(each[k])]:
+            seen.names += found
+            return found
+    raise RecordingError(f"no name stands beside {shown_path(path)}")
+
+
+@lru_cache(1000)
+def _is_name(key: str) -> bool:
+    """Whether what a message calls so is a name."""
+    return bool(_NAME.search(key))
 
 
 def _only(found: Mapping[str, Any], path: Sequence[Step]) -> str:
@@ -268,18 +304,18 @@ def _is_names(value: Any) -> bool:
 
 def _members(entry: Mapping[str, Any]) -> dict[str, Any]:
     """What may name an entry of a list: texts, or numbers if there are none."""
-    found = {k: v for k, v in entry.items() if _NAMING.search(k) and not is_list(v) and not isinstance(v, Mapping)}
+    found = {k: v for k, v in entry.items() if _NAMING.search(k) and not is_list(v) and not isinstance(v, dict)}
     return {k: v for k, v in found.items() if isinstance(v, str)} or found
 
 
 def _labels_of_entry(node: Any, i: int, above: list[Any], seen: Seen) -> list[str]:
     """The names of an entry that is chosen by its place."""
-    own = [seen.label(value) for value in _members(node[i]).values()] if isinstance(node[i], Mapping) else []
+    own = [seen.label(value) for value in _members(node[i]).values()] if isinstance(node[i], dict) else []
     return own + [seen.label(names[i]) for names in _beside(node, above).values()]
 
 
 def _hint(node: Any, step: Step) -> str:
-    if isinstance(node, Mapping):
+    if isinstance(node, dict):
         return f"; there {'are' if len(node) > 1 else 'is'} {listed(node)}" if node else ""
     if is_list(node) and isinstance(step, int):
         return f"; there are {len(node)} entries; choose by name with names = [...] if their number changes"

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from operator import itemgetter
 from typing import Any
 
-from soro_bench.recording.importers.bags.fields import MISSING, Slot, Text
+from soro_bench.recording.importers.bags.fields import MISSING, Run, Slot, Text
 from soro_bench.recording.recording import RecordingError
 
 _CODES = {
@@ -103,22 +103,6 @@ def _field(name: str, description: Any) -> Field:
 
 def _one_line(error: Exception) -> str:
     return ascii(" ".join(str(error).split()))[1:-1][:200]
-
-
-class Run(Sequence):
-    """Numbers of one type that lie one after the other in a message."""
-
-    def __init__(self, data: bytes, order: str, offset: int, code: str, count: int) -> None:
-        self._data, self._order, self._offset, self.code, self._count = data, order, offset, code, count
-
-    def __len__(self) -> int:
-        return self._count
-
-    def __getitem__(self, i: Any) -> Slot:
-        if not 0 <= i < self._count:
-            raise IndexError(i)
-        offset = self._offset + i * struct.calcsize("=" + self.code)
-        return Slot(offset, self.code, struct.unpack_from(self._order + self.code, self._data, offset)[0])
 
 
 class Walk:
