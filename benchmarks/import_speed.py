@@ -70,13 +70,13 @@ def size_of(path: Path) -> int:
 
 
 def measure(path: Path, mapping: dict, answer: multiprocessing.Queue) -> None:
-    """Read a log; answer with its samples, seconds, and the largest memory of this process [MB]."""
-    begin = time.perf_counter()
+    """Read a log; answer with its samples, seconds, seconds of work, and the largest memory of this process [MB]."""
+    begin, worked = time.perf_counter(), time.process_time()
     with ReadingBar() as bar:
         recording = import_recording(path, mapping, bar)
-    took = time.perf_counter() - begin
+    took, work = time.perf_counter() - begin, time.process_time() - worked
     samples = len(recording.signals["q"].time)
-    answer.put((samples, took, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024))
+    answer.put((samples, took, work, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024))
 
 
 def main() -> None:
@@ -95,13 +95,13 @@ def main() -> None:
         answer: multiprocessing.Queue = context.Queue()
         process = context.Process(target=measure, args=(path, mapping, answer))
         process.start()
-        samples, took, memory = answer.get()
+        samples, took, work, memory = answer.get()
         process.join()
         size = size_of(path) / 1e6
-        rows.append((kind, f"{size:.0f}", samples, f"{took:.1f}", f"{size / took:.0f}", f"{memory:.0f}"))
+        rows.append((kind, f"{size:.0f}", samples, f"{took:.1f}", f"{work:.1f}", f"{size / work:.0f}", f"{memory:.0f}"))
         for used in (folder, some):
             shutil.rmtree(used)
-    print(header(("log", "MB", "samples", "seconds", "MB per s", "largest memory [MB]")))
+    print(header(("log", "MB", "samples", "s", "CPU s", "MB per CPU s", "largest memory [MB]")))
     for each in rows:
         print(row(each))
 

@@ -165,6 +165,14 @@ def test_messages_of_one_time_are_one_sample(tmp_path):
     np.testing.assert_array_equal(signal.values, [[1, 3]] * 10)
 
 
+def test_a_message_with_an_empty_list_is_no_sample(tmp_path):
+    """Such as one of a robot that has not started yet."""
+    rows = [(START + k * STEP, START + k * STEP, *((["a", "b"], [1, 2]) if k > 2 else ([], []))) for k in range(9)]
+    for choice in ({}, {"names": ["a", "b"]}):
+        signal = import_recording(write_mcap(tmp_path / "a.mcap", rows), mapping(**choice)).signals["q"]
+        np.testing.assert_array_equal(signal.values, [[1, 2]] * 6)
+
+
 def test_names_of_entries_and_names_that_stand_alone(tmp_path):
     pairs = [(("base", 9), ("tool", k))[:: 1 - 2 * (k % 2)] for k in range(10)]
     tools = [{"transforms": [{"child_frame_id": name, "p": {"x": x}} for name, x in pair]} for pair in pairs]
@@ -294,6 +302,8 @@ def test_stamps_that_are_not_set_are_left_out(tmp_path):
     simulated = import_recording(write_mcap(tmp_path / "a.mcap", stamped(range(0, 25 * STEP, STEP // 2))), mapping())
     np.testing.assert_allclose(simulated.signals["q"].time, 0.005 * np.arange(50), atol=1e-9)  # a clock of its own
     assert NOTES not in simulated.metadata
+    slow = import_recording(write_mcap(tmp_path / "a.mcap", stamped(range(0, 200 * STEP, STEP // 2))), mapping())
+    assert "header.stamp and the times of receipt drift apart by -1.8 s" in slow.metadata[NOTES]
 
 
 def test_messages_out_of_order(tmp_path):

@@ -4,6 +4,7 @@ import json
 import shutil
 import sqlite3
 import struct
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -73,6 +74,7 @@ KINDS = {
     "SQLite": lambda folder: write_ros2(folder / "bag", states(), "db3") / "bag.db3",
     "ROS 1": lambda folder: write_ros1(folder / "a.bag", states()),
     "ROS 1, bz2": lambda folder: write_ros1(folder / "a.bag", states(), "BZ2"),
+    "ROS 1, not finished": lambda folder: write_ros1(folder / "a.bag", states()).rename(folder / "a.bag.active"),
     "ROS 1, lz4": lambda folder: write_ros1(folder / "a.bag", states(), "LZ4"),
 }
 
@@ -89,7 +91,7 @@ def test_every_kind_of_bag_is_read(bag):
     np.testing.assert_array_equal(signal.values, [position for *_, position in states()])
     np.testing.assert_allclose(signal.time, 0.01 * np.arange(200), rtol=0, atol=1e-9)
     assert float(recording.metadata["start_time"]) == pytest.approx(START / 1e9, abs=1e-6)
-    assert NOTES not in recording.metadata
+    assert NOTES not in recording.metadata or bag.suffix == ".active"
 
 
 def test_the_guess_of_every_kind_of_bag_can_be_imported(bag, tmp_path):
@@ -139,7 +141,7 @@ def test_a_split_bag_is_read_whole(tmp_path, kind):
     (tmp_path / "metadata.yaml").rename(tmp_path / "kept")
     recording = import_recording(tmp_path, mapping())
     np.testing.assert_array_equal(recording.signals["q"].values[:, 1], -np.arange(220))
-    assert "no metadata.yaml (recorder killed?); 11 files are read" in recording.metadata[NOTES]
+    assert "metadata.yaml is missing or empty (recorder killed?); 11 files are read" in recording.metadata[NOTES]
     (tmp_path / "kept").rename(tmp_path / "metadata.yaml")
     parts[3].unlink()
     with pytest.raises(RecordingError, match=says("not complete", f"bag_3.{kind}")):
@@ -282,6 +284,18 @@ def test_bombs(tmp_path):
     (tmp_path / "d.mcap").write_bytes(b"\x89MCAP0\r\n" + struct.pack("<BQ", 6, len(chunk)) + chunk)
     with pytest.raises(RecordingError, match="1000 bytes that it declares"):
         import_recording(tmp_path / "d.mcap", mapping())
+
+
+def test_memory_holds_what_the_mapping_names(tmp_path):
+    """And one chunk of the file, however large it is."""
+    row = {"position": [1, 2], "image": "0123456789" * 5000}
+    path = write_json(tmp_path / "a.mcap", ((k, row) for k in range(400)), compression=CompressionType.NONE)
+    tracemalloc.start()
+    import_recording(path, mapping(time="log_time"))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert path.stat().st_size > 20_000_000
+    assert peak < 6_000_000
 
 
 def test_a_bag_that_is_too_large_says_what_to_do(tmp_path):

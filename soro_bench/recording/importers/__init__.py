@@ -13,7 +13,7 @@ from soro_bench.recording.recording import Recording, RecordingError
 _MODULES = {
     ".csv": "csv_table", ".tsv": "csv_table", ".txt": "csv_table", ".npz": "npz",
     ".npy": "npz", ".mat": "mat",
-    ".mcap": "bags", ".db3": "bags", ".bag": "bags", ".zstd": "bags", ".zst": "bags",
+    ".mcap": "bags", ".db3": "bags", ".bag": "bags", ".zstd": "bags", ".zst": "bags", ".active": "bags",
     ".c3d": "c3d_file", ".trc": "motion_capture",
 }  # fmt: skip
 _FUNCTIONS = {

@@ -36,6 +36,7 @@ _DAY = 86_400 * SECOND
 _LATE = SECOND  # by which messages that were sent earlier may arrive later
 _FROZEN = 1e-3  # of the time in which messages come: stamps that span less stand still
 _SLOW = SECOND // 10  # in which messages have to come, to tell that from a few messages
+_DRIFT, _SHARE = SECOND // 2, 0.01  # ns, and of the time: what two clocks drift apart beyond both is said
 _OFTEN = 0.1  # of the stamps: fewer that repeat are left out
 _PAUSE, _INTERVALS = SECOND, 20  # a gap is longer than both, in ns and in median intervals
 
@@ -135,6 +136,8 @@ class Collector:
         seen = Seen()
         for path in self._fields:
             flatten(follow(content, path, seen), leaves)
+        if not leaves:  # an empty list
+            return [], (), seen
         if self._by_name and all(leaf is MISSING for leaf in leaves):
             self._unknown = self._unknown or list(dict.fromkeys(seen.names))
             return [], (), seen
@@ -164,14 +167,15 @@ class Collector:
                     f"no message of topic {self.topic} has a name that is asked for; there are {listed(self._unknown)}"
                 )
             raise RecordingError(f"no messages of topic {self.topic}; {there}")
-        received = np.array(self._received)
-        numbers = np.array(self._numbers).reshape(len(received), -1)
-        order = np.argsort(received, kind="stable")  # messages may lie in the file in another order
-        received, numbers = received[order], numbers[order]
+        received = np.frombuffer(self._received, np.int64)
+        times = np.frombuffer(self._stamps, np.int64) if self._stamps else received
+        numbers = np.frombuffer(self._numbers).reshape(len(received), -1)
+        if (np.diff(received) < 0).any():  # messages may lie in the file in another order
+            order = np.argsort(received, kind="stable")
+            received, times, numbers = received[order], times[order], numbers[order]
         if (infinite := np.isinf(numbers)).any():
             numbers[infinite] = np.nan
             note(f"{infinite.sum()} infinite numbers are taken as missing")
-        times = np.array(self._stamps)[order] if self._stamps else received
         if self._stamps:
             times, numbers = _of_one_clock(times, received, numbers, self._clock, note)
         if not self._ordered:
@@ -209,6 +213,12 @@ def _of_one_clock(
             f"the stamps in {clock} stand still: they span {np.ptp(stamps) / SECOND:g} s, while messages came over "
             f'{np.ptp(received) / SECOND:g} s; write time = "log_time"'
         )
+    tenth = max(1, len(stamps) // 10)
+    apart = stamps - received
+    drift = int(np.median(apart[-tenth:]) - np.median(apart[:tenth]))
+    if abs(drift) > max(_DRIFT, _SHARE * np.ptp(received)):
+        note(f"{clock} and the times of receipt drift apart by {drift / SECOND:.3g} s (simulated time, a clock that "
+             "was set, or one that goes wrong)")  # fmt: skip
     return stamps, numbers
 
 
@@ -225,8 +235,8 @@ def _sorted(
     if late.any():
         note(f"{(late > 0).sum()} messages came up to {late.max() / SECOND:.3g} s later than others that were sent "
              "after them; sorted")  # fmt: skip
-    order = np.argsort(times, kind="stable")
-    times, numbers = times[order], numbers[order]
+        order = np.argsort(times, kind="stable")
+        times, numbers = times[order], numbers[order]
     repeats = np.flatnonzero(np.diff(times) == 0)
     if not repeats.size:
         return times, numbers

@@ -78,12 +78,13 @@ def _opened(path: Path, reading: Reading) -> Iterator[sqlite3.Connection]:
     if not head.startswith(_MAGIC) or len(head) < 100:
         raise RecordingError("is no SQLite database: it does not begin like one")
     size = path.stat().st_size
-    log = path.with_name(path.name + "-wal")
+    logs = [path.with_name(path.name + end) for end in ("-wal", "-journal")]  # that a killed recorder leaves
+    logs = [log for log in logs if log.is_file() and 0 < log.stat().st_size <= size + 10 * MAX_MESSAGE]
     with tempfile.TemporaryDirectory() as folder:
-        if log.is_file() and 0 < log.stat().st_size <= size + 10 * MAX_MESSAGE:  # of a recorder that was killed
-            reading.notes.append(f"{log.name} is read too: what a killed recorder had not yet written into the file")
-            shutil.copy(path, Path(folder, path.name))
-            shutil.copy(log, Path(folder, log.name))
+        if logs:
+            reading.notes.append(f"{logs[0].name} is read too: what a killed recorder had not yet written or undone")
+            for each in (path, *logs):
+                shutil.copy(each, Path(folder, each.name))
             address = f"{Path(folder, path.name).as_uri()}?mode=rw"
         else:
             address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"

@@ -26,6 +26,7 @@ from soro_bench.recording.untrusted import named_errors, read_bytes
 
 SUFFIXES = (".mcap", ".db3", ".bag")
 PACKED = (".zstd", ".zst")
+ACTIVE = ".active"  # behind the name of a bag of ROS 1 that is being written
 METADATA = "metadata.yaml"
 MAX_FILES = 1000
 _MAX_METADATA = 2_000_000  # bytes
@@ -43,13 +44,15 @@ def is_bag(path: Path) -> bool:
 def files_of(path: Path, notes: list[str]) -> list[Path]:
     """The files of a bag in their order; RecordingError if some are missing, or they are of several bags."""
     if not path.is_dir():
+        if path.name.lower().endswith(ACTIVE):
+            notes.append("is of a recorder that was killed; what is there is read")
         return [path]
     there = _inside(path)
-    if not (path / METADATA).is_file():
+    if not (path / METADATA).is_file() or not (path / METADATA).stat().st_size:
         stems = {_PART.sub("", _stem(file)) for file in there}
         if len(stems) != 1:
             raise RecordingError(f"no {METADATA}, and files of {len(stems)} bags: {_names(there)}; import one of them")
-        notes.append(f"there is no {METADATA} (recorder killed?); {len(there)} files are read")
+        notes.append(f"{METADATA} is missing or empty (recorder killed?); {len(there)} files are read")
         return there
     files = [_present(path, name) for name in _listed(path / METADATA)]
     if others := [file for file in there if file not in files]:
@@ -137,7 +140,7 @@ def _inside(folder: Path) -> list[Path]:
 def _kind(path: Path) -> str:
     """The suffix of a bag, without that of what it is packed with; "" if it is none."""
     name = path.name.lower()
-    for suffix in PACKED:
+    for suffix in (*PACKED, ACTIVE):
         name = name.removesuffix(suffix)
     return next((suffix for suffix in SUFFIXES if name.endswith(suffix)), "")
 
