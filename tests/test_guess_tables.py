@@ -51,6 +51,8 @@ def test_encoding_delimiter_decimal_and_units_of_the_header(guessed):
         (table("# t  q u", "{t}   {i}  1 "), {"delimiter": "blank"}),
         (table("Take 7\nat noon, in the hall\nt\tq\tu", "{t}\t{i}\t1"), {"delimiter": "\t", "skip_rows": 2}),
         (table("t,q,u\ns,deg,V", "{t},{i},1"), {"unit_row": "take"}),
+        (table("%  t q u\n% s deg V", "  {t}  {i} 1"), {"delimiter": "blank", "unit_row": "take"}),
+        (table("t,q,status,mode,u\n0.0,ERR,OK,on,1", "{t}1,{i},OK,off,1"), None),
         (table("t,q,u", "{t},{i},1", "\r\n")[:-5], None),
     ],
 )
@@ -87,6 +89,12 @@ def test_the_unit_of_time(guessed, header, row, unit):
     mapping, _ = guessed(table(f"{header},x", row + ",{t}"))
     assert mapping["time"]["column"] == header
     assert mapping["time"].get("unit") == unit
+
+
+def test_without_a_column_of_time_rows_are_counted(guessed):
+    mapping, recording = guessed(table("x,y", "{i}.5,{t}"))
+    assert mapping["time"] == {"rate": 100.0}
+    assert recording.signals.keys() == {"x", "y"}
 
 
 def test_numbered_columns_and_points_become_one_signal(guessed):
@@ -151,6 +159,7 @@ def test_what_is_no_table(tmp_path, data):
         ("load [kp]", ("load", None)),
         ("m_in", ("m_in", None)),
         ("t", ("t", None)),
+        ("/joint/pos[3]", ("/joint/pos3", None)),
     ],
 )
 def test_units_in_names(name, expected):

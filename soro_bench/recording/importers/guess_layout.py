@@ -145,14 +145,17 @@ def _rows_before(rows: list[list[str]], decimal: str, delimiter: str) -> dict[st
     if not filled:
         raise RecordingError("there are no rows")
     count = Counter(map(len, filled)).most_common(1)[0][0]
-    data = next((i for i, row in enumerate(rows) if abs(len(row) - count) <= 1 and _is_data(row, decimal)), None)
+    numeric = _numeric([row for row in filled if abs(len(row) - count) <= 1], decimal)
+    data = next(
+        (i for i, row in enumerate(rows) if abs(len(row) - count) <= 1 and _is_data(row, numeric, decimal)), None
+    )
     if data is None:
         raise RecordingError("no row of numbers is found; a table of text has rows of numbers between delimiters")
     above = [i for i in range(data) if any(rows[i])]
     if not above or abs(_named(rows[above[-1]], delimiter) - len(rows[data])) > 1:
         return {"header": False, **({"skip_rows": data} if data else {})}
     header, options = above[-1], {}
-    if len(above) > 1 and _is_units(rows[above[-1]]) and abs(len(rows[above[-2]]) - len(rows[data])) <= 1:
+    if len(above) > 1 and _is_units(rows[above[-1]]) and abs(_named(rows[above[-2]], delimiter) - len(rows[data])) <= 1:
         header, options = above[-2], {"unit_row": "take"}
     return ({"skip_rows": header} if any(any(row) for row in rows[:header]) else {}) | options
 
@@ -162,14 +165,25 @@ def _named(row: list[str], delimiter: str) -> int:
     return len(row) - (delimiter == BLANK and row[:1] in (["#"], ["%"]))
 
 
-def _is_data(row: list[str], decimal: str) -> bool:
-    said = [cell for cell in row if cell]
-    numbers = sum(is_number(cell, decimal) or is_stamp(cell) for cell in said)
-    return numbers > 0 and numbers >= _MOST * len(said)
+def _numeric(rows: list[list[str]], decimal: str) -> list[int]:
+    """The columns that are numbers or times in most rows."""
+    found = []
+    for i in range(max(map(len, rows), default=0)):
+        said = [row[i] for row in rows if i < len(row) and row[i]]
+        good = sum(is_number(cell, decimal) or is_stamp(cell) for cell in said)
+        found += [i] if good > _MOST * len(said) else []
+    return found
+
+
+def _is_data(row: list[str], numeric: list[int], decimal: str) -> bool:
+    """Whether most cells of a row are numbers where they are expected."""
+    said = [row[i] for i in numeric if i < len(row) and row[i]]
+    good = sum(is_number(cell, decimal) or is_stamp(cell) for cell in said)
+    return good > 0 and good >= _MOST * len(said)
 
 
 def _is_units(row: list[str]) -> bool:
-    said = [cell for cell in row if cell]
+    said = [cell for i, cell in enumerate(row) if cell and not (i == 0 and cell in "#%")]
     return sum(of_text(cell) is not None for cell in said) > _MOST * len(said)
 
 

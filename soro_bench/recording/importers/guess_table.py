@@ -94,13 +94,16 @@ def toml(value: object) -> str:
         return f"[{', '.join(map(toml, value))}]"
     if not isinstance(value, str):
         return repr(value)
-    letters = (c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in value)
+    letters = ("\\t" if c == "\t" else c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in value)
     return f'"{"".join(letters)}"'
 
 
 def split_unit(name: str) -> tuple[str, str | None]:
     """A name in a header without its unit, and the unit: of "q [deg]", "pos_mm" or "speed_rad_s"."""
-    if found := _BRACKETS.match(name):
+    found = _BRACKETS.match(name)
+    if found and found[2].isdecimal():  # an index
+        return found[1] + found[2], None
+    if found:
         return found[1] or name, of_text(found[2])
     if "_per_" in name:
         amount, _, time = name.rpartition("_per_")
@@ -132,9 +135,11 @@ def _time(columns: Sequence[Column]) -> tuple[list[Column], list[Column], list[s
     found = [column for column in columns if column.numeric and _goes_on(column)]
     named = [column for column in found if _TIME.fullmatch(split_unit(column.name)[0].lower())]
     steady = [column for column in found if not _COUNT.fullmatch(column.name.lower()) and _is_clock(column)]
-    if not (candidates := named or steady):
-        rate = "rate = 100.0  # Hz: no column looks like times; write how many rows there are in a second"
-        return [], [], ["[time]", rate]
+    nameless = [column for column in steady if not any(letter.isalpha() for letter in column.name)]
+    if not (candidates := named or nameless):
+        rate = "rate = 100.0  # Hz: no column is called time; write how many rows there are in a second"
+        other = [f"# column = {toml(column.label)}  # increases steadily: is this the time?" for column in steady[:3]]
+        return [], [], ["[time]", rate, *other]
     column, *others = candidates if named else candidates[:1]
     unit, reason = _time_unit(column)
     lines = _section(column, "" if named else "  # the numbers increase steadily; is this the time?")
@@ -296,7 +301,7 @@ def _unit_lines(group: Group, numbers: np.ndarray) -> list[str]:
         wraps = seen_wraps(numbers, 2 * np.pi / si(unit)[1]) if si(unit)[0] == "rad" else 0
     else:
         unit, wraps = _angle(numbers)
-        said = first.unit or (found[2] if (found := _BRACKETS.match(first.name)) else "")
+        said = first.unit or (found[2] if (found := _BRACKETS.match(first.name)) and not found[2].isdecimal() else "")
         reason = (
             f"the file says {shown(said)}, which is unknown here: write scale" if said else "which? nothing says it"
         )

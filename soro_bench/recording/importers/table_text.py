@@ -95,14 +95,12 @@ def read_text(data: bytes, options: Mapping[str, Any]) -> TableText:
     for _ in range(skip or (1 if _SEP.match(text) else 0)):
         lines.skip()
     before = lines.position, lines.count
-    first = [cell.strip() for cell in _first(lines, delimiter)]
-    if delimiter == BLANK and first[:1] in (["#"], ["%"]):
-        first = first[1:]
+    first = _first(lines, delimiter)
     if not 1 <= len(first) <= MAX_COLUMNS:
         raise RecordingError(f"{len(first)} columns; expected 1 to {MAX_COLUMNS}")
     if not has_header:
         first, (lines.position, lines.count) = [str(i + 1) for i in range(len(first))], before
-    units = [cell.strip() for cell in _first(lines, delimiter)] if unit_row else []
+    units = _first(lines, delimiter) if unit_row else []
     units += [""] * (len(first) - len(units))
     table = TableText(
         text,
@@ -215,11 +213,12 @@ class Lines:
 
 
 def _first(lines: Lines, delimiter: str) -> list[str]:
-    """The next row that is not empty."""
+    """The next row that is not empty, without the sign of a comment in a cell of its own."""
     for row in split(lines, delimiter):
         lines.begin_row()
         if any(cell.strip() for cell in row):
-            return row
+            cells = [cell.strip() for cell in row]
+            return cells[1:] if delimiter == BLANK and cells[0] in ("#", "%") else cells
     return []
 
 
