@@ -1,7 +1,8 @@
 """Copies and pickles of environments."""
 
+import copy
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 from soro_bench.envs.task import Task
 
@@ -25,6 +26,10 @@ class CopiedWithTask:
         if "effects" in self._task_options:
             self._task_options["effects"] = task.effects
         return task
+
+    def __copy__(self) -> Self:
+        """A deep copy: simulations cannot be shared."""
+        return copy.deepcopy(self)
 
     def __getstate__(self) -> dict[str, Any]:
         """What the copy begins with."""
