@@ -30,7 +30,6 @@ from soro_bench.recording.recording import RecordingError
 from tests.recordings import says
 
 NOTES = "import_notes"
-LINE = "=" * 80 + "\n"
 
 
 def read(path, contents, *arguments, **options):
@@ -171,6 +170,35 @@ def test_a_message_with_an_empty_list_is_no_sample(tmp_path):
     for choice in ({}, {"names": ["a", "b"]}):
         signal = import_recording(write_mcap(tmp_path / "a.mcap", rows), mapping(**choice)).signals["q"]
         np.testing.assert_array_equal(signal.values, [[1, 2]] * 6)
+
+
+def test_a_message_without_a_field_is_no_sample(tmp_path):
+    """Which is said; that none has it is refused."""
+    rows = [{"position": {"a": k}} if k % 2 else {"velocity": {"a": k}} for k in range(10)]
+    signal, notes = read(tmp_path, rows, ["position.a"])
+    np.testing.assert_array_equal(signal.values, [1, 3, 5, 7, 9])
+    assert "5 of 10 messages are left out: a message has no field position.a; there is velocity" in notes
+    short = [{"values": [k, 2] if k % 2 else [k]} for k in range(10)]
+    signal, notes = read(tmp_path, short, ["values[1]"])
+    np.testing.assert_array_equal(signal.values, [2] * 5)
+    assert "has no field values[1]; there are 1 entries" in notes
+
+
+@pytest.mark.parametrize(
+    ("change", "parts"),
+    [
+        ({"time": {"unit": "ms"}, "signals": {"q": {"time": "log_time"}}}, ("[time] unit has no effect",)),
+        ({"time": {"source": "log_time"}}, ("[time] source has no effect",)),
+        ({"format": {"definitions": {"a/msg/B": "int8 x"}}}, ("'a/msg/B' has no effect",)),
+        ({"format": {"definitions": {"a/msg/B": 3}}}, ("has texts of .msg files",)),
+    ],
+)
+def test_entries_that_do_nothing_are_refused(tmp_path, change, parts):
+    path = write_mcap(tmp_path / "a.mcap", states())
+    asked = {**mapping(), **change}
+    asked["signals"] = {"q": {**mapping()["signals"]["q"], **change.get("signals", {}).get("q", {})}}
+    with pytest.raises(RecordingError, match=says(*parts)):
+        import_recording(path, asked)
 
 
 def test_names_of_entries_and_names_that_stand_alone(tmp_path):
@@ -347,47 +375,3 @@ def test_signals_of_two_clocks_are_refused(tmp_path):
     path = write_mcap(tmp_path / "a.mcap", stamped(range(0, 50 * STEP, STEP)))
     with pytest.raises(RecordingError, match=says("signals.p begins", "their clocks differ", "log_time")):
         import_recording(path, both)
-
-
-def joint_data(names=2, positions=2, end=b""):
-    """CDR of a JointState that declares these lengths."""
-    head = struct.pack("<4sIII4sI", b"\0\1\0\0", 1, 2, 2, b"a", names) + struct.pack("<I4sI4s", 2, b"a", 2, b"b")
-    return head + struct.pack("<Idd", positions, 1.0, 2.0) + struct.pack("<II", 0, 0) + end
-
-
-@pytest.mark.parametrize(
-    ("data", "parts"),
-    [
-        (joint_data(names=2**32 - 1), ("has a list of 4294967295 entries",)),
-        (joint_data(positions=2**32 - 1), ("ends after", "says that it has")),
-        (joint_data(end=bytes(9)), ("9 bytes more than its definition",)),
-        (b"\0\7\0\0" + joint_data()[4:], ("begins with 0007; only plain CDR",)),
-        (b"\0", ("only plain CDR",)),
-    ],
-)
-def test_messages_that_do_not_fit_their_type(tmp_path, data, parts):
-    definition = HUMBLE.generate_msgdef(JOINTS, ros_version=2)[0].encode()
-    schema = JOINTS, "ros2msg", definition
-    good = write_json(tmp_path / "a.mcap", [(0, joint_data())], encoding="cdr", schema=schema)
-    np.testing.assert_array_equal(import_recording(good, mapping(time="log_time")).signals["q"].values, [[1, 2]])
-    bad = write_json(tmp_path / "a.mcap", [(0, joint_data()), (1, data)], encoding="cdr", schema=schema)
-    with pytest.raises(RecordingError, match=says("sensor_msgs/msg/JointState", *parts)):
-        import_recording(bad, mapping(time="log_time"))
-
-
-@pytest.mark.parametrize(
-    ("definition", "parts"),
-    [
-        ("import os\nos.system('x')", ("cannot be read",)),
-        (f"A[] inner\n{LINE}MSG: p/A\nint8 x\np/A[1] more", ("nests deeper",)),
-        ("B x", ("has the unknown p/msg/B",)),
-        (f"A[1000000] a\n{LINE}MSG: p/A\np/B[1000000] b\n{LINE}MSG: p/B\nint8 X=1", ("a list of",)),
-        ("#" * 300_000, ("more than 200000 letters",)),
-    ],
-)
-def test_definitions_of_strangers(tmp_path, definition, parts):
-    rows = [(0, b"\0\1\0\0" + struct.pack("<I", 1) + bytes(100))]
-    path = write_json(tmp_path / "a.mcap", rows, encoding="cdr", schema=("p/msg/T", "ros2msg", definition.encode()))
-    with pytest.raises(RecordingError, match=says(*parts)) as raised:
-        import_recording(path, mapping(["x"], time="log_time"))
-    assert "\n" not in str(raised.value)

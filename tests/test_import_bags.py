@@ -34,6 +34,7 @@ from soro_bench.recording.recording import RecordingError
 from tests.recordings import says
 
 NOTES = "import_notes"
+LINE = "=" * 80 + "\n"
 
 
 def pack(path):
@@ -243,6 +244,50 @@ def test_a_topic_that_is_not_there_is_answered_with_those_that_are(bag):
     wrong["signals"]["q"]["topic"] = "/joints"
     with pytest.raises(RecordingError, match=says("signals.q", "no messages of topic /joints", TOPIC)):
         import_recording(bag, wrong)
+
+
+def joint_data(names=2, positions=2, end=b""):
+    """CDR of a JointState that declares these lengths."""
+    head = struct.pack("<4sIII4sI", b"\0\1\0\0", 1, 2, 2, b"a", names) + struct.pack("<I4sI4s", 2, b"a", 2, b"b")
+    return head + struct.pack("<Idd", positions, 1.0, 2.0) + struct.pack("<II", 0, 0) + end
+
+
+@pytest.mark.parametrize(
+    ("data", "parts"),
+    [
+        (joint_data(names=2**32 - 1), ("has a list of 4294967295 entries",)),
+        (joint_data(positions=2**32 - 1), ("ends after", "says that it has")),
+        (joint_data(end=bytes(9)), ("9 bytes more than its definition",)),
+        (b"\0\7\0\0" + joint_data()[4:], ("begins with 0007; only plain CDR",)),
+        (b"\0", ("only plain CDR",)),
+    ],
+)
+def test_messages_that_do_not_fit_their_type(tmp_path, data, parts):
+    definition = HUMBLE.generate_msgdef(JOINTS, ros_version=2)[0].encode()
+    schema = JOINTS, "ros2msg", definition
+    good = write_json(tmp_path / "a.mcap", [(0, joint_data())], encoding="cdr", schema=schema)
+    np.testing.assert_array_equal(import_recording(good, mapping(time="log_time")).signals["q"].values, [[1, 2]])
+    bad = write_json(tmp_path / "a.mcap", [(0, joint_data()), (1, data)], encoding="cdr", schema=schema)
+    with pytest.raises(RecordingError, match=says("sensor_msgs/msg/JointState", *parts)):
+        import_recording(bad, mapping(time="log_time"))
+
+
+@pytest.mark.parametrize(
+    ("definition", "parts"),
+    [
+        ("import os\nos.system('x')", ("cannot be read",)),
+        (f"A[] inner\n{LINE}MSG: p/A\nint8 x\np/A[1] more", ("nests deeper",)),
+        ("B x", ("has the unknown p/msg/B",)),
+        (f"A[1000000] a\n{LINE}MSG: p/A\np/B[1000000] b\n{LINE}MSG: p/B\nint8 X=1", ("a list of",)),
+        ("#" * 300_000, ("more than 200000 letters",)),
+    ],
+)
+def test_definitions_of_strangers(tmp_path, definition, parts):
+    rows = [(0, b"\0\1\0\0" + struct.pack("<I", 1) + bytes(100))]
+    path = write_json(tmp_path / "a.mcap", rows, encoding="cdr", schema=("p/msg/T", "ros2msg", definition.encode()))
+    with pytest.raises(RecordingError, match=says(*parts)) as raised:
+        import_recording(path, mapping(["x"], time="log_time"))
+    assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize("statement", [

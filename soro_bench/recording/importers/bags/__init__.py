@@ -48,6 +48,9 @@ def import_bag(
     with named_errors(path):
         collectors = _collectors(spec)
         reading = _read(path, [*collectors.values()], max_bytes, progress)
+        types = {channel.type for channel in reading.topics.values()}
+        if unused := [name for name in spec.format.get("definitions", {}) if name not in types]:
+            raise RecordingError(f"[format.definitions] {ascii(unused[0])[:80]} has no effect: no topic has that type")
         labels = {id(source): label for label, source in _sources(spec).items()}
         starts: dict[str, float] = {}
 
@@ -84,6 +87,10 @@ def _collectors(spec: FileMapping) -> dict[str, Collector]:
             found[label] = Collector(source, spec)
         except RecordingError as error:
             raise RecordingError(f"{label}: {error}") from error
+    if "unit" in spec.time and not any(collector.has_unit for collector in found.values()):
+        raise RecordingError("[time] unit has no effect: no time is the path of a number")
+    if "source" in spec.time and all("time" in source.place for source in _sources(spec).values()):
+        raise RecordingError("[time] source has no effect: every command and signal has a time of its own")
     return found
 
 

@@ -11,6 +11,7 @@ from soro_bench.files import brief
 from soro_bench.recording.importers.bags.fields import (
     MISSING,
     SECOND,
+    AbsentError,
     Named,
     Seen,
     Text,
@@ -63,6 +64,7 @@ class Collector:
         self._by_name = any(isinstance(step, Named) for path in self._fields for step in path)
         clock = _text("time", source.place.get("time", spec.time.get("source", "log_time")))
         self._clock, self._path = clock, () if clock in CLOCKS else parse_path(clock)
+        self.has_unit = bool(self._path)  # whether [time] unit may say something
         self._to_seconds, self._ordered = spec.to_seconds(), "order" in spec.time
         self._known = spec.format.get("definitions", {})
         self._received, self._stamps = array("q"), array("q")  # ns; lists would take four times the memory
@@ -71,6 +73,7 @@ class Collector:
         self._labels: list[list[str]] = []  # the names beside the values of the first sample
         self._layouts: dict[tuple, list[Layout]] = {}
         self._types: dict[Channel, Types] = {}
+        self._absence = ""  # what the first message has not that lacks a field
         self._unknown: list[str] = []  # names of the first message that has none of those asked for
 
     @property
@@ -131,11 +134,15 @@ class Collector:
         return ([number(leaf) for leaf in leaves], stamp) if leaves else None
 
     def _found(self, content: Any) -> tuple[list[Any], Sequence[Any], Seen]:
-        """Numbers or slots of a sample, those of its stamp, and what was compared; none without any of its names."""
+        """Numbers or slots of a sample, those of its stamp, and what was compared; none without its fields or names."""
         leaves: list[Any] = []
         seen = Seen()
-        for path in self._fields:
-            flatten(follow(content, path, seen), leaves)
+        try:
+            for path in self._fields:
+                flatten(follow(content, path, seen), leaves)
+        except AbsentError as error:
+            self._absence = self._absence or str(error)
+            return [], (), seen
         if not leaves:  # an empty list
             return [], (), seen
         if self._by_name and all(leaf is MISSING for leaf in leaves):
@@ -162,6 +169,8 @@ class Collector:
         """
         if not self._received:
             there = "; ".join([f"there are {listed(sorted(topics))}" if topics else "there is none", *said])
+            if self._absence:
+                raise RecordingError(f"topic {self.topic}: {self._absence}")
             if self._messages:
                 raise RecordingError(
                     f"no message of topic {self.topic} has a name that is asked for; there are {listed(self._unknown)}"
@@ -180,6 +189,9 @@ class Collector:
             times, numbers = _of_one_clock(times, received, numbers, self._clock, note)
         if not self._ordered:
             times, numbers = _sorted(times, numbers, self._clock, note)
+        if self._absence:
+            left_out = self._messages - len(received)
+            note(f"{left_out} of {self._messages} messages are left out: {self._absence}")
         self._note_missing(numbers, note)
         _note_pause(times, note)
         return times, numbers
@@ -218,7 +230,7 @@ def _of_one_clock(
     drift = int(np.median(apart[-tenth:]) - np.median(apart[:tenth]))
     if abs(drift) > max(_DRIFT, _SHARE * np.ptp(received)):
         note(f"{clock} and the times of receipt drift apart by {drift / SECOND:.3g} s (simulated time, a clock that "
-             "was set, or one that goes wrong)")  # fmt: skip
+             "was set, or a wrong [time] unit)")  # fmt: skip
     return stamps, numbers
 
 

@@ -27,6 +27,12 @@ _NAME = re.compile(r"(^|_)(name|label|frame|frame_id)$", re.IGNORECASE)  # an id
 _WHOLE, _PART = ("sec", "secs", "seconds", "s"), ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds", "ns")
 _LATEST = 2**62  # ns, beyond which differences overflow
 _SHOWN = 200  # letters of a list of names in a message
+
+
+class AbsentError(RecordingError):
+    """A message has no such field."""
+
+
 MISSING = object()  # a value that a message says nothing about
 
 
@@ -131,7 +137,7 @@ def follow(content: Any, path: Sequence[Step], seen: Seen) -> Any:
         try:
             node = node[step]
         except (KeyError, IndexError, TypeError) as error:
-            raise RecordingError(f"a message has no field {shown_path(path)}{_hint(node, step)}") from error
+            raise AbsentError(f"a message has no field {shown_path(path)}{_hint(node, step)}") from error
     if is_list(node):
         seen.labels += [seen.label(name) for names in _beside(node, above).values() for name in names]
     seen.labels += [
@@ -318,7 +324,7 @@ def _hint(node: Any, step: Step) -> str:
     if isinstance(node, dict):
         return f"; there {'are' if len(node) > 1 else 'is'} {listed(node)}" if node else ""
     if is_list(node) and isinstance(step, int):
-        return f"; there are {len(node)} entries; choose by name with names = [...] if their number changes"
+        return f"; there are {len(node)} entries"
     return ""
 
 
