@@ -137,6 +137,12 @@ def test_stamps_that_go_back_are_said(tmp_path):
     assert recording.signals["x"].values.tolist() == [1, 2, 3, 3, 5, 5, 7, 7]
 
 
+def test_long_rows(guessed):
+    mapping, recording = guessed(table("t,note,q", "{t}," + "a" * 30_000 + ",{i}"))
+    assert recording.signals["q"].values.shape == (50,)
+    assert mapping["time"] == {"column": "t"}
+
+
 @pytest.mark.parametrize(
     "data", [b"", b"\n\n", b"hello\nthere is\nno table\n", b"t\n1\n2\n3\n", b"\xff\xfe\x00", b"\x00" * 50]
 )

@@ -177,7 +177,6 @@ def _row_chunks(table: TableText, lines: Lines) -> Iterator[tuple["_Rows", int]]
     rows: list[list[str]] = []
     numbers: list[int] = []
     for row in _parsed(table, lines):
-        lines.begin_row()
         if len(row) > 1 or any(cell.strip() for cell in row):  # a row of empty cells counts, an empty line does not
             rows.append(_whole(table, row, lines.count))
             numbers.append(lines.count)

@@ -43,7 +43,10 @@ class TableText:
 
     def rows(self, lines: Iterator[str]) -> Iterator[list[str]]:
         """The cells of each row; an empty line has none."""
-        return split(lines, self.delimiter)
+        for row in split(lines, self.delimiter):
+            if isinstance(lines, Lines):
+                lines.begin_row()
+            yield row
 
     def fits(self, count: int) -> int:
         """By how many nameless columns a row of ``count`` cells is longer than the header, which have to be empty.
