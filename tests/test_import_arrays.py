@@ -172,6 +172,14 @@ def test_times_in_whole_nanoseconds_and_dates_keep_every_digit(read):
         np.testing.assert_allclose(recording.signals["x"].time, 1e-9 * steps, rtol=1e-12)
 
 
+def test_a_counter_of_microseconds_that_overflows_goes_on(read):
+    t = (np.int64(2**32) - 250_000 + np.arange(T) * 100_000).astype(np.uint32)
+    recording = read(MAPPING.replace('"t"', '"t"\nunit = "us"'), t=t, x=FLAT)
+    np.testing.assert_allclose(recording.signals["x"].time, TIME, atol=1e-9)
+    with pytest.raises(RecordingError, match="unit has no effect: 't' holds dates"):
+        read(MAPPING.replace('"t"', '"t"\nunit = "us"'), t=t.astype("datetime64[us]"), x=FLAT)
+
+
 def test_npy(read):
     """A plain array, and one with fields."""
     mapping = '[time]\ninterval = 0.1\n[signals.x]\narrays = ["array"]\nunit = "mm"\n'

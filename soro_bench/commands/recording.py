@@ -66,7 +66,7 @@ class Import:
     mapping: Path | None = None
     """TOML file that says what is what (docs/how_to/import_a_log.md); a LeRobot dataset needs none."""
     episode: int | None = None
-    """Which episode of a LeRobot dataset; the first by default."""
+    """Which episode of a LeRobot dataset (the first by default) or of arrays."""
     guess: bool = False
     """Write a mapping that the file suggests, to be corrected, instead of a recording."""
 

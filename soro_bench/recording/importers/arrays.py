@@ -234,6 +234,8 @@ def _times(arrays: _Arrays, cut: _Cut, spec: FileMapping, name: Any, rows: int) 
     """(T,) times [s], or whole ones [ns]."""
     array = arrays.of(name)
     if array.dtype.kind == "M":
+        if "unit" in spec.time:
+            raise RecordingError(f"[time] unit has no effect: {ascii(name)[:80]} holds dates")
         array = array.astype("datetime64[ns]").astype(np.int64)
         to_nanoseconds: int | None = 1
     else:
@@ -249,9 +251,10 @@ def _times(arrays: _Arrays, cut: _Cut, spec: FileMapping, name: Any, rows: int) 
         step = float(np.spacing(np.abs(found).max()))
         raise RecordingError(f"its times {ascii(name)[:80]} are of single precision, steps of {step:.3g}: write [time] "
                              "interval = ... instead, or save them as float64")  # fmt: skip
-    whole = to_nanoseconds is not None and "period" not in spec.time and (np.diff(found) > 0).all()
-    if whole and to_nanoseconds and np.abs(found).max() < 2**62 // to_nanoseconds:
-        return found.astype(np.int64) * to_nanoseconds
+    if to_nanoseconds is not None and "period" not in spec.time and np.abs(found).max() < 2**62 // to_nanoseconds:
+        stamps = found.astype(np.int64) * to_nanoseconds
+        if (np.diff(stamps) > 0).all():  # else the clock may have overflowed
+            return stamps
     return spec.clock(found.astype(float))
 
 
