@@ -64,6 +64,17 @@ unit = "1"
 """
 
 
+TRC = """PathFileType\t4\t(X/Y/Z)\ta.trc
+DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits
+100\t100\t3\t2\tmm
+Frame#\tTime\ttip\t\t\tbase\t\t
+\t\tX1\tY1\tZ1\tX2\tY2\tZ2
+1\t0.00\t1.5\t0.0\t132.0\t0.0\t0.0\t0.1
+2\t0.01\t2.5\t0.0\t132.0\t\t\t
+3\t0.02\t3.5\t0.1\t131.0\t0.0\t0.0\t0.1
+"""
+
+
 def example() -> Recording:
     """A small recording with several rates, missing samples and arrays."""
     rng = np.random.default_rng(0)
@@ -146,9 +157,54 @@ def write_lerobot(folder: Path) -> Path:
     return data
 
 
+def write_c3d(path, points, names=("tip", "base"), channels=None, units="mm"):
+    """A C3D file of (T, n, 3) points, where NaN is a marker that no camera saw, and of channels at twice the rate."""
+    import c3d
+
+    writer = c3d.Writer(point_rate=100.0, analog_rate=200.0, point_scale=-1.0)
+    for i, point in enumerate(points):
+        rows = np.zeros((len(point), 5), np.float32)
+        rows[:, :3] = np.nan_to_num(point)
+        rows[np.isnan(point).any(axis=1), 3] = -1.0
+        analog = np.zeros((1, 2)) if channels is None else channels[:, 2 * i : 2 * i + 2]
+        writer.add_frames([(rows, analog.astype(np.float32))])
+    writer.set_point_labels(list(names))
+    writer.set_analog_labels(["pump"])
+    writer.point_group.set_str("UNITS", "", units, len(units))
+    writer.analog_group.set_str("UNITS", "", "V", 1)
+    with open(path, "wb") as file:
+        writer.write(file)
+    return path
+
+
+def write_v73(path, arrays):
+    """As MATLAB 7.3 does: HDF5 behind a header of its own, axes reversed, the class of each array beside it."""
+
+    import h5py
+
+    def write(group, name, value):
+        if isinstance(value, dict):
+            below = group.create_group(name)
+            below.attrs["MATLAB_class"] = np.bytes_("struct")
+            for key, part in value.items():
+                write(below, key, part)
+            return
+        value = np.atleast_2d(value)
+        chunks = {} if value.dtype == h5py.ref_dtype else {"compression": "gzip", "chunks": value.T.shape}
+        made = group.create_dataset(name, data=value.T, **chunks)
+        made.attrs["MATLAB_class"] = np.bytes_("cell" if value.dtype == h5py.ref_dtype else "double")
+
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, value in arrays.items():
+            write(file, name, file[value].ref if isinstance(value, str) else value)
+    data = bytearray(path.read_bytes())
+    data[:19] = b"MATLAB 7.3 MAT-file"
+    path.write_bytes(data)
+
+
 def readers(folder: Path) -> dict[str, tuple[Path, Callable[[], Recording]]]:
     """The file to damage and what reads it, by kind; everything lies in ``folder``."""
-    folders = {name: folder / name for name in ("csv", "npz", "mcap", "mcap_lz4", "lerobot")}
+    folders = {name: folder / name for name in ("csv", "npz", "mcap", "mcap_lz4", "lerobot", "other")}
     for sub in folders.values():
         sub.mkdir(parents=True)
     native = folder / "native.parquet"
@@ -160,6 +216,12 @@ def readers(folder: Path) -> dict[str, tuple[Path, Callable[[], Recording]]]:
     log, log_lz4 = write_mcap(folders["mcap"]), write_mcap(folders["mcap_lz4"], CompressionType.LZ4)
     mapping = folders["csv"] / "map.toml"
     info = folders["lerobot"] / "meta" / "info.json"
+    points, matrix, trajectories = (folders["other"] / name for name in ("a.c3d", "a.mat", "a.trc"))
+    write_c3d(points, np.ones((20, 2, 3)))
+    write_v73(matrix, {"x": np.ones((20, 3))})
+    trajectories.write_text(TRC)
+    tip = {"signals": {"tip": {"markers": ["tip"]}}}
+    numbers = {"time": {"rate": 50}, "signals": {"x": {"arrays": ["x"], "unit": "m"}}}
     return {
         **bag_readers(folder / "bags"),
         "native": (native, lambda: load(native)),
@@ -171,6 +233,9 @@ def readers(folder: Path) -> dict[str, tuple[Path, Callable[[], Recording]]]:
         "mcap lz4": (log_lz4, lambda: import_recording(log_lz4, folders["mcap_lz4"] / "map.toml")),
         "lerobot": (data, lambda: import_recording(folders["lerobot"], episode=1)),
         "lerobot info": (info, lambda: import_recording(folders["lerobot"], episode=1)),
+        "c3d": (points, lambda: import_recording(points, tip)),
+        "trc": (trajectories, lambda: import_recording(trajectories, tip)),
+        "mat 7.3": (matrix, lambda: import_recording(matrix, numbers)),
     }
 
 

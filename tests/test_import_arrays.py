@@ -13,6 +13,7 @@ import h5py
 from scipy.io import savemat
 from scipy.io.matlab import MatlabObject
 
+from benchmarks.fuzz_recordings import write_v73
 from soro_bench.recording.importers import guess_mapping, import_recording
 from soro_bench.recording.recording import RecordingError
 from tests.recordings import says
@@ -45,29 +46,6 @@ def read(tmp_path):
         return import_recording(path, tmp_path / "a.toml")
 
     return read
-
-
-def write_v73(path, arrays):
-    """As MATLAB 7.3 does: HDF5 behind a header of its own, axes reversed, the class of each array beside it."""
-
-    def write(group, name, value):
-        if isinstance(value, dict):
-            below = group.create_group(name)
-            below.attrs["MATLAB_class"] = np.bytes_("struct")
-            for key, part in value.items():
-                write(below, key, part)
-            return
-        value = np.atleast_2d(value)
-        chunks = {} if value.dtype == h5py.ref_dtype else {"compression": "gzip", "chunks": value.T.shape}
-        made = group.create_dataset(name, data=value.T, **chunks)
-        made.attrs["MATLAB_class"] = np.bytes_("cell" if value.dtype == h5py.ref_dtype else "double")
-
-    with h5py.File(path, "w", userblock_size=512) as file:
-        for name, value in arrays.items():
-            write(file, name, file[value].ref if isinstance(value, str) else value)
-    data = bytearray(path.read_bytes())
-    data[:19] = b"MATLAB 7.3 MAT-file"
-    path.write_bytes(data)
 
 
 @pytest.mark.parametrize("shape", [(T,), (T, 1), (1, T)])

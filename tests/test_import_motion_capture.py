@@ -9,6 +9,7 @@ pytest.importorskip("pyarrow")
 pytest.importorskip("c3d")
 import c3d
 
+from benchmarks.fuzz_recordings import write_c3d
 from soro_bench.recording.importers import guess_mapping, import_recording
 from soro_bench.recording.recording import RecordingError
 from tests.recordings import says
@@ -80,24 +81,6 @@ def read(tmp_path):
         return import_recording(tmp_path / name, tmp_path / "a.toml")
 
     return read
-
-
-def write_c3d(path, points, names=("tip", "base"), channels=None, units="mm"):
-    """A C3D file of (T, n, 3) points, where NaN is a marker that no camera saw, and of channels at twice the rate."""
-    writer = c3d.Writer(point_rate=100.0, analog_rate=200.0, point_scale=-1.0)
-    for i, point in enumerate(points):
-        rows = np.zeros((len(point), 5), np.float32)
-        rows[:, :3] = np.nan_to_num(point)
-        rows[np.isnan(point).any(axis=1), 3] = -1.0
-        analog = np.zeros((1, 2)) if channels is None else channels[:, 2 * i : 2 * i + 2]
-        writer.add_frames([(rows, analog.astype(np.float32))])
-    writer.set_point_labels(list(names))
-    writer.set_analog_labels(["pump"])
-    writer.point_group.set_str("UNITS", "", units, len(units))
-    writer.analog_group.set_str("UNITS", "", "V", 1)
-    with open(path, "wb") as file:
-        writer.write(file)
-    return path
 
 
 def test_trc(read):

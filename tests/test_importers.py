@@ -8,6 +8,8 @@ import pytest
 pytest.importorskip("pyarrow")
 pytest.importorskip("mcap")
 pytest.importorskip("hypothesis")
+pytest.importorskip("c3d")
+pytest.importorskip("h5py")
 import hypothesis
 from hypothesis import strategies as st
 
@@ -65,7 +67,21 @@ def kinds(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    "kind", ["native", "csv", "mapping", "npz", "npz array", "mcap", "mcap lz4", "lerobot", "lerobot info"]
+    "kind",
+    [
+        "native",
+        "csv",
+        "mapping",
+        "npz",
+        "npz array",
+        "mcap",
+        "mcap lz4",
+        "lerobot",
+        "lerobot info",
+        "c3d",
+        "trc",
+        "mat 7.3",
+    ],
 )
 @hypothesis.settings(max_examples=200, deadline=None, derandomize=True, database=None)
 @hypothesis.given(seed=st.integers(0, 2**32 - 1))
