@@ -23,7 +23,7 @@ _DAY = 86_400_000_000_000  # ns
 _LONGEST = 64  # letters of a time stamp
 _YEARS = 1678, 2261  # whose nanoseconds since 1970 fit into 64 bits
 _EPOCH = datetime.date(1970, 1, 1).toordinal()
-_SOON = 100  # median steps, within which a counter goes on after it has overflowed
+_SOON = 10  # median steps, within which a counter goes on after it has overflowed
 
 
 def overflowed(numbers: np.ndarray) -> tuple[np.ndarray, str]:
