@@ -192,3 +192,26 @@ def test_the_command_writes_a_mapping_and_replaces_none(tmp_path, monkeypatch, c
         run(log, "--guess")
     with pytest.raises(SystemExit, match="--guess for a mapping"):
         run(log)
+
+
+@pytest.mark.parametrize(
+    ("text", "encoding"),
+    [
+        (table("Zeit [s];Winkel [°];Soll", "{t};{i},5;1").replace("0.", "0,"), "cp1252"),
+        (table("t,q,u\ns,deg,V", '"{t}",{i},1,'), "utf-16"),
+        (table("stamp joint q", "2024-06-27T10:11:{i:02d}  elbow   {i}"), "utf-8"),
+    ],
+)
+def test_damaged_tables(tmp_path, text, encoding):
+    """Only a RecordingError of one line comes of one, from the guess and from an import with the guess for it whole."""
+    mutated = pytest.importorskip("benchmarks.fuzz_recordings").mutated
+    path, rng, data = tmp_path / "log.csv", np.random.default_rng(0), text.encode(encoding)
+    path.write_bytes(data)
+    whole = tomllib.loads(guess_mapping(path))
+    for _ in range(60):
+        path.write_bytes(mutated(data, rng))
+        for read in (guess_mapping, lambda path: import_recording(path, whole)):
+            try:
+                read(path)
+            except RecordingError as error:
+                assert "\n" not in str(error)
