@@ -4,6 +4,7 @@ import json
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,8 +36,10 @@ from soro_bench.recording.untrusted import EXPANSION, named_errors
 _IS_NUMBER = re.compile(r"[+-]?(nan|inf(inity)?|[\d.]+)", re.IGNORECASE)  # as JSON has those that it cannot write
 _BYTES = "Bb?"  # codes of what is rarely a signal
 _MOST_PUBLISHERS = 8  # of a topic
+_KEPT_BYTES, _TOPIC_BYTES = 20_000_000, 1_000_000  # of all messages that are looked at, and of those of a topic
 _KEPT = 50  # messages of a topic that are looked at
 _MOST_FIELDS, _MOST_NUMBERS = 40, 1000  # of a topic, and of a field that becomes a signal
+_MOST_LEAVES = 200  # of a message that are looked at
 _DAY, _ALIKE = (
     86_400 * SECOND,
     2,
@@ -75,6 +78,7 @@ class _Topic:
     last: int = -(2**62)
     contents: list[Any] = field(default_factory=list)  # of its first messages
     stamps: list[int] = field(default_factory=list)  # when these were received
+    left: int = _TOPIC_BYTES  # that may still be looked at
     problem: str = ""
 
 
@@ -101,6 +105,7 @@ def guess(path: str | Path) -> str:
     with named_errors(path):
         topics: dict[str, _Topic] = {}
         notes: list[str] = []
+        left = _KEPT_BYTES
         for channel, received, data in _all(path, notes):
             topic = topics.setdefault(channel.topic, _Topic(channel))
             topic.count, topic.first, topic.last = (
@@ -108,7 +113,8 @@ def guess(path: str | Path) -> str:
                 min(topic.first, received),
                 max(topic.last, received),
             )
-            if len(topic.contents) < _KEPT and not topic.problem:
+            if len(topic.contents) < _KEPT and min(left, topic.left) > 0 and not topic.problem:
+                left, topic.left = left - len(data), topic.left - len(data)
                 _look(topic, channel, received, data)
         if not topics:
             raise RecordingError("has no messages")
@@ -126,6 +132,8 @@ def _all(path: Path, notes: list[str]) -> Iterator[tuple[Channel, int, bytes]]:
 def _look(topic: _Topic, channel: Channel, received: int, data: bytes) -> None:
     """Keep what a message says, or why it cannot be read."""
     try:
+        if _LEFT_OUT.search(channel.type):
+            raise RecordingError("messages of this type hold no signals")
         if len(data) > MAX_MESSAGE:
             raise RecordingError(f"messages of {len(data)} bytes; at most {MAX_MESSAGE} are read")
         if channel.encoding in BINARY:
@@ -209,7 +217,7 @@ def _common(fields: list[str]) -> str:
 
 def _proposals(topic: _Topic) -> list[_Proposal]:
     """Signals of a topic: lists of numbers, and the numbers of one unit that stand together in a part of a message."""
-    if topic.problem or _LEFT_OUT.search(topic.channel.type):
+    if topic.problem:
         return []
     groups: dict[tuple[str, str], list[str]] = {}
     found = []
@@ -266,7 +274,7 @@ def _fields(topic: _Topic) -> dict[str, list[_Leaf]]:
     """What messages hold, by path: a leaf for each message that has it."""
     found: dict[str, list[_Leaf]] = {}
     for content in topic.contents:
-        for path, leaf in _leaves(content, ""):
+        for path, leaf in islice(_leaves(content, ""), _MOST_LEAVES):
             found.setdefault(path, []).append(leaf)
     return found
 

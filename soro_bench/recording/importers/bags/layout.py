@@ -8,6 +8,7 @@ import math
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from operator import itemgetter
 from typing import Any
 
@@ -28,6 +29,7 @@ Field = tuple[str, str, int | None]  # name, type, and of a list its length, or 
 Types = dict[str, list[Field]]
 
 
+@lru_cache(100)
 def types_of(name: str, definition: str, kind: str) -> Types:
     """The fields of a message type and of those in it, from its definition as ROS has it.
 
