@@ -131,7 +131,7 @@ def test_stamps_that_go_back_are_said(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("t,x\n0,1\n1,2\n2,3\n3,3\n4,5\n5,5\n5,6\n6,7\n7,7\n")
     text = guess_mapping(path)
-    assert "1 stamps repeat and 0 go back" in text
+    assert "stamps that repeat: 1, that go back: 0" in text
     assert "# An import with this mapping says: " in text
     recording = import_recording(path, tomllib.loads(text.replace("# order", "order")))
     assert recording.signals["x"].values.tolist() == [1, 2, 3, 3, 5, 5, 7, 7]

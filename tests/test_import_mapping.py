@@ -108,14 +108,14 @@ def test_what_wraps_is_unwrapped(read, cells, entries, expected):
 def test_an_angle_that_seems_to_wrap_is_said(read):
     table = "t,q\n" + "".join(f"{i},{(300 + 30 * i) % 360}\n" for i in range(20))
     notes = read(table, CLOCK + '[signals.q]\ncolumns = ["q"]\nunit = "deg"\n').metadata[NOTES]
-    assert notes == "signals.q: jumps by nearly a turn 2 times; if the angle wraps, write unwrap = true"
+    assert notes == "signals.q: jumps of nearly a turn: 2; if the angle wraps, write unwrap = true"
     assert NOTES not in read(table, CLOCK + '[signals.q]\ncolumns = ["q"]\nunit = "mm"\n').metadata
 
 
 def test_a_counter_that_seems_to_wrap_is_said(read):
     table = "t,q\n" + "".join(f"{i},{(300 * i) % 4096}\n" for i in range(40))
     notes = read(table, CLOCK + '[signals.q]\ncolumns = ["q"]\nunit = "1"\n').metadata[NOTES]
-    assert notes.endswith("2 times; if the counter wraps, write unwrap = true and period = 4096")
+    assert notes.endswith("jumps of nearly 4096: 2; if the counter wraps, write unwrap = true and period = 4096")
     assert NOTES not in read(table, CLOCK + '[commands.q]\ncolumns = ["q"]\nunit = "1"\n').metadata
 
 
@@ -140,7 +140,7 @@ def test_stamps_that_repeat_or_go_back(read, table, order, time, values):
     recording = read(table, f'{CLOCK}order = "{order}"\n{F}')
     np.testing.assert_allclose(recording.signals["f"].time, time)
     np.testing.assert_allclose(recording.signals["f"].values, values)
-    assert ("set back 1 times" if order == "continue" else "signals.f: ") in recording.metadata[NOTES]
+    assert ("steps back of its clock: 1," if order == "continue" else "signals.f: ") in recording.metadata[NOTES]
 
 
 def test_stamps_are_looked_at_after_cutting(read):
@@ -158,7 +158,7 @@ def test_a_counter_that_overflows_is_unwrapped_and_said(read, bits, first):
     table = "t,f\n" + "".join(f"{(first - low + 10 * i) % 2**bits + low},{i}\n" for i in range(6))
     recording = read(table, CLOCK + 'unit = "ms"\n' + F)
     np.testing.assert_allclose(recording.signals["f"].time, 0.01 * np.arange(6), atol=1e-9)
-    assert f"{bits} bits overflows 1 times" in recording.metadata[NOTES]
+    assert f"a clock of {bits} bits that are unwrapped: 1" in recording.metadata[NOTES]
 
 
 def test_a_clock_of_another_period_is_unwrapped_on_request(read):

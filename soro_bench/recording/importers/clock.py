@@ -43,7 +43,9 @@ def overflowed(numbers: np.ndarray) -> tuple[np.ndarray, str]:
             low, high = numbers.min(), numbers.max()
             within = high - low < period and (low >= 0 or max(-low, high) <= period / 2)
             if within and (back + period < _SOON * np.median(on)).all() and (back < -period / 2).all():
-                return unwrapped(numbers, period), f"a clock of {bits} bits overflows {len(back)} times; unwrapped"
+                return unwrapped(
+                    numbers, period
+                ), f"overflows of a clock of {bits} bits that are unwrapped: {len(back)}"
     return numbers, ""
 
 
@@ -56,7 +58,7 @@ def continued(time: np.ndarray) -> tuple[np.ndarray, str]:
     step = np.median(steps[steps > 0]) if (steps > 0).any() else time[0] * 0
     mended = np.where(back, step, steps).astype(time.dtype)
     most = "s" if time.dtype.kind == "f" else "ns"
-    note = f"its clock is set back {int(back.sum())} times, by up to {-steps.min():g} {most}; later stamps go on"
+    note = f"steps back of its clock: {int(back.sum())}, by up to {-steps.min():g} {most}; later stamps go on"
     return np.concatenate([time[:1], time[0] + np.cumsum(mended)]), note
 
 
@@ -87,7 +89,7 @@ def chosen(time: np.ndarray, order: str, rows: np.ndarray | None = None) -> tupl
     else:
         before = np.maximum.accumulate(time)
         kept = np.flatnonzero(np.append(True, time[1:] > before[:-1]))
-    return kept, f"{int((steps <= 0).sum())} stamps repeat or go back; {len(time) - len(kept)} samples left out"
+    return kept, f"stamps that repeat or go back: {int((steps <= 0).sum())}; samples left out: {len(time) - len(kept)}"
 
 
 def _complaint(time: np.ndarray, steps: np.ndarray, rows: np.ndarray | None) -> str:
@@ -96,7 +98,8 @@ def _complaint(time: np.ndarray, steps: np.ndarray, rows: np.ndarray | None) -> 
     same, back = int((steps == 0).sum()), int((steps < 0).sum())
     others = 'or "continue" (a clock that was set back goes on)' if back else "or leave the times out and write rate"
     return (
-        f"time does not increase in {place}: {time[i + 1]} follows {time[i]}; {same} stamps repeat and {back} go back; "
+        f"time does not increase in {place}: {time[i + 1]} follows {time[i]}; "
+        f"stamps that repeat: {same}, that go back: {back}; "
         f'write [time] order = "keep_first", "keep_last" or "sort", {others}, or cut with begin and until'
     )
 

@@ -220,7 +220,7 @@ def _order(*columns: Column) -> list[str]:
     if not same + back:
         return []
     choice = '"keep_first", "keep_last", "sort" or "continue"'
-    return [f'# order = "keep_first"  # {same} stamps repeat and {back} go back: choose {choice}']
+    return [f'# order = "keep_first"  # stamps that repeat: {same}, that go back: {back}; choose {choice}']
 
 
 def _groups(columns: Sequence[Column], clocks: Sequence[Column]) -> list[Group]:
@@ -308,9 +308,9 @@ def _unit_lines(group: Group, numbers: np.ndarray) -> list[str]:
         lines = [f'unit = "{unit}"  # {"it seems to wrap; is it an angle?" if wraps else reason}']
     if not wraps and unit == "1" and not group.command and (period := counter_period(numbers)):
         turns = seen_wraps(numbers, period)
-        lines += [f"unwrap = true  # it jumps by nearly {period} {turns} times: a counter?", f"period = {period}"]
+        lines += [f"unwrap = true  # jumps of nearly {period}: {turns}; a counter?", f"period = {period}"]
     if wraps and not group.command:
-        lines.append(f"unwrap = true  # it jumps by nearly a turn {wraps} times")
+        lines.append(f"unwrap = true  # jumps of nearly a turn: {wraps}")
     return lines
 
 

@@ -70,9 +70,9 @@ class Source:
         if self.unwrap:
             return _told(numbers, self._period(factor, unit))
         if unit == "rad" and (count := seen_wraps(numbers, _TURN / factor)):
-            return f"jumps by nearly a turn {count} times; if the angle wraps, write unwrap = true"
+            return f"jumps of nearly a turn: {count}; if the angle wraps, write unwrap = true"
         if unit == "1" and (period := counter_period(numbers)):
-            said = f"jumps by nearly {period} {seen_wraps(numbers, period)} times"
+            said = f"jumps of nearly {period}: {seen_wraps(numbers, period)}"
             return f"{said}; if the counter wraps, write unwrap = true and period = {period}"
         return ""
 
@@ -259,7 +259,7 @@ def _told(numbers: np.ndarray, period: float) -> str:
         return f"unwrap = true, but nothing wraps at {period:.6g}"
     left = np.abs(_steps(unwrapped(numbers, period))).max() / period
     fast = f"; steps of {left:.2f} of a period may as well be wraps the other way" if left > _FAST else ""
-    return f"{wraps} wraps at {period:.6g} unwrapped{fast}"
+    return f"wraps at {period:.6g} that are unwrapped: {wraps}{fast}"
 
 
 def _staying(time: np.ndarray, values: np.ndarray, distance: float, shift: float) -> Signal:
