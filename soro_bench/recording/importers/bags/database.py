@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
+from soro_bench.errors import one_line
 from soro_bench.recording.importers.bags.layout import Channel
 from soro_bench.recording.importers.bags.logs import MAX_MESSAGE, Message, Reading
 from soro_bench.recording.recording import RecordingError
@@ -65,8 +66,8 @@ def _next(rows: Iterator[tuple], reading: Reading) -> tuple | None:
         return next(rows, None)
     except sqlite3.DatabaseError as error:
         if isinstance(error, sqlite3.OperationalError) or "malformed" not in str(error):
-            raise RecordingError(f"cannot be read: {error}") from error
-        reading.cut(f"or damaged ({error})")
+            raise RecordingError(f"cannot be read: {one_line(error)[:200]}") from error
+        reading.cut(f"or damaged ({one_line(error)[:200]})")
         return None
 
 
@@ -93,7 +94,7 @@ def _opened(path: Path, reading: Reading) -> Iterator[sqlite3.Connection]:
                 _restrict(database, size, head)
                 yield database
             except sqlite3.Error as error:
-                raise RecordingError(f"cannot be read: {error}") from error
+                raise RecordingError(f"cannot be read: {one_line(error)[:200]}") from error
 
 
 def _restrict(database: sqlite3.Connection, size: int, head: bytes) -> None:

@@ -8,6 +8,7 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
+from soro_bench.errors import one_line
 from soro_bench.recording.importers.bags.database import database_messages
 from soro_bench.recording.importers.bags.fields import listed
 from soro_bench.recording.importers.bags.logs import (
@@ -98,7 +99,7 @@ def _plain_messages(file: Path, reading: Reading) -> Iterator[Message]:
                     yield last
                 last = message
     except (Damaged, struct.error, KeyError) as error:
-        return reading.cut(f"or damaged ({error})")  # and of the last message the end may be missing
+        return reading.cut(f"or damaged ({one_line(error)[:200]})")  # and of the last message the end may be missing
     if last:
         yield last
 
@@ -120,7 +121,7 @@ def _unpacked(file: Path, reading: Reading) -> Iterator[Path]:
                     reading.spend(len(block))
                     out.write(block)
             except zstandard.ZstdError as error:
-                raise RecordingError(f"is no file packed with zstd, or damaged: {error}") from error
+                raise RecordingError(f"is no file packed with zstd, or damaged: {one_line(error)[:200]}") from error
         yield plain
 
 
@@ -166,7 +167,7 @@ def _listed(metadata: Path) -> list[str]:
     try:
         content: Any = YAML(typ="safe", pure=True).load(read_bytes(metadata, _MAX_METADATA).decode())
     except (YAMLError, ValueError) as error:
-        raise RecordingError(f"{METADATA} cannot be read: {ascii(' '.join(str(error).split()))[1:200]}") from error
+        raise RecordingError(f"{METADATA} cannot be read: {one_line(error)[:200]}") from error
     about = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
     names = about.get("relative_file_paths") if isinstance(about, dict) else None
     if not isinstance(names, list) or not 0 < len(names) <= MAX_FILES or not all(isinstance(n, str) for n in names):

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from soro_bench.errors import one_line
 from soro_bench.files import shown
 from soro_bench.recording.importers.bags.collector import BINARY
 from soro_bench.recording.importers.bags.fields import (
@@ -143,7 +144,7 @@ def _look(topic: _Topic, channel: Channel, received: int, data: bytes) -> None:
         else:
             raise RecordingError(f"encoded as {channel.encoding[:40]}; only json, cdr and ros1 are read")
     except (ValueError, RecursionError, ImportError) as error:
-        topic.problem = shown(str(error))[:200]
+        topic.problem = one_line(error)[:200]
         return
     topic.contents.append(content)
     topic.stamps.append(received)

@@ -2,6 +2,8 @@
 
 Messages of a topic mostly have the same texts and list lengths, so that their numbers lie at the same places. One is
 walked through to find these; a single call of ``struct`` then reads each message that has the same lengths and names.
+Definitions are read by rosbags, which knows those of ROS itself. Its own decoders are not used: they are code that it
+generates from the definitions in a file.
 """
 
 import math
@@ -12,6 +14,7 @@ from functools import lru_cache
 from operator import itemgetter
 from typing import Any
 
+from soro_bench.errors import one_line
 from soro_bench.recording.importers.bags.fields import MISSING, Run, Slot, Text
 from soro_bench.recording.recording import RecordingError
 
@@ -61,7 +64,7 @@ def types_of(name: str, definition: str, kind: str) -> Types:
             lines = "\n".join(line for line in definition.splitlines() if line.strip())  # blank ones cost a lot of time
             found = dict(get_types_from_msg(lines, name))
     except TypesysError as error:
-        raise RecordingError(f"the definition of {ascii(name)[:80]} cannot be read: {_one_line(error)}") from error
+        raise RecordingError(f"the definition of {ascii(name)[:80]} cannot be read: {one_line(error)[:200]}") from error
     if full(name) not in found and full(name) not in known:
         raise RecordingError(
             f"the file has no definition of the type {ascii(name)[:80]}; write the text of its .msg file into the "
@@ -101,10 +104,6 @@ def _field(name: str, description: Any) -> Field:
     (inner_kind, inner), length = detail
     inner_name = inner[0] if inner_kind == Nodetype.BASE else inner
     return name, inner_name, length if kind == Nodetype.ARRAY else -1
-
-
-def _one_line(error: Exception) -> str:
-    return ascii(" ".join(str(error).split()))[1:-1][:200]
 
 
 class Walk:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
+from soro_bench.errors import one_line
 from soro_bench.recording.importers.bags.fields import SECOND
 from soro_bench.recording.importers.bags.layout import Channel
 from soro_bench.recording.recording import RecordingError
@@ -100,7 +101,7 @@ def decompressed(data: bytes, compression: str, most: int, is_cut: bool = False)
     except (RuntimeError, OSError, EOFError) as error:  # what lz4 and bz2 raise
         if is_cut:
             return b""
-        raise Damaged(f"a broken chunk: {error}") from error
+        raise Damaged(f"a broken chunk: {one_line(error)[:200]}") from error
 
 
 def _zstd(data: bytes, most: int) -> bytes:
