@@ -41,7 +41,7 @@ _FAR = 100.0  # prior deviations, bounds of a shifted parameter
 
 
 @dataclass(frozen=True)
-class _Entry:
+class Entry:
     """One field that a parameter changes: some rows of it, in one column or all."""
 
     field: str
@@ -83,7 +83,7 @@ class Setting:
 class Fields:
     """Parameters and settings as changes of model fields."""
 
-    def __init__(self, model: mujoco.MjModel, entries: dict[str, list[_Entry]], added: set[str]):
+    def __init__(self, model: mujoco.MjModel, entries: dict[str, list[Entry]], added: set[str]):
         self._model, self._entries, self._added = model, entries, added
 
     def writes(self, params: Mapping[str, Floats]) -> list[FieldWrite]:
@@ -117,10 +117,10 @@ def held(recording: Recording, name: str, times: Floats, columns: int) -> Floats
     return held
 
 
-def settings_of(model: mujoco.MjModel, table: dict[str, Any]) -> tuple[list[Setting], dict[str, list[_Entry]]]:
+def settings_of(model: mujoco.MjModel, table: dict[str, Any]) -> tuple[list[Setting], dict[str, list[Entry]]]:
     """Settings, and the fields that each of them scales."""
     settings: list[Setting] = []
-    entries: dict[str, list[_Entry]] = {}
+    entries: dict[str, list[Entry]] = {}
     for name, entry in table.items():
         label = f"[settings.{name}]"
         if not isinstance(entry, dict):
@@ -136,7 +136,7 @@ def settings_of(model: mujoco.MjModel, table: dict[str, Any]) -> tuple[list[Sett
 
 
 def parameters_of(
-    model: mujoco.MjModel, table: dict[str, Any], scaled: dict[str, list[_Entry]]
+    model: mujoco.MjModel, table: dict[str, Any], scaled: dict[str, list[Entry]]
 ) -> tuple[tuple[Prior, ...], Fields]:
     """Priors of the parameters, and the fields that these and the settings change; settings change ``scaled``."""
     priors: list[Prior] = []
@@ -165,7 +165,7 @@ def parameters_of(
     return tuple(priors), Fields(model, entries, added)
 
 
-def _entry(model: mujoco.MjModel, label: str, text: str) -> _Entry:
+def _entry(model: mujoco.MjModel, label: str, text: str) -> Entry:
     """The field, rows and column of "field[column]:element"."""
     match = _FIELD.fullmatch(text)
     kind = match["field"].split("_")[0] if match else ""
@@ -178,16 +178,16 @@ def _entry(model: mujoco.MjModel, label: str, text: str) -> _Entry:
     if column is not None and (field.ndim < 2 or column >= field.shape[1]):
         raise ModelError(f"{label}: {match['field']} has no column {column}; its shape is {field.shape}")
     if match["element"] == "*":
-        return _Entry(match["field"], np.arange(len(field) - springs(model) * (kind == "tendon")), column)
+        return Entry(match["field"], np.arange(len(field) - springs(model) * (kind == "tendon")), column)
     count = model.njnt if kind == "dof" else len(field)
     numbers = _matching(model, kind, count, match["element"], label)
     if kind == "dof":
         widths = [joint_width(model, i)[1] for i in numbers]
         numbers = [model.jnt_dofadr[i] + k for i, width in zip(numbers, widths, strict=True) for k in range(width)]
-    return _Entry(match["field"], np.array(numbers), column)
+    return Entry(match["field"], np.array(numbers), column)
 
 
-def _check_scaled(model: mujoco.MjModel, label: str, text: str, entry: _Entry) -> None:
+def _check_scaled(model: mujoco.MjModel, label: str, text: str, entry: Entry) -> None:
     """Refuse a field of zeros, which no factor changes: its factor would get an interval all the same."""
     values = getattr(model, entry.field)[entry.rows]
     if not (values if entry.column is None else values[..., entry.column]).any():

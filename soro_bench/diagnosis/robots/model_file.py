@@ -4,6 +4,7 @@ import re
 import warnings
 from operator import attrgetter
 from pathlib import Path
+from typing import TypeAlias
 
 import mujoco
 import numpy as np
@@ -30,49 +31,63 @@ class ModelError(ValueError):
     """A model or its mapping cannot be used; says what is wrong and what is allowed."""
 
 
-def load_spec(path: str | Path) -> mujoco.MjSpec:
-    """The model of a file with absolute paths of its files, prepared for effects.
+Model: TypeAlias = str | Path | mujoco.MjSpec  # an MJCF file, or what MuJoCo has made of one
+
+
+def title(model: Model) -> str:
+    """What a model is called: the name of its file without suffix, or that in a spec."""
+    return model.modelname if isinstance(model, mujoco.MjSpec) else Path(model).stem
+
+
+def load_spec(model: Model) -> mujoco.MjSpec:
+    """A model with absolute paths of its files, prepared for effects; a spec stays as it is.
 
     Raises:
         ModelError: it is no model; in one line, with what to do.
     """
-    if not Path(path).is_file():
-        raise ModelError(f"there is no model {path}")
-    folder = Path(path).resolve().parent
-    try:
-        spec = mujoco.MjSpec.from_file(str(path))
-    except (ValueError, mujoco.FatalError) as error:
-        raise ModelError(f"{path} is no MuJoCo model: {in_one_line(error)}") from error
+    spec, folder = _read(model)
     # a patched model, which lies elsewhere, finds the same files
     if spec.meshes or spec.hfields or spec.skins:
         spec.meshdir = str(folder / spec.meshdir)
     if spec.textures:
         spec.texturedir = str(folder / spec.texturedir)
-    return instrument(_named(spec, Path(path).stem))
+    return instrument(_named(spec, title(model)))
 
 
-def load_model(path: str | Path) -> mujoco.MjModel:
-    """The model of a file, prepared for effects.
+def _read(model: Model) -> tuple[mujoco.MjSpec, Path]:
+    """A spec of its own, and the folder that the names of its files are of."""
+    if isinstance(model, mujoco.MjSpec):
+        return model.copy(), Path(model.modelfiledir).resolve()
+    if not Path(model).is_file():
+        raise ModelError(f"there is no model {model}")
+    try:
+        return mujoco.MjSpec.from_file(str(model)), Path(model).resolve().parent
+    except (ValueError, mujoco.FatalError) as error:
+        raise ModelError(f"{model} is no MuJoCo model: {in_one_line(error)}") from error
+
+
+def load_model(model: Model) -> mujoco.MjModel:
+    """A model, prepared for effects.
 
     Raises:
         ModelError: it is none, or has values that cannot be simulated.
     """
-    spec = load_spec(path)
+    spec, path = load_spec(model), title(model) if isinstance(model, mujoco.MjSpec) else model
     try:
         with warnings.catch_warnings():  # of attributes that a later MuJoCo will not have
             warnings.simplefilter("ignore")
-            model = spec.compile()
+            compiled = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
         raise ModelError(f"{path} is no MuJoCo model: {in_one_line(error)}") from error
     for field in MODEL_FIELDS:
-        if np.isnan(attrgetter(field)(model)).any():  # MuJoCo only warns
+        if np.isnan(attrgetter(field)(compiled)).any():  # MuJoCo only warns
             raise ModelError(f"{path}: {field} is not a number somewhere")
     low, high = _TIMESTEPS
-    if not low <= model.opt.timestep <= high:
-        raise ModelError(f"{path}: timestep is {model.opt.timestep} s; allowed is {low:g} to {high:g} s")
-    if not model.nv:
+    if not low <= compiled.opt.timestep <= high:
+        raise ModelError(f"{path}: timestep is {compiled.opt.timestep} s; allowed is {low:g} to {high:g} s")
+    if not compiled.nv:
         raise ModelError(f"{path}: nothing moves in it; a robot has one joint at least")
-    return model
+    return compiled
 
 
 def in_one_line(error: Exception) -> str:

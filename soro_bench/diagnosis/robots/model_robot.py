@@ -1,17 +1,18 @@
 """Any robot: a MuJoCo model, and a mapping of its recordings and parameters to it (robot_map.py)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from soro_bench.arrays import Bools, Floats, Ints
-from soro_bench.diagnosis.robots.map_parameters import held, parameters_of, settings_of
+from soro_bench.diagnosis.robots.map_parameters import Entry, held, parameters_of, settings_of
 from soro_bench.diagnosis.robots.measured import Drive, Measured
-from soro_bench.diagnosis.robots.model_file import ModelError, load_model, load_spec, name_of, number
+from soro_bench.diagnosis.robots.model_file import Model, ModelError, load_model, load_spec, name_of, number, title
 from soro_bench.diagnosis.robots.model_state import initial_state, signal_source, unused_keyframes
 from soro_bench.diagnosis.robots.priors import Baseline, Prior
 from soro_bench.diagnosis.robots.robot import SIMULATIONS, Robot
@@ -27,7 +28,7 @@ from soro_bench.diagnosis.robots.robot_map import (
 )
 from soro_bench.diagnosis.settings import RobotSettings
 from soro_bench.effects.effect import Effect
-from soro_bench.models.simulation import Simulation, quiet
+from soro_bench.models.simulation import ParameterMap, Simulation, quiet
 from soro_bench.parameters import Parameter, ParameterSet
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 
@@ -40,14 +41,14 @@ class ModelRobot(Robot):
     """A robot from a MuJoCo model.
 
     Args:
-        model: MJCF file.
-        mapping: TOML file, as ``robot_map.py`` describes it.
+        model: MJCF file, or a spec, which stays as it is.
+        mapping: TOML file, as ``robot_map.py`` describes it, or its content.
         threads: 0 for all processors; results do not depend on it.
         shorter: how many times shorter the model's time step is made.
         baseline: result of a baseline diagnosis of the same robot.
 
     Raises:
-        ModelError: says what is wrong with either file.
+        ModelError: says what is wrong with either of them.
     """
 
     _folder: TemporaryDirectory[str] | None = None  # of its model, where it has been written for this robot only
@@ -55,16 +56,16 @@ class ModelRobot(Robot):
 
     def __init__(
         self,
-        model: str | Path,
-        mapping: str | Path,
+        model: Model,
+        mapping: str | Path | Mapping[str, Any],
         threads: int = 0,
         shorter: int = 1,
         baseline: Baseline | None = None,
     ):
-        self._paths, self.threads, self._baseline = (Path(model), Path(mapping)), threads, baseline
+        self._sources, self.threads, self._baseline = (model, mapping), threads, baseline
         self.shorter = shorter
         table = read_mapping(mapping)
-        self.name = self.model_name = Path(model).stem
+        self.name = self.model_name = title(model)
         settings = table["robot"]
         with quiet():
             self._model = compiled = load_model(model)
@@ -89,7 +90,7 @@ class ModelRobot(Robot):
         self._control = self._initial.control
         self._control[list(fixed)] = list(fixed.values())
         self._settings, scaled = settings_of(compiled, table["settings"])
-        self.priors, fields = parameters_of(compiled, table["parameters"], scaled)
+        self.priors, fields = self._parameters(compiled, table["parameters"], scaled)
         self.notes = tuple(self._said(own, set(fixed), unused_keyframes(compiled, table["initial"], self._initial)))
         known = [Prior(name, "1", 1.0, 1.0, True, (0.0, np.inf)) for name in scaled]
         parameters = [Parameter(p.name, p.unit, p.nominal, p.bounds, p.bounds, "") for p in (*self.priors, *known)]
@@ -101,16 +102,16 @@ class ModelRobot(Robot):
 
     def shortened(self, factor: int) -> Robot:
         """The same model with time steps shorter by a factor."""
-        return ModelRobot(*self._paths, self.threads, factor, self._baseline)
+        return ModelRobot(*self._sources, self.threads, factor, self._baseline)
 
     def as_built(self, xml: str | None = None) -> Robot:
         """The same robot by its model file or another one, without a baseline."""
         if xml is None:
-            return ModelRobot(*self._paths, self.threads)
+            return ModelRobot(*self._sources, self.threads)
         folder = TemporaryDirectory()
-        path = Path(folder.name) / self._paths[0].name
+        path = Path(folder.name) / f"{self.name}.xml"
         path.write_text(xml, encoding="utf-8")
-        robot = ModelRobot(path, self._paths[1], self.threads)
+        robot = ModelRobot(path, self._sources[1], self.threads)
         robot._folder = folder  # as long as the robot may read it again
         return robot
 
@@ -119,9 +120,15 @@ class ModelRobot(Robot):
         if self._accurate is None:
             return None
         try:
-            return ModelRobot(self._accurate, self._paths[1], self.threads, baseline=self._baseline)
+            return ModelRobot(self._accurate, self._sources[1], self.threads, baseline=self._baseline)
         except ModelError as error:
             raise ModelError(f"the accurate model {self._accurate}: {error}") from error
+
+    def _parameters(
+        self, model: mujoco.MjModel, table: dict[str, Any], scaled: dict[str, list[Entry]]
+    ) -> tuple[tuple[Prior, ...], ParameterMap]:
+        """Priors of the parameters, and the fields that these and the settings change; settings change ``scaled``."""
+        return parameters_of(model, table, scaled)
 
     def _said(self, timestep: float, fixed: set[int], keyframes: str | None) -> list[str]:
         """What a user should know of the model and the mapping.
@@ -152,7 +159,7 @@ class ModelRobot(Robot):
 
     def spec(self) -> mujoco.MjSpec:
         """The model of the file, prepared for effects."""
-        spec = load_spec(self._paths[0])
+        spec = load_spec(self._sources[0])
         spec.option.timestep = self._timestep
         for i in self._widened:
             spec.actuators[i].ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE

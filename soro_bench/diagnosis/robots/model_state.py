@@ -134,7 +134,7 @@ def _quaternions(field: str, first: Ints, unit: str) -> SignalSource:
 
 
 @dataclass(frozen=True)
-class _Part:
+class Part:
     """Positions or velocities that begin at the first sample of a signal: entries ``ids`` of MuJoCo's ``field``."""
 
     signal: str
@@ -151,7 +151,7 @@ class InitialState:
     """
 
     keyframe: int
-    parts: tuple[_Part, ...]
+    parts: tuple[Part, ...]
     control: Floats
 
     def write(self, batch: Batch, ids: Ints, start: Floats | None) -> None:
@@ -207,7 +207,7 @@ def initial_state(model: mujoco.MjModel, table: dict[str, Any], source: SignalSo
         ids = _positions(model, names_of("initial", table, "joints"))
         if len(ids) != source.recorded:
             raise ModelError(f"[initial] has {len(ids)} joints; the signal has samples of shape {source.shape}")
-        parts.append(_Part(signal, "qpos", ids))
+        parts.append(Part(signal, "qpos", ids))
     signals = table.get("signals", {})
     if not isinstance(signals, dict):
         raise ModelError("[initial] signals has to be sections, [initial.signals.<name of a signal>]")
@@ -219,7 +219,7 @@ def initial_state(model: mujoco.MjModel, table: dict[str, Any], source: SignalSo
         (key,) = entry
         names = names_of(section, entry, key)
         found = _positions(model, names) if key == "joints" else _velocities(model, names)
-        parts.append(_Part(name, "qpos" if key == "joints" else "qvel", found))
+        parts.append(Part(name, "qpos" if key == "joints" else "qvel", found))
     for field in ("qpos", "qvel"):
         ids = np.concatenate([[], *(part.ids for part in parts if part.field == field)])
         if len(set(ids)) < len(ids):

@@ -36,6 +36,7 @@ fields = ["body_mass:arm", "body_inertia:arm"]  # a star in a name is for any te
 deviation = 0.3                   # of the prior: of the logarithm, or in the unit
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -78,13 +79,13 @@ class Command:
     widened: bool
 
 
-def read_mapping(path: str | Path) -> dict[str, Any]:
-    """The mapping, checked for its sections and entries; those left out are empty."""
-    try:
-        table = parsed_toml(read_bytes(path, _MAX_BYTES).decode())
-    except (ValueError, RecursionError) as error:
-        raise ModelError(f"{path} is no TOML file: {error}") from error
-    check_keys(str(path), table, tuple(_SECTIONS))
+def read_mapping(mapping: str | Path | Mapping[str, Any]) -> dict[str, Any]:
+    """A mapping, a file or its content, checked for its sections and entries; those left out are empty."""
+    if isinstance(mapping, Mapping):
+        table, label = dict(mapping), "the mapping"
+    else:
+        table, label = _parsed(mapping), str(mapping)
+    check_keys(label, table, tuple(_SECTIONS))
     for section, allowed in _SECTIONS.items():
         entries = table.setdefault(section, {})
         if not isinstance(entries, dict):
@@ -94,12 +95,19 @@ def read_mapping(path: str | Path) -> dict[str, Any]:
     return table
 
 
-def accurate_of(settings: dict[str, Any], mapping: str | Path) -> Path | None:
+def _parsed(path: str | Path) -> dict[str, Any]:
+    try:
+        return parsed_toml(read_bytes(path, _MAX_BYTES).decode())
+    except (ValueError, RecursionError) as error:
+        raise ModelError(f"{path} is no TOML file: {error}") from error
+
+
+def accurate_of(settings: dict[str, Any], mapping: str | Path | Mapping[str, Any]) -> Path | None:
     """The finer model that the section [robot] of a mapping names, from the mapping's folder."""
     name = settings.get("accurate")
     if name is None:
         return None
-    folder = Path(mapping).parent
+    folder = Path() if isinstance(mapping, Mapping) else Path(mapping).parent
     path = folder / name if isinstance(name, str) else None
     if path is None or not path.is_file() or not path.resolve().is_relative_to(folder.resolve()):
         raise ModelError(f"[robot] accurate is {name!r}; expected a model in the folder of the mapping, or below it")
