@@ -298,3 +298,17 @@ def test_springs_begin_anew_when_an_episode_goes_on_from_a_state(elements):
             task.step(ids, np.ones((1, 8), np.float32))
         ends.append(task.keypoints(ids).copy())
     assert np.array_equal(*ends)
+
+
+def test_typical_forces_and_masses_are_those_of_the_robot():
+    """A motor without a limit of force gives what its largest control does; a joint without one, as much."""
+    model = mujoco.MjModel.from_xml_string("""<mujoco><worldbody><body name="arm"><joint name="driven"/>
+        <geom size="0.1" mass="3"/>
+        <body name="end"><joint name="passive"/><geom size="0.1" mass="4"/></body></body>
+        <body name="loose"><freejoint/><geom size="0.1" mass="9"/></body><body><geom size="0.1" mass="8"/></body>
+        </worldbody>
+        <actuator><motor name="motor" joint="driven" gear="0.05" ctrlrange="-2 2"/></actuator></mujoco>""")
+    elements = Elements(model)
+    for name in ("driven", "passive"):
+        assert elements.scale(Location("joint", name), "force") == pytest.approx(0.03 * 0.1)
+    assert elements.scale(Location("body", "end"), "mass") == pytest.approx(7.0)

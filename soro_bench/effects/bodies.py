@@ -13,7 +13,7 @@ class Payload(Law):
     """A point mass at a body's centre of mass; the body may be fixed to one that moves."""
 
     name, category, kinds, adds, welded = "payload", "inertia", ("body",), True, True
-    quantities = (Quantity("mass", "kg", 0.015, (0.0, 1e4)),)
+    quantities = (Quantity("mass", "kg", 0.015, (0.0, 1e4), of="mass"),)
     fields = ("body_mass",)
 
     def write(self, which: Bools) -> None:

@@ -41,7 +41,7 @@ class Location:
 class Quantity:
     """A parameter of a law.
 
-    typical: where a search begins; a multiple of the port's scale of force, damping, length or compliance if ``of``
+    typical: where a search begins; a multiple of the port's scale of force, damping, length or so if ``of``
         says so.
     null: where the law does nothing, if this is its first parameter.
     also: other values that make another signature, from which a search begins too.
@@ -53,7 +53,7 @@ class Quantity:
     bounds: tuple[float, float]
     null: float = 0.0
     also: tuple[float, ...] = ()  # other values where a search begins
-    of: Literal["force", "damping", "length", "compliance"] | None = None
+    of: Literal["force", "damping", "length", "compliance", "mass"] | None = None
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def checked(effect: Effect, quantities: Sequence[Quantity]) -> Effect:
         raise EffectError(f"{effect.name} has no {brief(unknown[0])}; it has {', '.join(known)}")
     values = {}
     for q in quantities:
-        if q.name not in given and q.of:
+        if q.name not in given and q.of not in (None, "mass"):
             raise EffectError(f"{effect.name} needs its {q.name} [{q.unit}]")
         value = given.get(q.name, q.typical)
         number = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= sys.float_info.max

@@ -184,9 +184,11 @@ class Elements:
 
     def scale(self, location: Location, of: str | None) -> float:
         """What a typical force, damping or length is a multiple of: a share of the port's range, or 1; of compliances
-        it is that of the servo itself."""
+        it is that of the servo itself, and of masses that of the robot, or 1 kg."""
         if of is None:
             return 1.0
+        if of == "mass":
+            return max(self._mass(), 1.0)
         if of == "compliance":
             return 1.0 / max(abs(float(self.model.actuator_gainprm[self.id(location), 0])), 1e-6)
         if of == "damping":
@@ -205,7 +207,26 @@ class Elements:
             return _SHARE * max(spans)
         if location.kind == "joint" and (stiffness := float(np.ravel(model.jnt_stiffness[self.id(location)])[0])) > 0:
             return _SHARE * stiffness
-        return 1.0
+        driven = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)
+        near = actuators if len(actuators) or location.kind != "joint" else driven
+        return _SHARE * max(map(self._largest_force, near), default=0.0) or 1.0
+
+    def _largest_force(self, actuator: int) -> float:
+        """What its largest control gives in a joint or tendon [N, N m]; 0 where there is none."""
+        model, control = self.model, self.model.actuator_ctrladr[actuator]
+        fixed = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+        if not (fixed and model.actuator_ctrllimited[control]):
+            return 0.0
+        factor = abs(float(model.actuator_gainprm[actuator, 0] * model.actuator_gear[actuator, 0]))
+        return factor * float(np.abs(model.actuator_ctrlrange[control]).max())
+
+    def _mass(self) -> float:
+        """kg, of all bodies that move but loose objects, which are alone and free."""
+        model, free = self.model, int(mujoco.mjtJoint.mjJNT_FREE)
+        joints = model.body_jntadr
+        alone = np.isclose(model.body_mass, model.body_subtreemass) & (model.body_jntnum == 1)
+        loose = alone & (model.jnt_type[np.maximum(joints, 0)] == free if model.njnt else False)
+        return float(model.body_mass[~loose & (model.body_weldid != 0)].sum())
 
     def _hangs(self, body: int) -> bool:
         return len(self.joints_of(body)) > 0 or self.flex_before(body) is not None
