@@ -65,8 +65,8 @@ def import_bag(
             return times, numbers
 
         for text in reading.notes:
-            spec.notes.add(path.name, text)
-        return spec.recording(samples, path.name, EXPANSION * MAX_MEMORY)
+            spec.notes.add(path.resolve().name, text)
+        return spec.recording(samples, path.resolve().name, EXPANSION * MAX_MEMORY)
 
 
 def _sources(spec: FileMapping) -> dict[str, Source]:

@@ -117,7 +117,7 @@ def _restrict(database: sqlite3.Connection, size: int, head: bytes) -> None:
         found = database.execute("SELECT type, sql FROM sqlite_master WHERE name = ?", (name,)).fetchall()
         if not found:
             continue
-        if len(found) > 1 or found[0][0] != "table" or "VIRTUAL" in str(found[0][1])[:20].upper():
+        if len(found) > 1 or found[0][0] != "table" or "VIRTUAL" in str(found[0][1]).split("(")[0].upper():
             raise RecordingError(f"{name} is no plain table")
         rows = database.execute(f"PRAGMA table_xinfo({name})").fetchall()
         if not columns <= {row[1] for row in rows} or any(row[6] for row in rows):
