@@ -173,6 +173,10 @@ def test_a_copy_of_a_single_environment_goes_on_with_the_same_bytes(make, env_id
     env.reset(seed=3)
     following(env, actions[:3])
     copied = through(env)
+    ours, theirs = copied.unwrapped.task, env.unwrapped.task
+    for name, values in theirs.signals(np.arange(1)).items():
+        np.testing.assert_array_equal(ours.signals(np.arange(1))[name], values)
+    np.testing.assert_array_equal(ours.sim.batch.warning, theirs.sim.batch.warning)
     assert following(copied, actions[3:]) == following(env, actions[3:])
 
 
