@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from soro_bench.arrays import Floats
-from soro_bench.envs.copying import CopiedWithTask
-from soro_bench.envs.task import checked_flag, checked_options, shown
+from soro_bench.envs.task import CopiedWithTask, checked_flag, checked_options, shown
 
 if TYPE_CHECKING:  # imported when something is drawn
     from soro_bench.envs.rendering import Camera, Viewer

@@ -4,11 +4,12 @@ The single environment (single.py) is a task with N = 1 and the vector environme
 simulations, so there is one code path for both.
 """
 
+import copy
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import mujoco
 import numpy as np
@@ -28,6 +29,7 @@ ACTION_MODES = ("discrete", "continuous")
 # a float32, as gymnasium.wrappers.RescaleAction makes them
 ROUNDING = 1e-6
 _REBUILT = ("sim", "model")  # what a task has that cannot be copied
+_NOT_COPIED = ("task", "_renderer")  # what an environment has: simulations, and a window or an OpenGL context
 STATE = ("qpos", "qvel", "act", "qacc_warmstart")  # what a simulation goes on from; MuJoCo's names
 
 
@@ -303,3 +305,37 @@ class Task(ABC):
     def _info(self, ids: Ints) -> dict[str, Any]:
         """(n,) arrays for ``info``, one nested dict of them for "params"."""
         return {"params": dict(zip(self.parameters.names, self.sim.params[ids].T, strict=True))}
+
+
+class CopiedWithTask:
+    """An environment with a task, whose copies, also through a pickle, go on from its present state to the last bit.
+
+    A copy's task is built again from the same options, effects included. A renderer is opened when it is needed.
+    """
+
+    task_type: ClassVar[type[Task]]
+    task: Task
+    _task_options: dict[str, Any]
+
+    def _build_task(self) -> Task:
+        """The task of the options; the effects of a file are those of this moment, also in later copies."""
+        build: Callable[..., Task] = self.task_type
+        task = build(**self._task_options)
+        if "effects" in self._task_options:
+            self._task_options["effects"] = task.effects
+        return task
+
+    def __copy__(self) -> Self:
+        """A deep copy: simulations cannot be shared."""
+        return copy.deepcopy(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What the copy begins with."""
+        own = {name: value for name, value in vars(self).items() if name not in _NOT_COPIED}
+        return {"own": own, "task": self.task.saved()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Begin as a copy."""
+        vars(self).update(state["own"], _renderer=None)
+        self.task = self._build_task()
+        self.task.resume(state["task"])

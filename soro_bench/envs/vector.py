@@ -10,10 +10,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from soro_bench.arrays import Bools, Floats, Ints
-from soro_bench.envs.copying import CopiedWithTask
 from soro_bench.envs.gymnasium_vector import AutoresetMode, VectorEnv, need_vector_environments
-from soro_bench.envs.one_of_many import OneOfMany
-from soro_bench.envs.task import checked_flag, checked_options, shown
+from soro_bench.envs.task import CopiedWithTask, checked_flag, checked_options, shown
 
 if TYPE_CHECKING:  # imported when something is drawn
     from soro_bench.envs.rendering import Camera, Picture
@@ -165,7 +163,7 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
         return self._renderer.render(row)
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """What a method gives in each simulation (:class:`soro_bench.envs.one_of_many.OneOfMany`), or an attribute."""
+        """What a method gives in each simulation (:class:`OneOfMany`), or an attribute."""
         found = self.get_attr(name)
         return tuple(each(*args, **kwargs) if callable(each) else each for each in found)
 
@@ -184,7 +182,7 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
         for i, value in zip(chosen, values, strict=True):
             simulations[i].set_wrapper_attr(name, value)
 
-    def _simulations(self) -> list[OneOfMany]:
+    def _simulations(self) -> "list[OneOfMany]":
         return [OneOfMany(self, i, added) for i, added in enumerate(self._added)]
 
     def close_extras(self, **_: Any) -> None:
@@ -203,6 +201,85 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
         self._done[ids] = False
         self._begun[ids] = True
         _scatter(info, shown(rows, self._flat_info), ids, self.num_envs)
+
+
+class OneOfMany:
+    """Simulation ``row`` of a vector environment, for ``get_attr``, ``set_attr`` and ``call``.
+
+    It has what a single environment has, but for ``reset`` and ``step``, which take all simulations at once.
+
+    Args:
+        envs: the vector environment.
+        row: number of the simulation.
+        added: other attributes, which may be set.
+    """
+
+    def __init__(self, envs: SoftRobotVectorEnv, row: int, added: dict[str, Any]):
+        self._envs, self._row, self._added = envs, row, added
+
+    @property
+    def observation_space(self) -> gymnasium.spaces.Box:
+        """Of one simulation."""
+        return self._envs.task.single_observation_space
+
+    @property
+    def action_space(self) -> gymnasium.spaces.Discrete | gymnasium.spaces.Box:
+        """Of one simulation."""
+        return self._envs.task.single_action_space
+
+    @property
+    def spec(self) -> Any:
+        """The vector environment's."""
+        return self._envs.spec
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """The vector environment's."""
+        return self._envs.metadata
+
+    @property
+    def render_mode(self) -> str | None:
+        """The vector environment's."""
+        return self._envs.render_mode
+
+    @property
+    def np_random(self) -> np.random.Generator:
+        """The generator of this simulation."""
+        return self._envs.np_random[self._row]
+
+    @property
+    def np_random_seed(self) -> int:
+        """What it was seeded with."""
+        return self._envs.np_random_seed[self._row]
+
+    @property
+    def unwrapped(self) -> "OneOfMany":
+        """Itself."""
+        return self
+
+    def render(self) -> "Picture | None":
+        """(480, 640, 3) pixels of this simulation; None without a render_mode."""
+        return self._envs.picture(self._row)
+
+    def has_wrapper_attr(self, name: str) -> bool:
+        """Whether it has an attribute."""
+        return hasattr(self, name)
+
+    def get_wrapper_attr(self, name: str) -> Any:
+        """An attribute."""
+        return getattr(self, name)
+
+    def set_wrapper_attr(self, name: str, value: Any) -> None:
+        """Set an attribute; AttributeError for one that every simulation has."""
+        if hasattr(type(self), name):
+            raise AttributeError(f"{name} cannot be set for one simulation of a vector environment")
+        self._added[name] = value
+
+    def __getattr__(self, name: str) -> Any:
+        if name in self._added:
+            return self._added[name]
+        names = [*(own for own in dir(type(self)) if not own.startswith("_")), *self._added]
+        raise AttributeError(f"one simulation of a vector environment has no {name!r}; it has {', '.join(names)}")
 
 
 def _mode(autoreset_mode: str | AutoresetMode) -> AutoresetMode:
