@@ -424,7 +424,21 @@ def in_json(hint) -> str:
     return {float: "number", int: "integer", str: "text", bool: "true or false"}[hint]
 
 
+# --- libraries ---
+
+
+def libraries() -> str:
+    """The table of what benchmarks/compatibility.py has run."""
+    rows = []
+    for result in json.loads((DOCS / "results" / "compatibility.json").read_text()):
+        versions = ", ".join(f"{name} {version}" for name, version in result["versions"].items())
+        steps = f"{result['steps']:,}" if result["steps"] else ""
+        rows.append((result["library"], "; ".join(result["did"]), steps, versions, result["note"]))
+    return table(("what", "ran", "environment steps", "versions", "note"), rows)
+
+
 PARTS = {
+    "../how_to/use_a_library.md": libraries,
     "effects.md": effects,
     "parameters.md": parameters,
     "command_line.md": command_line,

@@ -26,6 +26,13 @@ def test_the_reference_is_what_the_code_says():
         assert path.read_text() == text, path.name
 
 
+def test_every_library_of_the_benchmark_has_run():
+    """If not: python benchmarks/compatibility.py --venvs FOLDER."""
+    results = json.loads((DOCS / "results" / "compatibility.json").read_text())
+    rows = runpy.run_path(str(DOCS.parent / "benchmarks" / "compatibility.py"))["ROWS"]
+    assert [result["name"] for result in results if result["ok"] and result["did"]] == [row.name for row in rows]
+
+
 def test_the_tables_of_the_reproduction_are_what_the_entries_say():
     """If not: python leaderboard/reproduction.py."""
     script = runpy.run_path(str(DOCS.parent / "leaderboard" / "reproduction.py"))
