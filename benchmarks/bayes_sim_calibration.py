@@ -4,7 +4,7 @@
 
 Trains on 1,000 simulations of the committed recording's actions, with both kinds of features, and checks the posterior
 on 100 others by simulation-based calibration and TARP (sbi). Prints p-values; small ones mean no calibration.
-Writes docs/results/bayes_sim_calibration_<model>.json.
+Writes docs/results/measured.json.
 """
 
 import argparse
@@ -15,7 +15,7 @@ import torch
 from sbi.diagnostics import check_sbc, check_tarp, run_sbc, run_tarp
 
 from soro_bench.assets import asset_path
-from soro_bench.files import write_json
+from soro_bench.files import read_json, write_json
 from soro_bench.inference import bayes_sim
 from soro_bench.inference.replay import Replay
 from soro_bench.markdown import header, row
@@ -70,7 +70,10 @@ def main() -> None:
                          "parameters": list(replay.names), **found})  # fmt: skip
             cells = ", ".join(f"{name} {p:.2g}" for name, p in zip(replay.names, found["sbc"], strict=True))
             print(row((env_id, features, cells, f"{found['tarp'][0]:.2g}")), flush=True)
-    write_json(ROOT / "docs" / "results" / f"bayes_sim_calibration_{options.model}.json", rows)
+    path = ROOT / "docs" / "results" / "measured.json"
+    every = read_json(path)
+    every["bayes_sim_calibration"][options.model] = rows
+    write_json(path, every)
 
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@
 
 Three 5 s recordings per task, simulated with nominal parameters: TrunkReach under random discrete actions, TrunkPush
 under the three oracle policies of the leaderboard. Every inference is a file in --work, and the same command goes on
-with what is missing. Writes docs/results/inference.json and prints a table of the worst errors.
+with what is missing. Writes docs/results/measured.json and prints a table of the worst errors.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from soro_bench.registration import task_type
 from soro_bench.sources import SIMULATION, claim, version_of
 
 ROOT = Path(__file__).parents[1]
-RESULTS = ROOT / "docs" / "results" / "inference.json"
+RESULTS = ROOT / "docs" / "results" / "measured.json"
 POLICIES = ROOT / "leaderboard" / "results" / "TrunkPush-v0" / "ppo" / "oracle"
 REACH, PUSH = "TrunkReach-v0", "TrunkPush-v0"
 E_WRONG = {"young_modulus": 0.8 * ALL_PARAMETERS["young_modulus"].nominal}
@@ -135,10 +135,11 @@ def main() -> None:
             print(f"case {i + 1} of {len(options.only)}: {case}, recording {number}, seed {seed}", flush=True)
             results.append(run(case, number, seed, options.work, options.model, options.threads))
         rows.append(row(case, results))
-        models = read_json(RESULTS)
+        every = read_json(RESULTS)
+        models = every["inference"]
         others = [r for r in models.get(options.model, []) if r["case"] != case]
         models[options.model] = sorted([*others, rows[-1]], key=lambda r: list(CASES).index(r["case"]))
-        write_json(RESULTS, models)
+        write_json(RESULTS, every)
         print(worst(rows[-1:]), flush=True)
     print(worst(rows))
 

@@ -16,7 +16,7 @@ random: does anything become NaN, fly, tumble or sink? Parameters uniform in the
 and continuous in turn, 6 steps. Adds counts to a file in --work after every batch and goes on from there. Warnings are
 those of MuJoCo that are not of a bad state, as a state that is counts as diverged.
 
-Whole results are in docs/results/multigait.json.
+Whole results are in docs/results/measured.json.
 """
 
 import argparse
@@ -39,7 +39,7 @@ from soro_bench.sources import SIMULATION, claim, version_of
 from soro_bench.training.ppo import default_config, make_agent
 
 ROOT = Path(__file__).parents[1]
-RESULTS = ROOT / "docs" / "results" / "multigait.json"
+RESULTS = ROOT / "docs" / "results" / "measured.json"
 ACTIONS, STEPS = 6, 6
 SIMULATIONS = 48  # at a time, a multiple of 6
 SAVE_INTERVAL = 60.0  # s
@@ -49,7 +49,9 @@ MIRROR = np.array([0, 2, 1, 3, 5, 4])  # the action with front and rear swapped
 
 def publish(**parts: dict) -> None:
     """Write parts of the results; the others stay."""
-    write_json(RESULTS, read_json(RESULTS) | parts)
+    every = read_json(RESULTS)
+    every["multigait"] |= parts
+    write_json(RESULTS, every)
 
 
 # --- gaits ---

@@ -5,7 +5,7 @@
 
 Runs that many episodes of every trunk task, each with parameters drawn uniformly from the published search box and
 with uniformly random actions, discrete and continuous in turn. Writes counts to --work after every batch; a run that
-was interrupted goes on from there. Whole, they are copied to docs/results/random_episodes.json. Warnings are
+was interrupted goes on from there. Whole, they are copied to docs/results/measured.json. Warnings are
 those of MuJoCo that are not of a bad state, as a state that is counts as diverged.
 """
 
@@ -25,7 +25,7 @@ from soro_bench.sources import SIMULATION, claim, version_of
 TRUNK_IDS = [env_id for env_id in soro_bench.ENV_IDS if env_id.startswith("Trunk")]
 BATCH = 50
 STEPS = 100
-RESULTS = Path(__file__).parents[1] / "docs" / "results" / "random_episodes.json"
+RESULTS = Path(__file__).parents[1] / "docs" / "results" / "measured.json"
 WARNINGS = [mujoco.mjtWarning(i).name for i in range(int(mujoco.mjtWarning.mjNWARNING))]
 
 
@@ -95,7 +95,9 @@ def main():
             minutes = (time.monotonic() - start) / done_now * left / 60
             print(f"{env_id} {totals[env_id]['episodes']} episodes, {minutes:.0f} min left", end="\r", flush=True)
     print()
-    write_json(RESULTS, read_json(RESULTS) | {options.model: totals})
+    every = read_json(RESULTS)
+    every["random_episodes"][options.model] = totals
+    write_json(RESULTS, every)
     for env_id, counts in totals.items():
         print(env_id, {key: value for key, value in counts.items() if key != "diverged_params"})
 

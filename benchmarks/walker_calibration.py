@@ -5,7 +5,7 @@
 Without gravity and floor: the curl of one inflated leg (how far its tip has come down, seen from the rear half) and the
 arch of the inflated centre (height of the middle above the leg tips). The coarse mesh's growth is given; that of the
 others follows so that at full inflation both heights are equal. Prints the growths for GROWTH in
-soro_bench/models/walker.py and writes heights over inflation to docs/results/walker_shapes.json and
+soro_bench/models/walker.py and writes heights over inflation to docs/results/measured.json and
 docs/images/walker_shapes.png.
 """
 
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from soro_bench.files import replacing, write_json
+from soro_bench.files import read_json, replacing, write_json
 from soro_bench.models import walker
 from soro_bench.models.simulation import Simulation
 from soro_bench.models.walker_mesh import CHAMBERS, RESOLUTIONS, TIP_INNER, TIP_OUTER, build_mesh
@@ -117,7 +117,8 @@ def main() -> None:
             "curl_mm": [round(1e3 * body.curl(growth[mesh], level), 3) for level in LEVELS],
         }
         print(mesh, shapes[mesh], flush=True)
-    write_json(DOCS / "results" / "walker_shapes.json", shapes)
+    results = DOCS / "results" / "measured.json"
+    write_json(results, read_json(results) | {"walker_shapes": shapes})
     plot(shapes)
 
 

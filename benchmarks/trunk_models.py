@@ -1,0 +1,220 @@
+"""Both trunk models against figures of the reference simulator and of finite elements.
+
+    python benchmarks/trunk_models.py necks
+    python benchmarks/trunk_models.py tips
+
+necks: stiffness of every neck of the compiled models against the finite-element table. The trunk beyond a neck is moved
+rigidly by a small amount (a bend or twist about the neck's middle, a stretch, a sideways shift) and the elastic force
+on it read from MuJoCo's ``qfrc_spring``, at E = 4.5 MPa.
+
+tips: where the tip is after one action from rest, in TrunkReach; the same as a function of the time step and of the
+integrator; tip deflection per newton on one cable, without gravity, and how it depends on Poisson's ratio.
+"""
+
+import argparse
+
+import gymnasium
+import mujoco
+import numpy as np
+
+import soro_bench  # noqa: F401  registers the environments
+from soro_bench import parameters as prm
+from soro_bench.models import trunk
+from soro_bench.models import trunk_geometry as geo
+from soro_bench.models.simulation import Simulation
+from soro_bench.parameters import ParameterSet
+
+# motion -> the freejoint coordinate (3 translations, 3 rotations) that it moves and that resists it
+MOTIONS = {"bend": 3, "bend_y": 4, "twist": 5, "axial": 2, "shear": 0}
+STEP = {"bend": 1e-4, "bend_y": 1e-4, "twist": 1e-4, "axial": 1e-6, "shear": 1e-6}  # rad or m
+# The table's compliance between and at its rows, relative to nu = 0.45
+MEAN_COMPLIANCE = {
+    "bend": {0.40: 1.10, 0.425: 1.06, 0.475: 0.89, 0.49: 0.74},
+    "axial": {0.40: 1.07, 0.49: 0.87},
+    "twist": {0.40: 1.08, 0.49: 0.69},
+}
+
+
+def compiled(name: str, poisson_ratio: float) -> mujoco.MjModel:
+    """The model with its parameters written, as an environment uses it."""
+    model = trunk.build_spec("reach.xml", name).compile()
+    parameters = ParameterSet(*trunk.PARAMETERS)
+    sim = Simulation(model, parameters, [trunk.TrunkParameters(model)], nsim=1)
+    values = {"poisson_ratio": poisson_ratio, "young_modulus": geo.YOUNG_MODULUS_OF_TABLE}
+    sim.set_params(np.arange(1), parameters.to_array(values)[None])
+    return sim.batch.get_model(0)
+
+
+def flex_stiffness(model: mujoco.MjModel, motion: str, size: float | None = None) -> np.ndarray:
+    """(10,) N/m or N m/rad, from central differences of +-``size``."""
+    data = mujoco.MjData(model)
+    size = STEP[motion] if size is None else size
+    coordinate = MOTIONS[motion]
+    return np.array([
+        (_flex_force(model, data, k, coordinate, -size) - _flex_force(model, data, k, coordinate, size)) / (2 * size)
+        for k in range(geo.NUM_NECKS)
+    ])
+
+
+def _flex_force(model, data, k, coordinate, size):
+    """Force or torque on vertebra ``k`` along ``coordinate``, the trunk beyond neck k moved by ``size`` along it."""
+    mujoco.mj_resetData(model, data)
+    pivot = data.qpos[7 * k : 7 * k + 3].copy()  # the vertebra's frame, at the neck's middle
+    turn = np.array([1.0, 0, 0, 0])
+    if coordinate >= 3:
+        mujoco.mju_axisAngle2Quat(turn, np.eye(3)[coordinate - 3], size)
+    for j in range(k, geo.NUM_NECKS):
+        pose = data.qpos[7 * j : 7 * j + 7]
+        moved = np.empty(3)
+        mujoco.mju_rotVecQuat(moved, pose[:3] - pivot, turn)
+        pose[:3] = pivot + moved
+        if coordinate < 3:
+            pose[coordinate] += size
+        pose[3:] = turn
+    mujoco.mj_forward(model, data)
+    return data.qfrc_spring[6 * k + coordinate]
+
+
+def cable_stiffness(model: mujoco.MjModel, motion: str) -> np.ndarray:
+    """(10,) the same for the joints of the serial chain."""
+    data = mujoco.MjData(model)
+    joint = {"bend": "bend_x"}.get(motion, motion)
+    force = []
+    for k in range(geo.NUM_NECKS):
+        mujoco.mj_resetData(model, data)
+        data.joint(f"{joint}{k}").qpos[0] = STEP[motion]
+        mujoco.mj_forward(model, data)
+        force.append(-data.qfrc_spring[model.joint(f"{joint}{k}").dofadr[0]] / STEP[motion])
+    return np.array(force)
+
+
+def necks() -> None:
+    """Print the tables of the necks."""
+    tables = {"bend": geo.BEND, "axial": geo.AXIAL, "twist": geo.TWIST}
+    tables |= {"bend_y": geo.BEND, "shear": geo.AXIAL / geo.AXIAL_PER_SHEAR}
+    for name, measure in (("flex", flex_stiffness), ("cable", cable_stiffness)):
+        print(f"{name}: measured stiffness / table - 1, in parts per million, necks 0 to 9")
+        for motion in MOTIONS if name == "flex" else ("bend", "bend_y", "axial"):
+            for row, nu in enumerate(geo.POISSON_RATIO_OF_TABLE):
+                error = 1e6 * (measure(compiled(name, nu), motion) / tables[motion][row] - 1)
+                print(f"  {motion:7} nu {nu:.2f} " + " ".join(f"{e:8.3f}" for e in error))
+    print("mean compliance relative to nu 0.45, all necks: model (finite elements)")
+    for motion, expected in MEAN_COMPLIANCE.items():
+        reference = flex_stiffness(compiled("flex", 0.45), motion)
+        for nu, value in expected.items():
+            ratio = (reference / flex_stiffness(compiled("flex", nu), motion)).mean()
+            print(f"  {motion:7} nu {nu:.3f} {ratio:.3f} ({value})  {100 * (ratio / value - 1):+.1f} %")
+    print("flex: secant stiffness at a finite motion / that at a small one, mean over necks")
+    model = compiled("flex", prm.POISSON_RATIO.nominal)
+    for motion, sizes in {"bend": (0.1, 0.3, 0.6, 1.0), "twist": (0.1, 0.3), "axial": (1e-3, 2e-3)}.items():
+        small = flex_stiffness(model, motion)
+        for size in sizes:
+            ratio = (flex_stiffness(model, motion, size) / small).mean()
+            print(f"  {motion:7} {size:5} {'m' if motion == 'axial' else 'rad':3} {ratio:.3f}")
+
+
+# mm, tip after the action. Action 15 releases a slack cable: free fall. Recorded with the reference simulator by the
+# authors of the published study (docs/archive/tasks_and_models.md).
+REFERENCE_TIPS = {
+    1: (-10.36, -16.37, 181.36),
+    3: (10.12, -16.29, 181.40),
+    5: (-5.08, -17.37, 181.79),
+    15: (0.01, -12.13, 183.36),
+}
+DEFLECTION = {"L0": 41.6, "S0": 24.2}  # mm/N, tip, finite elements on the reference mesh
+# tip compliance relative to nu = 0.45, finite elements
+COMPLIANCE = {0.40: 1.10, 0.425: 1.06, 0.475: 0.89, 0.49: 0.74}
+LOAD = 0.02  # N, small enough for a linear answer and within the range of every activation
+SETTLING_TIME = 5.0  # s
+
+
+def tips_of_environment(name: str) -> dict[int, np.ndarray]:
+    """Tip [mm] after the first action of an episode of TrunkReach."""
+    env = gymnasium.make("TrunkReach-v0", model=name)
+    tips = {}
+    for action in REFERENCE_TIPS:
+        env.reset(seed=0)
+        observation, *_ = env.step(action)
+        tips[action] = 1e3 * observation[60:63]
+    env.close()
+    return tips
+
+
+def tips_of_model(name: str, timestep: float, integrator: mujoco.mjtIntegrator) -> dict[int, np.ndarray]:
+    """The same with another time step [s] and integrator."""
+    model = parametrised(name, {}, timestep, integrator)
+    tips = {}
+    for action in REFERENCE_TIPS:
+        data = mujoco.MjData(model)
+        data.ctrl[action % 8] = geo.CABLE_RATE if action < 8 else -geo.CABLE_RATE
+        mujoco.mj_step(model, data, round(0.05 / timestep))
+        mujoco.mj_kinematics(model, data)
+        tips[action] = 1e3 * data.site("keypoint20").xpos
+    return tips
+
+
+def tip_deflection(name: str, cable: str, poisson_ratio: float) -> float:
+    """Tip deflection per force on a cable [mm/N], without gravity."""
+    model = parametrised(name, {"poisson_ratio": poisson_ratio})
+    model.opt.gravity[:] = 0
+    model.actuator_gainprm[:] = 0
+    model.actuator_biasprm[:] = 0
+    data = mujoco.MjData(model)
+    model.actuator(cable).gainprm[0] = 1.0  # tension = activation, which stays as long as the control is 0
+    data.act[model.actuator(cable).actadr[0]] = LOAD
+    mujoco.mj_step(model, data, round(SETTLING_TIME / model.opt.timestep))
+    mujoco.mj_kinematics(model, data)
+    tip = data.site("keypoint20").xpos
+    return 1e3 * np.linalg.norm(tip - [0, 0, geo.KEYPOINT_Z[-1]]) / LOAD
+
+
+def parametrised(name, params, timestep=None, integrator=None) -> mujoco.MjModel:
+    """The model with its parameters written, as an environment uses it."""
+    spec = trunk.build_spec("reach.xml", name)
+    if timestep is not None:
+        spec.option.timestep, spec.option.integrator = timestep, integrator
+    model, parameters = spec.compile(), ParameterSet(*trunk.PARAMETERS)
+    sim = Simulation(model, parameters, [trunk.TrunkParameters(model)], nsim=1)
+    sim.set_params(np.arange(1), parameters.to_array(params)[None])
+    return sim.batch.get_model(0)
+
+
+def print_tips(label: str, tips: dict[int, np.ndarray]):
+    """One row per action: tip, difference from the reference, its length."""
+    for action, tip in tips.items():
+        difference = tip - REFERENCE_TIPS[action]
+        vectors = [" ".join(f"{value:7.2f}" for value in vector) for vector in (tip, difference)]
+        print(f"{label:26} a = {action:2}  {vectors[0]}  {vectors[1]}  {np.linalg.norm(difference):5.2f}")
+
+
+def tips() -> None:
+    """Print the three tables of the tips."""
+    print("tip after one action [mm]        x       y       z     minus reference: x y z  distance")
+    for name in trunk.VARIANTS:
+        print_tips(name, tips_of_environment(name))
+    print("\ndistance of the tip from the reference [mm]" + "".join(f"  a = {a:2}" for a in REFERENCE_TIPS))
+    discrete, fast = mujoco.mjtIntegrator.mjINT_DISCRETE, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    for name, integrator in (("flex", discrete), ("cable", discrete), ("cable", fast)):
+        for timestep in (0.010, 0.005, 0.0025, 0.0005):
+            tips = tips_of_model(name, timestep, integrator)
+            distances = [np.linalg.norm(tip - REFERENCE_TIPS[action]) for action, tip in tips.items()]
+            label = f"{name} {integrator.name.removeprefix('mjINT_').lower()} {1e3 * timestep:g} ms"
+            print(f"{label:43}" + "".join(f"{d:8.2f}" for d in distances))
+    print("\ntip deflection without gravity [mm/N]  (finite elements)")
+    for name in trunk.VARIANTS:
+        for cable, expected in DEFLECTION.items():
+            nominal = tip_deflection(name, cable, 0.45)
+            print(f"{name:6} {cable}  nu 0.45  {nominal:6.2f}  ({expected})  {100 * (nominal / expected - 1):+.1f} %")
+            for nu, ratio in COMPLIANCE.items():
+                value = tip_deflection(name, cable, nu) / nominal
+                print(f"{name:6} {cable}  nu {nu:<5}  x {value:.3f}  ({ratio})  {100 * (value / ratio - 1):+.1f} %")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", choices=("necks", "tips"))
+    {"necks": necks, "tips": tips}[parser.parse_args().what]()
+
+
+if __name__ == "__main__":
+    main()
