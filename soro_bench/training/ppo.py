@@ -1,8 +1,8 @@
 """PPO (stable-baselines3) on the vector environments, in segments that make it resumable.
 
 Training is a row of segments. At the start of each, every random generator is reseeded from (seed, segment) and all
-episodes start anew; at its end a checkpoint is written. So a run that was killed goes on from its last checkpoint and
-ends with the same bytes as one that was not.
+episodes start anew; at its end a checkpoint is written. So a run that was killed goes on from its last checkpoint, and
+its policy has the same bytes as that of one that was not; its curve has other seconds.
 """
 
 import csv
