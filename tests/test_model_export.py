@@ -4,9 +4,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from soro_bench.diagnosis.assembly.model_export import exported
+from soro_bench.diagnosis.assembly.model_export import PatchError, exported
 from soro_bench.diagnosis.assembly.motion import LONG, SHORT, motion_difference
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.effects.effect import Effect, Location
 from tests.arm import ARM, MAP
 
@@ -140,3 +141,9 @@ def test_a_range_that_the_mapping_widens_is_wide_in_the_model(tmp_path):
     robot = robot_of(tmp_path, ARM.replace('kp="2"', 'kp="2" ctrlrange="-0.1 0.1"'), wide)
     model = mujoco.MjModel.from_xml_string(exported(robot, robot.parameters(np.zeros(3)), []).xml)
     assert not model.actuator_ctrllimited.any()
+
+
+def test_a_walker_of_a_mesh_has_no_model_for_its_stiffness():
+    robot = SuiteRobot("MultiGait-v0", threads=1)
+    with pytest.raises(PatchError, match="MJCF cannot hold the fitted flex_stiffness"):
+        exported(robot, {prior.name: prior.nominal for prior in robot.priors}, [])

@@ -89,8 +89,9 @@ class SuiteRobot(Robot):
         return other if other.shape == self.shape else None
 
     def spec(self) -> mujoco.MjSpec:
-        """The model of the task's scene, with what effects need."""
-        return instrument(self._task.spec())
+        """The model of the task's scene, with what effects need where its model has that: a mesh has no springs."""
+        spec = self._task.spec()
+        return instrument(spec) if self.elements.model.ntendon else spec
 
     @property
     def moves(self) -> Floats:
