@@ -10,7 +10,7 @@ pytest.importorskip("pyarrow", reason="needs the train extra")
 
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.estimation.data_quality import data_quality
-from soro_bench.diagnosis.estimation.unit_check import check_scale
+from soro_bench.diagnosis.estimation.unit_check import check_unit_and_sign
 from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.recording.recording import Recording, RecordingError, Signal
@@ -94,10 +94,10 @@ def test_a_signal_in_a_wrong_unit_or_the_other_way_round_is_refused(paths, scale
     """It would be explained, as outside the catalogue. Other parameters than the model's are none of that."""
     given, robot = recording(paths, [], 0), ModelRobot(*paths, threads=1)
     angle = given.signals["angle"]
-    check_scale(unexplained(robot, (robot.measured(given),), 1.0))
+    check_unit_and_sign(unexplained(robot, (robot.measured(given),), 1.0))
     wrong = replace(given, signals={"angle": replace(angle, values=scale * angle.values)})
     with pytest.raises(RecordingError, match=rf"angle moves {times}\S* times as far in the recordings as in the model"):
-        check_scale(unexplained(robot, (replace(robot.measured(wrong), start=angle.values[:1, None]),), 1.0))
+        check_unit_and_sign(unexplained(robot, (replace(robot.measured(wrong), start=angle.values[:1, None]),), 1.0))
 
 
 def test_samples_with_points_and_coordinates_exchanged_are_refused(paths):

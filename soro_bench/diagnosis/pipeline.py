@@ -13,7 +13,7 @@ from soro_bench.diagnosis.estimation.discretisation import discretisation_and_re
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.posterior_covariance import with_covariance
 from soro_bench.diagnosis.estimation.problem import Problem
-from soro_bench.diagnosis.estimation.unit_check import check_scale
+from soro_bench.diagnosis.estimation.unit_check import check_unit_and_sign
 from soro_bench.diagnosis.localisation.ranking import RankedLocation, ranked_locations
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
@@ -105,7 +105,7 @@ def run_diagnosis(
     data_qualities = tuple(data_quality(each, settings.data_quality) for each in (*measured, *tested))
     # of one sensor: motion only adds to it
     sigma = max(min(a.sigma for a in data_qualities), max(a.least for a in data_qualities))
-    check_scale(unexplained(robot, measured, sigma, settings))
+    check_unit_and_sign(unexplained(robot, measured, sigma, settings))
     problem, nominal = nominal_fit(unexplained(fitted, measured, sigma, settings), refined, seed, progress)
     for each in (robot, fitted):
         problem.check_finite(each, problem.simulated(each, [(nominal.x, ())]))

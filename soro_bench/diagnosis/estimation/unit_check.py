@@ -9,7 +9,7 @@ from soro_bench.recording.recording import RecordingError
 _WRONG_UNITS = (180 / np.pi, 100.0, 1000.0)  # degrees for rad, cm for m, mm for m
 
 
-def check_scale(problem: Problem) -> None:
+def check_unit_and_sign(problem: Problem) -> None:
     """Refuse a signal that moves like the nominal robot, but as many times as far as in another unit, or inverted.
 
     Raises:
