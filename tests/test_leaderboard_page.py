@@ -111,7 +111,7 @@ def test_the_page_shows_the_gates_and_the_worst_confusions_first(results, tmp_pa
 def test_diagnoses_are_compared_those_that_meet_most_gates_first(results, tmp_path):
     write_json(results / "diagnosis" / "theirs.json", {**DIAGNOSIS, "entry": "theirs", "gates": gates(0.01)})
     rows = Table(build(results, tmp_path / "site").read_text()).rows
-    first = next(i for i, row in enumerate(rows) if row[:3] == ["entry", "gates met", "false alarms"])
+    first = next(i for i, row in enumerate(rows) if row[:3] == ["entry", "criteria met", "false alarms"])
     assert [row[:4] for row in rows[first + 1 : first + 3]] == [
         ["theirs", "1 of 1", "0.01", ""],
         [SCRIPT, "0 of 1", "0.05", ""],

@@ -53,6 +53,7 @@ OLD = (
     r"suspects?", r"twins?", r"akin", r"numerical floor", r"(?:best|screened) leads?", r"suspects and leads",
     r"lead promises", r"still_promised", r"polish(?:ed)?", r"persevered", r"exchanged", r"plainer", r"misled", r"nulls",
     r"by hand", r"audit", r"concealed", r"proofs?", r"prove[ds]?", r"commitment", r"has no name", r"without a name",
+    r"ports", r"gates? (?:is |are )?(?:met|missed)", r"kind and name of a port", r"at a port", r"and its place",
     r"what acts", r"static_one_sided", r"dry_loss", r"rate_independent_memory", r"nats left", r"clouds", r"heat",
 )  # fmt: skip
 FORMATS = re.compile(  # names of files, keys and options of releases

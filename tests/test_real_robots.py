@@ -202,7 +202,7 @@ def test_nothing_is_damped_but_by_the_model():
 
 
 @pytest.mark.parametrize(
-    ("name", "port", "parameters", "last_over_first"),
+    ("name", "location", "parameters", "last_over_first"),
     [
         ("coulomb_friction", Location("joint", "bend_y1of4"), {"friction": 1e-3, "presliding": 1e-3}, (1.4, 2.5)),
         ("fluid_drag", Location("body", "*"), {"drag": 0.5}, (0.2, 0.6)),
@@ -211,8 +211,10 @@ def test_nothing_is_damped_but_by_the_model():
         ("viscous_friction", Location("joint", "bend_y1of4"), {"damping": 2e-3}, (0.85, 1.15)),
     ],
 )
-def test_damping_laws_show_in_how_the_decrement_changes_as_the_swing_dies_down(name, port, parameters, last_over_first):
-    first, last = decrements(released([Effect(name, port, parameters)]))
+def test_damping_laws_show_in_how_the_decrement_changes_as_the_swing_dies_down(
+    name, location, parameters, last_over_first
+):
+    first, last = decrements(released([Effect(name, location, parameters)]))
     assert first > 0.02
     assert last_over_first[0] < last / first < last_over_first[1]
 

@@ -67,11 +67,11 @@ class Drag(Law):
 
 @dataclass
 class RubberBand(Law):
-    """A band from a vertebra to a place in the world, which pulls when it is longer than at rest."""
+    """A band from a vertebra to a point of the world, which pulls when it is longer than at rest."""
 
     vertebra: int
     stiffness: float  # N/m
-    offset: np.ndarray  # (3,) m, of the place from the vertebra's centre at the start
+    offset: np.ndarray  # (3,) m, of the point from the vertebra's centre at the start
     length: float  # m
 
     def begin(self, robot: Robot, rng: np.random.Generator) -> None:

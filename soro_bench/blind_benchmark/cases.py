@@ -17,7 +17,7 @@ from gymnasium import spaces
 
 from soro_bench.blind_benchmark.draw import TARGETS, Case, draw_cases, manoeuvre
 from soro_bench.blind_benchmark.hidden import ALL, UNKNOWN
-from soro_bench.blind_benchmark.places import Hidden
+from soro_bench.blind_benchmark.locations import Hidden
 from soro_bench.blind_benchmark.report import released
 from soro_bench.blind_benchmark.robot import CONTROL_TIMESTEP, Diverged, Law, Trace, simulate
 from soro_bench.blind_benchmark.score import opened_labels
@@ -33,7 +33,7 @@ from soro_bench.recording.simulated import COMMAND
 
 _TRIALS = 6  # simulations to find a magnitude
 _CLOSE = 0.08  # largest log ratio of change and target that ends the search
-_ACCEPTED = (0.85 * TARGETS[0], 1.15 * TARGETS[1])  # mm; else place and shape are drawn again
+_ACCEPTED = (0.85 * TARGETS[0], 1.15 * TARGETS[1])  # mm; else location and shape are drawn again
 _DRAWS = 5
 _TAIL = 0.6  # s after a recording, which a slow clock sees
 
@@ -115,8 +115,8 @@ class Bench:
         return effects
 
     def _scaled(self, name: str, target: float, laws: Sequence[Law | SensorLaw], rng: np.random.Generator) -> Scaled:
-        """The first of a few draws of place and shape that comes into the range of targets, or else the one that comes
-        closest to its own."""
+        """The first of a few draws of location and shape that comes into the range of targets, or else the one that
+        comes closest to its own."""
         best: Scaled | None = None
         for _ in range(_DRAWS):
             hidden = ALL[name][1](rng, self.trace("train", []))

@@ -12,7 +12,7 @@ from soro_bench.blind_benchmark import body_laws as body
 from soro_bench.blind_benchmark import cable_laws as cable
 from soro_bench.blind_benchmark import sensor_laws as sensor
 from soro_bench.blind_benchmark import uncatalogued
-from soro_bench.blind_benchmark.places import (
+from soro_bench.blind_benchmark.locations import (
     Hidden,
     Quantities,
     any_cable,
@@ -238,7 +238,7 @@ def _outliers(rng: np.random.Generator, base: Trace) -> Hidden:
 
 
 Draw = Callable[[np.random.Generator, Trace], Hidden]
-# by name: class, and what draws place and shape given the robot without the effect
+# by name: class, and what draws location and shape given the robot without the effect
 PHYSICS: dict[str, tuple[str, Draw]] = {
     "coulomb_friction": ("friction", _coulomb_friction),
     "load_friction": ("friction", _load_friction),

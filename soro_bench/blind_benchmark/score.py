@@ -60,7 +60,7 @@ BINS = 10  # of stated probabilities
 LABEL_BYTES = 100_000_000
 _ID, _HASH = re.compile(r"case_[0-9]{3,}"), re.compile(r"[0-9a-f]{64}")
 _DRAWS = 200  # of outcomes, of a method whose probabilities are right
-_SAME_PLACE = {"tendon", "actuator"}  # a cable and the actuator that pulls it
+_CABLES = {"tendon", "actuator"}  # a cable and the actuator that pulls it
 _SEGMENTS = 1  # a body or keypoint may be off by so many
 Chosen = Callable[[dict], bool]  # whether a case, as case_row gives it, counts
 Statistic = Callable[[Sequence[dict]], float]  # of such cases
@@ -134,7 +134,7 @@ def case_row(label: dict, report: dict) -> dict:
         "first_three": bool(set(said) & set(truth)),
         "exact": report["verdict"] != "unknown_physics" and sorted(all_of_them) == sorted(truth),
         "right_class": report["classes"][0]["class"] in [e["class"] for e in label["effects"]],
-        "place": named is not None and _same_place(named["where"], first["where"]),
+        "place": named is not None and _same_location(named["where"], first["where"]),
         "part": named and _part(named["where"]),
         "covered": bool(set(report["credible_set"]) & set(truth or ["none"])),
         "abstained": report["verdict"] == "unknown_physics",
@@ -160,12 +160,12 @@ def _first(report: dict) -> dict:
     return found
 
 
-def _same_place(truth: dict, said: dict | None) -> bool:
-    """Whether a place is right: the same cable, or a segment or keypoint next to it."""
+def _same_location(truth: dict, said: dict | None) -> bool:
+    """Whether a location is right: the same cable, or a segment or keypoint next to it."""
     if not said:
         return False
     kinds = [truth["kind"], said["kind"]]
-    if kinds[0] != kinds[1] and not set(kinds) <= _SAME_PLACE:
+    if kinds[0] != kinds[1] and not set(kinds) <= _CABLES:
         return False
     if truth.get("index") is not None:
         return said.get("index") is not None and abs(truth["index"] - said["index"]) <= _SEGMENTS
@@ -176,10 +176,10 @@ def _same_place(truth: dict, said: dict | None) -> bool:
 
 
 def _part(location: dict) -> str:
-    """Of which kind a place is: one cable, one segment or keypoint, or the whole robot."""
+    """Of which kind a location is: one cable, one segment or keypoint, or the whole robot."""
     if location.get("index") is not None:
         return "segment"
-    part = "cable" if location["kind"] in _SAME_PLACE else "segment" if location["kind"] == "body" else "whole"
+    part = "cable" if location["kind"] in _CABLES else "segment" if location["kind"] == "body" else "whole"
     return "whole" if location["name"] == "*" else part
 
 
@@ -316,7 +316,7 @@ def _criterion(
     name: str,
     chosen: Chosen,
     statistic: Statistic,
-    bar: float | None,
+    threshold: float | None,
     below: bool,
     rng: np.random.Generator,
 ) -> dict:
@@ -326,21 +326,21 @@ def _criterion(
         "cases": len(members),
         "value": None,
         "interval": None,
-        "bar": bar,
+        "bar": threshold,
         "below": below,
         "met": None,
     }
     if not members:
         return criterion
     value, interval = statistic(members), _interval(statistic, members, rng)
-    return criterion | {"value": value, "interval": interval, "met": is_met(value, bar, below)}
+    return criterion | {"value": value, "interval": interval, "met": is_met(value, threshold, below)}
 
 
-def is_met(value: float | None, bar: float | None, below: bool) -> bool | None:
+def is_met(value: float | None, threshold: float | None, below: bool) -> bool | None:
     """Whether a criterion is met; None if there is no such case, or no threshold."""
-    if value is None or bar is None:
+    if value is None or threshold is None:
         return None
-    return value <= bar if below else value >= bar
+    return value <= threshold if below else value >= threshold
 
 
 def _interval(statistic: Statistic, members: Sequence[dict], rng: np.random.Generator) -> list[float]:

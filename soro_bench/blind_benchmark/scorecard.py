@@ -9,7 +9,7 @@ from soro_bench.blind_benchmark.score import absorbed, case_row, shows
 from soro_bench.markdown import table
 
 _OF_AN_EFFECT = (
-    "hidden", "alone", "first answer right", "and its place", "with another effect", "among the first three",
+    "hidden", "alone", "first answer right", "and its location", "with another effect", "among the first three",
 )  # fmt: skip
 _OF_A_CASE = (
     "case", "robot", "hidden", "verdict", "first three answers", "p", "unseen explained", "taken up by parameters",
@@ -18,14 +18,16 @@ _OF_A_CASE = (
 
 def markdown(card: dict) -> str:
     """The scorecard as tables."""
-    gates = []
-    for gate in card["gates"]:
-        bar = "" if gate["bar"] is None else f"{'<=' if gate['below'] else '>='} {gate['bar']:g}"
+    criteria = []
+    for criterion in card["gates"]:
+        threshold = ""
+        if criterion["bar"] is not None:
+            threshold = f"{'<=' if criterion['below'] else '>='} {criterion['bar']:g}"
         value, interval, met = "", "", ""
-        if gate["value"] is not None:
-            value, interval = f"{gate['value']:.3g}", "{:.3g} .. {:.3g}".format(*gate["interval"])
-            met = {True: "met", False: "MISSED", None: ""}[gate["met"]]
-        gates.append((gate["gate"], gate["cases"], value, interval, bar, met))
+        if criterion["value"] is not None:
+            value, interval = f"{criterion['value']:.3g}", "{:.3g} .. {:.3g}".format(*criterion["interval"])
+            met = {True: "met", False: "MISSED", None: ""}[criterion["met"]]
+        criteria.append((criterion["gate"], criterion["cases"], value, interval, threshold, met))
     confusion = [(c["truth"], c["said"], c["cases"]) for c in card["confusion"]]
     calibration = [(f"{b['stated']:.2f}", f"{b['right']:.2f}", b["cases"]) for b in card["calibration"]]
     cases = []
@@ -34,7 +36,7 @@ def markdown(card: dict) -> str:
         shares = ("" if share is None else f"{share:.2f}" for share in (row["probability"], row["fve_unseen"], hides))
         cases.append((row["id"], row["robot"], truth, row["verdict"], said, *shares))
     tables = (
-        table(("criterion", "cases", "value", "95 % interval", "threshold", ""), gates),
+        table(("criterion", "cases", "value", "95 % interval", "threshold", ""), criteria),
         table(("hidden", "first answer", "cases"), confusion),
         table(_OF_AN_EFFECT, _by_effect(card["cases"])),
         table(("stated probability", "right", "cases"), calibration),
@@ -44,17 +46,17 @@ def markdown(card: dict) -> str:
 
 
 def _by_effect(rows: Sequence[dict]) -> list[tuple]:
-    """Of every hidden effect: in how many of the cases that have it alone the first answer and its place are right,
+    """Of every hidden effect: in how many of the cases that have it alone the first answer and its location are right,
     and in how many that have another one too it is among the first three answers; the worst first."""
     found = []
     for name in sorted({name for row in rows for name in row["truth"] or ["none"]}):
         alone = [row for row in rows if (row["truth"] or ["none"]) == [name]]
         pairs = [row for row in rows if name in row["truth"] and len(row["truth"]) > 1]
         right = [row for row in alone if row["first"]]
-        places = "" if name == "none" else sum(row["place"] for row in right)
+        located = "" if name == "none" else sum(row["place"] for row in right)
         three = sum(name in row["said"] for row in pairs)
         missed = len(alone) - len(right) + len(pairs) - three
-        found.append((-missed / (len(alone) + len(pairs)), name, len(alone), len(right), places, len(pairs), three))
+        found.append((-missed / (len(alone) + len(pairs)), name, len(alone), len(right), located, len(pairs), three))
     return [each[1:] for each in sorted(found)]
 
 

@@ -4,7 +4,14 @@ import numpy as np
 
 from soro_bench.blind_benchmark import body_laws as body
 from soro_bench.blind_benchmark import cable_laws as cable
-from soro_bench.blind_benchmark.places import Hidden, any_neck, log_uniform, offset_values, random_direction, vertebra
+from soro_bench.blind_benchmark.locations import (
+    Hidden,
+    any_neck,
+    log_uniform,
+    offset_values,
+    random_direction,
+    vertebra,
+)
 from soro_bench.blind_benchmark.robot import Trace
 from soro_bench.models import trunk_geometry as geo
 
@@ -23,7 +30,7 @@ def cross_talk(rng: np.random.Generator, base: Trace) -> Hidden:
 
 
 def rubber_band(rng: np.random.Generator, base: Trace) -> Hidden:
-    """A band from a vertebra to a place in the world; the magnitude is its stiffness [N/m]."""
+    """A band from a vertebra to a point of the world; the magnitude is its stiffness [N/m]."""
     k, location = any_neck(rng, 3)
     offset = rng.uniform(0.08, 0.15) * random_direction(rng)
     length = rng.uniform(0.5, 0.9) * float(np.linalg.norm(offset))

@@ -1,1 +1,1 @@
-"""Physics that a model leaves out: laws by name, at ports of any MuJoCo model. docs/reference/effects.md lists them."""
+"""Physics that a model leaves out: laws by name, at locations of any MuJoCo model (docs/reference/effects.md)."""

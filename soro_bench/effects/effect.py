@@ -11,7 +11,7 @@ from soro_bench.files import brief, read_json, write_json
 SCHEMA = "soro-bench/effects/2"
 OLD_SCHEMA = "soro-bench/effects/1"  # its locations have the key "where"; it is still read
 KINDS = ("tendon", "joint", "actuator", "body", "flex", "geom", "model", "sensor")
-EVERY = "*"  # the name that means all ports of a kind
+EVERY = "*"  # the name that means all locations of a kind
 MAX_EFFECTS = 100
 
 
@@ -41,7 +41,7 @@ class Location:
 class Quantity:
     """A parameter of a law.
 
-    typical: where a search begins; a multiple of the port's scale of force, damping, length or so if ``of``
+    typical: where a search begins; a multiple of the location's scale of force, damping, length or so if ``of``
         says so.
     null: where the law does nothing, if this is its first parameter.
     also: other values that make another signature, from which a search begins too.
@@ -58,7 +58,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Effect:
-    """A law at a port with its parameters (SI units)."""
+    """A law at a location with its parameters (SI units)."""
 
     name: str
     location: Location

@@ -68,11 +68,11 @@ class Elements:
 
     model: mujoco.MjModel
     # what was asked for before
-    _ports: dict[tuple[Location, bool, bool], list[Location]] = field(default_factory=dict, repr=False, compare=False)
+    _found: dict[tuple[Location, bool, bool], list[Location]] = field(default_factory=dict, repr=False, compare=False)
     _joint_ids: dict[tuple[int, bool], Ints] = field(default_factory=dict, repr=False, compare=False)
 
     def locations(self, kind: str) -> list[Location]:
-        """All ports of a kind; for "model" there is one, "gravity"; sensors are the recording's."""
+        """All locations of a kind; for "model" there is one, "gravity"; sensors are the recording's."""
         names = {
             "tendon": self._tendons,
             "joint": self._joints,
@@ -105,15 +105,15 @@ class Elements:
         return found
 
     def expand(self, location: Location, elastic: bool = False, welded: bool = False) -> list[Location]:
-        """The ports that one stands for; EffectError if there is no such element.
+        """The locations that one stands for; EffectError if there is no such element.
 
         Args:
             elastic: whether every body is every one that hangs on springs or a flex.
             welded: whether a body may be one without a joint of its own; every body is none of them.
         """
-        if (location, elastic, welded) not in self._ports:
-            self._ports[location, elastic, welded] = self._expanded(location, elastic, welded)
-        return self._ports[location, elastic, welded]
+        if (location, elastic, welded) not in self._found:
+            self._found[location, elastic, welded] = self._expanded(location, elastic, welded)
+        return self._found[location, elastic, welded]
 
     def _expanded(self, location: Location, elastic: bool, welded: bool) -> list[Location]:
         locations = self.locations(location.kind)
@@ -169,7 +169,7 @@ class Elements:
         return np.flatnonzero((model.actuator_trntype == kind) & (model.actuator_trnid[:, 0] == self.id(location)))
 
     def turns(self, location: Location) -> bool:
-        """Whether what moves at a port turns and does not slide: a hinge, what drives one, a body that bends."""
+        """Whether what moves at a location turns and does not slide: a hinge, what drives one, a body that bends."""
         if location.kind not in ("joint", "actuator", "body"):
             return False
         model, i = self.model, self.id(self.expand(location)[0])
@@ -183,8 +183,8 @@ class Elements:
         return model.jnt_type[i] == mujoco.mjtJoint.mjJNT_HINGE
 
     def scale(self, location: Location, of: str | None) -> float:
-        """What a typical force, damping or length is a multiple of: a share of the port's range, or 1; of compliances
-        it is that of the servo itself, and of masses that of the robot, or 1 kg."""
+        """What a typical force, damping or length is a multiple of: a share of the location's range, or 1; of
+        compliances it is that of the servo itself, and of masses that of the robot, or 1 kg."""
         if of is None:
             return 1.0
         if of == "mass":

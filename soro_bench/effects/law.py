@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class Law:
-    """One law at n places: entry i acts in simulation ``rows[i]`` at ``ports[i]`` with ``values[quantity][i]``.
+    """One law at n locations: entry i acts in simulation ``rows[i]`` at ``locations[i]`` with ``values[quantity][i]``.
 
     A law writes model fields after the parameters are set (``write``), starts an episode (``reset``), and may do
     something before every time step (``step``). Everything is elementwise in the entries, so a result does not depend
@@ -29,9 +29,9 @@ class Law:
     fields: ClassVar[tuple[str, ...]] = ()  # model fields that it writes; restored when effects change
     outputs: ClassVar[tuple[str, ...]] = ()  # data fields that step() reads
     stepped: ClassVar[bool] = False
-    shared: ClassVar[bool] = False  # may act at all ports of a kind at once, from one cause such as a slow controller
+    shared: ClassVar[bool] = False  # may act at all locations of a kind, from one cause such as a slow controller
     only_shared: ClassVar[bool] = False  # a property of the material or the surroundings, the same everywhere
-    adds: ClassVar[bool] = False  # may come several times at one port
+    adds: ClassVar[bool] = False  # may come several times at one location
     welded: ClassVar[bool] = False  # may act at a body without a joint that moves with one before it
     elastic: ClassVar[bool] = False  # of the material: every body is then every one that hangs on springs or a flex
 
@@ -46,7 +46,7 @@ class Law:
 
     @classmethod
     def idle(cls, elements: Elements, location: Location) -> frozenset[str]:
-        """Quantities that can do nothing at a port, as a second direction of bending where there is one hinge."""
+        """Quantities that can do nothing at a location, as a second direction of bending where there is one hinge."""
         return frozenset()
 
     @property
@@ -55,7 +55,7 @@ class Law:
         return self.run.timestep
 
     def prepare(self, elements: Elements) -> None:
-        """Look up what the ports are in the model."""
+        """Look up what the locations are in the model."""
         self.ids = np.array([elements.id(location) for location in self.locations])
 
     def write(self, which: Bools) -> None:

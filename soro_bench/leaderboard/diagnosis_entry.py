@@ -115,16 +115,16 @@ def read_entry(path: str | Path) -> dict:
     return entry
 
 
-def _check_criteria(gates: list[dict], path: str | Path) -> None:
+def _check_criteria(criteria: list[dict], path: str | Path) -> None:
     """ValueError unless criteria and thresholds are those of the blind benchmark, and met agrees with the values."""
-    given, known = ([(gate["gate"], gate["bar"], gate["below"]) for gate in gates],
-                    [(name, bar, below) for name, _, _, bar, below in CRITERIA])  # fmt: skip
+    given, known = ([(each["gate"], each["bar"], each["below"]) for each in criteria],
+                    [(name, threshold, below) for name, _, _, threshold, below in CRITERIA])  # fmt: skip
     if given != known:
         odd = next((one for one in given if one not in known), None) or "too few, twice, or in another order"
         raise ValueError(f"{path}: criteria and thresholds are not those of soro-bench blind-benchmark: {brief(odd)}")
-    for gate in gates:
-        if gate["met"] is not is_met(gate["value"], gate["bar"], gate["below"]):
-            raise ValueError(f"{path}: {gate['gate']} is {gate['value']}, for which met cannot be {gate['met']}")
+    for each in criteria:
+        if each["met"] is not is_met(each["value"], each["bar"], each["below"]):
+            raise ValueError(f"{path}: {each['gate']} is {each['value']}, for which met cannot be {each['met']}")
 
 
 def write_entry(path: str | Path, entry: str, method: str, cases: str | Path, card: dict) -> None:

@@ -21,7 +21,7 @@ from soro_bench.recording.rerun_log import write_recording
 from soro_bench.registration import task_type
 
 REFERENCES = ("oracle", "no_dr")  # methods that others are compared with: the first one that a board has
-HEADLINES = {  # gates by which diagnoses are compared at a glance, and what they are called there
+HEADLINES = {  # criteria by which diagnoses are compared at a glance, and what they are called there
     "false alarms": "false alarms",
     "first answer right": "first right",
     "class right": "class right",
@@ -175,12 +175,12 @@ def _diagnosis_section(number: int, entry: dict) -> dict:
         figures = [(alt, plot_calibration(entry["calibration"], f"diagnosis-{number}"))]
     worst = sorted(entry["confusion"], key=lambda pair: -pair["cases"])
     columns = [name for name in (entry["ablations"] or [{}])[0] if name != "variant"]
-    barred = [gate["met"] for gate in entry["gates"] if gate["met"] is not None]
-    by_name = {gate["gate"]: gate for gate in entry["gates"]}
+    judged = [criterion["met"] for criterion in entry["gates"] if criterion["met"] is not None]
+    by_name = {criterion["gate"]: criterion for criterion in entry["gates"]}
     return entry | {
         "id": f"diagnosis-entry-{number}",
-        "met": sum(barred),
-        "barred": len(barred),
+        "met": sum(judged),
+        "judged": len(judged),
         "by_name": by_name,
         "figures": figures,
         "worst": worst,
@@ -189,7 +189,7 @@ def _diagnosis_section(number: int, entry: dict) -> dict:
 
 
 def _rank(section: dict) -> tuple[float, float]:
-    """The more gates are met the better; then, the more often the first answer is right."""
+    """The more criteria are met the better; then, the more often the first answer is right."""
     first = section["by_name"].get("first answer right", {}).get("value")
     return -section["met"], -(first or 0.0)
 

@@ -18,7 +18,7 @@ class Hidden:
     """An effect but for its magnitude.
 
     Args:
-        where: as in a report of a diagnosis: kind and name of a port, and perhaps an index.
+        where: as in a report of a diagnosis: kind and name of an element, and perhaps an index.
         law: of a magnitude.
         parameters: value and unit by name, of a magnitude.
         guess: the magnitude that changes keypoints by about 2 mm.
