@@ -5,16 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
 
 from soro_bench.campaign.inputs import inferred
 from soro_bench.inference import rf_dropo
-from soro_bench.inference.identifiability import combinations
-from soro_bench.inference.likelihood import horizon, log_likelihood, sample_factor
-from soro_bench.inference.methods import infer, uncertainty
+from soro_bench.inference.methods import infer
 from soro_bench.inference.replay import Replay
-from soro_bench.inference.search import EvaluationLog
-from soro_bench.parameters import FRICTION, TRUNK_MASS, WALL_OFFSET, YOUNG_MODULUS
 from soro_bench.randomization import load
 from soro_bench.recording.parquet import save
 from soro_bench.recording.recording import RecordingError, Signal
@@ -28,53 +23,6 @@ def reach():
     """A short recording of the cheap trunk with parameters that nothing here knows of."""
     truth = {"trunk_mass": 0.31, "poisson_ratio": 0.43, "young_modulus": 3.9e6}
     return record("TrunkReach-v0", model="cable", params=truth, steps=STEPS, full_state=True), truth
-
-
-def test_the_likelihood_is_that_of_a_normal_distribution():
-    rng = np.random.default_rng(0)
-    residual, factor, deviation = rng.normal(size=(4, 6)), rng.normal(size=(4, 6, 2)), rng.uniform(0.1, 1, (4, 6))
-    expected = [
-        multivariate_normal(np.zeros(6), f @ f.T + np.diag(d**2)).logpdf(r)
-        for r, f, d in zip(residual, factor, deviation, strict=True)
-    ]
-    np.testing.assert_allclose(log_likelihood(residual, factor, deviation), expected)
-
-
-def test_a_replay_that_diverged_has_no_likelihood():
-    residual = np.array([[0.0, 0.0], [np.nan, 0.0]])
-    values = log_likelihood(residual, np.zeros((2, 2, 1)), np.ones((2, 2)))
-    assert np.isfinite(values[0]) and values[1] == -np.inf
-
-
-def test_the_factor_of_samples_gives_their_covariance():
-    samples = np.random.default_rng(0).normal(size=(50, 3, 4))
-    mean, factor = sample_factor(samples)
-    np.testing.assert_allclose(mean, samples.mean(axis=0))
-    np.testing.assert_allclose(factor[1] @ factor[1].T, np.cov(samples[:, 1].T), rtol=1e-10)
-
-
-def test_the_horizon_grows_to_the_whole_recording():
-    assert [horizon(share, 100) for share in (0.0, 0.5, 1.0)] == [1, 90, 99]
-
-
-@pytest.mark.parametrize("search", ["linearised", "sampled"])
-def test_both_searches_find_the_optimum_of_a_linear_gaussian_model(search):
-    # y_t = x with x normal: the best mean is that of the data, the best variance theirs less the sensor's
-    rng = np.random.default_rng(1)
-    data = 0.6 + 0.05 * rng.standard_normal((100, 1))
-    deviation = np.full_like(data, 0.02)
-
-    def residuals(points, steps):
-        return data[None, :steps] - points[:, None, :]
-
-    if search == "linearised":
-        fit = rf_dropo.linearised(residuals, deviation, [slice(0, 1)], 1, EvaluationLog(None, ""))
-    else:
-        fit = rf_dropo.sampled(residuals, deviation, 1, EvaluationLog(None, ""), iterations=40, samples=128)
-    assert fit.mean[0] == pytest.approx(data.mean(), abs=2e-3)
-    expected = np.sqrt(data.var() - 0.02**2)
-    # truncation at two standard deviations takes 12 % off the standard deviation of the samples
-    assert fit.std[0] == pytest.approx(expected / (1 if search == "linearised" else 0.88), rel=0.05)
 
 
 def test_rf_dropo_recovers_the_parameters_of_a_simulation(reach):
@@ -226,32 +174,6 @@ def test_what_a_fit_leaves_widens_what_is_said_to_be_determined(reach):
     near = Replay(recording, known={"young_modulus": 3.9e6, "poisson_ratio": 0.43}, threads=1)
     widths = [infer("sysid", replay).combinations[0].relative_std for replay in (far, near)]
     assert widths[0] > 10 * widths[1]
-
-
-def test_a_ratio_is_named_when_only_the_ratio_matters():
-    # what is measured depends on the logarithm of mass / E, and a hundred times less on friction
-    d_log = np.array([[1.0, -1.0, 0.0], [0.5, -0.5, 0.01]])
-    values = np.array([0.4, 4e6, 0.3])
-    found = combinations((d_log / values)[None], np.full((1, 2), 1e-3), (TRUNK_MASS, YOUNG_MODULUS, FRICTION), values)
-    assert "determined to" in found[0].words and found[0].exponents["friction"] == pytest.approx(0, abs=0.01)
-    assert found[0].exponents["trunk_mass"] == pytest.approx(-found[0].exponents["young_modulus"], abs=1e-3)
-    assert "trunk_mass * young_modulus is not determined" in found[2].words
-
-
-def test_what_a_recording_says_nothing_about_is_as_wide_as_its_box():
-    jacobian = np.zeros((10, 1, 2))
-    jacobian[:, 0, 0] = 1.0
-    assert np.sqrt(np.diag(uncertainty(jacobian, np.full((10, 1), 1e-3)))) == pytest.approx(
-        [1e-3 / np.sqrt(10), rf_dropo.LARGEST_STD], rel=1e-4
-    )
-
-
-def test_what_may_be_zero_is_determined_in_widths_of_its_box():
-    """0.1 mm of a wall somewhere in a box of centimetres are little, wherever the wall is."""
-    (found,) = combinations(np.ones((1, 1, 1)), np.full((1, 1), 1e-4), (WALL_OFFSET,), np.array([1e-6]))
-    low, high = WALL_OFFSET.search
-    assert found.relative_std == pytest.approx(1e-4 / (high - low))
-    assert "is determined to" in found.words
 
 
 @pytest.mark.parametrize(
