@@ -1,13 +1,18 @@
 """The stages of a diagnosis, from recordings to the discrepancies of a simulation."""
 
 import itertools
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
 from soro_bench.diagnosis.candidates import Term, terms
+from soro_bench.diagnosis.data_quality.inspection import Inspected, compressed, inspected
+from soro_bench.diagnosis.data_quality.samples import spikes
 from soro_bench.diagnosis.estimation.data_quality import DataQuality, data_quality, noise, outliers
 from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
 from soro_bench.diagnosis.estimation.fit import Hypothesis
@@ -15,6 +20,7 @@ from soro_bench.diagnosis.estimation.posterior_covariance import with_covariance
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.estimation.unit_check import check_unit_and_sign
 from soro_bench.diagnosis.localisation.ranking import RankedLocation, ranked_locations
+from soro_bench.diagnosis.result import DataFinding
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.experiment_design import Proposal, proposed
@@ -26,6 +32,7 @@ from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
 from soro_bench.recording.recording import Recording, RecordingError
 
+T = TypeVar("T")
 HypothesisKey = tuple[bytes, tuple[Term, ...]]
 
 
@@ -37,6 +44,13 @@ class Outliers:
     share: float
     size: float
 
+    def with_more(self, problem: Problem, nominal: Hypothesis, far: np.ndarray, weight: np.ndarray) -> "Outliers":
+        """These, and those that a fit found: (M,) ``far``, of samples with a weight (M,)."""
+        left = problem.sigma * problem.discretisation.without(nominal.residual)[far]
+        share = float(far.sum() / weight.sum())
+        square = (self.share * self.size**2 + share * float((left**2).mean())) / (self.share + share)
+        return Outliers(self.share + share, float(np.sqrt(square)))
+
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -44,6 +58,7 @@ class Diagnosis:
 
     places: outside the catalogue, the best first; none where a law explains it, or no force at one place anything.
     proposal: what to record next; None where nothing is left to be told apart.
+    data: what sensors and loggers did to the recordings.
     tested, tested_residuals: the problem of the held-out recordings, and its residuals (M,) by :func:`key_of` of the
         hypotheses that were compared.
     """
@@ -58,6 +73,7 @@ class Diagnosis:
     seconds: float
     tested: Problem | None = None
     tested_residuals: Mapping[HypothesisKey, np.ndarray] = field(default_factory=dict)
+    data: tuple[DataFinding, ...] = ()
 
     @property
     def detected(self) -> bool:
@@ -101,24 +117,45 @@ def run_diagnosis(
     progress("data quality")
     fitted = robot.shortened(settings.discretisation.fitted_refinement)
     refined = robot.refined(settings.discretisation.reference_refinement)
-    measured, tested = _measured(robot, settings.report.most_numbers, recordings, heldout)
-    data_qualities = tuple(data_quality(each, settings.data_quality) for each in (*measured, *tested))
+    inspections = _inspected(robot, recordings, heldout, settings)
+    measured, tested = _measured(robot, settings.report.most_numbers, *inspections)
+    looked_at = tuple(each for group in inspections for each in group)
+    data_qualities = tuple(
+        _quality(each, found, settings) for each, found in zip((*measured, *tested), looked_at, strict=True)
+    )
+    measured, tested = (
+        tuple(found.applied(each) for each, found in zip(some, group, strict=True))
+        for some, group in zip((measured, tested), inspections, strict=True)
+    )
     # of one sensor: motion only adds to it
     sigma = max(min(a.sigma for a in data_qualities), max(a.least for a in data_qualities))
+    spoilt = any(found.findings for found in looked_at)
     check_unit_and_sign(unexplained(robot, measured, sigma, settings))
-    problem, nominal = nominal_fit(unexplained(fitted, measured, sigma, settings), refined, seed, progress)
+    untouched = unexplained(fitted, measured, sigma, settings)
+    problem, nominal = nominal_fit(untouched, refined, seed, progress)
     for each in (robot, fitted):
         problem.check_finite(each, problem.simulated(each, [(nominal.x, ())]))
-    problem, nominal, found_outliers = _without_outliers(problem, nominal)
-    if not problem.misfit_dominated:
-        problem, nominal = _with_noise(problem, nominal, max(a.least for a in data_qualities))
+    found_outliers = _of_samples(looked_at[: len(measured)], untouched)
+    problem, nominal, found_outliers = _fitted_again(
+        problem,
+        nominal,
+        untouched,
+        refined,
+        found_outliers,
+        max(a.least for a in data_qualities),
+        spoilt,
+        seed,
+        progress,
+    )
     explanation = explained(problem, nominal, robot, refined, terms(robot, settings.priors), seed, progress)
     progress("comparison")
     hypotheses = shortlist(explanation)
     trial = tried_on(explanation, tested, refined, hypotheses)
     comparison = compared(explanation, trial)
     explanation, comparison = _with_covariances(explanation, comparison, seed)
-    found = Diagnosis(robot, data_qualities, found_outliers, explanation, comparison, (), None, 0.0)
+    found = Diagnosis(
+        robot, data_qualities, found_outliers, explanation, comparison, (), None, 0.0, data=_findings(looked_at)
+    )
     if comparison.detected and comparison.unknown > settings.report.least_unknown:
         progress("localisation")
         found = replace(
@@ -150,22 +187,38 @@ def _with_covariances(explanation: Explanation, comparison: Comparison, seed: in
     return replace(explanation, nominal=nominal), replace(comparison, answers=tuple(answers))
 
 
-def _named(label: str, function: Callable[[Recording], Measured], recording: Recording) -> Measured:
+def _named(label: str, function: Callable[[Recording], T], recording: Recording) -> T:
     try:
         return function(recording)
     except RecordingError as error:
         raise RecordingError(f"{label}: {error}") from error
 
 
-def _measured(robot: Robot, most_numbers: int, *groups: Sequence[Recording]) -> list[tuple[Measured, ...]]:
-    """What the diagnosis sees of the recordings to explain, and of held-out ones."""
-    if not groups[0]:
+def _inspected(
+    robot: Robot, recordings: Sequence[Recording], heldout: Sequence[Recording], settings: Settings
+) -> tuple[tuple[Inspected, ...], tuple[Inspected, ...]]:
+    """The recordings to explain and the held-out ones, freed of what sensors and loggers did to them."""
+    if not recordings:
         raise RecordingError("there is no recording to explain")
-    found = [
-        tuple(_named(f"{label}recording {number}", robot.measured, each) for number, each in enumerate(group, 1))
-        for label, group in zip(("", "held-out "), groups, strict=True)
-    ]
-    for i, j in itertools.combinations([each for group in groups for each in group], 2):
+    found = []
+    for number, (label, recording) in enumerate(
+        zip(_labels(recordings, heldout), (*recordings, *heldout), strict=True)
+    ):
+        check = partial(inspected, number=number, robot=robot, settings=settings)
+        found.append(_named(label, check, recording))
+    return tuple(found[: len(recordings)]), tuple(found[len(recordings) :])
+
+
+def _labels(recordings: Sequence, heldout: Sequence) -> list[str]:
+    groups = ("", recordings), ("held-out ", heldout)
+    return [f"{label}recording {number}" for label, group in groups for number in range(1, len(group) + 1)]
+
+
+def _measured(robot: Robot, most_numbers: int, *groups: Sequence[Inspected]) -> list[tuple[Measured, ...]]:
+    """What the diagnosis sees of the recordings to explain, and of held-out ones."""
+    labels = iter(_labels(*groups))
+    found = [tuple(_named(next(labels), robot.measured, each.recording) for each in group) for group in groups]
+    for i, j in itertools.combinations([each.recording for group in groups for each in group], 2):
         if _same(robot, i, j):
             raise RecordingError("two of the recordings are the same; what is explained twice is no more certain, and "
                                  "held-out recordings have to be others than those that are explained")  # fmt: skip
@@ -192,7 +245,32 @@ def _proposal(found: Diagnosis, seed: int) -> Proposal | None:
 def unexplained(robot: Robot, measured: tuple[Measured, ...], sigma: float, settings: Settings = DEFAULT) -> Problem:
     """Recordings of which nothing is explained yet, with noise ``sigma`` and no discretisation error."""
     weight = np.concatenate([np.isfinite(each.values).ravel().astype(float) for each in measured])
-    return Problem(robot, measured, sigma, weight, LowRank(np.zeros((0, weight.size))), settings=settings)
+    return Problem(robot, measured, sigma, weight, LowRank(_late(measured) / sigma * weight), settings=settings)
+
+
+def _late(measured: tuple[Measured, ...]) -> np.ndarray:
+    """(F, M) how the signals [their unit] change with each possible error of their time stamps."""
+    size = sum(each.values.size for each in measured)
+    rows, start = [np.zeros((0, size))], 0
+    for each in measured:
+        if each.late is not None:
+            found = np.zeros((len(each.late), size))
+            found[:, start : start + each.values.size] = (each.late[:, :, None, None] * _rate(each)).reshape(
+                len(each.late), -1
+            )
+            rows.append(found)
+        start += each.values.size
+    return np.concatenate(rows)
+
+
+def _rate(measured: Measured) -> np.ndarray:
+    """(T, P, D) rate of change of the signal, across missing samples too."""
+    columns = measured.values.reshape(len(measured.values), -1).copy()
+    for column in columns.T:
+        seen = np.isfinite(column)
+        if seen.any():
+            column[:] = np.gradient(np.interp(measured.time, measured.time[seen], column[seen]), measured.time)
+    return np.nan_to_num(columns).reshape(measured.values.shape)
 
 
 def tried_on(
@@ -214,33 +292,98 @@ def tried_on(
     return tested.with_discretisation(discretisation), residuals
 
 
-def _outliers(problem: Problem, residual: np.ndarray) -> np.ndarray:
-    """(M,) whether a sample belongs to a point that is alone and far off."""
+def _outliers(problem: Problem, residual: np.ndarray, spoilt: bool = False) -> np.ndarray:
+    """(M,) whether a sample belongs to a point that is alone and far off; one of two, where others were ``spoilt``."""
     left = np.where(problem.weight > 0, problem.discretisation.without(residual), np.nan)
-    return np.concatenate([
-        np.repeat(outliers(part, problem.settings.data_quality).ravel(), part.shape[2]) for part in problem.split(left)
-    ])
+    found, settings = [], problem.settings
+    for part in problem.split(left):
+        far = outliers(part, settings.data_quality)
+        if spoilt:
+            far |= np.stack([spikes(part[:, p], 1.0, settings.signals) for p in range(part.shape[1])], axis=1)
+        found.append(np.repeat(far.ravel(), part.shape[2]))
+    return np.concatenate(found)
 
 
-def _without_outliers(problem: Problem, nominal: Hypothesis) -> tuple[Problem, Hypothesis, Outliers]:
-    """The problem and its nominal fit without the samples that are alone and far off."""
-    far = _outliers(problem, nominal.residual)
-    if not far.any():
-        return problem, nominal, Outliers(0.0, 0.0)
-    far &= problem.weight > 0
-    size = problem.sigma * float(np.sqrt((problem.discretisation.without(nominal.residual)[far] ** 2).mean()))
-    share = float(far.sum() / problem.weight.sum())
-    problem = _masked(problem, far)
-    return problem, nominal.scaled(problem, ~far), Outliers(share, size)
+def _fitted_again(
+    problem: Problem,
+    nominal: Hypothesis,
+    untouched: Problem,
+    refined: Sequence[Robot],
+    found: Outliers,
+    least: float,
+    spoilt: bool,
+    seed: int,
+    progress: Callable[[str], None],
+) -> tuple[Problem, Hypothesis, Outliers]:
+    """The problem without outliers and with the noise that the nominal fit leaves, and that fit.
+
+    It is made anew without the outliers of the fit before, and where sparse samples first seemed far noisier.
+
+    Args:
+        untouched: the problem before any fit.
+        found: outliers so far.
+        least: noise [signal's unit].
+        spoilt: whether samples were left out before any fit.
+    """
+    settings = problem.settings.data_quality
+    for again in range(settings.refits + 1):
+        far = _outliers(problem, nominal.residual, spoilt) & (problem.weight > 0)
+        quiet = problem, nominal
+        if not problem.misfit_dominated:
+            quiet = _with_noise(problem, nominal, least, spoilt)
+        noisier = spoilt and quiet[0].sigma < settings.refit_noise * untouched.sigma
+        if again == settings.refits or not (far.any() or noisier):
+            break
+        if far.any():
+            found = found.with_more(problem, nominal, far, untouched.weight)
+            untouched = _masked(untouched, far)
+        if noisier:
+            ratio = untouched.sigma / quiet[0].sigma
+            basis = LowRank(untouched.discretisation.basis * ratio)
+            untouched = replace(untouched, sigma=quiet[0].sigma, discretisation=basis)
+        problem, nominal = nominal_fit(untouched, refined, seed, progress)
+    if far.any():  # of the last fit
+        found, problem = found.with_more(problem, nominal, far, untouched.weight), _masked(problem, far)
+        nominal = nominal.scaled(problem, np.where(far, 0.0, 1.0))
+        quiet = (problem, nominal) if problem.misfit_dominated else _with_noise(problem, nominal, least, spoilt)
+    return *quiet, found
+
+
+def _of_samples(found: Sequence[Inspected], problem: Problem) -> Outliers:
+    """The spikes that were found before anything was fitted, beside the points that are left."""
+    count = sum(each.spikes for each in found)
+    if not count:
+        return Outliers(0.0, 0.0)
+    square = sum(each.spikes * each.size**2 for each in found) / count
+    points = float(problem.weight.sum()) / problem.robot.shape[1]
+    return Outliers(count / (points + count), float(np.sqrt(square)))
+
+
+def _quality(measured: Measured, found: Inspected, settings: Settings) -> DataQuality:
+    """Noise and gaps of what is left of a recording."""
+    if not found.findings:
+        return data_quality(measured, settings.data_quality)
+    quality = data_quality(replace(measured, values=compressed(measured.values)), settings.data_quality)
+    least = max(quality.least, found.step / math.sqrt(12))
+    return DataQuality(max(quality.sigma, least), least, float(np.isnan(measured.values).mean()))
+
+
+def _findings(found: Sequence[Inspected]) -> tuple[DataFinding, ...]:
+    return tuple(finding for each in found for finding in each.findings)
 
 
 def _masked(problem: Problem, far: np.ndarray) -> Problem:
     return replace(problem, weight=problem.weight * ~far, discretisation=LowRank(problem.discretisation.basis * ~far))
 
 
-def _with_noise(problem: Problem, nominal: Hypothesis, least: float) -> tuple[Problem, Hypothesis]:
-    """The same with the noise of what the nominal fit leaves: little of the motion is in it, so it shows better."""
+def _with_noise(problem: Problem, nominal: Hypothesis, least: float, spoilt: bool) -> tuple[Problem, Hypothesis]:
+    """The same with the noise of what the nominal fit leaves: little of the motion is in it, so it shows better.
+
+    Args:
+        least: noise [signal's unit]. spoilt: whether samples were left out, so that few windows are complete.
+    """
     left = problem.split(np.where(problem.weight > 0, problem.discretisation.without(nominal.residual), np.nan))
+    left = [compressed(part) for part in left] if spoilt else left
     found = max(noise(part.reshape(len(part), -1), problem.settings.data_quality) for part in left)
     factor = 1.0 / min(1.0, max(least / problem.sigma, found))
     problem = replace(

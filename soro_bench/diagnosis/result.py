@@ -325,6 +325,23 @@ class SignalQuality:
 
 
 @dataclass(frozen=True)
+class DataFinding:
+    """What a sensor, a logger or a broken line did to a recording: no physics of the robot.
+
+    name: such as "quantisation", "spikes" or "held". signal: of a signal or command. recording: index of it in
+        ``recordings``. samples: numbers concerned, and share: of those that there are.
+    text: what was found and done, and what to do, in one sentence.
+    """
+
+    name: str
+    signal: str
+    recording: int
+    samples: int
+    share: float
+    text: str
+
+
+@dataclass(frozen=True)
 class Outliers:
     """Samples left out because they are alone and far off: share of all points, and their rms distance [signal's
     unit]."""
@@ -367,6 +384,7 @@ class Result:
     trainable: whether the robot is of the suite, so that policies can be trained on the posterior.
     seed: of random numbers. seconds: that the diagnosis took.
     settings: that differ from their defaults. notes: on the model, its mapping and the recordings, in words.
+    data: what sensors and loggers did to the recordings.
     """
 
     robot: RobotSummary
@@ -405,6 +423,7 @@ class Result:
     seconds: float
     settings: dict[str, typing.Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    data: tuple[DataFinding, ...] = ()
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:

@@ -90,6 +90,7 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
         seconds=round(diagnosis.seconds, 1),
         settings=_changed(explanation.problem.settings),
         notes=_notes(diagnosis),
+        data=diagnosis.data,
     )
 
 

@@ -22,6 +22,7 @@ def summary(result: Result) -> str:
     if result.outliers.share:
         share, size = 100 * result.outliers.share, words.number(result.outliers.size, unit)
         lines.append(_line("outliers", f"{share:.2g} % of the points are {size} off (rms); left out"))
+    lines += [_line("data", each) for each in words.data(result)]
     for each in words.best_findings(result):
         lines += _finding(each, nearest=result.verdict == "outside_catalogue")
     if result.verdict == "outside_catalogue":

@@ -130,6 +130,18 @@ def where(result: Result) -> str:
     return f"{first.location}; nearly as well {', '.join(near[:3])}{more}"
 
 
+def data(result: Result) -> list[str]:
+    """What sensors and loggers did to the recordings, in a sentence each."""
+    count, found = result.trained_on, []
+    for each in result.data:
+        held = each.recording >= count
+        number = each.recording - count if held else each.recording
+        several = (len(result.recordings) - count if held else count) > 1
+        which = " of ".join(part for part in (f"recording {number + 1}" * several, "the held-out data" * held) if part)
+        found.append(f"{which}: {each.text}." if which else f"{each.text}.")
+    return found
+
+
 def alternatives(result: Result) -> list[str]:
     """What else it may be, with probabilities; the most probable first."""
     found = [

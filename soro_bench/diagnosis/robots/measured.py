@@ -29,6 +29,7 @@ class Measured:
     start: (P, D) the first sample of the signal, before the first step, or (S,) what several signals say of the state
     then. settings: (T, S) what is known of the robot in each control step, for robots that have such settings. notes:
     what a user should know of the recording, in words.
+    late: (F, T) s, errors that the time stamps may have, one standard deviation each; none where they are exact.
     """
 
     actions: Floats
@@ -39,6 +40,7 @@ class Measured:
     start: Floats | None = None
     settings: Floats | None = None
     notes: tuple[str, ...] = ()
+    late: Floats | None = None
 
     @property
     def drive(self) -> Drive:

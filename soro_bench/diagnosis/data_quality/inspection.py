@@ -1,0 +1,311 @@
+"""Recordings as their sensors made them: what is wrong with the samples is named, and left out or put right."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from soro_bench.arrays import Bools, Floats
+from soro_bench.diagnosis.data_quality import samples
+from soro_bench.diagnosis.data_quality.lattice import is_lattice, lattice_step
+from soro_bench.diagnosis.data_quality.samples import Channel
+from soro_bench.diagnosis.data_quality.stamps import Stamps, interpolated, stamps
+from soro_bench.diagnosis.data_quality.texts import text
+from soro_bench.diagnosis.estimation.data_quality import noise
+from soro_bench.diagnosis.result import DataFinding
+from soro_bench.diagnosis.robots.measured import Measured
+from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.settings import DEFAULT, DataQualitySettings, Settings
+from soro_bench.recording.recording import Recording, RecordingError, Signal
+
+SEARCHED = 8  # channels, those that move most, in which steps between levels are looked for
+
+
+@dataclass(frozen=True)
+class Inspected:
+    """A recording after the inspection of its signal; the same one where nothing is wrong with it.
+
+    findings: what was found. step: largest one between levels, 0 if the signal is not quantised. quantised: (C,)
+    channels. error, rate: standard deviations of a constant error [s] of time stamps, and of the rate of their clock.
+    spikes: points left out; size: their rms distance of a coordinate [unit].
+    """
+
+    recording: Recording
+    findings: tuple[DataFinding, ...] = ()
+    step: float = 0.0
+    quantised: tuple[bool, ...] = ()
+    error: float = 0.0
+    rate: float = 0.0
+    spikes: int = 0
+    size: float = 0.0
+
+    def applied(self, measured: Measured) -> Measured:
+        """What is measured of the recording, with the possible errors of its time stamps, and without samples that
+        only repeat a level."""
+        if self.error or self.rate:
+            about = measured.time - measured.time.mean()
+            measured = replace(measured, late=np.stack([np.full(len(about), self.error), self.rate * about]))
+        if not any(self.quantised):
+            return measured
+        columns = measured.values.reshape(len(measured.values), -1).copy()
+        for i in np.flatnonzero(self.quantised):
+            columns[samples.repeats(columns[:, i]), i] = np.nan
+        return replace(measured, values=columns.reshape(measured.values.shape))
+
+
+def inspected(recording: Recording, number: int, robot: Robot, settings: Settings = DEFAULT) -> Inspected:
+    """A recording whose signal is freed of what its sensor and logger did to it.
+
+    Args:
+        number: index of the recording in the result.
+        robot: whose signal it has; a recording without that signal is left to :meth:`Robot.measured`.
+
+    Raises:
+        RecordingError: nothing of the signal is left.
+    """
+    signal = recording.signals.get(robot.signal)
+    points, coordinates = robot.shape
+    if signal is None or signal.unit != robot.unit or signal.values[0].size != points * coordinates:
+        return Inspected(recording)
+    return _Inspection(recording, number, robot, settings, signal).result()
+
+
+class _Inspection:
+    """One signal on its way through all checks; ``values`` (T, C) lose what is spoilt."""
+
+    def __init__(self, recording: Recording, number: int, robot: Robot, settings: Settings, signal: Signal):
+        self.recording, self.number, self.robot, self.signal = recording, number, robot, signal
+        self.settings, self.quality = settings.signals, settings.data_quality
+        self.values = signal.values.reshape(len(signal.time), -1).copy()
+        self.points, self.coordinates = robot.shape
+        self.findings: list[DataFinding] = []
+        self.spikes, self.size = 0, 0.0
+
+    def result(self) -> Inspected:
+        """The recording and what was found."""
+        missing = int(np.isnan(self.values).sum())
+        turned = self._unwrap()
+        self._leave_out_placeholders()
+        steps = self._steps()
+        self.noise = max(self._noise(), steps.max() / np.sqrt(12))
+        self._leave_out("clipping", lambda c: samples.clipped(c, self.settings), steps)
+        held, spacing = self._leave_out_stale(steps)
+        self._leave_out_spikes()
+        rows = np.isfinite(self.values).any(axis=1)
+        if rows.sum() < self.settings.least_samples:
+            raise RecordingError(f"{self.robot.signal} has {rows.sum()} usable samples: "
+                                 + "; ".join(each.text for each in self.findings))  # fmt: skip
+        if not held:  # lost rows are those of the log, not those that were left out
+            rows[:] = True
+        found = stamps(self.signal.time[rows], self.values[rows], self.settings, late=held)
+        recording, error, rate = self.recording, 0.0, 0.0
+        if found is not None or held:
+            recording, error, rate = self._retimed(rows, found, held, spacing)
+        elif turned or self.findings:
+            recording = self._with(self.signal.time, self.values)
+        lost = found.missing * self.values.shape[1] if found and not held else 0
+        if lost or missing:
+            self._note("missing_samples", lost + missing, lost)
+        if not self.findings:
+            return Inspected(self.recording)
+        return Inspected(recording, tuple(self.findings), float(steps.max()), tuple((steps > 0).tolist()), error, rate,
+                         self.spikes, self.size)  # fmt: skip
+
+    def _note(self, name: str, count: int, lost: int = 0, **values: float) -> None:
+        """Tell that ``count`` numbers of the signal are concerned, of which ``lost`` are not in the log."""
+        share = min(count / (self.values.size + lost), 1.0)
+        said = text(name, self.robot.signal, self.robot.unit, share, values)
+        self.findings.append(DataFinding(name, self.robot.signal, self.number, int(count), float(share), said))
+
+    def _noise(self) -> float:
+        """Standard deviation of the noise of samples that do not repeat the ones before."""
+        fresh = self.values.copy()
+        fresh[1:][np.diff(self.values, axis=0) == 0] = np.nan
+        try:
+            return noise(compressed(fresh), self.quality)
+        except (RecordingError, ValueError):  # too few of them
+            return 0.0
+
+    def _channels(self, steps: Floats) -> Iterator[tuple[int, Channel]]:
+        for i in range(self.values.shape[1]):
+            yield i, Channel(self.values[:, i], self.noise, float(steps[i]))
+
+    def _unwrap(self) -> bool:
+        """Take out the wraps of angles."""
+        if self.robot.unit != "rad" or self.coordinates != 1:
+            return False
+        count, turn = 0, 0.0
+        for i in range(self.values.shape[1]):
+            found, period = samples.wrapped(self.values[:, i], self.settings)
+            if found:
+                self.values[:, i] = samples.unwrapped(self.values[:, i], period)
+                count, turn = count + found, period
+        if count:
+            self._note("wrap", count, turn=turn)
+        return count > 0
+
+    def _leave_out_placeholders(self) -> None:
+        """Leave out values that stand for missing samples: all coordinates of a point have them."""
+        self.noise = self._noise()
+        count, value = 0, 0.0
+        for p in range(self.points):
+            columns = range(p * self.coordinates, (p + 1) * self.coordinates)
+            found = [samples.placeholder(Channel(self.values[:, i], self.noise), self.settings) for i in columns]
+            at = np.all([each for each, _ in found], axis=0)
+            if at.any():
+                self.values[np.ix_(at, list(columns))] = np.nan
+                count, value = count + int(at.sum()) * self.coordinates, found[0][1]
+        if count:
+            self._note("placeholders", count, value=value)
+
+    def _steps(self) -> Floats:
+        """(C,) steps between the levels of quantised channels; 0 for the others."""
+        steps = np.zeros(self.values.shape[1])
+        reach = np.nanmax(self.values, axis=0) - np.nanmin(self.values, axis=0)
+        noisy = min(self.noise, _noise_or_zero(self.values, self.quality))
+        least = max(self.settings.least_step * noisy, self.quality.least_noise * float(reach.max()))
+        for i in np.argsort(-reach, kind="stable")[:SEARCHED]:
+            steps[i] = lattice_step(self.values[:, i], least, self.settings)
+        if (found := steps[steps > 0]).size:
+            for i in np.flatnonzero(steps == 0):
+                steps[i] = next((s for s in found if is_lattice(self.values[:, i], s, self.settings)), 0.0)
+            count = int(np.isfinite(self.values[:, steps > 0]).sum())
+            self._note("quantisation", count, step=float(steps.max()))
+        return steps
+
+    def _leave_out(self, name: str, found_in: Callable[[Channel], Bools], steps: Floats) -> None:
+        """Leave out what is found in each channel."""
+        count = 0
+        for i, channel in self._channels(steps):
+            at = found_in(channel)
+            self.values[at, i] = np.nan
+            count += int(at.sum())
+        if count:
+            self._note(name, count)
+
+    def _leave_out_stale(self, steps: Floats) -> tuple[bool, float]:
+        """Leave out values that are only held; whether the sensor holds throughout, and the interval of rows [s]."""
+        counts = {"held": 0, "frozen": 0}
+        for i, channel in self._channels(steps):
+            at, kind = samples.stale(channel, self.settings)
+            self.values[at, i] = np.nan
+            if kind:
+                counts[kind] += int(at.sum())
+        for name, count in counts.items():
+            if count:
+                self._note(name, count)
+        return counts["held"] > 0, float(np.median(np.diff(self.signal.time)))
+
+    def _leave_out_spikes(self) -> None:
+        """Leave out points that are alone and far off."""
+        squares: list[float] = []
+        for p in range(self.points):
+            columns = slice(p * self.coordinates, (p + 1) * self.coordinates)
+            point = self.values[:, columns]
+            at = samples.spikes(point, self.noise, self.settings)
+            if at.any():
+                before = point.copy()
+                self.values[at, columns] = np.nan
+                squares += _distances(before, at)
+                self.spikes += int(at.sum())
+        if self.spikes:
+            self.size = float(np.sqrt(np.mean(squares)))
+            self._note("spikes", self.spikes * self.coordinates, size=self.size)
+
+    def _retimed(self, rows: Bools, found: Stamps | None, held: bool, spacing: float) -> tuple[Recording, float, float]:
+        """The recording at control steps, from rebuilt time stamps; standard deviations of what may be wrong with
+        these: a constant error [s], and the rate of the clock."""
+        time, error, rate = self.signal.time[rows], 0.0, 0.0
+        recording = self.recording
+        if found is not None:
+            for name, count in zip(found.kinds, found.affected, strict=True):
+                if name != "gaps" and not held:  # which rounds stamps to rows
+                    self._note(name, count * self.values.shape[1], late=found.size)
+            rebuilt = not {"gaps", "irregular"} >= set(found.kinds)
+            if rebuilt:
+                error, rate = found.error, self.settings.clock_rate
+                if not held:
+                    recording = _with_commands(recording, time, found.time)
+            time = found.time
+            if rebuilt:
+                time = self._snapped(recording, found)
+        if held:  # a fresh value may be as old as the interval between two rows
+            error = float(np.hypot(error, spacing / np.sqrt(3)))
+        return self._on_steps(recording, time, self.values[rows]), error, rate
+
+    def _snapped(self, recording: Recording, found: Stamps) -> Floats:
+        """Rebuilt time stamps, moved onto control steps where they are as near as their error allows."""
+        step, time = self.robot.control_timestep, found.time
+        ratio = max(found.period / step, step / found.period)
+        whole = round(ratio)
+        exact = step * whole if found.period >= step else step / whole
+        number = np.round((time - time[0]) / found.period)
+        drift = number * (exact - found.period)
+        if abs(ratio / whole - 1.0) > self.settings.snapped or abs(drift[-1]) > 0.5 * min(step, found.period):
+            return time
+        begin = self.robot.begins(recording)
+        offset = time.mean() - (exact * number).mean()
+        nearest = begin + round((offset - begin) / min(exact, step)) * min(exact, step)
+        near = abs(offset - nearest) <= max(found.error, self.settings.snapped * step)
+        return (nearest if near else offset) + exact * number
+
+    def _on_steps(self, recording: Recording, time: Floats, values: Floats) -> Recording:
+        """The recording with the signal (T, C) at the ends of control steps, its first sample before them."""
+        time = time - min(time[0], 0.0)
+        step, begin = self.robot.control_timestep, self.robot.begins(recording)
+        count = max(int(np.ceil((time[-1] - begin) / step - 1e-6)), 1)
+        wanted = np.asarray(begin + step * np.arange(1, count + 1), float)
+        columns = [interpolated(time, column, wanted, step, self.noise, self.settings) for column in values.T]
+        wanted = np.concatenate([[min(time[0], begin)], wanted])
+        return replace(recording, signals={**recording.signals, self.robot.signal: self._signal(
+            wanted, np.vstack([values[:1], np.stack(columns, axis=1)]))})  # fmt: skip
+
+    def _with(self, time: Floats, values: Floats) -> Recording:
+        """The recording with other samples (T, C)."""
+        return replace(
+            self.recording, signals={**self.recording.signals, self.robot.signal: self._signal(time, values)}
+        )
+
+    def _signal(self, time: Floats, values: Floats) -> Signal:
+        shape = self.signal.values.shape[1:]
+        return Signal(time, values.reshape(len(time), *shape), self.signal.unit, self.signal.frame)
+
+
+def compressed(values: Floats) -> Floats:
+    """(T, ...) with the present samples of each number first, in their order: it may miss others than its neighbours
+    do."""
+    columns = values.reshape(len(values), -1)
+    order = np.argsort(np.isnan(columns), axis=0, kind="stable")
+    return np.take_along_axis(columns, order, axis=0).reshape(values.shape)
+
+
+def _noise_or_zero(values: Floats, settings: DataQualitySettings) -> float:
+    try:
+        return noise(compressed(values), settings)
+    except (RecordingError, ValueError):
+        return 0.0
+
+
+def _distances(point: Floats, at: Bools) -> list[float]:
+    """Squares of the distances of samples of a point (T, D) from the line through those around them."""
+    good = np.flatnonzero(~at & np.isfinite(point).all(axis=1))
+    rows = np.flatnonzero(at)
+    return [
+        float(each)
+        for i in range(point.shape[1])
+        for each in (point[at, i] - np.interp(rows, good, point[good, i])) ** 2
+    ]
+
+
+def _with_commands(recording: Recording, given: Floats, rebuilt: Floats) -> Recording:
+    """The recording with the commands that have the same time stamps at the rebuilt ones."""
+    commands = {}
+    for name, command in recording.commands.items():
+        shared = np.isin(command.time, given).mean() > 0.5
+        commands[name] = command
+        if shared:
+            late = np.interp(command.time, given, rebuilt - given)
+            time = np.maximum(command.time + late, 0.0)
+            if (np.diff(time) > 0).all():
+                commands[name] = replace(command, time=time)
+    return replace(recording, commands=commands)

@@ -1,0 +1,249 @@
+"""Samples that a sensor or a logger has spoilt: one channel at a time, from its values alone."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from soro_bench.arrays import Bools, Floats, Ints
+from soro_bench.diagnosis.settings import SignalSettings
+
+_TURNS = (2.0 * np.pi, np.pi)  # rad, after which angles wrap
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One number of a signal over time.
+
+    values: (T,), NaN where missing. noise: standard deviation of white noise, as far as it is known; 0 if it is not.
+    step: between levels; 0 where it is not quantised.
+    """
+
+    values: Floats
+    noise: float
+    step: float = 0.0
+
+    @property
+    def reach(self) -> float:
+        """Largest less smallest value."""
+        present = self.values[np.isfinite(self.values)]
+        return float(np.ptp(present)) if len(present) else 0.0
+
+
+def placeholder(channel: Channel, settings: SignalSettings) -> tuple[Bools, float]:
+    """(T,) where a value stands for a missing sample, and that value; zero, or the least or the largest one.
+
+    The samples around it are far from it, and go on where they were before it.
+    """
+    x = channel.values
+    present = np.flatnonzero(np.isfinite(x))
+    none = np.zeros(len(x), bool)
+    if len(present) < settings.least_samples:
+        return none, 0.0
+    for value in dict.fromkeys((0.0, float(np.nanmin(x)), float(np.nanmax(x)))):
+        here, others = present[x[present] == value], present[x[present] != value]
+        if len(here) < settings.least_placeholders or len(others) < settings.least_samples:
+            continue
+        far = np.maximum(
+            settings.spike_changes * _changes_beside(x[others], np.searchsorted(others, here)),
+            max(settings.spike_noise * channel.noise, settings.spike_reach * float(np.ptp(x[others]))),
+        )
+        before, after = _around(others, here)
+        off = (np.abs(x[before] - value) > far) & (np.abs(x[after] - value) > far)
+        if off.sum() >= settings.least_placeholders:
+            found = none.copy()
+            every = off.mean() > 0.5 or _is_random(channel, settings)  # some lie where the motion is near that value
+            found[here if every else here[off]] = True
+            return found, value
+    return none, 0.0
+
+
+def _around(others: Ints, here: Ints) -> tuple[Ints, Ints]:
+    """The numbers of the other samples before and after each of some."""
+    after = np.searchsorted(others, here)
+    return others[np.maximum(after - 1, 0)], others[np.minimum(after, len(others) - 1)]
+
+
+def _changes_beside(values: Floats, after: Ints) -> Floats:
+    """(n,) the larger one of the changes of values (T,) before and after each gap; ``after`` are its ends."""
+    changes = np.r_[0.0, np.abs(np.diff(values)), 0.0]  # before each value, and after the last one
+    before = np.maximum(after - 1, 0)
+    return np.maximum(changes[before], changes[np.minimum(after + 1, len(values))])
+
+
+def spikes(point: Floats, noise: float, settings: SignalSettings) -> Bools:
+    """(T,) where one or two samples of a point (T, D) are far off and the next ones go on where it was before.
+
+    A cubic through the two samples on either side says where they should be. Motion in and out again, as of a bounce,
+    changes the samples beside them as well.
+    """
+    found = np.zeros(len(point), bool)
+    rows = np.flatnonzero(np.isfinite(point).all(axis=1))
+    x = point[rows]
+    if len(x) < settings.least_samples:
+        return found
+    changes = np.linalg.norm(np.diff(x, axis=0), axis=1)
+    usual = float(np.quantile(changes, 0.9))
+    for length in (1, 2):
+        count = len(x) - length - 3
+        first, second = x[:count], x[1 : 1 + count]
+        third, fourth = x[2 + length : 2 + length + count], x[3 + length : 3 + length + count]
+        nearby = np.stack([changes[:count], np.linalg.norm(third - second, axis=1), changes[2 + length :][:count]])
+        least = np.maximum(settings.spike_changes * nearby.max(axis=0), settings.spike_noise * noise)
+        least = np.maximum(least, usual)
+        off = np.ones(count, bool)
+        for i in range(length):
+            share = _cubic(1 + i, length)
+            expected = sum(w * each for w, each in zip(share, (first, second, third, fourth), strict=True))
+            off &= np.linalg.norm(x[2 + i : 2 + i + count] - expected, axis=1) > least
+        for i in range(length):
+            found[rows[2 + i : 2 + i + count][off]] = True
+    return found
+
+
+def _cubic(position: int, length: int) -> Floats:
+    """(4,) weights of samples at -1, 0, length + 1, length + 2 in the cubic through them, at a position."""
+    nodes = np.array([-1.0, 0.0, length + 1.0, length + 2.0])
+    return np.array([np.prod([(position - n) / (m - n) for n in nodes if n != m]) for m in nodes])
+
+
+def wrapped(values: Floats, settings: SignalSettings) -> tuple[int, float]:
+    """How often an angle (T,) [rad] wraps, and the turn after which it does; 0 where it does not.
+
+    It jumps back by nearly a turn, which is nearly all of its range, while it moves on.
+    """
+    x = values[np.isfinite(values)]
+    if len(x) < settings.least_samples:
+        return 0, 0.0
+    change = np.diff(x)
+    for turn in _TURNS:
+        if np.ptp(x) > turn * (1.0 + settings.wrap_tolerance):
+            continue
+        jumps = np.abs(change) > (1.0 - settings.wrap_tolerance) * turn
+        rest = np.abs(np.diff(np.unwrap(x, period=turn)))
+        if jumps.any() and rest.max() < 0.5 * (1.0 - settings.wrap_tolerance) * turn:
+            return int(jumps.sum()), turn
+    return 0, 0.0
+
+
+def unwrapped(values: Floats, turn: float) -> Floats:
+    """The angle (T,) [rad] without its wraps; NaN stays."""
+    found, present = values.copy(), np.isfinite(values)
+    found[present] = np.unwrap(values[present], period=turn)
+    return found
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Successive equal values: (R,) where each run begins, how long it is, and its value."""
+
+    first: Ints
+    length: Ints
+    value: Floats
+
+    @classmethod
+    def of(cls, values: Floats) -> "Runs":
+        """Of values (T,) without gaps."""
+        first = np.flatnonzero(np.r_[True, np.diff(values) != 0])
+        return cls(first, np.diff(np.r_[first, len(values)]), values[first])
+
+    @property
+    def jumps(self) -> tuple[Floats, Floats]:
+        """(R,) how far the value jumps before and after each run; NaN at the ends."""
+        jump = np.diff(self.value)
+        return np.r_[np.nan, jump], np.r_[jump, np.nan]
+
+
+def clipped(channel: Channel, settings: SignalSettings) -> Bools:
+    """(T,) where the values stay at the least or at the largest one, and come and go with the speed of motion."""
+    x = channel.values
+    present = np.flatnonzero(np.isfinite(x))
+    found = np.zeros(len(x), bool)
+    if len(present) < settings.least_samples:
+        return found
+    runs = Runs.of(x[present])
+    before, after = map(np.abs, runs.jumps)
+    random = _is_random(channel, settings)
+    sharp = max(settings.clip_steps * channel.step, settings.spike_noise * channel.noise * (not random),
+                settings.held_reach * channel.reach)  # fmt: skip
+    for end in (runs.value.min(), runs.value.max()):
+        at = runs.value == end
+        samples, longest = runs.length[at].sum(), runs.length[at].max()
+        if samples < settings.least_clipped or longest < 2:
+            continue
+        corners = np.stack([before[at], after[at]])
+        # a robot at its end stop comes fast and leaves slowly, one at rest does both slowly
+        leaves = np.nan_to_num(corners.min(axis=0), nan=0.0) > sharp
+        if random or leaves.sum() >= max(2, 0.5 * at.sum()):
+            for first, length in zip(runs.first[at], runs.length[at], strict=True):
+                found[present[first : first + length]] = True
+    return found
+
+
+def stale(channel: Channel, settings: SignalSettings) -> tuple[Bools, str]:
+    """(T,) where a value is only the one before once more, and whether the sensor is "held" throughout or "frozen" for
+    a while; "" if neither.
+
+    Noise makes equal values unlikely. Without noise, or on coarse levels, a robot at rest repeats itself; then values
+    count that stay between two jumps.
+    """
+    x = channel.values
+    present = np.flatnonzero(np.isfinite(x))
+    none = np.zeros(len(x), bool)
+    if len(present) < settings.least_samples:
+        return none, ""
+    runs = Runs.of(x[present])
+    before, after = runs.jumps
+    repeated = none.copy()
+    repeated[present[np.diff(x[present], prepend=np.nan) == 0]] = True
+    if _is_random(channel, settings):
+        if repeated.sum() >= max(settings.least_held, settings.held_share * len(present)):
+            return repeated, "held" if (runs.length > 1).mean() > settings.held_share else "frozen"
+        chosen = runs.length >= settings.least_frozen
+    else:
+        far = max(settings.held_steps * channel.step, settings.held_reach * channel.reach)
+        moving = (np.abs(before) > far) & (np.abs(after) > far) & (before * after > 0)  # nor turning
+        long = moving & (runs.length > 1)
+        lengths = runs.length[long]
+        even = len(lengths) and (np.abs(lengths - np.median(lengths)) <= 1).mean() > settings.held_even
+        if long.sum() >= settings.least_held and even and long.sum() >= settings.held_jumps * moving.sum():
+            return repeated, "held"
+        following = np.abs(np.r_[after[1:], np.nan])
+        chosen = moving & (runs.length >= settings.least_frozen)
+        chosen &= np.abs(after) > settings.frozen_jump * following
+    found = none.copy()
+    for first, length in zip(runs.first[chosen], runs.length[chosen], strict=True):
+        found[present[first + 1 : first + length]] = True
+    return found, "frozen" if found.any() else ""
+
+
+def _is_random(channel: Channel, settings: SignalSettings) -> bool:
+    """Whether noise makes it unlikely that a value repeats.
+
+    Fourth differences of white noise mostly change their sign from one to the next (correlation -0.8); those of smooth
+    motion do not.
+    """
+    if channel.step > 0.0 or channel.noise <= settings.random_noise * channel.reach:
+        return False
+    x = channel.values[np.isfinite(channel.values)]
+    differences = np.diff(Runs.of(x).value, n=4)
+    sizes = np.abs(differences)
+    small = sizes <= np.quantile(sizes, settings.quiet_share) if len(sizes) else np.zeros(0, bool)
+    pairs = small[1:] & small[:-1]
+    flips = (differences[1:] * differences[:-1] < 0)[pairs]
+    return len(flips) >= settings.least_flips and bool(flips.mean() > settings.random_flips)
+
+
+def repeats(values: Floats) -> Bools:
+    """(T,) the inside of runs of three or more equal values, but for their middle.
+
+    The rounding error of a level is the same in all samples on it. They tell no more than one of them does.
+    """
+    found = np.zeros(len(values), bool)
+    present = np.flatnonzero(np.isfinite(values))
+    if not len(present):
+        return found
+    runs = Runs.of(values[present])
+    for first, length in zip(runs.first[runs.length > 2], runs.length[runs.length > 2], strict=True):
+        found[present[first : first + length]] = True
+        found[present[first + length // 2]] = False
+    return found

@@ -1,0 +1,231 @@
+"""Time stamps: whether they are regular, and what regular ones there were before a logger received the samples late.
+
+A sensor that samples regularly has stamps a period apart. Receipt adds delays that come and go (bursts, jitter), a
+coarse clock rounds, and a clock that is set makes a step. What is left of a stamp less its number times the period
+tells them apart; the motion tells a clock step from a gap.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from soro_bench.arrays import Floats, Ints
+from soro_bench.diagnosis.settings import SignalSettings
+
+_LEAST_GAP = 0.1  # of the spacing, below which a cubic through two samples says nothing
+
+
+@dataclass(frozen=True)
+class Stamps:
+    """What became of T time stamps.
+
+    kinds: "bursts", "jitter", "coarse_clock", "clock_step", "irregular" (right, but not regular) or "gaps"; several
+        may apply. affected: samples of each.
+    time: (T,) s, as it should be used. period: s, of the sensor. missing: rows that were lost.
+    error: s, standard deviation of a constant error that the stamps may have; size: s, largest correction.
+    """
+
+    kinds: tuple[str, ...]
+    affected: tuple[int, ...]
+    time: Floats
+    period: float
+    missing: int
+    error: float = 0.0
+    size: float = 0.0
+
+
+def stamps(time: Floats, values: Floats, settings: SignalSettings, late: bool = False) -> Stamps | None:
+    """What became of the time stamps (T,) [s] of samples (T, C); None where they are regular.
+
+    Args:
+        late: whether each sample is at least as old as its stamp, as one that a logger holds.
+    """
+    if len(time) < settings.least_samples:
+        return None
+    interval = np.diff(time)
+    period = float(np.median(interval))
+    if np.abs(interval - period).max() <= settings.regular * period:
+        return None
+    number = np.round(interval / period)
+    even = number.sum() >= len(number) + settings.least_even and _is_even(time, period, settings)
+    if (
+        not even
+        and (number >= 1).all()
+        and (np.abs(interval - number * period) <= settings.regular * period * number).all()
+    ):
+        return Stamps(("gaps",), (len(time),), time, period, int((number - 1).sum()))
+    return _irregular(time, values, settings, late)
+
+
+def _is_even(time: Floats, tick: float, settings: SignalSettings) -> bool:
+    """Whether stamps are evenly spaced but for the rounding to a tick."""
+    number = np.arange(len(time))
+    period, offset = _line(number, time)
+    return bool(np.abs(time - offset - period * number).max() <= settings.even_ticks * tick)
+
+
+def _irregular(time: Floats, values: Floats, settings: SignalSettings, lagging: bool) -> Stamps:
+    """Regular stamps if the motion is smoother with them, else the given ones."""
+    count = len(time)
+    window = min(settings.stamp_window, count // 4)
+    period = float(np.median(time[window:] - time[:-window])) / window
+    late = time - time[0] - period * np.arange(count)
+    steps, jumps = _level_steps(np.diff(time) - period, late, period, settings)
+    number, level, missing, clock = np.arange(count), np.zeros(count), 0, 0
+    for at, jump in zip(steps, jumps, strict=True):
+        lost = round(jump / period)
+        whole = lost >= 1 and abs(jump - lost * period) < settings.whole_gap * period
+        if _moved_on(time, values, at, period, jump) or (whole and not _stood(values, at, settings)):
+            number[at:] += lost
+            level[at:] += jump - lost * period
+            missing += max(lost, 0)
+        else:
+            level[at:] += jump
+            clock += 1
+    rest = np.asarray(time - level, float)
+    period, offset = _line(number, rest)
+    one_sided = _one_sided(rest - offset - period * number, settings)
+    if one_sided or lagging:
+        period, offset = _lower_line(number, rest, window)
+    fitted = np.asarray(offset + period * number, float)
+    left = rest - fitted
+    kinds, affected = [], []
+    far = np.abs(left) > settings.regular * period
+    if far.any():
+        kinds.append("bursts" if one_sided else ("coarse_clock" if _coarse(time, period, settings) else "jitter"))
+        affected.append(int(far.sum()))
+    if clock:
+        kinds.append("clock_step")
+        affected.append(clock)
+    if missing:
+        kinds.append("gaps")
+        affected.append(missing)
+    if far.any() and _roughness(rest, values) < settings.smoother * _roughness(fitted, values):
+        return Stamps(("irregular",), (int(far.sum()),), time, period, 0)
+    # all samples may be as late as they seem beside the earliest one
+    error = float(np.sqrt(np.mean((left - left.min()) ** 2))) if far.any() else 0.0
+    return Stamps(tuple(kinds), tuple(affected), fitted, period, missing, error, float(np.abs(time - fitted).max()))
+
+
+def _line(number: Ints, time: Floats) -> tuple[float, float]:
+    """Period and offset of the line through times."""
+    period, offset = np.polyfit(number, time, 1)
+    return float(period), float(offset)
+
+
+def _lower_line(number: Ints, time: Floats, window: int) -> tuple[float, float]:
+    """Period and offset of a line along the earliest of the times: those of samples that were received at once."""
+    blocks = np.array_split(np.arange(len(time)), max(len(time) // window, 2))
+    slope, _ = _line(number, time)
+    first = np.array([block[np.argmin(time[block] - slope * number[block])] for block in blocks])
+    period, _ = _line(number[first], time[first])
+    return period, float(np.median(time[first] - period * number[first]))
+
+
+def _one_sided(late: Floats, settings: SignalSettings) -> bool:
+    """Whether most samples are early and a few late."""
+    low, middle, high = np.quantile(late, [0.02, 0.5, 0.98])
+    return bool(high - middle > settings.one_sided * (middle - low))
+
+
+def _coarse(time: Floats, period: float, settings: SignalSettings) -> bool:
+    """Whether intervals are multiples of one tick, at least a share of the period."""
+    intervals = np.unique(np.round(np.diff(time), 9))
+    tick = float(np.diff(intervals).max(initial=0.0))
+    if not tick > settings.least_tick * period:
+        return False
+    whole = np.diff(time) / tick
+    return bool((np.abs(whole - np.round(whole)) < settings.whole_tick).mean() > settings.mostly)
+
+
+def _level_steps(extra: Floats, late: Floats, period: float, settings: SignalSettings) -> tuple[list[int], Floats]:
+    """Where stamps become later or earlier for good, and by how much [s]."""
+    window = min(settings.stamp_window, len(late) // 4)
+    before = np.array([np.min(late[max(i - window, 0) : i]) for i in range(1, len(late))])
+    after = np.array([np.min(late[i : i + window]) for i in range(1, len(late))])
+    ends = window // 2  # too few stamps beside them
+    before[:ends], before[-ends:] = after[:ends], after[-ends:]
+    usual = float(np.median(np.abs(after - before)))
+    least = max(settings.level_step * period, settings.level_times_usual * usual)
+    candidates = np.flatnonzero((np.abs(after - before) > least) & (np.abs(extra) > 0.5 * least))
+    steps: list[int] = []
+    sizes: list[float] = []
+    for i in candidates:
+        agrees = abs(extra[i] - (after[i] - before[i])) < 0.5 * abs(extra[i])
+        if agrees and (not steps or i + 1 - steps[-1] > 1):
+            steps.append(int(i) + 1)
+            sizes.append(float(after[i] - before[i]))
+    return steps, np.array(sizes)
+
+
+def _moved_on(time: Floats, values: Floats, at: int, period: float, jump: float) -> bool:
+    """Whether the motion between two samples fits a gap of ``period + jump`` rather than one of ``period``."""
+    near = values[max(at - 3, 0) : at + 3]
+    if len(near) < 6 or not np.isfinite(near).all():
+        return True
+    speed = 0.5 * (near[2] - near[0] + near[5] - near[3]) / (2.0 * period)
+    change = near[3] - near[2]
+    return bool(np.linalg.norm(change - speed * (period + jump)) < np.linalg.norm(change - speed * period))
+
+
+def _stood(values: Floats, at: int, settings: SignalSettings) -> bool:
+    """Whether nothing moves beside a gap, so that the motion says nothing of it."""
+    near = values[max(at - 3, 0) : at + 3]
+    return not np.ptp(near) > settings.held_reach * np.nanmax(np.ptp(values, axis=0))
+
+
+def _roughness(time: Floats, values: Floats) -> float:
+    """Median distance [unit] of samples (T, C) from the cubics through the two on either side, while they move."""
+    spacing = np.median(np.diff(time))
+    weights = []
+    at = time[2:-2]
+    nodes = np.stack([time[:-4], time[1:-3], time[3:-1], time[4:]])
+    for i in range(4):
+        others = np.delete(np.arange(4), i)
+        gap = nodes[i] - nodes[others]
+        gap = np.where(np.abs(gap) < _LEAST_GAP * spacing, np.nan, gap)
+        weights.append(np.prod((at - nodes[others]) / gap, axis=0))
+    near = (values[:-4], values[1:-3], values[3:-1], values[4:])
+    off = np.linalg.norm(values[2:-2] - sum(w[:, None] * each for w, each in zip(weights, near, strict=True)), axis=1)
+    moved = np.linalg.norm(values[3:-1] - values[1:-3], axis=1)
+    fast = moved > np.nanmedian(moved) if np.isfinite(moved).any() else np.zeros(len(moved), bool)
+    off = np.where(np.isnan(off) & np.isfinite(moved), moved, off)  # stamps together that values are not
+    return float(np.nanmedian(off[fast])) if fast.any() else 0.0
+
+
+def interpolated(
+    time: Floats, values: Floats, wanted: Floats, step: float, noise: float, settings: SignalSettings
+) -> Floats:
+    """(n,) values at wanted times, a control step apart, by cubics through the four samples around each.
+
+    A time at which there is a sample gets it as it is. NaN where no sample is within half a step, and where cubic and
+    line disagree by so much that the cubic's own error may be larger than the noise.
+
+    Args:
+        time, values: (T,) s, and what was sampled, NaN where missing. noise: standard deviation of it.
+    """
+    seen = np.isfinite(values)
+    time, values = time[seen], values[seen]
+    found = np.full(len(wanted), np.nan)
+    if len(time) < 4:
+        return found
+    nearest = np.clip(np.searchsorted(time, wanted), 1, len(time) - 1)
+    nearest -= (wanted - time[nearest - 1]) < (time[nearest] - wanted)
+    distance = np.abs(time[nearest] - wanted)
+    exact = distance <= settings.same_time * step
+    found[exact] = values[nearest[exact]]
+    between = ~exact & (distance <= 0.5 * step) & (wanted > time[1]) & (wanted < time[-2])
+    left = np.clip(np.searchsorted(time, wanted, side="right") - 1, 1, len(time) - 3)
+    around = left[:, None] + np.arange(-1, 3)
+    cubic, line = np.zeros(len(wanted)), np.zeros(len(wanted))
+    for i in range(4):
+        weight = np.ones(len(wanted))
+        for j in range(4):
+            if j != i:
+                weight *= (wanted - time[around[:, j]]) / (time[around[:, i]] - time[around[:, j]])
+        cubic += weight * values[around[:, i]]
+    share = (wanted - time[left]) / (time[left + 1] - time[left])
+    line = (1 - share) * values[left] + share * values[left + 1]
+    between &= np.abs(cubic - line) * settings.cubic_error <= noise
+    found[between] = cubic[between]
+    return found

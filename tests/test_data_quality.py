@@ -1,0 +1,161 @@
+"""What sensors and loggers do to signals: found in the samples, and not taken for physics of the robot."""
+
+import numpy as np
+import pytest
+
+from soro_bench.diagnosis.api import diagnose
+from soro_bench.diagnosis.data_quality import samples
+from soro_bench.diagnosis.data_quality.lattice import lattice_step
+from soro_bench.diagnosis.data_quality.samples import Channel
+from soro_bench.diagnosis.data_quality.stamps import stamps
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.settings import DEFAULT
+from soro_bench.recording.recording import Recording, Signal
+from tests.arm import ARM, MAP, recording
+
+SETTINGS = DEFAULT.signals
+NOISE = 1e-3
+
+
+def motion(count: int = 400, seed: int = 0) -> np.ndarray:
+    """A position that follows random steps, as that of a servo does."""
+    goals = np.repeat(np.random.default_rng(seed).uniform(-1, 1, count // 20 + 1), 20)[:count]
+    response = np.arange(30) * np.exp(-np.arange(30) / 3.0)
+    return np.convolve(goals, response / response.sum())[:count]
+
+
+def noisy(count: int = 400, seed: int = 0) -> np.ndarray:
+    return motion(count, seed) + NOISE * np.random.default_rng(seed + 100).standard_normal(count)
+
+
+@pytest.mark.parametrize("dither", [0.0, 0.2])
+@pytest.mark.parametrize("levels", [20, 300, 3000])
+def test_step_of_a_quantised_signal(levels, dither):
+    step = np.ptp(motion()) / levels
+    x = step * np.round((motion() + dither * step * np.random.default_rng(1).standard_normal(400)) / step)
+    assert lattice_step(x, 0.1 * step, SETTINGS) == pytest.approx(step, rel=1e-3)
+
+
+@pytest.mark.parametrize("x", [motion(), noisy(), np.linspace(0, 1, 400), np.sin(np.arange(400) / 9)])
+def test_no_step_where_there_is_none(x):
+    assert lattice_step(x, 1e-6, SETTINGS) == 0.0
+
+
+def test_spikes_are_found_and_a_bounce_is_not():
+    x, at = noisy(), [60, 150, 151, 333]
+    x[at] += 0.8
+    assert np.flatnonzero(samples.spikes(x[:, None], NOISE, SETTINGS)).tolist() == at
+    bounce = np.abs(np.linspace(-1, 1, 201))[:, None]
+    assert not samples.spikes(bounce, 1e-6, SETTINGS).any()
+
+
+@pytest.mark.parametrize("value", [0.0, -99.0])
+def test_values_for_missing_samples(value):
+    x = noisy() + 2.0
+    at = [10, 11, 12, 90, 200, 201, 310]
+    x[at] = value
+    found, said = samples.placeholder(Channel(x, NOISE), SETTINGS)
+    assert (np.flatnonzero(found).tolist(), said) == (at, value)
+    assert not samples.placeholder(Channel(noisy(), NOISE), SETTINGS)[0].any()
+
+
+@pytest.mark.parametrize("half", [np.pi, np.pi / 2])
+def test_an_angle_that_wraps_becomes_one_that_goes_on(half):
+    angle = np.cumsum(0.3 * half * np.abs(noisy()))
+    folded = (angle + half) % (2 * half) - half
+    count, turn = samples.wrapped(folded, SETTINGS)
+    assert count == np.sum(np.diff(np.floor((angle + half) / (2 * half))) != 0)
+    assert np.ptp(samples.unwrapped(folded, turn) - angle) == pytest.approx(0.0, abs=1e-9)
+    assert samples.wrapped(noisy(), SETTINGS)[0] == 0
+
+
+@pytest.mark.parametrize("rounded", [False, True])
+def test_clipping_is_found_and_rest_is_not(rounded):
+    step = 0.002 if rounded else 0.0
+    x = step * np.round(noisy() / step) if rounded else noisy()
+    limit = step * np.round(0.4 / step) if rounded else 0.4
+    found = samples.clipped(Channel(np.minimum(x, limit), NOISE, step), SETTINGS)
+    assert np.array_equal(found, x >= limit)
+    assert not samples.clipped(Channel(x, NOISE, step), SETTINGS).any()
+
+
+@pytest.mark.parametrize("rows", [2, 5])
+def test_a_held_sensor_leaves_the_first_of_equal_samples(rows):
+    found, kind = samples.stale(Channel(noisy()[np.arange(400) // rows * rows], NOISE), SETTINGS)
+    assert (kind, np.flatnonzero(~found).tolist()) == ("held", list(range(0, 400, rows)))
+    assert samples.stale(Channel(noisy(), NOISE), SETTINGS)[1] == ""
+    levels = 0.002 * np.round(motion() / 0.002)
+    assert samples.stale(Channel(levels, NOISE, 0.002), SETTINGS)[1] == ""
+
+
+def test_a_sensor_that_stands_still_for_a_while_is_frozen():
+    x = noisy()
+    x[203:215] = x[203]
+    found, kind = samples.stale(Channel(x, NOISE), SETTINGS)
+    assert (kind, np.flatnonzero(found).tolist()) == ("frozen", list(range(204, 215)))
+
+
+def _bursts(rng, time):
+    return np.maximum.accumulate(time + np.where(rng.random(len(time)) < 0.2, rng.uniform(0.02, 0.07, len(time)), 0.0))
+
+
+STAMPS = {
+    "bursts": lambda rng, time: _bursts(rng, time) + 1e-7 * np.arange(len(time)),
+    "coarse_clock": lambda rng, time: np.round(time / 0.007) * 0.007,
+    "jitter": lambda rng, time: time + rng.uniform(0, 0.008, len(time)),
+    "clock_step": lambda rng, time: time + np.where(time > 3.9, 0.33, 0.0),
+}
+
+
+@pytest.mark.parametrize("kind", STAMPS)
+def test_regular_stamps_come_back(kind):
+    """To within a constant, which nothing tells from a delay."""
+    time = 0.02 * np.arange(400)
+    given = STAMPS[kind](np.random.default_rng(3), time)
+    found = stamps(given, noisy()[:, None], SETTINGS)
+    assert found is not None and kind in found.kinds
+    assert np.ptp(found.time - time) < 0.002
+    assert stamps(time, noisy()[:, None], SETTINGS) is None
+
+
+def test_lost_rows_are_counted_and_leave_the_stamps_alone():
+    kept = np.r_[True, np.random.default_rng(4).random(399) > 0.1]
+    time = 0.02 * np.arange(400)[kept]
+    found = stamps(time, noisy()[kept][:, None], SETTINGS)
+    assert found is not None and found.kinds == ("gaps",)
+    assert np.array_equal(found.time, time)
+    assert found.missing == np.flatnonzero(kept)[-1] + 1 - kept.sum()
+
+
+@pytest.fixture
+def paths(tmp_path):
+    found = tmp_path / "arm.xml", tmp_path / "arm.toml"
+    for path, text in zip(found, (ARM, MAP), strict=True):
+        path.write_text(text)
+    return found
+
+
+def _encoder(values):
+    step = 2 * np.pi / 4096
+    return step * np.round(values / step)
+
+
+def _spiky(values):
+    found = values.copy()
+    found[[40, 97, 160]] += 0.7
+    return found
+
+
+@pytest.mark.parametrize(("name", "spoil"), [("quantisation", _encoder), ("spikes", _spiky)])
+def test_a_healthy_arm_read_by_a_degraded_sensor_lacks_no_physics(paths, name, spoil):
+    """12 bits, and three spikes, were "physics outside the catalogue" with probability 0.97."""
+    whole = recording(paths, (), 5)
+    angle = whole.signals["angle"]
+    read = Recording(whole.commands, {"angle": Signal(angle.time, spoil(angle.values), "rad")})
+    result = diagnose(ModelRobot(*paths, threads=1), [read])
+    assert not result.detected
+    (finding,) = result.data
+    assert (finding.name, finding.signal, finding.recording) == (name, "angle", 0)
+    assert finding.samples == (3 if name == "spikes" else len(angle.values))
+    if name == "quantisation":
+        assert result.train.noise >= 2 * np.pi / 4096 / np.sqrt(12)
