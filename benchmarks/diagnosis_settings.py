@@ -47,7 +47,7 @@ class RememberingRobot(ModelRobot):
 
     def shortened(self, factor: int) -> Robot:
         """The same robot with time steps shorter by a factor."""
-        return RememberingRobot(*self._paths, self.threads, factor, self._baseline)
+        return RememberingRobot(*self._sources, self.threads, factor, self._baseline)
 
     def _roll_out(self, drives: Any, parameters: Any, physics: Any, before_step: Any) -> Floats:
         if before_step:

@@ -39,7 +39,7 @@ def _replayed(env, sequence, lighter):
     return [elevation[-HELD_STEPS:].min(), elevation[-1], clearance[-HELD_STEPS:].min()]
 
 
-def main():
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--copies", type=int, default=20)
     count = parser.parse_args().copies

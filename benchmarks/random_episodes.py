@@ -74,7 +74,7 @@ def merge(total: dict, batch: dict) -> dict:
     return merged
 
 
-def main():
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--model", choices=("cable", "flex"), default="cable")
     parser.add_argument("--episodes", type=int, default=3400, help="per task")

@@ -141,7 +141,7 @@ def plot(results: Path, path: Path) -> None:
         figure.savefig(temporary, dpi=120, format="png")
 
 
-def main():
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--model", choices=tuple(VARIANTS), default="cable")
     parser.add_argument("--goals", type=int, nargs="+", default=list(range(len(EVALUATION_GOALS))), help="0 to 26")

@@ -64,7 +64,7 @@ def pages() -> dict[str, Path]:
     return {path.relative_to(CHECKOUT).as_posix(): path for path in found if "results" not in path.parts}
 
 
-def main():
+def main() -> None:
     counts = {name: count(path.read_text()) for name, path in pages().items()}
     for name, each in counts.items():
         flags = (" LONG" if each.words > LONGEST_PAGE else "") + (" SENTENCES" if each.mean > LONGEST_SENTENCE else "")

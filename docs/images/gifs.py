@@ -90,7 +90,7 @@ def shared_palette(pictures: list[Image.Image]) -> Image.Image:
     return Image.fromarray(colors[None]).quantize(COLORS)
 
 
-def main():
+def main() -> None:
     for env_id in ENV_IDS:
         pictures = [Image.fromarray(each).resize(SIZE, Image.Resampling.LANCZOS) for each in frames(env_id)]
         palette = shared_palette(pictures)
