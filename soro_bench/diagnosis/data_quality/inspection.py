@@ -222,18 +222,17 @@ class _Inspection:
                 if name != "gaps" and not held:  # which rounds stamps to rows
                     self._note(name, count * self.values.shape[1], late=found.size)
             rebuilt = not {"gaps", "irregular"} >= set(found.kinds)
-            if rebuilt:
-                error, rate = found.error, self.settings.clock_rate
-                if not held:
-                    recording = _with_commands(recording, time, found.time)
             time = found.time
             if rebuilt:
-                time = self._snapped(recording, found)
+                error, rate = found.error, self.settings.clock_rate
+                given, time = self.signal.time[rows], self._snapped(found)
+                if not held:
+                    recording = _with_commands(recording, given, time)
         if held:  # a fresh value may be as old as the interval between two rows
             error = float(np.hypot(error, spacing / np.sqrt(3)))
         return self._on_steps(recording, time, self.values[rows]), error, rate
 
-    def _snapped(self, recording: Recording, found: Stamps) -> Floats:
+    def _snapped(self, found: Stamps) -> Floats:
         """Rebuilt time stamps, moved onto control steps where they are as near as their error allows."""
         step, time = self.robot.control_timestep, found.time
         ratio = max(found.period / step, step / found.period)
@@ -243,7 +242,7 @@ class _Inspection:
         drift = number * (exact - found.period)
         if abs(ratio / whole - 1.0) > self.settings.snapped or abs(drift[-1]) > 0.5 * min(step, found.period):
             return time
-        begin = self.robot.begins(recording)
+        begin = self.robot.begins(self.recording)
         offset = time.mean() - (exact * number).mean()
         nearest = begin + round((offset - begin) / min(exact, step)) * min(exact, step)
         near = abs(offset - nearest) <= max(found.error, self.settings.snapped * step)
