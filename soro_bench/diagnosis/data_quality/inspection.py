@@ -15,7 +15,7 @@ from soro_bench.diagnosis.estimation.data_quality import noise
 from soro_bench.diagnosis.result import DataFinding
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.settings import DEFAULT, DataQualitySettings, Settings
+from soro_bench.diagnosis.settings import DEFAULT, DataQualitySettings, Settings, SignalSettings
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 
 SEARCHED = 8  # channels, those that move most, in which steps between levels are looked for
@@ -227,7 +227,7 @@ class _Inspection:
                 error, rate = found.error, self.settings.clock_rate
                 given, time = self.signal.time[rows], self._snapped(found)
                 if not held:
-                    recording = _with_commands(recording, given, time)
+                    recording = _with_commands(recording, given, time, self.settings)
         if held:  # a fresh value may be as old as the interval between two rows
             error = float(np.hypot(error, spacing / np.sqrt(3)))
         return self._on_steps(recording, time, self.values[rows]), error, rate
@@ -296,11 +296,11 @@ def _distances(point: Floats, at: Bools) -> list[float]:
     ]
 
 
-def _with_commands(recording: Recording, given: Floats, rebuilt: Floats) -> Recording:
+def _with_commands(recording: Recording, given: Floats, rebuilt: Floats, settings: SignalSettings) -> Recording:
     """The recording with the commands that have the same time stamps at the rebuilt ones."""
     commands = {}
     for name, command in recording.commands.items():
-        shared = np.isin(command.time, given).mean() > 0.5
+        shared = np.isin(command.time, given).mean() > settings.mostly
         commands[name] = command
         if shared:
             late = np.interp(command.time, given, rebuilt - given)
