@@ -30,10 +30,6 @@ TEXTS = {
     "sample faster, or at control steps",
     "missing_samples": "{share} of the samples are missing, and count neither for nor against anything; check for lost "
     "messages or hidden markers",
-    "does_not_move": "it stays at one value while the simulation moves it, and was left out; check its sensor and its "
-    "cable, and whether the joint is jammed",
-    "no_effect": "the robot moves as if this command stayed at its first value, which was used instead; check that the "
-    "actuator is connected and enabled, or broken",
 }  # fmt: skip
 
 
