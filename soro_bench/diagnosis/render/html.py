@@ -55,6 +55,7 @@ def html(result: Result) -> str:
         laws=[(each, equation(each.name)) for each in words.best_findings(result)],
         picture=figures.robot(result),
         marked=figures.marked(result),
+        points=any(each.kind == "sensor" for shape in result.shapes for each in shape.locations),
         figures=[each for each in _figures(result) if each.image],
         tables=[each for each in _tables(result) if each.rows],
     )

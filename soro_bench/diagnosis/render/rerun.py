@@ -85,10 +85,10 @@ def _view3d(values: Floats, name: str) -> "rrb.Spatial3DView":
 
 
 def label(point: int, coordinate: int, result: Result) -> tuple[str, ...]:
-    """Which number of a signal: its point, counted from 1 where there are several, and its coordinate."""
+    """Which number of a signal: its point, counted from 0 as in the report, and its coordinate."""
     points, coordinates = result.replay.shape
     axis = "xyz"[coordinate] if coordinates == 3 else str(coordinate + 1) if coordinates > 1 else ""
-    return tuple(part for part in (str(point + 1) if points > 1 else "", axis) if part)
+    return tuple(part for part in (str(point) if points > 1 else "", axis) if part)
 
 
 def rmse(measured: Floats, simulated: Floats) -> Floats:
