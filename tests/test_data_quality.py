@@ -1,5 +1,7 @@
 """What sensors and loggers do to signals: found in the samples, and not taken for physics of the robot."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -165,6 +167,17 @@ def test_a_healthy_arm_read_by_a_degraded_sensor_lacks_no_physics(paths, name, s
 
 
 SIGMA = 5e-4
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("value", "message"), [(np.nan, "has 0 usable samples; 20 are needed"), (1e300, "a number of the size 1e[+]300")]
+)
+def test_a_signal_that_no_sensor_gives_is_refused_in_words(paths, value, message):
+    of = recording(paths, (), 0)
+    spoilt = replace(of.signals["angle"], values=np.full(of.signals["angle"].values.shape, value))
+    with pytest.raises(RecordingError, match=message):
+        diagnose(ModelRobot(*paths, threads=1), [replace(of, signals={"angle": spoilt})])
 
 
 def test_an_audit_finds_the_noise_beside_motion():

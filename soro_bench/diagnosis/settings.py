@@ -56,6 +56,7 @@ class SignalSettings:
     """What sensors and loggers do to signals, looked for in the samples as they were recorded."""
 
     least_samples: int = setting(20, "samples", "fewer samples say nothing of a sensor")
+    largest_number: float = setting(1e30, "unit of the signal", "nothing that stands for a missing sample is larger")
     # steps of a quantised signal (data_quality/lattice.py)
     least_step: float = setting(
         0.3, "noise deviations", "of a step; rounding to smaller ones adds nothing to the noise"

@@ -84,6 +84,7 @@ class _Inspection:
     def result(self) -> Inspected:
         """The recording and what was found."""
         missing = int(np.isnan(self.values).sum())
+        self._check_numbers()
         turned = self._unwrap()
         self._leave_out_placeholders()
         steps = self._steps()
@@ -91,10 +92,7 @@ class _Inspection:
         self._leave_out("clipping", lambda c: samples.clipped(c, self.settings), steps)
         held, spacing = self._leave_out_stale(steps)
         self._leave_out_spikes()
-        rows = np.isfinite(self.values).any(axis=1)
-        if rows.sum() < self.settings.least_samples:
-            raise RecordingError(f"{self.robot.signal} has {rows.sum()} usable samples: "
-                                 + "; ".join(each.text for each in self.findings))  # fmt: skip
+        rows = self._usable()
         if not held:  # lost rows are those of the log, not those that were left out
             rows[:] = True
         found = stamps(self.signal.time[rows], self.values[rows], self.settings, late=held)
@@ -110,6 +108,26 @@ class _Inspection:
             return Inspected(self.recording)
         return Inspected(recording, tuple(self.findings), float(steps.max()), tuple((steps > 0).tolist()), error, rate,
                          self.spikes, self.size)  # fmt: skip
+
+    def _check_numbers(self) -> None:
+        """Refuse what no sensor gives, before it is squared."""
+        self._usable()
+        largest = float(np.nanmax(np.abs(self.values)))
+        if largest > self.settings.largest_number:
+            raise RecordingError(f"{self.robot.signal} has a number of the size {largest:.3g}; at most "
+                                 f"{self.settings.largest_number:g} is allowed, so the log is corrupt")  # fmt: skip
+
+    def _usable(self) -> Bools:
+        """(T,) samples with any number.
+
+        Raises:
+            RecordingError: there are too few.
+        """
+        rows = np.isfinite(self.values).any(axis=1)
+        if (count := int(rows.sum())) < (least := self.settings.least_samples):
+            why = "".join(f"; {each.text}" for each in self.findings)
+            raise RecordingError(f"{self.robot.signal} has {count} usable samples; {least} are needed{why}")
+        return rows
 
     def _note(self, name: str, count: int, lost: int = 0, **values: float) -> None:
         """Tell that ``count`` numbers of the signal are concerned, of which ``lost`` are not in the log."""
