@@ -20,7 +20,8 @@ from soro_bench.blind_benchmark.ablations import ENV_ID
 from soro_bench.blind_benchmark.cases import build
 from soro_bench.blind_benchmark.draw import Case, draw_cases
 from soro_bench.diagnosis.api import diagnose
-from soro_bench.diagnosis.result import Errors, NamedLocation, Result
+from soro_bench.diagnosis.result import Result
+from soro_bench.diagnosis.result_parts import Errors, NamedLocation
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.effects.effect import Location
 from soro_bench.files import read_json, write_json

@@ -5,26 +5,24 @@ from typing import Any
 
 import numpy as np
 
-from soro_bench.diagnosis.result import (
+from soro_bench.diagnosis.result import Result
+from soro_bench.diagnosis.result_drawings import LawCurve, Replay, Shape
+from soro_bench.diagnosis.result_parts import (
     Detectable,
     Errors,
     Estimate,
     Finding,
     FittedTerms,
     HypothesisSummary,
-    LawCurve,
     NamedLocation,
     NextRecording,
     Outliers,
     ParameterEstimate,
     Patch,
     RankedLocation,
-    Replay,
-    Result,
     RobotSummary,
     ScreenedTerm,
     SelectionRound,
-    Shape,
     SignalQuality,
     UnknownInput,
 )

@@ -13,7 +13,7 @@ pytest.importorskip("tabulate", reason="needs the infer extra, mujoco[sysid]")
 
 from mujoco import sysid
 
-from soro_bench.diagnosis.result import Estimate, ParameterEstimate
+from soro_bench.diagnosis.result_parts import Estimate, ParameterEstimate
 from soro_bench.diagnosis.robots.model_file import ModelError
 from soro_bench.diagnosis.sysid import parameter_dict, recordings, sysid_robot
 from soro_bench.recording.recording import RecordingError

@@ -7,7 +7,8 @@ import numpy as np
 
 from soro_bench.diagnosis.assembly.patch import kept
 from soro_bench.diagnosis.pipeline import Diagnosis, tried_on
-from soro_bench.diagnosis.result import Errors, Estimate, Finding, NamedLocation, Result
+from soro_bench.diagnosis.result import Result
+from soro_bench.diagnosis.result_parts import Errors, Estimate, Finding, NamedLocation
 from soro_bench.diagnosis.selection.model_probabilities import Fit
 from soro_bench.effects.effect import Location
 from soro_bench.recording.recording import Recording

@@ -20,7 +20,7 @@ from soro_bench.diagnosis.estimation.posterior_covariance import with_covariance
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.estimation.unit_check import check_unit_and_sign
 from soro_bench.diagnosis.localisation.ranking import RankedLocation, ranked_locations
-from soro_bench.diagnosis.result import DataFinding
+from soro_bench.diagnosis.result_parts import DataFinding
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.experiment_design import Proposal, proposed

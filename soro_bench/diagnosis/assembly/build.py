@@ -13,21 +13,20 @@ from soro_bench.diagnosis.assembly.shapes import shapes
 from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.localisation.residual_maps import explained_over_time
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.result import (
+from soro_bench.diagnosis.result import Result
+from soro_bench.diagnosis.result_drawings import LawCurve, Replay
+from soro_bench.diagnosis.result_parts import (
     Detectable,
     Estimate,
     Finding,
     FittedTerms,
     HypothesisSummary,
-    LawCurve,
     NamedLocation,
     NextRecording,
     Outliers,
     ParameterEstimate,
     Patch,
     RankedLocation,
-    Replay,
-    Result,
     RobotSummary,
     ScreenedTerm,
     SelectionRound,

@@ -4,7 +4,7 @@ import numpy as np
 
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.pipeline import Diagnosis, key_of
-from soro_bench.diagnosis.result import Errors
+from soro_bench.diagnosis.result_parts import Errors
 from soro_bench.diagnosis.selection.model_probabilities import Answer
 
 

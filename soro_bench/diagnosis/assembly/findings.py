@@ -10,7 +10,7 @@ from soro_bench.diagnosis.candidates import Term, late, slices
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.localisation.residual_maps import Regime, explained_over_time, intervals, regimes
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.result import Estimate, Finding
+from soro_bench.diagnosis.result_parts import Estimate, Finding
 from soro_bench.diagnosis.robots.priors import Prior
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer, temperature

@@ -12,7 +12,7 @@ from soro_bench.diagnosis.data_quality.samples import Channel
 from soro_bench.diagnosis.data_quality.stamps import Stamps, interpolated, stamps
 from soro_bench.diagnosis.data_quality.texts import text
 from soro_bench.diagnosis.estimation.data_quality import noise
-from soro_bench.diagnosis.result import DataFinding
+from soro_bench.diagnosis.result_parts import DataFinding
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import DEFAULT, DataQualitySettings, Settings, SignalSettings

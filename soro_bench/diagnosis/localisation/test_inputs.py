@@ -14,7 +14,8 @@ from soro_bench.diagnosis.candidates import term, typical
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.measured import Drive
-from soro_bench.diagnosis.robots.robot import SIMULATIONS, Robot
+from soro_bench.diagnosis.robots.replays import SIMULATIONS
+from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.effects.effect import Effect, Location
 from soro_bench.effects.elements import Elements
 

@@ -8,7 +8,8 @@ from latex2mathml.converter import convert
 from markupsafe import Markup, escape
 
 from soro_bench.diagnosis.render import figures, words
-from soro_bench.diagnosis.result import Finding, Result
+from soro_bench.diagnosis.result import Result
+from soro_bench.diagnosis.result_parts import Finding
 from soro_bench.effects.equations import EQUATIONS
 from soro_bench.files import replacing
 

@@ -3,7 +3,8 @@
 import textwrap
 
 from soro_bench.diagnosis.render import words
-from soro_bench.diagnosis.result import Finding, Result
+from soro_bench.diagnosis.result import Result
+from soro_bench.diagnosis.result_parts import Finding
 from soro_bench.files import shown
 
 WIDTH = 80

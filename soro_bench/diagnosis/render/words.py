@@ -4,7 +4,8 @@ import math
 import re
 from collections.abc import Iterable
 
-from soro_bench.diagnosis.result import Detectable, Errors, Estimate, Finding, NamedLocation, Result
+from soro_bench.diagnosis.result import Result
+from soro_bench.diagnosis.result_parts import Detectable, Errors, Estimate, Finding, NamedLocation
 from soro_bench.effects.effect import Location
 from soro_bench.effects.equations import EQUATIONS
 

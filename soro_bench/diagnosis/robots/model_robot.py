@@ -15,7 +15,8 @@ from soro_bench.diagnosis.robots.measured import Drive, Measured
 from soro_bench.diagnosis.robots.model_file import Model, ModelError, load_model, load_spec, name_of, number, title
 from soro_bench.diagnosis.robots.model_state import initial_state, signal_source, unused_keyframes
 from soro_bench.diagnosis.robots.priors import Baseline, Prior
-from soro_bench.diagnosis.robots.robot import SIMULATIONS, Robot
+from soro_bench.diagnosis.robots.replays import SIMULATIONS
+from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.robots.robot_map import (
     accurate_of,
     beyond,

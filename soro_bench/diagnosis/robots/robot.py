@@ -1,67 +1,53 @@
 """The robot of a diagnosis: a simulation that replays recordings under parameters and effects."""
 
-import itertools
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 
 import mujoco
 import numpy as np
 
-from soro_bench.arrays import Bools, Floats, Ints
-from soro_bench.diagnosis.robots.measured import Drive, Measured
+from soro_bench.arrays import Floats
+from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.priors import Baseline, CannotHave, Prior
-from soro_bench.diagnosis.settings import DiscretisationSettings, RobotSettings
-from soro_bench.effects.catalogue import ALL, MEASUREMENT, between_steps
+from soro_bench.diagnosis.robots.replays import Replays
+from soro_bench.diagnosis.settings import DiscretisationSettings
+from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.effects.elements import Elements
-from soro_bench.effects.measurement import distorted
-from soro_bench.models.simulation import Simulation
-from soro_bench.parallel import side_by_side
 from soro_bench.recording.recording import Recording, RecordingError, resampled, sampled
 
-SIMULATIONS = RobotSettings().simulations
 FITTED, REFINED = DiscretisationSettings().fitted_refinement, DiscretisationSettings().reference_refinement
 
 
-class Robot(ABC):
-    """A robot with ``SIMULATIONS`` simulations or more. Subclasses set the attributes and implement the hooks below.
+class Robot(Replays):
+    """A robot that replays recordings. Subclasses set the attributes and implement the hooks of both classes.
 
-    Attributes:
+    Attributes, besides those of :class:`~soro_bench.diagnosis.robots.replays.Replays`:
         name: of the robot, for people.
         model_name: of its model, for people.
-        simulation: N simulations of it.
-        control_timestep: s, between commands.
-        signal: the name of the signal of recordings that is explained.
-        unit, frame, shape: of that signal; the shape is (P, D), points and coordinates.
+        unit, frame, shape: of the signal; the shape is (P, D), points and coordinates.
         kinds: kinds of locations that candidate terms may have.
         priors: of its parameters.
         pneumatic: whether its actuators fill chambers.
-        known: effects that it is known to have, whatever else acts.
         from_baseline: whether its priors come from a baseline diagnosis.
         shorter: how many times shorter its time steps are than those of its model.
-        settling: control steps under its first action before a recording begins.
         notes: what a user should know of it before its results, in words.
     """
 
     name: str
     model_name: str
     threads: int
-    simulation: Simulation
-    control_timestep: float
-    signal: str
     unit: str
     frame: str
     shape: tuple[int, int]
     kinds: tuple[str, ...]
     priors: tuple[Prior, ...]
     pneumatic: bool = False
-    known: tuple[Effect, ...] = ()
     from_baseline: bool = False
     shorter: int = 1
-    settling: int = 0
     notes: tuple[str, ...] = ()
 
     def _remember(self, baseline: Baseline | None) -> None:
@@ -84,11 +70,6 @@ class Robot(ABC):
     def elements(self) -> Elements:
         """The elements of its model."""
         return Elements(self.simulation.model)
-
-    @property
-    def _count(self) -> int:
-        """Simulations side by side."""
-        return self.simulation.batch.nsim
 
     @abstractmethod
     def shortened(self, factor: int) -> "Robot":
@@ -139,25 +120,9 @@ class Robot(ABC):
     def begins(self, recording: Recording) -> float:
         """When the first control step of a recording begins [s]."""
 
-    @abstractmethod
-    def _begin(self, parameters: Floats, start: Floats | None) -> None:
-        """Start simulations 0 .. n - 1 with parameters (n, d), at a signal ``start`` (n, P, D) if it is given."""
-
-    @abstractmethod
-    def _step(self, actions: Floats) -> Bools:
-        """Advance simulations 0 .. n - 1 by a control step under actions (n, ...); (n,) whether each diverged."""
-
-    @abstractmethod
-    def _read(self, count: int) -> Floats:
-        """(count, P, D) the signal of the first ``count`` simulations now."""
-
     def settings(self, recording: Recording, steps: int) -> Floats | None:
         """(steps, S) what is known of the robot in each control step; None where it has no settings."""
         return None
-
-    def _set(self, ids: Ints, settings: Floats) -> None:
-        """Give simulations ``ids`` (n,) settings (n, S); for robots that have some."""
-        raise NotImplementedError
 
     def locations(self, kind: str) -> list[Location]:
         """Locations of a kind that candidate terms may have."""
@@ -318,112 +283,6 @@ class Robot(ABC):
         first = given.values[0].reshape(self.shape)
         settings = self.settings(recording, len(actions))
         return Measured(actions, times - begin, values, self.signal, self.unit, first, settings)
-
-    def simulate(
-        self,
-        actions: Floats,
-        parameters: Floats,
-        effects: Sequence[Sequence[Effect]],
-        start: Floats | None = None,
-        before_step: Callable[[int], None] | None = None,
-        settings: Floats | None = None,
-    ) -> Floats:
-        """Replays: the signal that the sensor would record.
-
-        Args:
-            actions: (T, ...) one per control step.
-            parameters: (N, d) values in the order of ``priors``.
-            effects: of each of the N replays, physics and faults of measurement.
-            start: (P, D) the signal before the first step, for robots that begin at it.
-            before_step: called with the number of every control step; replay i, of ``SIMULATIONS`` at most, then runs
-                in simulation i.
-            settings: (T, S) as ``Measured`` has them.
-
-        Returns:
-            (N, T, P, D), NaN from where a simulation diverged.
-        """
-        return self.simulate_all([Drive(actions, start, settings)], parameters, effects, before_step)[0]
-
-    def simulate_all(
-        self,
-        drives: Sequence[Drive],
-        parameters: Floats,
-        effects: Sequence[Sequence[Effect]],
-        before_step: Callable[[int], None] | None = None,
-    ) -> list[Floats]:
-        """Replays under each of several drives, side by side: (N, T, P, D) of every drive. See :meth:`simulate`."""
-        effects = [(*self.known, *each) for each in effects]
-        # what differs only in the sensor is simulated once
-        physics = [tuple(e for e in each if e.location.kind != "sensor") for each in effects]
-        keys = [(row.tobytes(), repr(each)) for row, each in zip(parameters, physics, strict=True)]
-        first = range(len(keys)) if before_step else [keys.index(key) for key in keys]
-        work = {i: 0 if before_step else between_steps(physics[i]) for i in sorted(set(first))}
-
-        def alike(job: tuple[int, int]) -> tuple[int, int]:
-            """Replays that run side by side: as much work between steps, as many steps."""
-            return work[job[1]], len(drives[job[0]].actions)
-
-        def rolled_out(robot: Robot, parts: Sequence[list[tuple[int, int]]]) -> dict[tuple[int, int], Floats]:
-            """Signals of replays, by drive and row, simulated part by part on a robot."""
-            found: dict[tuple[int, int], Floats] = {}
-            for jobs in parts:
-                driven, rows = [drives[k] for k, _ in jobs], [i for _, i in jobs]
-                values = robot._roll_out(driven, parameters[rows], [physics[i] for i in rows], before_step)
-                found |= dict(zip(jobs, values, strict=True))
-            return found
-
-        jobs = sorted(itertools.product(range(len(drives)), work), key=alike)
-        groups = (list(group) for _, group in itertools.groupby(jobs, alike))
-        parts = [group[i : i + self._count] for group in groups for i in range(0, len(group), self._count)]
-        # what needs nothing between time steps need not wait for what does, which leaves processors idle meanwhile
-        native, stepped = ([part for part in parts if (work[part[0][1]] > 0) == slow] for slow in (False, True))
-        if native and stepped and self.simulation.batch.nthread > 1:
-            found = side_by_side(2, rolled_out, (self, self._second), (native, stepped))
-        else:
-            found = [rolled_out(self, parts)]
-        values = {job: each for some in found for job, each in some.items()}
-        times = [np.asarray(self.control_timestep * np.arange(len(drive.actions) + 1), float) for drive in drives]
-        return [
-            np.stack([
-                distorted(MEASUREMENT, each, time, values[k, i], self.signal)[1:]
-                for i, each in zip(first, effects, strict=True)
-            ])
-            for k, time in enumerate(times)
-        ]
-
-    def _roll_out(
-        self,
-        drives: Sequence[Drive],
-        parameters: Floats,
-        physics: Sequence[Sequence[Effect]],
-        before_step: Callable[[int], None] | None,
-    ) -> Floats:
-        """(n, 1 + T, P, D) signals of n replays, each with its own drive of T steps, before the first and after every
-        step."""
-        n, actions = len(drives), np.stack([drive.actions for drive in drives])
-        start, settings = drives[0].start, drives[0].settings  # all drives have them, or none
-        if start is not None:
-            start = np.stack([drive.start for drive in drives if drive.start is not None])
-        if settings is not None:
-            settings = np.stack([drive.settings for drive in drives if drive.settings is not None])
-        self.simulation.assign_effects([*physics, *[()] * (self._count - n)])
-        self._begin(parameters, start)
-        lost, values = np.zeros(n, bool), []
-        for step in range(actions.shape[1]):
-            if settings is not None:
-                before = settings[:, step - 1] if step else np.nan
-                self._set(ids := np.flatnonzero((settings[:, step] != before).any(axis=1)), settings[ids, step])
-            if step == 0:
-                for _ in range(self.settling):
-                    self._step(actions[:, 0])
-                values.append(self._read(n).copy())
-            if before_step:
-                before_step(step)
-            lost |= self._step(actions[:, step])
-            value = self._read(n).copy()
-            value[lost] = np.nan
-            values.append(value)
-        return np.stack(values, axis=1)
 
 
 def _length_unit(model: mujoco.MjModel, actuator: int) -> str:

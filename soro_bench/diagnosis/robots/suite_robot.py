@@ -5,7 +5,8 @@ import numpy as np
 
 from soro_bench.arrays import Bools, Floats
 from soro_bench.diagnosis.robots.priors import Baseline, Prior
-from soro_bench.diagnosis.robots.robot import SIMULATIONS, Robot
+from soro_bench.diagnosis.robots.replays import SIMULATIONS
+from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import RobotSettings
 from soro_bench.effects.elements import instrument
 from soro_bench.models.simulation import Simulation

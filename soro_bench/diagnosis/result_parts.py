@@ -1,0 +1,286 @@
+"""What the result of a diagnosis is made of: errors, findings, hypotheses, the patch and what is said of the data."""
+
+import math
+import typing
+from dataclasses import dataclass
+
+from soro_bench.effects.effect import Location
+
+
+@dataclass(frozen=True)
+class Errors:
+    """How far a simulation is from recordings: root mean squares of a coordinate, in the unit of the signal.
+
+    before, after: of a plain replay with fitted parameters only, and with the patch.
+    noise: standard deviation of the sensor's noise.
+    corrected_before, corrected_after: the same without what the covariance of discretisation error explains.
+    """
+
+    before: float
+    after: float
+    noise: float
+    corrected_before: float
+    corrected_after: float
+
+    @property
+    def explained(self) -> float:
+        """Share of the corrected variance above the noise that the patch explains; NaN where there is none."""
+        above = self.corrected_before**2 - self.noise**2
+        return 1.0 - max(self.corrected_after**2 - self.noise**2, 0.0) / above if above > 0 else math.nan
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether the patch increases the corrected error."""
+        return self.corrected_after > self.corrected_before
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A quantity with its unit ("1" if it has none) and the bounds of its 90 % interval, None where it has none."""
+
+    name: str
+    value: float
+    unit: str
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """A parameter of the robot: the estimate, its nominal value, and how many standard deviations of its prior are
+    between the two."""
+
+    estimate: Estimate
+    nominal: float
+    prior_deviations: float
+
+
+@dataclass(frozen=True)
+class Finding:
+    """An effect of some hypothesis: a law at a location.
+
+    name: of the law; "none", "unknown" and "outliers" stand for what no law describes.
+    category: the kind of law.
+    probability: of all hypotheses that have it.
+    intervals: [s] when it acts, in the first recording. condition: in words, when it mainly acts.
+    train, heldout: errors of the most probable hypothesis that has it.
+    drawbacks: what speaks against it, in words.
+    together_with: names of the other effects of that hypothesis.
+    indistinguishable_from: what hardly any recording can tell from it, in words; empty if there is no such thing.
+    is_best: whether it belongs to the hypothesis that the report is about.
+    """
+
+    name: str
+    category: str
+    probability: float
+    location: Location | None = None
+    estimates: tuple[Estimate, ...] = ()
+    intervals: tuple[tuple[float, float], ...] = ()
+    condition: str = ""
+    train: Errors | None = None
+    heldout: Errors | None = None
+    drawbacks: tuple[str, ...] = ()
+    together_with: tuple[str, ...] = ()
+    indistinguishable_from: str = ""
+    is_best: bool = False
+
+
+@dataclass(frozen=True)
+class NamedLocation:
+    """A law and where it acts."""
+
+    name: str
+    location: Location
+
+    def __str__(self) -> str:
+        return f"{self.name} at {self.location}"
+
+
+@dataclass(frozen=True)
+class HypothesisSummary:
+    """A hypothesis and how probable it is.
+
+    unknowns: number of fitted coordinates, parameters included. samples: numbers that it was fitted to.
+    misfit: chi-squared / 2 above that of white noise, of the recordings that it was fitted to; misfit_total: with
+        the held-out ones.
+    log_evidence: of the fit. evidence: natural logarithm, of all recordings, less what its effects gain by chance.
+    """
+
+    effects: tuple[NamedLocation, ...]
+    probability: float
+    unknowns: int
+    samples: int
+    misfit: float
+    misfit_total: float
+    log_evidence: float
+    evidence: float
+    train: Errors
+    heldout: Errors | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of its laws."""
+        return tuple(each.name for each in self.effects)
+
+
+@dataclass(frozen=True)
+class ScreenedTerm:
+    """A candidate term with the gain in log evidence that its linear response predicts."""
+
+    term: NamedLocation
+    predicted_gain: float
+
+
+@dataclass(frozen=True)
+class FittedTerms:
+    """Terms that were fitted together, and the misfit that they leave."""
+
+    terms: tuple[NamedLocation, ...]
+    misfit: float
+
+
+@dataclass(frozen=True)
+class SelectionRound:
+    """One round of forward selection: on top of what it searched, what screening predicted, what the fits left."""
+
+    on_top_of: tuple[NamedLocation, ...]
+    screened: tuple[ScreenedTerm, ...]
+    fitted: tuple[FittedTerms, ...]
+
+
+@dataclass(frozen=True)
+class RankedLocation:
+    """A location, and the gain in log evidence of an unconstrained input there."""
+
+    location: Location
+    gain: float
+
+
+@dataclass(frozen=True)
+class UnknownInput:
+    """The input at the best location that explains what no law does.
+
+    components, units: names of its C numbers. start_s: (K,) when each value begins, of recording ``recording`` (K,).
+    values: (K, C). rmse_after: what the input leaves, without discretisation error [signal's unit].
+    linear_in: shares of what it depends on, where it is a linear function of commands and shape; else empty.
+    """
+
+    location: Location
+    components: tuple[str, ...]
+    units: tuple[str, ...]
+    recording: tuple[int, ...]
+    start_s: tuple[float, ...]
+    values: tuple[tuple[float, ...], ...]
+    rmse_after: float
+    linear_in: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """The smallest magnitude of a law that the recordings would have shown, where it shows most.
+
+    quantity: which one. minimum: how far it is from ``null``, where the law does nothing.
+    """
+
+    name: str
+    quantity: str
+    minimum: float
+    unit: str
+    null: float
+    location: Location
+
+
+@dataclass(frozen=True)
+class NextRecording:
+    """What to record next.
+
+    motion: in words. rivals: hypotheses that are left. separates: pairs of them that the motion would tell apart.
+    evidence: what it would give on average [nats] for the closest pair.
+    actions: (T, A) to replay, one every ``control_timestep`` [s].
+    """
+
+    motion: str
+    duration_s: float
+    rivals: tuple[str, ...]
+    separates: tuple[tuple[str, str], ...]
+    evidence: float
+    control_timestep: float
+    actions: tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True)
+class ReplayError:
+    """Root mean squares of plain replays [signal's unit]: by the model as built, and by patched_model.xml alone."""
+
+    built: float
+    patched: float
+
+
+@dataclass(frozen=True)
+class Patch:
+    """The physics that the simulation should have.
+
+    state: "none", "rejected" (it makes held-out recordings worse), "untested" (none is held out) or "accepted".
+    effects: in the format of effects.json, those of a baseline diagnosis included.
+    model: MJCF with the fitted parameters and the effects ``in_model``; None where it is not written.
+    remaining: effects that the MJCF lacks.
+    model_state: "as_found", "refitted" (with other parameters, since alone it would be worse than the model as built)
+        or "not_written"; empty in results of older versions.
+    obstacle: why the model is not as found.
+    replays: errors of the model alone, on the recordings fitted to and on held-out ones.
+    """
+
+    state: str
+    effects: tuple[dict[str, typing.Any], ...]
+    model: str | None
+    in_model: tuple[str, ...]
+    remaining: tuple[dict[str, typing.Any], ...]
+    obstacle: str | None = None
+    model_state: str = ""
+    replays: tuple[ReplayError, ...] = ()
+
+
+@dataclass(frozen=True)
+class SignalQuality:
+    """Of a recording: standard deviation of the noise [signal's unit], and share of missing samples."""
+
+    noise: float
+    missing: float
+
+
+@dataclass(frozen=True)
+class DataFinding:
+    """What a sensor, a logger or a broken line did to a recording: no physics of the robot.
+
+    name: such as "quantisation", "spikes" or "held". signal: of a signal or command. recording: index of it in
+        ``recordings``. samples: numbers concerned, and share: of those that there are.
+    text: what was found and done, and what to do, in one sentence.
+    """
+
+    name: str
+    signal: str
+    recording: int
+    samples: int
+    share: float
+    text: str
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """Samples left out because they are alone and far off: share of all points, and their rms distance [signal's
+    unit]."""
+
+    share: float
+    size: float
+
+
+@dataclass(frozen=True)
+class RobotSummary:
+    """The robot and the signal that was explained; channels: what each number of an action moves."""
+
+    name: str
+    model: str
+    signal: str
+    unit: str
+    channels: tuple[str, ...]
+    has_baseline: bool = False

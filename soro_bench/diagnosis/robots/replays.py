@@ -1,0 +1,168 @@
+"""Replays of recordings by simulations side by side, under parameters and effects."""
+
+import itertools
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from soro_bench.arrays import Bools, Floats, Ints
+from soro_bench.diagnosis.robots.measured import Drive
+from soro_bench.diagnosis.settings import RobotSettings
+from soro_bench.effects.catalogue import MEASUREMENT, between_steps
+from soro_bench.effects.effect import Effect
+from soro_bench.effects.measurement import distorted
+from soro_bench.models.simulation import Simulation
+from soro_bench.parallel import side_by_side
+
+SIMULATIONS = RobotSettings().simulations
+
+
+class Replays(ABC):
+    """``SIMULATIONS`` simulations or more that replay recordings. Subclasses set the attributes and implement hooks.
+
+    Attributes:
+        simulation: N simulations of the robot.
+        control_timestep: s, between commands.
+        signal: the name of the signal of recordings that is explained.
+        known: effects that the robot is known to have, whatever else acts.
+        settling: control steps under its first action before a recording begins.
+    """
+
+    simulation: Simulation
+    control_timestep: float
+    signal: str
+    known: tuple[Effect, ...] = ()
+    settling: int = 0
+
+    @property
+    def _count(self) -> int:
+        """Simulations side by side."""
+        return self.simulation.batch.nsim
+
+    @property
+    @abstractmethod
+    def _second(self) -> "Replays":
+        """The same robot with other simulations, which run beside its own."""
+
+    @abstractmethod
+    def _begin(self, parameters: Floats, start: Floats | None) -> None:
+        """Start simulations 0 .. n - 1 with parameters (n, d), at a signal ``start`` (n, P, D) if it is given."""
+
+    @abstractmethod
+    def _step(self, actions: Floats) -> Bools:
+        """Advance simulations 0 .. n - 1 by a control step under actions (n, ...); (n,) whether each diverged."""
+
+    @abstractmethod
+    def _read(self, count: int) -> Floats:
+        """(count, P, D) the signal of the first ``count`` simulations now."""
+
+    def _set(self, ids: Ints, settings: Floats) -> None:
+        """Give simulations ``ids`` (n,) settings (n, S); for robots that have some."""
+        raise NotImplementedError
+
+    def simulate(
+        self,
+        actions: Floats,
+        parameters: Floats,
+        effects: Sequence[Sequence[Effect]],
+        start: Floats | None = None,
+        before_step: Callable[[int], None] | None = None,
+        settings: Floats | None = None,
+    ) -> Floats:
+        """Replays: the signal that the sensor would record.
+
+        Args:
+            actions: (T, ...) one per control step.
+            parameters: (N, d) values in the order of ``priors``.
+            effects: of each of the N replays, physics and faults of measurement.
+            start: (P, D) the signal before the first step, for robots that begin at it.
+            before_step: called with the number of every control step; replay i, of ``SIMULATIONS`` at most, then runs
+                in simulation i.
+            settings: (T, S) as ``Measured`` has them.
+
+        Returns:
+            (N, T, P, D), NaN from where a simulation diverged.
+        """
+        return self.simulate_all([Drive(actions, start, settings)], parameters, effects, before_step)[0]
+
+    def simulate_all(
+        self,
+        drives: Sequence[Drive],
+        parameters: Floats,
+        effects: Sequence[Sequence[Effect]],
+        before_step: Callable[[int], None] | None = None,
+    ) -> list[Floats]:
+        """Replays under each of several drives, side by side: (N, T, P, D) of every drive. See :meth:`simulate`."""
+        effects = [(*self.known, *each) for each in effects]
+        # what differs only in the sensor is simulated once
+        physics = [tuple(e for e in each if e.location.kind != "sensor") for each in effects]
+        keys = [(row.tobytes(), repr(each)) for row, each in zip(parameters, physics, strict=True)]
+        first = range(len(keys)) if before_step else [keys.index(key) for key in keys]
+        work = {i: 0 if before_step else between_steps(physics[i]) for i in sorted(set(first))}
+
+        def alike(job: tuple[int, int]) -> tuple[int, int]:
+            """Replays that run side by side: as much work between steps, as many steps."""
+            return work[job[1]], len(drives[job[0]].actions)
+
+        def rolled_out(robot: Replays, parts: Sequence[list[tuple[int, int]]]) -> dict[tuple[int, int], Floats]:
+            """Signals of replays, by drive and row, simulated part by part on a robot."""
+            found: dict[tuple[int, int], Floats] = {}
+            for jobs in parts:
+                driven, rows = [drives[k] for k, _ in jobs], [i for _, i in jobs]
+                values = robot._roll_out(driven, parameters[rows], [physics[i] for i in rows], before_step)
+                found |= dict(zip(jobs, values, strict=True))
+            return found
+
+        jobs = sorted(itertools.product(range(len(drives)), work), key=alike)
+        groups = (list(group) for _, group in itertools.groupby(jobs, alike))
+        parts = [group[i : i + self._count] for group in groups for i in range(0, len(group), self._count)]
+        # what needs nothing between time steps need not wait for what does, which leaves processors idle meanwhile
+        native, stepped = ([part for part in parts if (work[part[0][1]] > 0) == slow] for slow in (False, True))
+        if native and stepped and self.simulation.batch.nthread > 1:
+            found = side_by_side(2, rolled_out, (self, self._second), (native, stepped))
+        else:
+            found = [rolled_out(self, parts)]
+        values = {job: each for some in found for job, each in some.items()}
+        times = [np.asarray(self.control_timestep * np.arange(len(drive.actions) + 1), float) for drive in drives]
+        return [
+            np.stack([
+                distorted(MEASUREMENT, each, time, values[k, i], self.signal)[1:]
+                for i, each in zip(first, effects, strict=True)
+            ])
+            for k, time in enumerate(times)
+        ]
+
+    def _roll_out(
+        self,
+        drives: Sequence[Drive],
+        parameters: Floats,
+        physics: Sequence[Sequence[Effect]],
+        before_step: Callable[[int], None] | None,
+    ) -> Floats:
+        """(n, 1 + T, P, D) signals of n replays, each with its own drive of T steps, before the first and after every
+        step."""
+        n, actions = len(drives), np.stack([drive.actions for drive in drives])
+        start, settings = drives[0].start, drives[0].settings  # all drives have them, or none
+        if start is not None:
+            start = np.stack([drive.start for drive in drives if drive.start is not None])
+        if settings is not None:
+            settings = np.stack([drive.settings for drive in drives if drive.settings is not None])
+        self.simulation.assign_effects([*physics, *[()] * (self._count - n)])
+        self._begin(parameters, start)
+        lost, values = np.zeros(n, bool), []
+        for step in range(actions.shape[1]):
+            if settings is not None:
+                before = settings[:, step - 1] if step else np.nan
+                self._set(ids := np.flatnonzero((settings[:, step] != before).any(axis=1)), settings[ids, step])
+            if step == 0:
+                for _ in range(self.settling):
+                    self._step(actions[:, 0])
+                values.append(self._read(n).copy())
+            if before_step:
+                before_step(step)
+            lost |= self._step(actions[:, step])
+            value = self._read(n).copy()
+            value[lost] = np.nan
+            values.append(value)
+        return np.stack(values, axis=1)
