@@ -25,7 +25,7 @@ from scipy.optimize import least_squares
 
 from soro_bench.assets import mjcf_path
 from soro_bench.diagnosis.baseline import baseline
-from soro_bench.diagnosis.estimation.data_quality import data_quality
+from soro_bench.diagnosis.data_quality.noise import data_quality
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.diagnosis.candidates import terms
-from soro_bench.diagnosis.estimation.data_quality import data_quality
+from soro_bench.diagnosis.data_quality.noise import data_quality
 from soro_bench.diagnosis.estimation.fit import Guess, fitted
 from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot

@@ -8,9 +8,9 @@ import pytest
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.data_quality import samples
 from soro_bench.diagnosis.data_quality.lattice import lattice_step
+from soro_bench.diagnosis.data_quality.noise import data_quality, noise, outliers
 from soro_bench.diagnosis.data_quality.samples import Channel
 from soro_bench.diagnosis.data_quality.stamps import stamps
-from soro_bench.diagnosis.estimation.data_quality import data_quality, noise, outliers
 from soro_bench.diagnosis.localisation.residual_maps import intervals, regimes
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot

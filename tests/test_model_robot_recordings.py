@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
 from soro_bench.diagnosis.api import diagnose
-from soro_bench.diagnosis.estimation.data_quality import data_quality
+from soro_bench.diagnosis.data_quality.noise import data_quality
 from soro_bench.diagnosis.estimation.unit_check import check_unit_and_sign
 from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot

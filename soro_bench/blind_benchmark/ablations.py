@@ -8,7 +8,7 @@ import numpy as np
 
 from soro_bench.blind_benchmark.report import report_of, unseen
 from soro_bench.diagnosis.assembly.build import build_result
-from soro_bench.diagnosis.estimation.data_quality import data_quality
+from soro_bench.diagnosis.data_quality.noise import data_quality
 from soro_bench.diagnosis.pipeline import run_diagnosis, unexplained
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import FITTED, REFINED, Robot

@@ -12,8 +12,8 @@ import numpy as np
 
 from soro_bench.diagnosis.candidates import Term, terms
 from soro_bench.diagnosis.data_quality.inspection import Inspected, compressed, inspected
+from soro_bench.diagnosis.data_quality.noise import DataQuality, data_quality, noise, outliers
 from soro_bench.diagnosis.data_quality.samples import spikes
-from soro_bench.diagnosis.estimation.data_quality import DataQuality, data_quality, noise, outliers
 from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.posterior_covariance import with_covariance

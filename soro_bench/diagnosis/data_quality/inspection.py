@@ -8,10 +8,10 @@ import numpy as np
 from soro_bench.arrays import Bools, Floats
 from soro_bench.diagnosis.data_quality import samples
 from soro_bench.diagnosis.data_quality.lattice import is_lattice, lattice_step
+from soro_bench.diagnosis.data_quality.noise import noise
 from soro_bench.diagnosis.data_quality.samples import Channel
 from soro_bench.diagnosis.data_quality.stamps import Stamps, interpolated, stamps
 from soro_bench.diagnosis.data_quality.texts import text
-from soro_bench.diagnosis.estimation.data_quality import noise
 from soro_bench.diagnosis.result_parts import DataFinding
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
