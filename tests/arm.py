@@ -1,13 +1,15 @@
-"""An arm of one joint, and recordings of it with other parameters and hidden effects."""
+"""An arm of one joint and the cheap trunk, and recordings of them with other parameters and hidden effects."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.effects.effect import Effect
 from soro_bench.inference.statistical_linearisation import LowRank
@@ -42,7 +44,8 @@ unit = "N m"
 deviation = 0.02
 """
 TRUTH = np.array([[1.2, 0.8, 0.01]])
-SIGMA = 5e-4  # rad, of the noise
+SIGMA = 5e-4  # rad, and m, of the noise
+TRUNK_TRUTH = np.array([0.5, -0.4, -0.6, 0.3, 0.2])
 
 
 def recording(paths: tuple[Path, Path], hidden: Sequence[Effect], seed: int, noise: float = SIGMA) -> Recording:
@@ -69,3 +72,14 @@ def problem(
     measured = replace(whole, actions=whole.actions[:steps], time=whole.time[:steps], values=whole.values[:steps])
     size = measured.values.size
     return Problem(robot, (measured,), SIGMA, np.ones(size), LowRank(np.zeros((0, size))), settings=settings)
+
+
+def trunk_problem(
+    robot: Robot, actions: np.ndarray, hidden: Sequence[Effect] = (), before_step: Callable | None = None
+) -> Problem:
+    """A recording of the robot with other parameters, hidden effects and noise."""
+    parameters = np.array([[prior.value(x) for prior, x in zip(robot.priors, TRUNK_TRUTH, strict=True)]])
+    values = robot.simulate(actions, parameters, [hidden], before_step=before_step)[0]
+    values = values + SIGMA * np.random.default_rng(1).standard_normal(values.shape)
+    measured = Measured(actions, 0.05 * np.arange(1, len(actions) + 1), values, "keypoints", "m")
+    return Problem(robot, (measured,), SIGMA, np.ones(values.size), LowRank(np.zeros((0, values.size))))

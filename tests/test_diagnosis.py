@@ -12,7 +12,7 @@ from soro_bench.diagnosis.selection.screening import evidence, pairs, responses,
 from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.models.trunk_geometry import CABLE_NAMES
 from soro_bench.recording.recording import Recording, RecordingError, Signal
-from tests.trunk import SIGMA, TRUTH, problem
+from tests.arm import SIGMA, TRUNK_TRUTH, trunk_problem
 
 
 def numerical_floor(given, refined, points):
@@ -21,20 +21,20 @@ def numerical_floor(given, refined, points):
 
 def test_a_fit_recovers_parameters_and_leaves_the_noise(robot, actions):
     """Not within the linearised errors: there those are too small (docs/explanation/inference.md)."""
-    given = problem(robot, actions)
+    given = trunk_problem(robot, actions)
     (found,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1, 0.05), seed=0)
-    assert np.abs(found.x - TRUTH).max() < 0.15  # of a prior standard deviation
+    assert np.abs(found.x - TRUNK_TRUTH).max() < 0.15  # of a prior standard deviation
     assert 2 * found.cost / found.residual.size == pytest.approx(1, abs=0.1)
 
 
 def test_a_fit_comes_back_from_a_bound(robot, actions):
     """Beyond it a parameter changes nothing, so a fit that could go there would stay."""
-    given = problem(robot, actions)
-    beyond = TRUTH.copy()
+    given = trunk_problem(robot, actions)
+    beyond = TRUNK_TRUTH.copy()
     beyond[1] = 5.0  # Poisson's ratio
     (found,) = fitted(given, [Guess(beyond)], (0.7, 0.4, 0.2, 0.1, 0.05), seed=0)
     assert robot.priors[1].value(bounds(given, ())[1, 1]) == pytest.approx(robot.priors[1].bounds[1])
-    assert np.abs(found.x - TRUTH).max() < 0.15
+    assert np.abs(found.x - TRUNK_TRUTH).max() < 0.15
 
 
 def test_half_the_time_step_leaves_half_the_error(robot, actions):
@@ -52,7 +52,7 @@ def test_half_the_time_step_leaves_half_the_error(robot, actions):
 )
 def test_screening_puts_a_hidden_effect_first(robot, actions, name, location, coordinate):
     hidden = term(robot, name, location)
-    given = problem(robot, actions, [hidden.effect(np.array([coordinate]))])
+    given = trunk_problem(robot, actions, [hidden.effect(np.array([coordinate]))])
     (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
     candidates = [one for one in terms(robot) if one.location.kind in ("body", "actuator")]
     found = evidence(given, base, candidates, responses(given, base, candidates, robot))
@@ -65,7 +65,7 @@ def test_screening_finds_a_pair_of_hidden_effects(robot, actions):
         term(robot, "payload", Location("body", "vertebra8")),
         term(robot, "backlash", Location("actuator", "L2")),
     ]
-    given = problem(robot, actions, [one.effect(np.array([0.2])) for one in hidden])
+    given = trunk_problem(robot, actions, [one.effect(np.array([0.2])) for one in hidden])
     (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
     candidates = [one for one in terms(robot) if one.name in ("payload", "backlash", "actuator_gain")]
     screened_candidate = pairs(evidence(given, base, candidates, responses(given, base, candidates, robot)))[0]
@@ -80,7 +80,7 @@ def test_there_is_a_suspect_for_every_place(robot):
 
 
 def test_the_numerical_floor_is_the_difference_from_a_quarter_of_the_time_step(robot, actions):
-    given = problem(robot, actions[:10])
+    given = trunk_problem(robot, actions[:10])
     discretisation = numerical_floor(given, robot.refined()[:1], [(np.zeros(5), ())])
     nominal = np.array([[prior.nominal for prior in robot.priors]])
     finer, plain = (each.simulate(actions[:10], nominal, [()]) for each in (robot.shortened(4), robot))
@@ -89,7 +89,7 @@ def test_the_numerical_floor_is_the_difference_from_a_quarter_of_the_time_step(r
 
 
 def test_the_numerical_floor_has_the_effects_of_a_hypothesis(robot, actions):
-    given, refined = problem(robot, actions[:10]), robot.refined()[1:]
+    given, refined = trunk_problem(robot, actions[:10]), robot.refined()[1:]
     plain = numerical_floor(given, refined, [(np.zeros(5), ())])
     gain = term(robot, "actuator_gain", Location("actuator", "L0"))
     assert np.abs(numerical_floor(given, refined, [(np.append(np.zeros(5), 0.5), [gain])]) - plain).max() > 1e-6
@@ -102,7 +102,7 @@ def test_the_numerical_floor_leaves_out_on_both_sides_what_a_finer_model_cannot_
     robot, actions, monkeypatch, hook, other
 ):
     """Or the difference would contain the effect itself. With more joints, a law at all of them is another one."""
-    given, finer = problem(robot, actions[:10]), robot.refined()[0]
+    given, finer = trunk_problem(robot, actions[:10]), robot.refined()[0]
     plain = numerical_floor(given, [finer], [(np.zeros(5), ())])
     monkeypatch.setattr(finer, hook, other)
     stiffer = term(robot, "stiffening", Location("body", EVERY))
@@ -115,7 +115,7 @@ def test_a_refined_robot_that_diverges_without_any_effect_at_every_point_is_refu
     robot, actions, monkeypatch, effects, lost
 ):
     """One that does so at some, or with the effect of a hypothesis, only knows no numerical error there."""
-    given, finer = problem(robot, actions[:10]), robot.refined()[0]
+    given, finer = trunk_problem(robot, actions[:10]), robot.refined()[0]
     simulated = finer.simulate_all
 
     def diverging(*args):
@@ -136,7 +136,7 @@ def test_a_refined_robot_that_diverges_without_any_effect_at_every_point_is_refu
 
 @pytest.mark.parametrize("refined", [0, 1])
 def test_a_fit_beside_its_numerical_floor_is_that_after_it(robot, actions, refined):
-    given, finer, guesses = problem(robot, actions[:10]), robot.refined()[:refined], [Guess(np.full(5, 0.1))]
+    given, finer, guesses = trunk_problem(robot, actions[:10]), robot.refined()[:refined], [Guess(np.full(5, 0.1))]
     points = [(np.zeros(5), ())]
     beside, (one,) = fitted_under_discretisation(given, finer, points, guesses, (0.3, 0.1), seed=3)
     after = given.with_discretisation(numerical_floor(given, finer, points))
@@ -168,7 +168,7 @@ def test_a_suspect_without_magnitude_is_no_effect():
 
 def test_what_is_far_larger_than_the_sensors_noise_becomes_the_noise_and_goes_again(robot, actions):
     """And small numerical errors no longer explain anything; residuals scale with it."""
-    given = problem(robot, actions)
+    given = trunk_problem(robot, actions)
     size = given.weight.size
     columns = SIGMA * np.array([0.2 * np.ones(size), 50 * np.ones(size)])
     given = given.with_discretisation(columns)
@@ -184,7 +184,7 @@ def test_what_is_far_larger_than_the_sensors_noise_becomes_the_noise_and_goes_ag
 
 @pytest.mark.parametrize("length", [0.15, 0.45])
 def test_windows_hold_as_many_samples_each(robot, actions, length):
-    numbers = windows(problem(robot, actions), length)[:: 21 * 3]
+    numbers = windows(trunk_problem(robot, actions), length)[:: 21 * 3]
     counts = np.bincount(numbers)[:-1]
     assert (counts == round(length / 0.05)).all()
 
@@ -205,7 +205,7 @@ def test_a_suspect_is_screened_with_what_is_typical_and_a_share_has_no_prior_bey
 
 
 def test_a_lead_promises_no_more_than_its_bounds_allow(robot, actions):
-    given = problem(robot, actions)
+    given = trunk_problem(robot, actions)
     jacobian, error = np.zeros((5, given.weight.size)), np.zeros((0, given.weight.size))
     row = np.random.default_rng(0).standard_normal(given.weight.size)
     weak = term(robot, "actuator_saturation", Location("actuator", "L0"))

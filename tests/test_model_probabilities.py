@@ -24,7 +24,7 @@ from soro_bench.diagnosis.selection.model_probabilities import (
 )
 from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.effect import Location
-from tests.trunk import SIGMA, problem
+from tests.arm import SIGMA, trunk_problem
 
 CABLE, FIT = Location("tendon", "L0"), Fit(1.0, 1.0, 1.0)
 GAIN = Term("actuator_gain", Location("actuator", "L0"), (0.85,), (True,))
@@ -35,7 +35,7 @@ STRIBECK = Term("stribeck_friction", CABLE, (1.0, 1.5, 0.01, 1e-3), (True, False
 @pytest.fixture(scope="module")
 def given(robot, actions):
     """A recording of the trunk."""
-    return problem(robot, actions)
+    return trunk_problem(robot, actions)
 
 
 def noise(given):

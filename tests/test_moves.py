@@ -23,7 +23,7 @@ from soro_bench.diagnosis.selection.screening import ScreenedCandidate, evidence
 from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.effect import EVERY, Effect, Location
 from tests import arm
-from tests.trunk import TRUTH, problem
+from tests.arm import TRUNK_TRUTH, trunk_problem
 
 HINGE = Location("joint", "hinge")
 FRICTION = Effect("coulomb_friction", HINGE, {"friction": 0.05, "presliding": 5e-4})
@@ -109,7 +109,7 @@ def test_a_close_rival_of_an_earlier_round_goes_on_with_the_terms_of_later_round
 @pytest.mark.parametrize("began", ["vertebra4", "vertebra8"])
 def test_a_law_begun_at_a_neighbour_ends_at_its_location(robot, actions, began):
     hidden = Effect("payload", Location("body", "vertebra6"), {"mass": 0.04})
-    given = problem(robot, actions, [hidden])
+    given = trunk_problem(robot, actions, [hidden])
     (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
     candidates = [term(robot, "payload", Location("body", f"vertebra{k}")) for k in range(3, 10)]
     screened = evidence(given, base, candidates, responses(given, base, candidates, robot))
@@ -178,8 +178,8 @@ def test_of_hypotheses_with_the_same_laws_the_first_one_stays(robot):
 @pytest.fixture
 def local_minimum(robot, actions):
     """A problem, and a fit of the parameters that has ended far from where they are: its Jacobian leads nowhere."""
-    given = problem(robot, actions)
-    x = np.where(np.arange(5) == 0, TRUTH - 1.0, TRUTH)  # too light, as if something were carried
+    given = trunk_problem(robot, actions)
+    x = np.where(np.arange(5) == 0, TRUNK_TRUTH - 1.0, TRUNK_TRUTH)  # too light, as if something were carried
     (residual,) = given.residuals([(x, ())])
     none = np.zeros((5, residual.size))
     return given, Hypothesis((), x, residual, given.cost(residual, x), none, none[:0])
