@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from soro_bench.files import read_json
-from soro_bench.leaderboard.diagnosis_entry import Release
+from soro_bench.leaderboard.diagnosis_entry import Release, read_entry
 from soro_bench.markdown import table
+from soro_bench.packed import names
 
 ROOT = Path(__file__).parents[1]
 ROBOTS = {"fine": "the lumped model with shorter time steps", "flex": "the accurate model"}
@@ -39,14 +39,15 @@ ALSO = ("unseen motion: variance explained, median, all of the error", "the same
 
 
 def releases() -> list[Path]:
-    """Files of the releases, in their order."""
-    return sorted((ROOT / "docs" / "results" / "releases").glob("release_*.json.xz"))
+    """Files of the releases, in their order; they are in the archive beside their folder."""
+    folder = ROOT / "docs" / "results" / "releases"
+    return [folder / name for name in names(folder) if name.endswith(".json.xz")]
 
 
 def scores(release: Path) -> list[dict]:
     """The criteria of a release as the leaderboard has them, of which those with a threshold and some others."""
     number = release.name.partition(".")[0].removeprefix("release_")
-    entry = read_json(ROOT / "leaderboard" / "results" / "diagnosis" / f"soro_bench_{number}.json")
+    entry = read_entry(ROOT / "leaderboard" / "results" / "diagnosis" / f"soro_bench_{number}.json")
     return [gate for gate in entry["gates"] if gate["bar"] is not None or gate["gate"] in ALSO]
 
 

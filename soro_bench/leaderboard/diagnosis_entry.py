@@ -1,9 +1,10 @@
 """Entries of the diagnosis track: the scorecard of a method on a set of robots with hidden physics.
 
 An entry is <results>/diagnosis/<name>.json (diagnosis_entry.schema.json). ``soro-bench blind-benchmark`` writes one.
-A release is a scored set in one file: the opened labels of its cases, and what the reports say of each. The file is
-<name>.json.xz, some 100 KB. It holds what :func:`soro_bench.leaderboard.verify.verify_diagnosis` needs to score it
-again, and what releases are compared by; texts, forces and detection limits of the reports are left out.
+A release is a scored set in one file, <name>.json.xz, some 100 KB: the opened labels of its cases, and what the reports
+say of each. It holds what :func:`soro_bench.leaderboard.verify.verify_diagnosis` needs to score it again, and what
+releases are compared by; texts, forces and detection limits of the reports are left out. Entries and releases may also
+be in the archive of their folder (:mod:`soro_bench.packed`).
 """
 
 import json
@@ -13,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from soro_bench import packed
 from soro_bench.blind_benchmark.score import (
     CRITERIA,
     LABEL_BYTES,
@@ -22,7 +24,7 @@ from soro_bench.blind_benchmark.score import (
     opened_labels,
     scored,
 )
-from soro_bench.files import brief, parsed_json, read_bytes, read_json, replacing, write_json
+from soro_bench.files import brief, parsed_json, read_json, replacing, write_json
 from soro_bench.leaderboard.strict import REPORT_BYTES, check, read_strict
 from soro_bench.results import versions
 
@@ -53,10 +55,10 @@ class Release:
 
     @classmethod
     def load(cls, path: str | Path) -> "Release":
-        """Read a packed release; ValueError if the file is none."""
+        """Read a packed release, in its folder or in the archive of it; ValueError if the file is none."""
         try:
             opener = lzma.LZMADecompressor(memlimit=200_000_000)
-            data = opener.decompress(read_bytes(path, PACKED_BYTES), OPENED_BYTES)
+            data = opener.decompress(packed.read(path, PACKED_BYTES), OPENED_BYTES)
             if not opener.eof:
                 raise ValueError(f"it is cut off, or longer than {OPENED_BYTES} bytes")
             found = parsed_json(data)

@@ -10,7 +10,7 @@ import numpy as np
 from soro_bench.leaderboard import diagnosis_entry
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.entry import entries_of, policy_of, read_entry
-from soro_bench.packed import SUFFIX, folder_of
+from soro_bench.packed import SUFFIX, archive_of, folder_of, names
 
 DIAGNOSIS = "diagnosis"  # folder of that track, beside those of the boards
 OLD = " (old)"  # what was trained before trainers had numbers
@@ -86,7 +86,8 @@ def _entries(results: Path) -> list[Path]:
     if link := next((path for path in results.rglob("*") if path.is_symlink() and path.is_dir()), None):
         raise ValueError(f"{link} is a link to a folder, in which no entries are read; move or copy the folder here")
     found = {path for path in results.rglob("*.json") if path.parent != results / DIAGNOSIS and not path.is_dir()}
-    archives = (path for path in results.rglob(f"?*{SUFFIX}") if not path.is_dir())  # methods may be called so
+    archives = {path for path in results.rglob(f"?*{SUFFIX}") if not path.is_dir()}  # methods may be called so
+    archives.discard(archive_of(results / DIAGNOSIS))
     return sorted(found.union(*(entries_of(folder_of(archive)) for archive in archives)))
 
 
@@ -111,5 +112,6 @@ def _common(entry: dict) -> dict:
 
 
 def gather_diagnosis(results: str | Path) -> list[dict]:
-    """The entries of the diagnosis track, by the names of their files."""
-    return [diagnosis_entry.read_entry(path) for path in sorted((Path(results) / DIAGNOSIS).glob("*.json"))]
+    """The entries of the diagnosis track, also those in an archive, by the names of their files."""
+    folder = Path(results) / DIAGNOSIS
+    return [diagnosis_entry.read_entry(folder / name) for name in names(folder) if name.endswith(".json")]
