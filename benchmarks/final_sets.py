@@ -1,7 +1,7 @@
 """All scored releases of the diagnosis side by side: acceptance criteria, and errors on motion that nothing was fitted
 to.
 
-python benchmarks/final_sets.py    # tables of docs/explanation/benchmark.md and docs/archive/benchmark_releases.md
+python benchmarks/final_sets.py    # tables of docs/explanation/benchmark.md and docs/archive/diagnosis.md
 """
 
 import argparse

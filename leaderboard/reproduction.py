@@ -3,7 +3,7 @@
     python leaderboard/reproduction.py
 
 Reads the entries in leaderboard/results and writes tables of docs/explanation/reproduction.md and, a row per policy, of
-docs/archive/reproduction_tables.md, in the paper's units.
+docs/archive/training_and_speed.md, in the paper's units.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from soro_bench.parameters import ALL_PARAMETERS
 
 RESULTS = Path(__file__).parent / "results"
 DOCS = Path(__file__).parents[1] / "docs"
-PAGES = (DOCS / "explanation" / "reproduction.md", DOCS / "archive" / "reproduction_tables.md")
+PAGES = (DOCS / "explanation" / "reproduction.md", DOCS / "archive" / "training_and_speed.md")
 TABLE = re.compile(r"(<!-- (\w+): leaderboard/reproduction.py -->\n\n).*?(\n\n<!-- end -->)", re.DOTALL)
 UNITS = {"young_modulus": 1e3}  # kPa are kg/(mm s²); masses are in kg
 COLUMNS = ("cube_mass", "friction", "trunk_mass", "poisson_ratio", "young_modulus")

@@ -35,7 +35,7 @@ class Parameter:
 # Nominal values and search boxes: Tiboni et al., IROS 2023, Tables I and II, and their configuration files
 # (docs/archive/tasks_and_models.md). The published upper end of Poisson's ratio, 0.5, is singular in linear elasticity.
 # Bounds without a reason of their own are chosen somewhat beyond the boxes, over which random actions are tried
-# (docs/archive/performance.md).
+# (docs/archive/training_and_speed.md).
 TRUNK_MASS = Parameter(
     "trunk_mass", "kg", 0.42, (0.005, 1.0), (0.001, 2.0),
     "mass of the whole trunk; 83 % of it moves, the rest sits in the clamp",

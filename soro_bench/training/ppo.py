@@ -44,7 +44,7 @@ _CHECKPOINT_BYTES = 1_000_000_000  # that are read; those of the suite have some
 
 @dataclass(frozen=True)
 class PPOConfig:
-    """How to train; docs/archive/performance.md says how the defaults were found."""
+    """How to train; docs/archive/training_and_speed.md says how the defaults were found."""
 
     env_id: str
     method: str = "oracle"
@@ -87,7 +87,7 @@ class PPOConfig:
         return described
 
 
-# What differs from PPOConfig's defaults, which were found on TrunkReach (docs/archive/performance.md)
+# What differs from PPOConfig's defaults, which were found on TrunkReach (docs/archive/training_and_speed.md)
 _TASK_DEFAULTS: dict[str, dict[str, Any]] = {
     "TrunkPush-v0": {"initial_log_std": -0.5, "final_log_std": -2.0, "total_steps": 1_000_000},
     # A lift costs reward for three seconds before it pays: discounted by 0.95 a step it is worth less than tipping the
