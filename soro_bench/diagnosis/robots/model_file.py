@@ -66,13 +66,18 @@ def _read(model: Model) -> tuple[mujoco.MjSpec, Path]:
         raise ModelError(f"{model} is no MuJoCo model: {in_one_line(error)}") from error
 
 
-def load_model(model: Model) -> mujoco.MjModel:
+def load_model(model: Model, shorter: int = 1) -> mujoco.MjModel:
     """A model, prepared for effects.
+
+    Args:
+        shorter: how many times shorter its time steps will be; delays remember as many samples more.
 
     Raises:
         ModelError: it is none, or has values that cannot be simulated.
     """
     spec, path = load_spec(model), title(model) if isinstance(model, mujoco.MjSpec) else model
+    for delayed in (*spec.actuators, *spec.sensors):
+        delayed.nsample *= shorter
     try:
         with warnings.catch_warnings():  # of attributes that a later MuJoCo will not have
             warnings.simplefilter("ignore")

@@ -69,7 +69,7 @@ class ModelRobot(Robot):
         self.name = self.model_name = title(model)
         settings = table["robot"]
         with quiet():
-            self._model = compiled = load_model(model)
+            self._model = compiled = load_model(model, shorter)
         self.control_timestep = number("[robot] control_timestep", settings.get("control_timestep"), 1e-5, 100.0)
         steps, self._timestep = time_steps(self.control_timestep, own := compiled.opt.timestep)
         self._substeps, compiled.opt.timestep = steps * shorter, self._timestep / shorter
