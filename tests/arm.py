@@ -65,10 +65,12 @@ def problem(
     seed: int = 0,
     settings: Settings = DEFAULT,
     steps: int = 90,
+    real: tuple[Path, Path] | None = None,
 ) -> Problem:
-    """The beginning of a recording of the arm, to be explained with the time step that it was simulated with."""
+    """The beginning of a recording of the arm, or of another one, to be explained with the time step that it was
+    simulated with."""
     robot = ModelRobot(*paths, threads=1, shorter=2)
-    whole = robot.measured(recording(paths, hidden, seed))
+    whole = robot.measured(recording(real or paths, hidden, seed))
     measured = replace(whole, actions=whole.actions[:steps], time=whole.time[:steps], values=whole.values[:steps])
     size = measured.values.size
     return Problem(robot, (measured,), SIGMA, np.ones(size), LowRank(np.zeros((0, size))), settings=settings)

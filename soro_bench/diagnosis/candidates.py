@@ -17,6 +17,7 @@ from soro_bench.effects.effect import EVERY, Effect, Location, Quantity
 
 PNEUMATIC = ("pressure_leak", "pressure_asymmetry", "supply_coupling")
 _DEFAULT = PriorSettings()
+_SHARE_REMOVED = 0.5  # of what the model has, at most, that a screened term takes away
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,8 @@ class Term:
 
     name: of the law. typical: values of its quantities at this location. magnitudes: which of them are null without the
     effect; the others shape it. idle: quantities of the law that can do nothing here and stay null. settings: widths of
-    its priors.
+    its priors. removable: 0 for a term that adds; else how much of the first quantity the model has here, which this
+    term takes away.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Term:
     magnitudes: tuple[bool, ...]
     idle: frozenset[str] = frozenset()
     settings: PriorSettings = _DEFAULT
+    removable: float = 0.0
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
@@ -55,9 +58,17 @@ class Term:
         found = np.full(self.size, self.settings.shape_deviation)
         for i, (q, typical) in enumerate(zip(self.quantities, self.typical, strict=True)):
             if self.magnitudes[i]:
-                most = q.bounds[1] - q.null if q.null == q.bounds[0] else np.inf
-                found[i] = min(self.settings.magnitude_deviation * (typical - q.null), most)
+                low, high = self._ends(q)
+                wide = self.settings.magnitude_deviation * (typical - q.null)
+                found[i] = max(wide, low - q.null) if q.null == high else wide
+                found[i] = min(wide, high - q.null) if q.null == low else found[i]
         return found
+
+    def _ends(self, q: Quantity) -> tuple[float, float]:
+        """Between which values a quantity is: those of a term that takes away are below null."""
+        if not q.takes:
+            return q.bounds
+        return (max(q.null - self.removable, q.bounds[0]), q.null) if self.removable else (q.null, q.bounds[1])
 
     @property
     def simulated(self) -> Floats:
@@ -71,7 +82,7 @@ class Term:
         found, columns = [], zip(self.quantities, self.typical, self.magnitudes, self.deviations, strict=True)
         limit = self.settings.limit
         for q, typical, magnitude, deviation in columns:
-            ends = np.array(q.bounds)
+            ends = np.array(self._ends(q))
             if magnitude:
                 found.append(np.sort((ends - q.null) / deviation))
             else:
@@ -81,9 +92,10 @@ class Term:
 
     def effect(self, x: Floats) -> Effect:
         """The effect at coordinates x (size,)."""
-        values, moved = {q.name: q.null for q in QUANTITIES[self.name]}, self.deviations * x
+        values = {q.name: q.null if q.bounds[0] <= q.null else q.typical for q in QUANTITIES[self.name]}
+        moved = self.deviations * x
         for q, typical, magnitude, by in zip(self.quantities, self.typical, self.magnitudes, moved, strict=True):
-            values[q.name] = float(np.clip(q.null + by if magnitude else typical * np.exp(by), *q.bounds))
+            values[q.name] = float(np.clip(q.null + by if magnitude else typical * np.exp(by), *self._ends(q)))
         return Effect(self.name, self.location, values)
 
     def coordinates(self, values: Mapping[str, float]) -> Floats:
@@ -117,8 +129,9 @@ def terms(robot: Robot, settings: PriorSettings = _DEFAULT) -> list[Term]:
             locations = [] if kind == "joint" and "body" in law.kinds else robot.locations(kind)
             locations += robot.welded() if law.welded and kind == "body" else []
             every = [Location(kind, EVERY)] if law.shared and len(locations) > 1 else []
-            for one in _possible(robot, name, every if every and law.only_shared else every + locations, settings):
-                found += variants(one)
+            possible = _possible(robot, name, every if every and law.only_shared else every + locations, settings)
+            found += [each for one in possible for each in variants(one)]
+            found += _removals(robot, [one for one in possible if one.location.name != EVERY])
     for name, fault in MEASUREMENT.items():
         if name != "outliers" and (coordinates == 3 or name != "frame_misalignment"):
             indices: Sequence[int | None] = range(points) if fault.local else [None]
@@ -133,6 +146,24 @@ def _possible(robot: Robot, name: str, locations: Sequence[Location], settings: 
     if robot.accepts([one.effect(np.zeros(one.size)) for one in single]):
         return at
     return [one for one in at if robot.accepts([one.effect(np.zeros(one.size))])]
+
+
+def _removals(robot: Robot, possible: Sequence[Term]) -> list[Term]:
+    """The terms of a law that take away what the model has of it, at each of some locations and at all of them."""
+    found, elements = [], robot.elements
+    for one in possible:
+        if (most := PHYSICS[one.name].removable(elements, one.location)) > 0.0:
+            null = one.quantities[0].null
+            magnitude = min(abs(one.typical[0] - null), _SHARE_REMOVED * most)
+            shapes = frozenset(q.name for q in one.quantities[1:])  # what is taken away has none
+            found.append(
+                Term(one.name, one.location, (null - magnitude,), (True,), one.idle | shapes, one.settings, most)
+            )
+    if len(found) < 2:
+        return found
+    largest = max(found, key=lambda each: each.removable)
+    every = replace(largest, location=Location(largest.location.kind, EVERY))
+    return [every, *found] if robot.accepts([typical(every)]) else found
 
 
 def late(robot: Robot, name: str, location: Location) -> bool:

@@ -45,6 +45,7 @@ class Quantity:
         says so.
     null: where the law does nothing, if this is its first parameter.
     also: other values that make another signature, from which a search begins too.
+    takes: whether values below null take away from what the model has of the same (``Law.removable``).
     """
 
     name: str
@@ -54,6 +55,7 @@ class Quantity:
     null: float = 0.0
     also: tuple[float, ...] = ()  # other values where a search begins
     of: Literal["force", "damping", "length", "compliance", "mass"] | None = None
+    takes: bool = False
 
 
 @dataclass(frozen=True)

@@ -168,6 +168,11 @@ class Elements:
         model = self.model
         return np.flatnonzero((model.actuator_trntype == kind) & (model.actuator_trnid[:, 0] == self.id(location)))
 
+    def resistance(self, location: Location) -> tuple[str, int]:
+        """Where the model has damping and dry friction of a tendon or joint: "tendon" or "dof", and its number."""
+        i = self.id(location)
+        return ("dof", int(self.model.jnt_dofadr[i])) if location.kind == "joint" else ("tendon", i)
+
     def turns(self, location: Location) -> bool:
         """Whether what moves at a location turns and does not slide: a hinge, what drives one, a body that bends."""
         if location.kind not in ("joint", "actuator", "body"):

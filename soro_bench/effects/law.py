@@ -49,6 +49,11 @@ class Law:
         """Quantities that can do nothing at a location, as a second direction of bending where there is one hinge."""
         return frozenset()
 
+    @classmethod
+    def removable(cls, elements: Elements, location: Location) -> float:
+        """How far below null the first quantity can be at a location, as much as the model has of it; 0 if none."""
+        return 0.0
+
     @property
     def dt(self) -> float:
         """s, a time step."""

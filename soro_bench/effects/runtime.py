@@ -50,7 +50,9 @@ class ActiveEffects:
                 complete = checked(effect, law.quantities)
                 if effect.location.kind not in law.kinds:
                     raise EffectError(f"{effect.name} acts on {', '.join(law.kinds)}, not on {effect.location}")
-                for location in self.elements.expand(effect.location, law.elastic, law.welded):
+                places = self.elements.expand(effect.location, law.elastic, law.welded)
+                self._check_taken(law, complete, places)
+                for location in places:
                     if (row, law, location) in seen and not law.adds:
                         raise EffectError(f"{effect.name} acts twice at {location}; once is allowed")
                     seen.add((row, law, location))
@@ -67,6 +69,16 @@ class ActiveEffects:
         self._stepped = [law for law in self._laws if law.stepped]
         self._prepare_setpoints()
         self._ids: Ints | None = None  # of the last step
+
+    def _check_taken(self, law: type[Law], effect: Effect, locations: Sequence[Location]) -> None:
+        """Refuse an effect that takes away what the model has nowhere."""
+        first = law.quantities[0]
+        value = effect.parameters[first.name]
+        if first.takes and value < first.null and not any(law.removable(self.elements, each) for each in locations):
+            raise EffectError(
+                f"{first.name} of {law.name} is {value:g}, and the model has nothing to take it from at "
+                f"{effect.location}; allowed is {first.null:g} or more"
+            )
 
     def tried(self, effects: Sequence[Effect]) -> "ActiveEffects":
         """What these would be with some effects in one simulation; they, and the simulations, stay as they are.

@@ -10,9 +10,18 @@ import mujoco
 import numpy as np
 
 from soro_bench.arrays import Bools, Floats
-from soro_bench.effects.effect import EffectError, Quantity
+from soro_bench.effects.effect import EffectError, Location, Quantity
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.law import Law
+
+_FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+_SOFTEST = 0.1  # of 1 + k c: a servo that is ten times stiffer than its model
+_HIGHEST = 9.0  # of its limit, by which an actuator may be stronger
+
+
+def _shortest(model: mujoco.MjModel, actuator: int) -> float:
+    """s, the shortest time constant of a filter that stays stable."""
+    return float(model.opt.timestep) if model.actuator_dyntype[actuator] == mujoco.mjtDyn.mjDYN_FILTER else 0.0
 
 
 class SetpointLaw(Law):
@@ -85,10 +94,24 @@ class Backlash(_Following):
 
 
 class ActuatorLag(_Following):
-    """The setpoint is followed with a first-order lag."""
+    """The setpoint is followed with a first-order lag; a negative one takes away from a filter of the model."""
 
     name, category, shared = "actuator_lag", "timing", True
-    quantities = (Quantity("time_constant", "s", 0.015, (0.0, 1e3)),)
+    quantities = (Quantity("time_constant", "s", 0.015, (-1e3, 1e3), takes=True),)
+    fields: ClassVar = ("actuator_dynprm",)
+
+    @classmethod
+    def removable(cls, elements: Elements, location: Location) -> float:
+        model, i = elements.model, elements.id(location)
+        filters = model.actuator_dyntype[i] in _FILTERS and model.actuator_actnum[i] == 1
+        return max(float(model.actuator_dynprm[i, 0]) - _shortest(model, i), 0.0) if filters else 0.0
+
+    def write(self, which: Bools) -> None:
+        for i in np.flatnonzero(which & (self.values["time_constant"] < 0.0)):
+            constant, at = self.field("actuator_dynprm"), (self.rows[i], self.ids[i], 0)
+            if self.model.actuator_dyntype[self.ids[i]] in _FILTERS:  # of all actuators some may have none
+                shorter = constant[at] + self.values["time_constant"][i]
+                constant[at] = max(shorter, _shortest(self.model, self.ids[i]))
 
     def filter(self, which: Bools, setpoint: Floats) -> Floats:
         tau = self.values["time_constant"][which]
@@ -99,14 +122,25 @@ class ActuatorLag(_Following):
 
 
 class ActuatorDelay(SetpointLaw):
-    """The setpoint arrives later; between two time steps it is interpolated."""
+    """The setpoint arrives later; between two time steps it is interpolated. A negative delay takes away from that of
+    the model."""
 
     name, category, shared = "actuator_delay", "timing", True
-    quantities = (Quantity("delay", "s", 0.015, (0.0, 2.0)),)
+    quantities = (Quantity("delay", "s", 0.015, (-2.0, 2.0), takes=True),)
+    fields: ClassVar = ("actuator_delay",)
+
+    @classmethod
+    def removable(cls, elements: Elements, location: Location) -> float:
+        return float(elements.model.actuator_delay[elements.id(location)])
+
+    def write(self, which: Bools) -> None:
+        for i in np.flatnonzero(which & (self.values["delay"] < 0.0)):
+            delay, at = self.field("actuator_delay"), (self.rows[i], self.ids[i])
+            delay[at] = max(delay[at] + self.values["delay"][i], 0.0)
 
     def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
-        steps = self.values["delay"] / self.dt
+        steps = np.maximum(self.values["delay"], 0.0) / self.dt
         self.whole = np.floor(steps + 1e-9).astype(int)
         self.part = np.maximum(steps - self.whole, 0.0)
         self.buffer = np.zeros((len(self.rows), int(self.whole.max(initial=0)) + 2))
@@ -196,11 +230,16 @@ class SupplyCoupling(_Pneumatic):
 
 
 class Compliance(Law):
-    """A spring in series with a servo: a cable, a belt; the servo's stiffness and damping fall by 1 + k c."""
+    """A spring in series with a servo: a cable, a belt; the servo's stiffness and damping fall by 1 + k c. A negative
+    one makes the servo stiffer."""
 
     name, category, kinds = "compliance", "static_error", ("actuator",)
-    quantities = (Quantity("compliance", "m/N or rad/(N m)", 1.0, (0.0, np.inf), of="compliance"),)
+    quantities = (Quantity("compliance", "m/N or rad/(N m)", 1.0, (-np.inf, np.inf), of="compliance", takes=True),)
     fields: ClassVar = ("actuator_gainprm", "actuator_biasprm")
+
+    @classmethod
+    def removable(cls, elements: Elements, location: Location) -> float:
+        return (1.0 - _SOFTEST) * elements.scale(location, "compliance")
 
     def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
@@ -213,17 +252,22 @@ class Compliance(Law):
     def write(self, which: Bools) -> None:
         at = self.rows[which], self.ids[which]
         gain, bias = self.field("actuator_gainprm"), self.field("actuator_biasprm")
-        softer = (1.0 + gain[at][:, 0] * self.values["compliance"][which])[:, None]
+        softer = np.maximum(1.0 + gain[at][:, 0] * self.values["compliance"][which], _SOFTEST)[:, None]
         gain[at] /= softer
         bias[at] /= softer
 
 
 class ActuatorSaturation(Law):
-    """An actuator that is weaker than its model: it gives only a share of the force that it should at most."""
+    """An actuator that is weaker than its model: it gives only a share of the force that it should at most. A negative
+    loss is the share by which its limit is higher than that of the model."""
 
     name, category, kinds = "actuator_saturation", "amplitude", ("actuator",)
-    quantities = (Quantity("loss", "1", 0.7, (0.0, 1.0), also=(0.4, 0.88)),)
+    quantities = (Quantity("loss", "1", 0.7, (-_HIGHEST, 1.0), also=(0.4, 0.88), takes=True),)
     fields: ClassVar = ("actuator_forcerange",)
+
+    @classmethod
+    def removable(cls, elements: Elements, location: Location) -> float:
+        return _HIGHEST if elements.model.actuator_forcelimited[elements.id(location)] else 0.0
 
     def prepare(self, elements: Elements) -> None:
         super().prepare(elements)

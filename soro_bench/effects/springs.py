@@ -108,13 +108,30 @@ class _Friction(Law):
 
 
 class CoulombFriction(_Friction):
-    """Dry friction of a constant force."""
+    """Dry friction of a constant force; a negative one takes away frictionloss that the model has."""
 
     name = "coulomb_friction"
-    quantities = (Quantity("friction", _FORCE, 1.0, INFINITE, of="force"), _PRESLIDING)
+    quantities = (Quantity("friction", _FORCE, 1.0, (-np.inf, np.inf), of="force", takes=True), _PRESLIDING)
+    fields = (*_Friction.fields, "tendon_frictionloss", "dof_frictionloss")
+
+    @classmethod
+    def removable(cls, elements: Elements, location: Location) -> float:
+        field, i = elements.resistance(location)
+        return float(getattr(elements.model, f"{field}_frictionloss")[i])
+
+    def prepare(self, elements: Elements) -> None:
+        super().prepare(elements)
+        self.of_model = [elements.resistance(location) for location in self.locations]
+
+    def write(self, which: Bools) -> None:
+        super().write(which)
+        for i in np.flatnonzero(which & (self.values["friction"] < 0.0)):
+            field, column = self.of_model[i]
+            loss, at = self.field(f"{field}_frictionloss"), (self.rows[i], column)
+            loss[at] = max(loss[at] + self.values["friction"][i], 0.0)
 
     def level(self, which: Bools) -> Floats:
-        return self.values["friction"][which]
+        return np.maximum(self.values["friction"][which], 0.0)
 
 
 class StribeckFriction(_Friction):

@@ -12,11 +12,16 @@ _OF_FLEX = ("flex_stiffness", "flex_bending")
 
 
 class ViscousFriction(Law):
-    """A force in proportion to the velocity."""
+    """A force in proportion to the velocity; a negative one takes away damping that the model has."""
 
     name, category, kinds, adds = "viscous_friction", "timing", ("tendon", "joint"), True
-    quantities = (Quantity("damping", "N s/m or N m s/rad", 1.0, (0.0, np.inf), of="damping"),)
+    quantities = (Quantity("damping", "N s/m or N m s/rad", 1.0, (-np.inf, np.inf), of="damping", takes=True),)
     fields = ("tendon_damping", "dof_damping")
+
+    @classmethod
+    def removable(cls, elements: Elements, location: Location) -> float:
+        field, i = elements.resistance(location)
+        return float(getattr(elements.model, f"{field}_damping")[i])
 
     def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
@@ -26,7 +31,9 @@ class ViscousFriction(Law):
         for field, chosen in (("tendon_damping", ~self.on_joint), ("dof_damping", self.on_joint)):
             i = np.flatnonzero(which & chosen)
             ids = self.ids[i] if field == "tendon_damping" else self.model.jnt_dofadr[self.ids[i]]
-            np.add.at(self.field(field), (self.rows[i], ids), self.values["damping"][i])
+            damping, at = self.field(field), (self.rows[i], ids)
+            np.add.at(damping, at, self.values["damping"][i])
+            damping[at] = np.maximum(damping[at], 0.0)
 
 
 class LocalStiffness(OnJoints):

@@ -261,7 +261,7 @@ def detectable(diagnosis: Diagnosis) -> tuple[Detectable, ...]:
     """
     found: dict[str, Detectable] = {}
     for term, x in diagnosis.explanation.minimum:
-        if x > diagnosis.explanation.problem.settings.priors.limit:
+        if term.removable or x > diagnosis.explanation.problem.settings.priors.limit:
             continue
         q = term.quantities[0]
         change = float(term.deviations[0]) * x

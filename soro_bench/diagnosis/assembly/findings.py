@@ -20,6 +20,11 @@ from soro_bench.effects.effect import Effect, Location
 NINETY = 1.645  # standard deviations on either side of the middle 90 %
 _TELLS = 1.2  # times more than its share of the time has to be explained for a condition to say when an effect acts
 
+_TOO_MUCH = {
+    "actuator_saturation": "The model's limit of force is too low.",
+    "compliance": "The model's servo is too soft.",
+}
+
 
 @dataclass(frozen=True)
 class _Found:
@@ -59,7 +64,7 @@ def _finding(diagnosis: Diagnosis, found: _Found) -> Finding:
         location=effect.location,
         estimates=_estimates(diagnosis, found),
         intervals=tuple(intervals(measured.time, gain)),
-        condition=_condition(effect, shares, channel is not None),
+        condition=" ".join(filter(None, (_taken(found.term), _condition(effect, shares, channel is not None)))),
         train=train,
         heldout=heldout,
         drawbacks=tuple(_drawbacks(diagnosis, found.answer)),
@@ -67,6 +72,11 @@ def _finding(diagnosis: Diagnosis, found: _Found) -> Finding:
         indistinguishable_from=_indistinguishable(robot, effect),
         is_best=found.answer is diagnosis.best,
     )
+
+
+def _taken(term: Term) -> str:
+    """That the model has too much of something, in words; empty for a term that adds."""
+    return _TOO_MUCH.get(term.name, "The model has more of it than the robot.") if term.removable else ""
 
 
 def _indistinguishable(robot: Robot, effect: Effect) -> str:

@@ -49,6 +49,9 @@ _CHANGED = (
 
 def _friction(spec: mujoco.MjSpec, kind: str, name: str, values: Mapping[str, float]) -> bool:
     element = spec.joint(name) if kind == "joint" else spec.tendon(name)
+    if values["friction"] < 0.0:  # which is taken away from what the model has
+        element.frictionloss = max(element.frictionloss + values["friction"], 0.0)
+        return True
     if not element.frictionloss:
         element.solref_friction, element.solimp_friction = (_STIFF * spec.option.timestep, 1.0), _HARD
     element.frictionloss += values["friction"]
@@ -86,6 +89,10 @@ def _linear(actuator: mujoco.MjsActuator) -> bool:
 def _delay(spec: mujoco.MjSpec, kind: str, name: str, values: Mapping[str, float]) -> bool:
     """MuJoCo's history of controls, read between samples as the law does."""
     actuator, delay = spec.actuator(name), values["delay"]
+    if delay < 0.0:
+        actuator.delay = max(actuator.delay + delay, 0.0)
+        actuator.nsample = actuator.nsample if actuator.delay else 0
+        return True
     if actuator.nsample or not _linear(actuator):
         return False
     actuator.nsample = math.ceil(delay / spec.option.timestep - _WHOLE) + 1
@@ -96,6 +103,9 @@ def _delay(spec: mujoco.MjSpec, kind: str, name: str, values: Mapping[str, float
 def _lag(spec: mujoco.MjSpec, kind: str, name: str, values: Mapping[str, float]) -> bool:
     """A filter of the control, whose new value acts in the same time step."""
     actuator = spec.actuator(name)
+    if values["time_constant"] < 0.0:
+        actuator.dynprm[0] = max(actuator.dynprm[0] + values["time_constant"], 0.0)
+        return True
     if actuator.dyntype != mujoco.mjtDyn.mjDYN_NONE or not _linear(actuator):
         return False
     actuator.dyntype, actuator.actdim, actuator.actearly = mujoco.mjtDyn.mjDYN_FILTEREXACT, 1, 1

@@ -188,7 +188,7 @@ def _expressible(robot: Robot, terms: Sequence[Term], problem: Problem) -> tuple
     """Terms of laws that MJCF has: those of some terms, and dry and viscous friction in the place of other friction."""
     found: dict[tuple[str, object], Term] = {}
     for one in terms:
-        if CATEGORIES[one.name] == "friction":
+        if CATEGORIES[one.name] == "friction" and not one.removable:
             others = [term(robot, name, one.location, problem.settings.priors) for name in _OF_FRICTION]
         else:
             effect = one.effect(np.zeros(one.size))

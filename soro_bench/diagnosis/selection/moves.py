@@ -200,6 +200,8 @@ def swap_delays(
                 x, jacobian, factor = h.x.copy(), h.jacobian.copy(), float(term.deviations[0] / other.deviations[0])
                 x[part], jacobian[part] = x[part] * factor, jacobian[part] / factor  # of their only number
                 guess = Guess(x, (*h.terms[:i], other, *h.terms[i + 1 :]), jacobian)
+                if (x[part] < other.bounds[0]).any():
+                    continue  # what is early is no later delay, but one of the model that is taken away
                 if laws(guess) not in known and robot.accepts(effects_at(x[problem.parameters :], guess.terms)):
                     guesses.setdefault(laws(guess), guess)
     if not guesses:
