@@ -1,6 +1,7 @@
 """Options that several commands take."""
 
 import re
+from collections.abc import Iterable
 from typing import Annotated
 
 import tyro
@@ -9,12 +10,19 @@ from soro_bench.parallel import Workers
 
 EnvId = Annotated[str, tyro.conf.Positional]
 Parallel = Annotated[Workers, tyro.conf.arg(name="")]  # --jobs, --backend, --scheduler
+# --known a=1 b=2, and --known a=1 --known b=2
+KnownParameters = Annotated[tuple[tuple[str, ...], ...], tyro.conf.UseAppendAction]
 
 MAX_NAME = 60  # letters
 FOLDER = r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,59}$"  # what a leaderboard calls methods and entries, which are folders there
 
 
 MAX_SEED = 1_000_000  # of a training that is to be entered
+
+
+def joined(groups: Iterable[Iterable[str]]) -> list[str]:
+    """The texts of an option that may be given several times."""
+    return [text for group in groups for text in group]
 
 
 def check_seed(seed: int) -> None:

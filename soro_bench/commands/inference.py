@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import tyro
 
 from soro_bench.files import check_folder, check_output
-from soro_bench.options import Parallel
+from soro_bench.options import KnownParameters, Parallel, joined
 from soro_bench.parallel import HERE
 from soro_bench.progress import InferenceBar, console
 
@@ -25,8 +25,9 @@ class Infer:
     """Environment of the recording, where its metadata do not say so."""
     infer: tuple[str, ...] = ()
     """Names of the parameters to infer; by default those that the published study randomises in the environment."""
-    known: tuple[str, ...] = ()
-    """Parameters that are known, such as trunk_mass=0.42; others that are not inferred are nominal."""
+    known: KnownParameters = ()
+    """Parameters that are known, such as trunk_mass=0.42; `recorded` takes those that the recording has. Others that
+    are not inferred are nominal."""
     also: tuple[str, ...] = ()
     """Signals to infer from beside those that the environment observes, such as tension."""
     model: str | None = None
@@ -49,19 +50,23 @@ class Infer:
         from soro_bench.inference.methods import infer
         from soro_bench.inference.replay import Replay
         from soro_bench.inference.report import write_report
+        from soro_bench.recording.known import known_parameters
         from soro_bench.recording.parquet import load
-        from soro_bench.recording.simulated import parse_params
+        from soro_bench.registration import ENV_IDS, task_type
 
         check_output(self.out, ".json")
         check_folder(self.out.parent, [self.out.with_suffix(suffix).name for suffix in (".png", ".log.jsonl")])
         settings = self._settings()
-        known, restart = parse_params(self.known), self.method == "dropo"
+        restart = self.method == "dropo"
         recording = load(self.recording)
         metadata = {"env_id": self.env, **recording.metadata} if self.env else recording.metadata
         if self.env not in (None, metadata.get("env_id")):
             raise ValueError(f"{self.recording} is of {metadata['env_id']}, not of {self.env}")
         recording = replace(recording, metadata=metadata)
-        replay = Replay(recording, self.infer or None, known, self.model, self.noise, restart, also=self.also)
+        env_id = metadata.get("env_id")
+        names = task_type(env_id).parameters.names if env_id in ENV_IDS else ()  # Replay refuses others
+        known = known_parameters(joined(self.known), [recording], [name for name in names if name not in self.infer])
+        replay = Replay(recording, self.infer or None, known.values, self.model, self.noise, restart, also=self.also)
         work = self.out.with_suffix(".log.jsonl")
         with InferenceBar(self.method) as steps:
             posterior = infer(self.method, replay, work, self.seed, steps, self.workers, **settings)

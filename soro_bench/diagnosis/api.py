@@ -9,6 +9,7 @@ from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
+from soro_bench.recording.known import Told, known_parameters
 from soro_bench.recording.recording import Recording
 
 
@@ -21,6 +22,7 @@ def diagnose(
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
     settings: Settings = DEFAULT,
+    known: Told = (),
 ) -> Result:
     """Say which physics the simulation of a robot lacks, from recordings of the real one.
 
@@ -32,9 +34,15 @@ def diagnose(
         seed: of the random numbers; the same seed gives the same result.
         progress: called with the name of every stage.
         settings: numbers of the method, one group per stage.
+        known: parameters that are known, by name, {"trunk_mass": 0.42}; or texts as of the command line,
+            ["trunk_mass=0.42", "recorded"], where "recorded" takes the values that the recordings have.
 
     Raises:
         RecordingError: a recording lacks something; the message says what.
+        ValueError: the robot has no such parameter as is known, or it cannot have that value.
         SimulationError: the simulation diverges.
     """
+    names = [*(prior.name for prior in robot.priors), *(each.name for each in robot.fixed)]
+    if (found := known_parameters(known, [*recordings, *heldout], names)).values:
+        robot = robot.knowing(found)
     return build_result(run_diagnosis(robot, recordings, heldout, seed, progress, settings), seed)

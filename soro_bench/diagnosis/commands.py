@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from soro_bench.files import check_folder, check_output, results_folder
-from soro_bench.options import EnvId
+from soro_bench.options import EnvId, KnownParameters, joined
 from soro_bench.progress import StageStatus, console
 
 if TYPE_CHECKING:
@@ -90,6 +90,9 @@ class Diagnose:
     `soro-bench map` guesses one."""
     heldout: tuple[Path, ...] = ()
     """Recordings of another motion, to test what is found."""
+    known: KnownParameters = ()
+    """Parameters that are known and not fitted, such as trunk_mass=0.42; `recorded` takes those that the recordings
+    have."""
     baseline: Annotated[Path | None, tyro.conf.arg(aliases=["--since"])] = None
     """Folder of an earlier diagnosis of the same robot: its findings are known, and changes since then are looked
     for."""
@@ -107,7 +110,7 @@ class Diagnose:
             for note in robot.notes:
                 console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
             recordings, heldout = ([load(path) for path in paths] for paths in (self.recordings, self.heldout))
-            result = diagnose(robot, recordings, heldout, self.seed, status)
+            result = diagnose(robot, recordings, heldout, self.seed, status, known=joined(self.known))
             status("report")
             text = render(result, self.out)
         console.print(text, soft_wrap=True, highlight=False)

@@ -50,7 +50,7 @@ class Result:
     credible_set: names that together have 90 % of the probability.
     train, heldout: errors of the best hypothesis. parameters_only: rms of fitted parameters alone, without
         discretisation error [signal's unit].
-    covariance: (d, d) of the parameters' posterior, in their units.
+    covariance: (d, d) of the parameters' posterior, in their units; 0 where they are known.
     undetectable, not_searched: names of laws that these recordings would not have shown, or that have no location in
         this robot.
     trainable: whether the robot is of the suite, so that policies can be trained on the posterior.

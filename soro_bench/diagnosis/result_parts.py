@@ -48,11 +48,15 @@ class Estimate:
 @dataclass(frozen=True)
 class ParameterEstimate:
     """A parameter of the robot: the estimate, its nominal value, and how many standard deviations of its prior are
-    between the two."""
+    between the two.
+
+    known: "told" or "recorded" where its value was known, and nothing was fitted; else empty.
+    """
 
     estimate: Estimate
     nominal: float
     prior_deviations: float
+    known: str = ""
 
 
 @dataclass(frozen=True)

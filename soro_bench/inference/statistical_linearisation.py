@@ -50,6 +50,8 @@ class Line:
 
 def sample_around(x: np.ndarray, scale: float, count: int, seed: Sequence[int]) -> np.ndarray:
     """(count, n) points around x, a quasi-random sample of a normal distribution of standard deviation ``scale``."""
+    if not len(x):  # nothing is unknown
+        return np.zeros((count, 0))
     engine = qmc.Halton(len(x), rng=np.random.default_rng(seed))
     normal = qmc.MultivariateNormalQMC(np.zeros(len(x)), engine=engine, inv_transform=True)
     return x + scale * np.clip(normal.random(count), -3, 3)
@@ -61,7 +63,7 @@ def linearised(x: np.ndarray, points: np.ndarray, residuals: np.ndarray, jacobia
     A ``slope`` (n, M) that is known beforehand is changed only as far as the points speak against it (ridge
     regression), and there may be fewer of them than unknowns. A null row of it stands for one that is not known.
     """
-    scale = np.sqrt(((points - x) ** 2).mean())
+    scale = np.sqrt(((points - x) ** 2).mean()) if len(x) else 1.0
     design, ridge = np.column_stack([np.ones(len(points)), (points - x) / scale]), np.zeros(1 + len(x))
     if jacobian is None:
         jacobian = np.zeros((len(x), residuals.shape[1]))

@@ -193,16 +193,26 @@ def _credible(comparison: Comparison, nothing: str) -> tuple[str, ...]:
 
 
 def _parameters(diagnosis: Diagnosis) -> tuple[ParameterEstimate, ...]:
+    """The fitted ones, then those that are known."""
     hypothesis, priors = kept(diagnosis), diagnosis.robot.priors
     spread = deviations(diagnosis, hypothesis)
     ends = [prior_values(priors, hypothesis.x + k * NINETY * spread) for k in (-1.0, 0.0, 1.0)]
-    return tuple(
+    fitted = tuple(
         ParameterEstimate(
             Estimate(prior.name, float(middle), prior.unit, *sorted((float(low), float(high)))),
             float(prior.nominal),
             float(x),
         )
         for prior, low, middle, high, x in zip(priors, *ends, hypothesis.x, strict=False)
+    )
+    return fitted + tuple(
+        ParameterEstimate(
+            Estimate(each.name, each.value, each.unit, each.value, each.value),
+            float(each.nominal),
+            0.0,
+            "recorded" if each.recorded else "told",
+        )
+        for each in diagnosis.robot.fixed
     )
 
 
@@ -213,7 +223,7 @@ def _covariance(diagnosis: Diagnosis) -> Rows:
     low, high = (prior_values(priors, fit.x + k * spread) for k in (-1.0, 1.0))
     width, cov = 0.5 * (high - low), tempered(diagnosis, fit)[: len(priors), : len(priors)]
     scale = np.sqrt(np.diag(cov))
-    return _rows(np.outer(width / scale, width / scale) * cov)
+    return _rows(np.pad(np.outer(width / scale, width / scale) * cov, (0, len(diagnosis.robot.fixed))))
 
 
 def _patch(diagnosis: Diagnosis) -> Patch:

@@ -125,7 +125,9 @@ def _differing(model: mujoco.MjModel, other: mujoco.MjModel) -> list[str]:
 def _comment(
     robot: Robot, parameters: Mapping[str, float], written: Sequence[Effect], remaining: Sequence[Effect]
 ) -> str:
-    values = ", ".join(f"{prior.name} {parameters[prior.name]:.6g} {prior.unit}" for prior in robot.priors)
+    named = [(prior.name, parameters[prior.name], prior.unit) for prior in robot.priors]
+    named += [(each.name, each.value, each.unit) for each in robot.fixed]
+    values = ", ".join(f"{name} {value:.6g} {unit}" for name, value, unit in named)
     said = [f"Robot of {robot.name}, model {robot.model_name}, as diagnosed. Parameters: {values}."]
     said.append(f"Effects in this model: {listed(written) or 'none'}.")
     if remaining:

@@ -169,7 +169,11 @@ def _within(problem: Problem, guesses: Sequence[Guess]) -> list[Guess]:
 def bounds(problem: Problem, terms: Sequence[Term]) -> Floats:
     """(2, n) least and largest value of each unknown."""
     limit = problem.settings.priors.limit
-    return np.hstack([*[prior.reach(limit)[:, None] for prior in problem.robot.priors], *[s.bounds for s in terms]])
+    return np.hstack([
+        np.zeros((2, 0)),
+        *[prior.reach(limit)[:, None] for prior in problem.robot.priors],
+        *[s.bounds for s in terms],
+    ])
 
 
 def _samples(problem: Problem, guesses: Sequence[Guess], scale: float, seed: Sequence[int]) -> list[Floats]:
@@ -192,9 +196,9 @@ def _trials(problem: Problem, guess: Guess, line: Line) -> list[Floats]:
     discretisation = LowRank(np.concatenate([problem.discretisation.basis, line.error]))
     lower, upper = bounds(problem, guess.terms)
     hessian, gradient = normal_equations(discretisation, line.jacobian, line.residual, x)
-    free = np.ones(len(x), bool)
+    free, step = np.ones(len(x), bool), np.zeros(len(x))
     for _ in range(len(x)):
-        step = np.zeros(len(x))
+        step[:] = 0.0
         step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], gradient[free])
         crossing = free & (((x + step < lower) & (x <= lower)) | ((x + step > upper) & (x >= upper)))
         if not crossing.any():

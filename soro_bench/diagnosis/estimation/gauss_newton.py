@@ -21,8 +21,9 @@ def descended(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[Hypoth
     """The hypotheses, each at the local minimum of its cost; none is worse than before."""
     settings = problem.settings.descent
     factors = settings.smallest_damping * _POWERS
-    found, damping, going = list(hypotheses), np.ones(len(hypotheses)), list(range(len(hypotheses)))
-    for _ in range(settings.steps):
+    found, damping = list(hypotheses), np.ones(len(hypotheses))
+    going = [i for i, h in enumerate(hypotheses) if len(h.x)]
+    for _ in range(settings.steps if going else 0):
         lines = _with_jacobians(problem, [found[i] for i in going])
         trials = [_steps(problem, h, damping[i] * factors) for i, h in zip(going, lines, strict=True)]
         improved = []

@@ -20,8 +20,9 @@ _LEAST_WIDTH = 1e-6  # prior deviations; keeps the first samples apart
 
 
 def with_covariance(problem: Problem, hypothesis: Hypothesis, seed: int) -> Hypothesis:
-    """The hypothesis with its posterior covariance; unchanged if its fit had samples, which give one."""
-    if len(hypothesis.error):
+    """The hypothesis with its posterior covariance; unchanged if its fit had samples, which give one, or if it
+    has no unknown."""
+    if len(hypothesis.error) or not len(hypothesis.x):
         return hypothesis
     settings = problem.settings.covariance
     x, terms, n = hypothesis.x, hypothesis.terms, len(hypothesis.x)

@@ -60,7 +60,8 @@ class Problem:
         """(N, M) samples [signal's unit] of replays by a robot at N points."""
         d = self.parameters
         values = np.array([x[:d] for x, _ in points])
-        parameters = np.stack([prior.value(values[:, i]) for i, prior in enumerate(self.robot.priors)], axis=1)
+        columns = [prior.value(values[:, i]) for i, prior in enumerate(self.robot.priors)]
+        parameters = np.stack(columns, axis=1) if columns else values  # all may be known
         effects = [effects_at(x[d:], terms) for x, terms in points]
         parts = robot.simulate_all([each.drive for each in self.recordings], parameters, effects)
         return np.concatenate([part.reshape(len(points), -1) for part in parts], axis=1)

@@ -135,9 +135,9 @@ def _parameters(result: Result) -> Rows:
     return [
         (
             words.law(each.estimate.name),
-            words.estimate(each.estimate),
+            words.parameter(each),
             words.number(each.nominal, each.estimate.unit),
-            f"{each.prior_deviations:+.1f}",
+            "" if each.known else f"{each.prior_deviations:+.1f}",
         )
         for each in result.parameters
     ]

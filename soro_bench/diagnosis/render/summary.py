@@ -30,6 +30,8 @@ def summary(result: Result) -> str:
         lines.append(_line("location", words.where(result)))
         if unconstrained := words.unconstrained(result):
             lines.append(_line("", unconstrained))
+    if known := words.known(result):
+        lines.append(_line("known", known))
     lines.append(_line("noise", words.number(result.train.noise, unit)))
     if result.best.effects:
         lines.append(_line("replay", f"RMSE {words.errors(result.train, unit)}"))

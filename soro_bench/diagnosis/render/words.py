@@ -5,7 +5,14 @@ import re
 from collections.abc import Iterable
 
 from soro_bench.diagnosis.result import Result
-from soro_bench.diagnosis.result_parts import Detectable, Errors, Estimate, Finding, NamedLocation
+from soro_bench.diagnosis.result_parts import (
+    Detectable,
+    Errors,
+    Estimate,
+    Finding,
+    NamedLocation,
+    ParameterEstimate,
+)
 from soro_bench.effects.effect import Location
 from soro_bench.effects.equations import EQUATIONS
 
@@ -57,6 +64,19 @@ def estimate(found: Estimate) -> str:
     scale, unit = shown_unit(found.unit, found.value)
     low, high = (f"{scale * each:.3g}" for each in (found.low, found.high))
     return _joined(f"{scale * found.value:.3g} [{low}, {high}]", unit)
+
+
+def parameter(found: ParameterEstimate) -> str:
+    """The value of a parameter with its interval, or how it is known."""
+    if not found.known:
+        return estimate(found.estimate)
+    source = {"told": "as told", "recorded": "as recorded"}[found.known]
+    return f"{number(found.estimate.value, found.estimate.unit)} ({source})"
+
+
+def known(result: Result) -> str:
+    """The parameters that were known, with their values; empty where all were fitted."""
+    return ", ".join(f"{law(each.estimate.name)} {parameter(each)}" for each in result.parameters if each.known)
 
 
 def _joined(value: str, unit: str) -> str:

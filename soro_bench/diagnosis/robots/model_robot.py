@@ -31,11 +31,13 @@ from soro_bench.diagnosis.settings import RobotSettings
 from soro_bench.effects.effect import Effect
 from soro_bench.models.simulation import ParameterMap, Simulation, quiet
 from soro_bench.parameters import Parameter, ParameterSet
+from soro_bench.recording.known import Known
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 
 _MOST_STEPS = 100_000  # of a recording; bounds the memory of its replays
 _MOST_NAMES = 10  # in a note
 _SETTINGS = RobotSettings()
+_NOTHING = Known()
 
 
 class ModelRobot(Robot):
@@ -47,6 +49,7 @@ class ModelRobot(Robot):
         threads: 0 for all processors; results do not depend on it.
         shorter: how many times shorter the model's time step is made.
         baseline: result of a baseline diagnosis of the same robot.
+        known: parameters that are known.
 
     Raises:
         ModelError: says what is wrong with either of them.
@@ -62,8 +65,10 @@ class ModelRobot(Robot):
         threads: int = 0,
         shorter: int = 1,
         baseline: Baseline | None = None,
+        known: Known = _NOTHING,
     ):
         self._sources, self.threads, self._baseline = (model, mapping), threads, baseline
+        self._known = known
         self.shorter = shorter
         table = read_mapping(mapping)
         self.name = self.model_name = title(model)
@@ -93,17 +98,22 @@ class ModelRobot(Robot):
         self._settings, scaled = settings_of(compiled, table["settings"])
         self.priors, fields = self._parameters(compiled, table["parameters"], scaled)
         self.notes = tuple(self._said(own, set(fixed), unused_keyframes(compiled, table["initial"], self._initial)))
-        known = [Prior(name, "1", 1.0, 1.0, True, (0.0, np.inf)) for name in scaled]
-        parameters = [Parameter(p.name, p.unit, p.nominal, p.bounds, p.bounds, "") for p in (*self.priors, *known)]
+        scales = [Prior(name, "1", 1.0, 1.0, True, (0.0, np.inf)) for name in scaled]
+        parameters = [Parameter(p.name, p.unit, p.nominal, p.bounds, p.bounds, "") for p in (*self.priors, *scales)]
         many = max(_SETTINGS.degrees_of_freedom // max(compiled.nv, 1), SIMULATIONS)
         count = min(many, _SETTINGS.most_simulations)
         with quiet():
             self.simulation = Simulation(compiled, ParameterSet(*parameters), [fields], count, threads, ())
             self._remember(baseline)
+            self._fix(known)
 
     def shortened(self, factor: int) -> Robot:
         """The same model with time steps shorter by a factor."""
-        return ModelRobot(*self._sources, self.threads, factor, self._baseline)
+        return ModelRobot(*self._sources, self.threads, factor, self._baseline, self._known)
+
+    def knowing(self, known: Known) -> Robot:
+        """The same robot with some parameters fixed."""
+        return ModelRobot(*self._sources, self.threads, self.shorter, self._baseline, known)
 
     def as_built(self, xml: str | None = None) -> Robot:
         """The same robot by its model file or another one, without a baseline."""
@@ -121,7 +131,7 @@ class ModelRobot(Robot):
         if self._accurate is None:
             return None
         try:
-            return ModelRobot(self._accurate, self._sources[1], self.threads, baseline=self._baseline)
+            return ModelRobot(self._accurate, self._sources[1], self.threads, 1, self._baseline, self._known)
         except ModelError as error:
             raise ModelError(f"the accurate model {self._accurate}: {error}") from error
 
@@ -303,7 +313,7 @@ class ModelRobot(Robot):
     def _set(self, ids: Ints, settings: Floats) -> None:
         """Give simulations their settings; their parameters stay."""
         if len(ids):
-            self._set_all(ids, self.simulation.params[ids, : len(self.priors)], settings)
+            self._set_all(ids, self.simulation.params[ids, : len(self._names)], settings)
 
     def _set_all(self, ids: Ints, parameters: Floats, settings: Floats) -> None:
         """Give simulations ``ids`` (n,) parameters (n, d) and settings (n, S)."""

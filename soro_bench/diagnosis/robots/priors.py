@@ -14,6 +14,21 @@ LIMIT = _DEFAULT.limit
 
 
 @dataclass(frozen=True)
+class FixedParameter:
+    """A parameter that is known, so that no fit changes it.
+
+    value: [unit]. nominal: that of the model or of a baseline diagnosis. recorded: whether the recordings have the
+    value; else a user gave it.
+    """
+
+    name: str
+    unit: str
+    value: float
+    nominal: float
+    recorded: bool
+
+
+@dataclass(frozen=True)
 class Prior:
     """The prior of a parameter: normal in its logarithm, or in itself.
 
@@ -42,6 +57,18 @@ class Prior:
         with np.errstate(divide="ignore"):  # the logarithm of zero
             ends = np.log(ends / self.nominal) if self.logarithmic else ends - self.nominal
         return np.clip(ends / self.deviation, -limit, limit)
+
+    def fixed(self, value: float, recorded: bool) -> FixedParameter:
+        """The parameter with a known value [unit].
+
+        Raises:
+            ValueError: the value is out of bounds.
+        """
+        low, high = self.bounds
+        if not low <= value <= high or (self.logarithmic and value <= 0):
+            unit = "" if self.unit == "1" else f" {self.unit}"
+            raise ValueError(f"{self.name} = {value:g} is not possible; allowed is {low:g} to {high:g}{unit}")
+        return FixedParameter(self.name, self.unit, float(value), self.nominal, recorded)
 
     def about(self, value: float, spread: float, settings: PriorSettings = _DEFAULT) -> "Prior":
         """The prior for the same robot after a baseline diagnosis.

@@ -57,6 +57,10 @@ class Replays(ABC):
     def _read(self, count: int) -> Floats:
         """(count, P, D) the signal of the first ``count`` simulations now."""
 
+    def _complete(self, parameters: Floats) -> Floats:
+        """(N, D) values of all parameters, from those (N, d) that replays differ in."""
+        return parameters
+
     def _set(self, ids: Ints, settings: Floats) -> None:
         """Give simulations ``ids`` (n,) settings (n, S); for robots that have some."""
         raise NotImplementedError
@@ -149,7 +153,7 @@ class Replays(ABC):
         if settings is not None:
             settings = np.stack([drive.settings for drive in drives if drive.settings is not None])
         self.simulation.assign_effects([*physics, *[()] * (self._count - n)])
-        self._begin(parameters, start)
+        self._begin(self._complete(parameters), start)
         lost, values = np.zeros(n, bool), []
         for step in range(actions.shape[1]):
             if settings is not None:

@@ -11,12 +11,14 @@ import numpy as np
 
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.robots.measured import Measured
-from soro_bench.diagnosis.robots.priors import Baseline, CannotHave, Prior
+from soro_bench.diagnosis.robots.priors import Baseline, CannotHave, FixedParameter, Prior
 from soro_bench.diagnosis.robots.replays import Replays
 from soro_bench.diagnosis.settings import DiscretisationSettings
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.effects.elements import Elements
+from soro_bench.files import brief
+from soro_bench.recording.known import Known
 from soro_bench.recording.recording import Recording, RecordingError, resampled, sampled
 
 FITTED, REFINED = DiscretisationSettings().fitted_refinement, DiscretisationSettings().reference_refinement
@@ -30,7 +32,8 @@ class Robot(Replays):
         model_name: of its model, for people.
         unit, frame, shape: of the signal; the shape is (P, D), points and coordinates.
         kinds: kinds of locations that candidate terms may have.
-        priors: of its parameters.
+        priors: of its parameters, but for the fixed ones.
+        fixed: parameters that are known.
         pneumatic: whether its actuators fill chambers.
         from_baseline: whether its priors come from a baseline diagnosis.
         shorter: how many times shorter its time steps are than those of its model.
@@ -45,6 +48,7 @@ class Robot(Replays):
     shape: tuple[int, int]
     kinds: tuple[str, ...]
     priors: tuple[Prior, ...]
+    fixed: tuple[FixedParameter, ...] = ()
     pneumatic: bool = False
     from_baseline: bool = False
     shorter: int = 1
@@ -65,6 +69,35 @@ class Robot(Replays):
             self.priors = tuple(p.about(baseline.parameters[p.name], baseline.spread[p.name]) for p in self.priors)
             if not self.accepts([]):
                 raise CannotHave("the baseline diagnosis has effects that this robot cannot have")
+
+    def _fix(self, known: Known) -> None:
+        """Take known parameters out of the priors.
+
+        Raises:
+            ValueError: the robot has no such parameter, or it cannot have that value.
+        """
+        priors = {prior.name: prior for prior in self.priors}
+        if unknown := [name for name in known.values if name not in priors]:
+            raise ValueError(f"no parameter {brief(unknown[0])}; this robot has {', '.join(priors)}")
+        self._names = tuple(priors)
+        self.fixed = tuple(priors[name].fixed(value, name in known.recorded) for name, value in known.values.items())
+        self.priors = tuple(prior for prior in self.priors if prior.name not in known.values)
+
+    def _complete(self, parameters: Floats) -> Floats:
+        """(N, D) values of all parameters in the order of the model, from those (N, d) that are not fixed."""
+        if not self.fixed:
+            return parameters
+        values = {each.name: np.full(len(parameters), each.value) for each in self.fixed}
+        values |= {prior.name: column for prior, column in zip(self.priors, parameters.T, strict=True)}
+        return np.stack([values[name] for name in self._names], axis=1)
+
+    @abstractmethod
+    def knowing(self, known: Known) -> "Robot":
+        """The same robot with some parameters fixed, instead of those that are now.
+
+        Raises:
+            ValueError: it has no such parameter, or cannot have that value.
+        """
 
     @property
     def elements(self) -> Elements:
@@ -224,7 +257,7 @@ class Robot(Replays):
         return rates
 
     def parameters(self, x: Floats) -> dict[str, float]:
-        """Parameter values by name; they are the first of the unknowns ``x`` (n,)."""
+        """Values by name of the parameters that are not fixed; they are the first of the unknowns ``x`` (n,)."""
         return {prior.name: float(prior.value(value)) for prior, value in zip(self.priors, x, strict=False)}
 
     def accepts(self, effects: Sequence[Effect]) -> bool:
@@ -248,10 +281,14 @@ class Robot(Replays):
         return effect.location.kind != "sensor" and self.simulation.in_fields([effect])
 
     def model(self, parameters: Mapping[str, float], effects: Sequence[Effect]) -> mujoco.MjModel:
-        """Its model with parameters, and with effects in its fields; simulation 0 has them from then on."""
+        """Its model with parameters, the fixed ones too, and with effects in its fields.
+
+        Simulation 0 has them from then on.
+        """
         sim = self.simulation
+        fixed = {each.name: each.value for each in self.fixed}
         sim.assign_effects([effects] * self._count)
-        sim.set_params(np.arange(1), sim.parameters.to_array(parameters)[None])
+        sim.set_params(np.arange(1), sim.parameters.to_array({**fixed, **parameters})[None])
         return sim.batch.get_model(0)
 
     def measured(self, recording: Recording) -> Measured:

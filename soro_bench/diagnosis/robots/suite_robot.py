@@ -11,6 +11,7 @@ from soro_bench.diagnosis.settings import RobotSettings
 from soro_bench.effects.elements import instrument
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import Parameter
+from soro_bench.recording.known import Known
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.simulated import COMMAND, recorded_actions
 from soro_bench.registration import make_task, task_type
@@ -24,6 +25,7 @@ _KINDS = {
     "MultiGait-v0": ("actuator", "flex", "geom", "model"),
 }
 _SETTINGS = RobotSettings()
+_NOTHING = Known()
 _BOUND = ("site_xpos", "xpos", "xquat", "actuator_length", "actuator_velocity")  # what the tasks read
 _POISSON = ("poisson_ratio", "pdms_poisson_ratio", "ecoflex_poisson_ratio")
 # prior deviations of the parameters that have no normal logarithm
@@ -39,6 +41,7 @@ class SuiteRobot(Robot):
         threads: 0 for all processors; results do not depend on it.
         shorter: how many times shorter the model's time step is made.
         baseline: result of a baseline diagnosis of the same robot.
+        known: parameters that are known.
     """
 
     def __init__(
@@ -48,12 +51,14 @@ class SuiteRobot(Robot):
         threads: int = 0,
         shorter: int = 1,
         baseline: Baseline | None = None,
+        known: Known = _NOTHING,
     ):
         if env_id not in _KINDS:
             raise ValueError(f"{env_id!r} cannot be diagnosed; allowed are {', '.join(_KINDS)}")
         kind = task_type(env_id)
         self.name = self.env_id = env_id
         self.threads, self.model_name, self._baseline = threads, model or kind.cheap, baseline
+        self._known = known
         self.shorter = shorter
         self._task = make_task(env_id, SIMULATIONS, threads, self.model_name, action="continuous", effects=())
         self._task.refine(shorter)
@@ -65,10 +70,15 @@ class SuiteRobot(Robot):
         self.shape = self._task.signals(np.arange(1))[self.signal].shape[1:]
         self.priors = tuple(_prior(p) for p in kind.parameters.parameters.values())
         self._remember(baseline)
+        self._fix(known)
 
     def shortened(self, factor: int) -> Robot:
         """The same robot with shorter time steps."""
-        return SuiteRobot(self.env_id, self.model_name, self.threads, factor, self._baseline)
+        return SuiteRobot(self.env_id, self.model_name, self.threads, factor, self._baseline, self._known)
+
+    def knowing(self, known: Known) -> Robot:
+        """The same robot with some parameters fixed."""
+        return SuiteRobot(self.env_id, self.model_name, self.threads, self.shorter, self._baseline, known)
 
     def as_built(self, xml: str | None = None) -> Robot:
         """The same robot by its own model or another one, without a baseline."""
@@ -86,7 +96,8 @@ class SuiteRobot(Robot):
 
     def accurate(self) -> Robot | None:
         """The same robot by the suite's accurate model; None if its signal has other points, as on another mesh."""
-        other = SuiteRobot(self.env_id, task_type(self.env_id).accurate, self.threads, baseline=self._baseline)
+        accurate = task_type(self.env_id).accurate
+        other = SuiteRobot(self.env_id, accurate, self.threads, 1, self._baseline, self._known)
         return other if other.shape == self.shape else None
 
     def spec(self) -> mujoco.MjSpec:
@@ -122,7 +133,7 @@ class SuiteRobot(Robot):
 
     def _begin(self, parameters: Floats, start: Floats | None) -> None:
         """Start the simulations; see :meth:`Robot._begin`."""
-        n, names = len(parameters), [prior.name for prior in self.priors]
+        n, names = len(parameters), task_type(self.env_id).parameters.names
         options = [{"params": dict(zip(names, row, strict=True))} for row in parameters.tolist()]
         self._task.reset(np.arange(n), [np.random.default_rng(0)] * n, options)
 

@@ -17,6 +17,7 @@ from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.model_state import InitialState, Part
 from soro_bench.diagnosis.robots.priors import Baseline, Prior
 from soro_bench.models.simulation import FieldWrite, ParameterMap
+from soro_bench.recording.known import Known
 
 if TYPE_CHECKING:
     from mujoco.sysid import Parameter, ParameterDict
@@ -28,6 +29,7 @@ _RATIO = 3.0  # of positive bounds, from which the logarithm of a parameter is n
 _TRIED = 8  # random points at which fields are compared with linear functions
 _ROUNDING = 1e-9  # of a field's largest value
 _HALVED = 10  # times, how often the way to impossible parameters is halved
+_NOTHING = Known()
 _KEPT = 10_000  # rows of parameters whose fields are remembered
 
 
@@ -46,7 +48,7 @@ class SysidRobot(ModelRobot):
         control_timestep: s, for which a control is held.
         units: of parameters, by name; "1" for others.
         modified: whether the parameters change the spec; if not, it stays as it is whatever their values.
-        threads, shorter, baseline: as of :class:`ModelRobot`.
+        threads, shorter, baseline, known: as of :class:`ModelRobot`.
 
     Raises:
         ModelError: a parameter changes nothing, or what cannot change between simulations of one model.
@@ -64,6 +66,7 @@ class SysidRobot(ModelRobot):
         threads: int = 0,
         shorter: int = 1,
         baseline: Baseline | None = None,
+        known: Known = _NOTHING,
     ) -> None:
         self.sensors, self._units = list(signal), dict(units or {})
         self._spec, self._dict, self._modified = spec, parameters.copy(), modified
@@ -80,7 +83,7 @@ class SysidRobot(ModelRobot):
         }
         if not model.nu:
             del mapping["commands"]
-        super().__init__(spec, mapping, threads, shorter, baseline)
+        super().__init__(spec, mapping, threads, shorter, baseline, known)
         if self._model.na:
             self._initial = with_activations(self._initial, self._model.na)
 
@@ -91,7 +94,14 @@ class SysidRobot(ModelRobot):
 
     def shortened(self, factor: int) -> "SysidRobot":
         """The same model with time steps shorter by a factor."""
-        return self._again(self._spec, modified=self._modified, shorter=factor, baseline=self._baseline)
+        return self._again(
+            self._spec, modified=self._modified, shorter=factor, baseline=self._baseline, known=self._known
+        )
+
+    def knowing(self, known: Known) -> "SysidRobot":
+        """The same robot with some parameters fixed."""
+        same = {"modified": self._modified, "shorter": self.shorter, "baseline": self._baseline}
+        return self._again(self._spec, known=known, **same)
 
     def as_built(self, xml: str | None = None) -> "SysidRobot":
         """The same robot by its spec, or by another model that has its parameters already; without a baseline."""
