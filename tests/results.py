@@ -20,6 +20,7 @@ from soro_bench.diagnosis.result_parts import (
     ParameterEstimate,
     Patch,
     RankedLocation,
+    ReplayedRobot,
     RobotSummary,
     ScreenedTerm,
     SelectionRound,
@@ -36,6 +37,15 @@ _ARM = RobotSummary("arm", "arm", "angle", "rad", ("actuator motor",))
 
 def _errors(before: float, after: float, noise: float) -> Errors:
     return Errors(before, after, noise, 0.9 * before, 0.9 * after)
+
+
+def _robots(train: Errors, heldout: Errors | None, last: str = "", *effects: dict) -> tuple[ReplayedRobot, ...]:
+    """The model as built, with fitted parameters, and one with effects if it has a name."""
+    rows = [(each.before, each.after) for each in (train, heldout) if each]
+    built = ReplayedRobot("nominal", {}, (), *(1.5 * before for before, _ in rows))
+    fitted = ReplayedRobot("fitted", {}, (), *(before for before, _ in rows))
+    best = ReplayedRobot(last, {}, effects, *(after for _, after in rows))
+    return (built, fitted, best) if last else (built, fitted)
 
 
 def _replay(points: int, coordinates: int, before: float, after: float) -> Replay:
@@ -113,6 +123,7 @@ def _of(robot: RobotSummary, verdict: str, **changes: Any) -> Result:
         else (Shape(((0.0, 0.0, 0.0), (0.2, 0.0, 0.0)), 0.01, (ARM, HINGE, MOTOR)),),
         "seed": 0,
         "seconds": 31.4,
+        "robots": _robots(errors, errors),
     }
     return Result(**{**found, **changes})
 
@@ -184,6 +195,7 @@ def trunk_friction() -> Result:
             "force [N]",
         ),
         replay=_replay(6, 3, 0.0042, 0.0007),
+        robots=_robots(train, heldout, "patched", effect),
     )
 
 
@@ -206,12 +218,13 @@ def arm_gain() -> Result:
         heldout=heldout,
         patch=Patch("rejected", (), "<mujoco/>\n", (), ()),
         replay=_replay(1, 1, 0.0165, 0.0056),
+        robots=_robots(train, heldout, "best"),
     )
 
 
 def outside_catalogue() -> Result:
     """Something that no law describes, best explained at a vertebra."""
-    train = Errors(0.0042, 0.0042, 0.0004, 0.004, 0.004)
+    train = Errors(0.0042, 0.0042, 0.0004, 0.003, 0.003)
     body = [Location("body", f"vertebra{i}") for i in range(10)]
     start = tuple((0.5 * np.arange(9)).tolist())
     return _of(
@@ -237,6 +250,7 @@ def outside_catalogue() -> Result:
             {},
         ),
         replay=_replay(6, 3, 0.0042, 0.0042),
+        robots=_robots(train, None),
     )
 
 
@@ -261,10 +275,11 @@ def adequate() -> Result:
 
 
 def outliers_only() -> Result:
-    """A trunk that is simulated well, but for points that a camera lost."""
+    """A trunk that is simulated well, but for points that a camera lost; by a version that kept no robots."""
     return _of(
         _TRUNK,
         "measurement_fault",
+        robots=(),
         outliers=Outliers(0.012, 0.031),
         findings=(Finding("outliers", "measurement", 0.97), Finding("unknown", "unknown", 0.03)),
         categories={"measurement": 0.97, "unknown": 0.03},

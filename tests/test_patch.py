@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from soro_bench.assets import mjcf_path
+from soro_bench.diagnosis.assembly.errors import rms_as_it_is
 from soro_bench.diagnosis.assembly.model_export import PatchError, exported, patched_spec
 from soro_bench.diagnosis.assembly.motion import LONG, SHORT, motion_difference
 from soro_bench.diagnosis.assembly.patch import kept, model_patch, patch
@@ -176,7 +177,7 @@ def test_inertia_that_no_body_can_have_is_in_no_patched_model(tmp_path):
 
 def test_a_flex_has_no_patched_model_and_the_reason_is_given():
     robot = SuiteRobot("TrunkReach-v0", "flex", threads=1)
-    found = model_patch(diagnosis(robot, [PAYLOAD]))
+    found = model_patch(diagnosis(robot, [PAYLOAD]), [])
     assert (found.state, found.xml, found.remaining) == ("not_written", None, (PAYLOAD,))
     assert "flex_stiffness" in found.obstacle
 
@@ -207,10 +208,14 @@ def found_on_the_arm(paths, hidden, x):
     )
 
 
+def patched(diagnosis):
+    return model_patch(diagnosis, rms_as_it_is(diagnosis.robot.as_built(), [diagnosis.explanation.problem]))
+
+
 def test_a_model_that_would_be_worse_alone_is_fitted_again_with_what_mjcf_has(paths):
     # with the damping that belongs to the friction, the arm alone is far too weakly damped
     diagnosis = found_on_the_arm(paths, GEAR, np.array([0.0, -6.0, 0.0]))
-    found = model_patch(diagnosis)
+    found = patched(diagnosis)
     assert found.state == "refitted"
     assert found.errors[0].patched < 0.6 * found.errors[0].built
     assert {effect.name for effect in found.effects} == {"coulomb_friction", "viscous_friction"}
@@ -223,7 +228,7 @@ def test_a_model_that_would_be_worse_alone_is_fitted_again_with_what_mjcf_has(pa
 
 def test_a_model_that_is_better_alone_is_as_found(paths):
     gain = Effect("actuator_gain", Location("actuator", "motor"), {"gain": 0.8})
-    found = model_patch(found_on_the_arm(paths, gain, np.zeros(3)))
+    found = patched(found_on_the_arm(paths, gain, np.zeros(3)))
     assert (found.state, found.effects, found.remaining, found.obstacle) == ("as_found", (gain,), (), None)
     assert found.errors[0].patched < 0.3 * found.errors[0].built
 

@@ -204,7 +204,42 @@ def test_p_value_is_never_smaller_than_can_be_known() -> None:
 
 
 def test_a_patch_that_makes_it_worse_says_so_with_both_errors() -> None:
-    assert "0.00129 -> 0.00358 rad (worse)" in summary(RESULTS["arm gain"]())
+    text = " ".join(summary(RESULTS["arm gain"]()).split())
+    assert "fitted parameters 0.0165 rad 0.00129 rad best hypothesis 0.0056 rad 0.00358 rad" in text
+    assert "The patch is rejected: it makes held-out recordings worse." in text
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_plain_replay_errors_stand_first(name: str) -> None:
+    """On the console and in the report, of every robot whose replays are shown, as they are in the result."""
+    result = RESULTS[name]()
+    lines, page = summary(result).splitlines(), text_of(html(result))
+    assert lines[1].split() == ["plain", "replay", "RMSE", "fitted", "to", *["held", "out"] * bool(result.heldout)]
+    assert page.splitlines()[3].startswith("plain replay, RMSE")
+    shown = [each for each in result.robots if each.name in words.ROBOTS]
+    for i, each in enumerate(shown):
+        errors = [each.train] if each.heldout is None else [each.train, each.heldout]
+        row = " ".join([words.ROBOTS[each.name], *(words.number(error, result.robot.unit) for error in errors)])
+        assert row.split() == lines[2 + i].split()
+        assert row.replace(words.NO_BREAK, " ") in page
+
+
+def test_errors_that_discretisation_may_explain_raise_a_warning() -> None:
+    """From a ratio of 1.3 on, with the ratio; the size of what is taken off stands beside the errors."""
+    result = RESULTS["outside the catalogue"]()
+    assert "1.4 times on fitted recordings" in " ".join(summary(result).split())
+    (row,) = (line for line in summary(result).splitlines() if "  may be discretisation" in line)
+    assert float(row.split()[-2]) == pytest.approx(1e3 * math.sqrt(0.0042**2 - 0.003**2), rel=1e-2)
+    near = replace(result, train=replace(result.train, corrected_before=0.0040, corrected_after=0.0040))
+    assert "larger than what the verdict" not in " ".join(summary(near).split())
+
+
+def test_a_replay_that_diverges_has_no_error() -> None:
+    """NaN is null in JSON, and a word in the table."""
+    result = RESULTS["adequate"]()
+    diverging = replace(result, robots=(replace(result.robots[0], train=math.nan), *result.robots[1:]))
+    read = Result.from_json(json.loads(json.dumps(diverging.to_json())))
+    assert summary(read).splitlines()[2].split() == ["model", "as", "built", "diverges", "0.0009", "rad"]
 
 
 @pytest.mark.parametrize("name", RESULTS)
@@ -213,8 +248,9 @@ def test_every_error_and_magnitude_has_a_unit(name: str) -> None:
     result = RESULTS[name]()
     unit = words.shown_unit(result.robot.unit)[1]
     text = " ".join(summary(result).split())
-    errors = re.findall(r"(?:noise|RMSE) ((?:from )?[-+]?\d[\d.e-]*(?: (?:->|to) \S+)?) (\S+)", text)
-    assert len(errors) >= text.count("RMSE") and {each.rstrip(".") for _, each in errors} == {unit}
+    cells = [cell for row in words.replays(result) for cell in row[1:] if cell not in ("", "no effects")]
+    assert len(cells) >= 2 and {cell.split(words.NO_BREAK)[1] for cell in cells} == {unit}
+    assert re.search(rf"noise {NUMBER} {unit}", text)
     for each in [e for f in result.findings for e in f.estimates if e.unit != "1"]:
         assert words.estimate(each).endswith(words.NO_BREAK + words.shown_unit(each.unit, each.value)[1])
     for each in result.detectable:

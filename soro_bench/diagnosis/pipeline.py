@@ -3,14 +3,14 @@
 import itertools
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TypeVar
 
 import numpy as np
 
-from soro_bench.diagnosis.candidates import Term, terms
+from soro_bench.diagnosis.candidates import terms
 from soro_bench.diagnosis.data_quality.inspection import Inspected, compressed, inspected
 from soro_bench.diagnosis.data_quality.noise import DataQuality, data_quality, noise, outliers
 from soro_bench.diagnosis.data_quality.samples import spikes
@@ -33,7 +33,6 @@ from soro_bench.parallel import one_blas_thread
 from soro_bench.recording.recording import Recording, RecordingError
 
 T = TypeVar("T")
-HypothesisKey = tuple[bytes, tuple[Term, ...]]
 
 
 @dataclass(frozen=True)
@@ -59,8 +58,8 @@ class Diagnosis:
     places: outside the catalogue, the best first; none where a law explains it, or no force at one place anything.
     proposal: what to record next; None where nothing is left to be told apart.
     data: what sensors and loggers did to the recordings.
-    tested, tested_residuals: the problem of the held-out recordings, and its residuals (M,) by :func:`key_of` of the
-        hypotheses that were compared.
+    tested: the problem of the held-out recordings.
+    digests: of all recordings, those to explain first.
     """
 
     robot: Robot
@@ -72,8 +71,8 @@ class Diagnosis:
     proposal: Proposal | None
     seconds: float
     tested: Problem | None = None
-    tested_residuals: Mapping[HypothesisKey, np.ndarray] = field(default_factory=dict)
     data: tuple[DataFinding, ...] = ()
+    digests: tuple[str, ...] = ()
 
     @property
     def detected(self) -> bool:
@@ -154,8 +153,10 @@ def run_diagnosis(
     comparison = compared(explanation, trial)
     explanation, comparison = _with_covariances(explanation, comparison, seed)
     found = Diagnosis(
-        robot, data_qualities, found_outliers, explanation, comparison, (), None, 0.0, data=_findings(looked_at)
-    )
+        robot, data_qualities, found_outliers, explanation, comparison, (), None, 0.0,
+        tested=trial[0] if trial else None, data=_findings(looked_at),
+        digests=tuple(each.digest() for each in (*recordings, *heldout)),
+    )  # fmt: skip
     if comparison.detected and comparison.unknown > settings.report.least_unknown:
         progress("localisation")
         found = replace(
@@ -163,16 +164,7 @@ def run_diagnosis(
         )
     progress("next recording")
     proposal = _proposal(found, seed)
-    found = replace(found, proposal=proposal, seconds=time.perf_counter() - start)
-    if trial is None:
-        return found
-    rows = {key_of(h): row for h, row in zip(hypotheses, trial[1], strict=True)}
-    return replace(found, tested=trial[0], tested_residuals=rows)
-
-
-def key_of(hypothesis: Hypothesis) -> HypothesisKey:
-    """What tells a hypothesis from others of the same robot: its coordinates and terms."""
-    return hypothesis.x.tobytes(), tuple(hypothesis.terms)
+    return replace(found, proposal=proposal, seconds=time.perf_counter() - start)
 
 
 def _with_covariances(explanation: Explanation, comparison: Comparison, seed: int) -> tuple[Explanation, Comparison]:

@@ -22,6 +22,7 @@ from soro_bench.diagnosis.result_parts import (
     ParameterEstimate,
     Patch,
     RankedLocation,
+    ReplayedRobot,
     RobotSummary,
     SelectionRound,
     SignalQuality,
@@ -57,6 +58,7 @@ class Result:
     seed: of random numbers. seconds: that the diagnosis took.
     settings: that differ from their defaults. notes: on the model, its mapping and the recordings, in words.
     data: what sensors and loggers did to the recordings.
+    robots: whose plain replays are shown; empty in results of older versions.
     """
 
     robot: RobotSummary
@@ -96,6 +98,7 @@ class Result:
     settings: dict[str, typing.Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     data: tuple[DataFinding, ...] = ()
+    robots: tuple[ReplayedRobot, ...] = ()
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:

@@ -11,9 +11,10 @@ from soro_bench.effects.effect import Location
 class Errors:
     """How far a simulation is from recordings: root mean squares of a coordinate, in the unit of the signal.
 
-    before, after: of a plain replay with fitted parameters only, and with the patch.
+    before, after: of plain replays, at the time step of the model: of fitted parameters only, and of the hypothesis.
     noise: standard deviation of the sensor's noise.
-    corrected_before, corrected_after: the same without what the covariance of discretisation error explains.
+    corrected_before, corrected_after: of replays at the time step of fits, without what the covariance of
+        discretisation error explains; no replay shows them.
     """
 
     before: float
@@ -221,6 +222,24 @@ class ReplayError:
 
 
 @dataclass(frozen=True)
+class ReplayedRobot:
+    """A robot with all that a plain replay of it needs, and the errors of its replays [signal's unit].
+
+    name: "nominal" (the model as built), "fitted" (fitted parameters only), "patched" (the parameters and effects of
+        the patch), "best" (the best hypothesis, where it is no patch) or "alternative" (another hypothesis).
+    parameters: values by name. effects: all that act, in the format of effects.json, known ones included.
+    train, heldout: root mean squares of a coordinate, of the recordings that were fitted to and of held-out ones; NaN
+        where a replay diverges; None where nothing was held out.
+    """
+
+    name: str
+    parameters: dict[str, float]
+    effects: tuple[dict[str, typing.Any], ...]
+    train: float
+    heldout: float | None = None
+
+
+@dataclass(frozen=True)
 class Patch:
     """The physics that the simulation should have.
 
@@ -246,10 +265,16 @@ class Patch:
 
 @dataclass(frozen=True)
 class SignalQuality:
-    """Of a recording: standard deviation of the noise [signal's unit], and share of missing samples."""
+    """Of a recording: standard deviation of the noise [signal's unit], and share of missing samples.
+
+    digest: of its samples, to know it again. left_out: sample and point of outliers that fits left out, beside what
+        ``Result.data`` says.
+    """
 
     noise: float
     missing: float
+    digest: str = ""
+    left_out: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -279,8 +304,23 @@ class Outliers:
 
 
 @dataclass(frozen=True)
+class SourceFile:
+    """A file that the robot was made from.
+
+    path: as it was given. sha256: of its content.
+    """
+
+    path: str
+    sha256: str
+
+
+@dataclass(frozen=True)
 class RobotSummary:
-    """The robot and the signal that was explained; channels: what each number of an action moves."""
+    """The robot and the signal that was explained.
+
+    channels: what each number of an action moves.
+    files: its model and its mapping, where it was made from files.
+    """
 
     name: str
     model: str
@@ -288,3 +328,4 @@ class RobotSummary:
     unit: str
     channels: tuple[str, ...]
     has_baseline: bool = False
+    files: tuple[SourceFile, ...] = ()

@@ -4,6 +4,7 @@ Nothing here knows a file format: :mod:`soro_bench.recording.parquet` reads and 
 :mod:`soro_bench.recording.importers` those of others.
 """
 
+import hashlib
 import math
 import re
 from collections.abc import Iterable, Mapping
@@ -112,6 +113,15 @@ class Recording:
     def duration(self) -> float:
         """From the first time stamp to the last [s]."""
         return float(max(signal.time[-1] for signal in self._all())) - self.start
+
+    def digest(self) -> str:
+        """SHA-256 of all names, time stamps and samples: equal for equal recordings, whatever file they come from."""
+        found = hashlib.sha256()
+        for kind in (self.commands, self.signals):
+            for name, signal in sorted(kind.items()):
+                found.update(f"{name} {signal.values.shape} {signal.unit} ".encode())
+                found.update(signal.time.tobytes() + signal.values.tobytes())
+        return found.hexdigest()
 
     def control_steps(self, commands: Iterable[str], step: float) -> tuple[float, int]:
         """When control steps [s] begin, and how many there are until the last time stamp.

@@ -1,11 +1,12 @@
 """The result of a diagnosis, from its internal state: everything that is shown, as plain numbers and names."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from soro_bench.diagnosis.assembly.errors import errors_of_answer
+from soro_bench.diagnosis.assembly.errors import PlainReplays, plain_replays
 from soro_bench.diagnosis.assembly.findings import deviations, findings, prior_values, tempered, unit_at
 from soro_bench.diagnosis.assembly.force_against_state import force_against_state
 from soro_bench.diagnosis.assembly.patch import kept, model_patch, patch, rejected
@@ -27,6 +28,7 @@ from soro_bench.diagnosis.result_parts import (
     ParameterEstimate,
     Patch,
     RankedLocation,
+    ReplayedRobot,
     RobotSummary,
     ScreenedTerm,
     SelectionRound,
@@ -48,10 +50,12 @@ Rows = tuple[tuple[float, ...], ...]
 
 
 def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
-    """The result that renderers show. Replays the first recording, and the law of the best hypothesis once more."""
+    """The result that renderers show. Replays all hypotheses at the time step of the model, and the law of the best one
+    once more."""
     comparison, explanation = diagnosis.comparison, diagnosis.explanation
-    train, heldout = errors_of_answer(diagnosis, diagnosis.best)
-    found = _all_findings(diagnosis)
+    replays = plain_replays(diagnosis)
+    train, heldout = replays.errors(diagnosis, diagnosis.best)
+    found = _all_findings(diagnosis, replays)
     return Result(
         robot=_robot(diagnosis),
         verdict=diagnosis.verdict,
@@ -61,12 +65,12 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
         healthy=float(comparison.nothing),
         predicted_gain=float(explanation.predicted_gain),
         remaining_gain=float(explanation.remaining_gain),
-        recordings=tuple(SignalQuality(a.sigma, a.missing) for a in diagnosis.data_qualities),
+        recordings=_recordings(diagnosis, replays),
         trained_on=len(explanation.problem.recordings),
         outliers=Outliers(diagnosis.outliers.share, diagnosis.outliers.size),
         findings=found,
         categories=_categories(diagnosis, found),
-        hypotheses=tuple(_hypothesis(diagnosis, answer) for answer in comparison.ranked),
+        hypotheses=tuple(_hypothesis(diagnosis, replays, answer) for answer in comparison.ranked),
         rounds=tuple(_round(each) for each in explanation.rounds),
         credible_set=_credible(comparison, "outliers" if _only_outliers(diagnosis) else "none"),
         train=train,
@@ -75,7 +79,7 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
         parameters=_parameters(diagnosis),
         covariance=_covariance(diagnosis),
         trainable=isinstance(diagnosis.robot, SuiteRobot),
-        patch=_patch(diagnosis),
+        patch=_patch(diagnosis, replays),
         locations=tuple(RankedLocation(p.location, float(p.gain)) for p in _ranked(diagnosis)),
         unknown_input=_unknown_input(diagnosis),
         detectable=detectable(diagnosis),
@@ -83,13 +87,14 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
         not_searched=tuple(sorted(set(ALL) - explanation.looked_for - {"outliers"})),
         next_recording=_next_recording(diagnosis),
         curve=_curve(diagnosis),
-        replay=_replay(diagnosis),
+        replay=_replay(diagnosis, replays),
         shapes=shapes(diagnosis),
         seed=seed,
         seconds=round(diagnosis.seconds, 1),
         settings=_changed(explanation.problem.settings),
         notes=_notes(diagnosis),
         data=diagnosis.data,
+        robots=_robots(diagnosis, replays),
     )
 
 
@@ -112,20 +117,53 @@ def _changed(settings: Settings) -> dict[str, Any]:
 def _robot(diagnosis: Diagnosis) -> RobotSummary:
     robot = diagnosis.robot
     return RobotSummary(
-        robot.name, robot.model_name, robot.signal, robot.unit, tuple(robot.channels), robot.from_baseline
+        robot.name, robot.model_name, robot.signal, robot.unit, tuple(robot.channels), robot.from_baseline, robot.files
     )
+
+
+def _recordings(diagnosis: Diagnosis, replays: PlainReplays) -> tuple[SignalQuality, ...]:
+    """The quality of every recording, and what fits left out of it."""
+    found = []
+    for problem in replays.problems:
+        for each, weight in zip(problem.recordings, problem.split(problem.weight), strict=True):
+            sample, point = np.nonzero((np.isfinite(each.values) & (weight == 0)).any(axis=2))
+            found.append(tuple(zip(sample.tolist(), point.tolist(), strict=True)))
+    columns = zip(diagnosis.data_qualities, diagnosis.digests, found, strict=True)
+    return tuple(SignalQuality(a.sigma, a.missing, digest, left_out) for a, digest, left_out in columns)
+
+
+def _robots(diagnosis: Diagnosis, replays: PlainReplays) -> tuple[ReplayedRobot, ...]:
+    """The robots whose replays are shown: as built, with fitted parameters, and by every hypothesis with effects."""
+    robot, known, best = diagnosis.robot, diagnosis.robot.known, diagnosis.best
+    found = [ReplayedRobot("nominal", dict(replays.nominal), (), *map(_finite, replays.built))]
+    for answer in (None, *diagnosis.comparison.ranked):
+        hypothesis = answer.hypothesis if answer else diagnosis.explanation.nominal
+        if answer and not answer.names:
+            continue
+        effects = (*known, *hypothesis.effects(len(robot.priors)))
+        name = "fitted" if answer is None else ("alternative" if answer is not best else "best")
+        name = "patched" if name == "best" and patch(diagnosis) else name
+        laws = tuple(effect.to_json() for effect in effects)
+        errors = map(_finite, replays.rms(hypothesis))
+        found.append(ReplayedRobot(name, robot.parameters(hypothesis.x), laws, *errors))
+    return tuple(found)
+
+
+def _finite(error: float) -> float:
+    """NaN for the error of a replay that diverges."""
+    return error if math.isfinite(error) else math.nan
 
 
 def _ranked(diagnosis: Diagnosis) -> Sequence:
     return diagnosis.ranked_locations[:SHOWN_LOCATIONS]
 
 
-def _all_findings(diagnosis: Diagnosis) -> tuple[Finding, ...]:
+def _all_findings(diagnosis: Diagnosis, replays: PlainReplays) -> tuple[Finding, ...]:
     """Effects of all hypotheses, and what stands for no effect, an unknown one and outliers."""
     outliers, comparison = diagnosis.outliers, diagnosis.comparison
     only = _only_outliers(diagnosis)
     location = diagnosis.ranked_locations[0].location if diagnosis.ranked_locations else None
-    found = [*findings(diagnosis)]
+    found = [*findings(diagnosis, replays)]
     found.append(Finding("none", "none", 0.0 if only else float(comparison.nothing)))
     found.append(Finding("unknown", "unknown", float(comparison.unknown), location))
     if outliers.share:
@@ -154,9 +192,9 @@ def _named(term: Term) -> NamedLocation:
     return NamedLocation(term.name, term.location)
 
 
-def _hypothesis(diagnosis: Diagnosis, answer: Answer) -> HypothesisSummary:
+def _hypothesis(diagnosis: Diagnosis, replays: PlainReplays, answer: Answer) -> HypothesisSummary:
     problem, hypothesis = diagnosis.explanation.problem, answer.hypothesis
-    train, heldout = errors_of_answer(diagnosis, answer)
+    train, heldout = replays.errors(diagnosis, answer)
     return HypothesisSummary(
         effects=tuple(map(_named, hypothesis.terms)),
         probability=float(answer.probability),
@@ -226,8 +264,8 @@ def _covariance(diagnosis: Diagnosis) -> Rows:
     return _rows(np.pad(np.outer(width / scale, width / scale) * cov, (0, len(diagnosis.robot.fixed))))
 
 
-def _patch(diagnosis: Diagnosis) -> Patch:
-    model, effects = model_patch(diagnosis), [*diagnosis.robot.known, *patch(diagnosis)]
+def _patch(diagnosis: Diagnosis, replays: PlainReplays) -> Patch:
+    model, effects = model_patch(diagnosis, replays.built), [*diagnosis.robot.known, *patch(diagnosis)]
     if rejected(diagnosis):
         state = "rejected"
     elif not patch(diagnosis):
@@ -314,12 +352,11 @@ def _curve(diagnosis: Diagnosis) -> LawCurve | None:
     return LawCurve(effect, rows[0], rows[1], rows[2], rows[3], float(found.share), *found.labels)
 
 
-def _replay(diagnosis: Diagnosis) -> Replay:
+def _replay(diagnosis: Diagnosis, replays: PlainReplays) -> Replay:
     """The first recording, and replays of the nominal fit and of the best hypothesis."""
     explanation, best = diagnosis.explanation, diagnosis.best.hypothesis
     problem, measured = explanation.problem, explanation.problem.recordings[0]
-    points = [(explanation.nominal.x, ()), (best.x, best.terms)]
-    before, after = (problem.split(row)[0] for row in problem.simulated(problem.robot, points))
+    before, after = (problem.split(replays.of(each)[0])[0] for each in (explanation.nominal, best))
     count = len(measured.values)
     return Replay(
         time=tuple(float(each) for each in measured.time),

@@ -1,26 +1,92 @@
-"""Errors of hypotheses: those of plain replays, and without what discretisation error explains."""
+"""Errors of hypotheses: of plain replays, as anybody can repeat them, and without discretisation error.
+
+Fits have shorter time steps than the model, and a covariance of discretisation error. What is shown has neither: it is
+replayed at the model's own time step, and every sample that the fits use counts alike.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soro_bench.diagnosis.estimation.problem import Problem
-from soro_bench.diagnosis.pipeline import Diagnosis, key_of
+from soro_bench.arrays import Floats
+from soro_bench.diagnosis.candidates import Term
+from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.estimation.problem import Points, Problem
+from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.result_parts import Errors
+from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer
+from soro_bench.inference.statistical_linearisation import LowRank
+
+HypothesisKey = tuple[bytes, tuple[Term, ...]]
 
 
-def plain_rms(problem: Problem, residual: np.ndarray) -> float:
-    """Root mean square [signal's unit] of a residual (M,) in units of sigma, as any replay shows it."""
-    return problem.sigma * float(np.sqrt((residual**2).sum() / problem.weight.sum()))
+@dataclass(frozen=True)
+class PlainReplays:
+    """Replays at the time step of the model.
+
+    problems: of the recordings that were fitted to, and of held-out ones if there are any.
+    rows: of each problem the samples (M,) [signal's unit], by hypothesis.
+    built: of each problem the rms of a coordinate by the model as built. nominal: its parameters.
+    """
+
+    problems: tuple[Problem, ...]
+    rows: Mapping[HypothesisKey, tuple[Floats, ...]]
+    built: tuple[float, ...]
+    nominal: Mapping[str, float]
+
+    def of(self, hypothesis: Hypothesis) -> tuple[Floats, ...]:
+        """Of each problem the samples (M,) of a hypothesis [signal's unit]."""
+        return self.rows[_key(hypothesis)]
+
+    def rms(self, hypothesis: Hypothesis) -> list[float]:
+        """Of each problem the rms of a coordinate [signal's unit]; infinite where the simulation diverges."""
+        return [plain_rms(*each) for each in zip(self.problems, self.of(hypothesis), strict=True)]
+
+    def errors(self, diagnosis: Diagnosis, answer: Answer) -> tuple[Errors, Errors | None]:
+        """Of the recordings that an answer was fitted to, and of held-out ones, if there are any."""
+        plain = zip(self.rms(diagnosis.explanation.nominal), self.rms(answer.hypothesis), strict=True)
+        fits = [each for each in (answer.train, answer.heldout) if each is not None]
+        found = [Errors(*pair, fit.noise, fit.before, fit.after) for pair, fit in zip(plain, fits, strict=True)]
+        return found[0], found[1] if len(found) > 1 else None
 
 
-def errors_of_answer(diagnosis: Diagnosis, answer: Answer) -> tuple[Errors, Errors | None]:
-    """Of the recordings that it was fitted to, and of held-out ones, if there are any."""
-    problem, nominal = diagnosis.explanation.problem, diagnosis.explanation.nominal
-    plain = [plain_rms(problem, h.residual) for h in (nominal, answer.hypothesis)]
-    train = Errors(plain[0], plain[1], answer.train.noise, answer.train.before, answer.train.after)
-    if answer.heldout is None or diagnosis.tested is None:
-        return train, None
-    tested, rows = diagnosis.tested, diagnosis.tested_residuals
-    plain = [plain_rms(tested, rows[key_of(h)]) for h in (nominal, answer.hypothesis)]
-    heldout = answer.heldout
-    return train, Errors(plain[0], plain[1], heldout.noise, heldout.before, heldout.after)
+def plain_replays(diagnosis: Diagnosis) -> PlainReplays:
+    """Replay every hypothesis of a diagnosis, and the model as built, on all recordings."""
+    problems = tuple(each for each in (diagnosis.explanation.problem, diagnosis.tested) if each is not None)
+    hypotheses = [diagnosis.explanation.nominal, *(answer.hypothesis for answer in diagnosis.comparison.answers)]
+    points = {_key(each): (each.x, each.terms) for each in hypotheses}
+    robot = diagnosis.robot if diagnosis.robot.shorter == 1 else diagnosis.robot.shortened(1)
+    parts = [plain(each, robot).simulated(robot, list(points.values())) for each in problems]
+    rows = {key: tuple(part[i] for part in parts) for i, key in enumerate(points)}
+    built = robot.as_built()
+    nominal = {prior.name: float(prior.nominal) for prior in built.priors}
+    return PlainReplays(problems, rows, tuple(rms_as_it_is(built, problems)), nominal)
+
+
+def plain(problem: Problem, robot: Robot) -> Problem:
+    """A problem of the same recordings for a robot, without discretisation errors."""
+    return replace(problem, robot=robot, discretisation=LowRank(np.zeros((0, problem.weight.size))))
+
+
+def rms_as_it_is(robot: Robot, problems: Sequence[Problem]) -> list[float]:
+    """Of each problem's recordings the rms [signal's unit] of replays by a robot with nominal parameters and without
+    effects."""
+    points: Points = [(np.zeros(len(robot.priors)), ())]
+    return [plain_rms(problem, plain(problem, robot).simulated(robot, points)[0]) for problem in problems]
+
+
+def plain_rms(problem: Problem, simulated: Floats) -> float:
+    """Root mean square [signal's unit] of measured less simulated (M,), as any replay shows it; infinite where the
+    simulation diverges."""
+    measured = np.concatenate([each.values.ravel() for each in problem.recordings])
+    seen = problem.weight > 0
+    off = measured[seen] - simulated[seen]
+    return float(np.sqrt(np.mean(off**2))) if np.isfinite(off).all() else math.inf
+
+
+def _key(hypothesis: Hypothesis) -> HypothesisKey:
+    """What tells a hypothesis from others of the same robot: its coordinates and terms."""
+    return hypothesis.x.tobytes(), tuple(hypothesis.terms)

@@ -1,11 +1,12 @@
 """What a diagnosis found: effects with their probabilities, magnitudes and evidence."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soro_bench.diagnosis.assembly.errors import errors_of_answer
+from soro_bench.diagnosis.assembly.errors import PlainReplays
 from soro_bench.diagnosis.candidates import Term, late, slices
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.localisation.residual_maps import Regime, explained_over_time, intervals, regimes
@@ -36,7 +37,7 @@ class _Found:
     probability: float
 
 
-def findings(diagnosis: Diagnosis) -> list[Finding]:
+def findings(diagnosis: Diagnosis, replays: PlainReplays) -> list[Finding]:
     """Every effect of any hypothesis, the most probable first; of those in one hypothesis that which gains most."""
     best: dict[tuple[str, Location], _Found] = {}
     d = diagnosis.explanation.problem.parameters
@@ -46,17 +47,17 @@ def findings(diagnosis: Diagnosis) -> list[Finding]:
             first = best.get(key)
             chance = min(1.0, answer.probability + (first.probability if first else 0.0))  # but for rounding
             best[key] = replace(first, probability=chance) if first else _Found(term, effect, answer, chance)
-    return [_finding(diagnosis, found) for found in sorted(best.values(), key=lambda f: -f.probability)]
+    return [_finding(diagnosis, replays, found) for found in sorted(best.values(), key=lambda f: -f.probability)]
 
 
-def _finding(diagnosis: Diagnosis, found: _Found) -> Finding:
+def _finding(diagnosis: Diagnosis, replays: PlainReplays, found: _Found) -> Finding:
     problem, hypothesis, effect = diagnosis.explanation.problem, found.answer.hypothesis, found.effect
     gain = explained_over_time(problem, _lacking(diagnosis, found), hypothesis)
     measured, robot = problem.recordings[0], diagnosis.robot
     channel = robot.channel(effect.location)
     rates = robot.rates(measured.actions)
     shares = regimes(measured.time, rates if channel is None else rates[:, [channel]], gain)
-    train, heldout = errors_of_answer(diagnosis, found.answer)
+    train, heldout = replays.errors(diagnosis, found.answer)
     return Finding(
         name=effect.name,
         category=CATEGORIES[effect.name],
@@ -67,7 +68,7 @@ def _finding(diagnosis: Diagnosis, found: _Found) -> Finding:
         condition=" ".join(filter(None, (_taken(found.term), _condition(effect, shares, channel is not None)))),
         train=train,
         heldout=heldout,
-        drawbacks=tuple(_drawbacks(diagnosis, found.answer)),
+        drawbacks=tuple(_drawbacks(diagnosis, replays, found.answer)),
         together_with=tuple(s.name for s in hypothesis.terms if s is not found.term),
         indistinguishable_from=_indistinguishable(robot, effect),
         is_best=found.answer is diagnosis.best,
@@ -164,28 +165,32 @@ def prior_values(priors: Sequence[Prior], x: np.ndarray) -> np.ndarray:
     return np.array([float(prior.value(value)) for prior, value in zip(priors, x[: len(priors)], strict=True)])
 
 
-def _drawbacks(diagnosis: Diagnosis, answer: Answer) -> list[str]:
-    """What speaks against a hypothesis, in words."""
+def _drawbacks(diagnosis: Diagnosis, replays: PlainReplays, answer: Answer) -> list[str]:
+    """What speaks against a hypothesis, in words; errors are those of plain replays."""
     best, unit = diagnosis.best, diagnosis.robot.unit
-    heldout, said = answer.heldout, []
+    _, heldout = replays.errors(diagnosis, answer)
+    said = []
     if heldout is not None and heldout.after > heldout.before:
         said.append(f"makes held-out worse ({length(heldout.before, unit)} -> {length(heldout.after, unit)})")
-    return said if answer is best else [*said, *_ahead(best, answer, unit)]
+    elif heldout is not None and heldout.is_worse:
+        said.append("makes held-out worse, discretisation error taken off")
+    return said if answer is best else [*said, *_ahead(best, answer, replays, unit)]
 
 
-def _ahead(best: Answer, answer: Answer, unit: str) -> list[str]:
+def _ahead(best: Answer, answer: Answer, replays: PlainReplays, unit: str) -> list[str]:
     """In what the best answer is better than another one: what it leaves, or else its evidence. None if only one of its
     effects is likelier, whatever comes with that."""
     name = " with ".join(best.names) or "no discrepancy"
-    if best.train.after < answer.train.after:
-        return [f"leaves {length(answer.train.after, unit)}, {name} {length(best.train.after, unit)}"]
-    if best.heldout is not None and answer.heldout is not None and best.heldout.after < answer.heldout.after:
-        left, more = (length(each.after, unit) for each in (best.heldout, answer.heldout))
-        return [f"leaves {more} of held-out recordings, {name} {left}"]
+    errors = zip(replays.rms(best.hypothesis), replays.rms(answer.hypothesis), strict=True)
+    for (own, other), which in zip(errors, ("", " of held-out recordings"), strict=False):
+        if own < other:
+            return [f"leaves {length(other, unit)}{which}, {name} {length(own, unit)}"]
     ahead = best.evidence - answer.evidence
     return [f"{name} has {ahead:.0f} nats more evidence: it fits as well with less"] if ahead > 0 else []
 
 
 def length(value: float, unit: str) -> str:
     """A number of a signal with its unit; lengths in mm."""
+    if not math.isfinite(value):
+        return "a replay that diverges"
     return f"{1e3 * value:.3g} mm" if unit == "m" else f"{value:.3g} {unit}"

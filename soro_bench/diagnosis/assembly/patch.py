@@ -6,12 +6,12 @@ than the model as built, there is no patched model.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from soro_bench.arrays import Floats
-from soro_bench.diagnosis.assembly.errors import plain_rms
+from soro_bench.diagnosis.assembly.errors import plain, rms_as_it_is
 from soro_bench.diagnosis.assembly.model_export import ExportedModel, PatchError, exported
 from soro_bench.diagnosis.assembly.native_laws import LAWS
 from soro_bench.diagnosis.candidates import Term, slices, term
@@ -24,7 +24,6 @@ from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import Effect
-from soro_bench.inference.statistical_linearisation import LowRank
 
 KEPT = 0.5  # of the share of the variance that is explained
 _SAME = 1e-3  # share of the cost; fits that differ by less are one
@@ -80,8 +79,12 @@ def rejected(diagnosis: Diagnosis) -> bool:
     return heldout is not None and heldout.after > heldout.before
 
 
-def model_patch(diagnosis: Diagnosis) -> ModelPatch:
-    """The robot's model with what was fitted: the parameters, and those effects of the patch that MJCF can express."""
+def model_patch(diagnosis: Diagnosis, built: Sequence[float]) -> ModelPatch:
+    """The robot's model with what was fitted: the parameters, and those effects of the patch that MJCF can express.
+
+    Args:
+        built: errors of the model as built [signal's unit], on the recordings fitted to and on held-out ones.
+    """
     robot = diagnosis.robot
     effects = (*robot.known, *patch(diagnosis))
     try:
@@ -89,16 +92,16 @@ def model_patch(diagnosis: Diagnosis) -> ModelPatch:
     except PatchError as error:
         return ModelPatch("not_written", None, (), effects, str(error))
     problems = [each for each in (diagnosis.explanation.problem, diagnosis.tested) if each is not None]
-    built, alone = _replayed(robot.as_built(), problems), _replayed(robot.as_built(found.xml), problems)
+    alone = rms_as_it_is(robot.as_built(found.xml), problems)
     first = _errors(built, alone)
     if not _worse(first, problems):
         simple = _with_parameters_only(diagnosis) if found.remaining else None
-        if simple is None or not _worse(_errors(_replayed(robot.as_built(simple.xml), problems), alone), problems):
+        if simple is None or not _worse(_errors(rms_as_it_is(robot.as_built(simple.xml), problems), alone), problems):
             return ModelPatch("as_found", found.xml, found.effects, found.remaining, None, first)
         obstacle = "replayed alone, it is worse than with parameters that were fitted without effects"
     else:
         obstacle = "replayed alone, it is worse than the model as built"
-    tried = [(each, _errors(built, _replayed(robot.as_built(each.xml), problems))) for each in _refitted(diagnosis)]
+    tried = [(each, _errors(built, rms_as_it_is(robot.as_built(each.xml), problems))) for each in _refitted(diagnosis)]
     if not (good := [(each, errors) for each, errors in tried if not _worse(errors, problems)]):
         obstacle += ", and so is every one with parameters that were fitted to it alone"
         return ModelPatch("not_written", None, (), effects, obstacle, first)
@@ -116,18 +119,6 @@ def _with_parameters_only(diagnosis: Diagnosis) -> ExportedModel | None:
         return None
 
 
-def _replayed(robot: Robot, problems: Sequence[Problem]) -> list[float]:
-    """Root mean squares [signal's unit] of replays by a robot as it is, of each problem's recordings."""
-    as_it_is = [(np.zeros(len(robot.priors)), ())]
-    residuals = ((problem, _plain(problem, robot).residuals(as_it_is)[0]) for problem in problems)
-    return [plain_rms(problem, residual) for problem, residual in residuals]
-
-
-def _plain(problem: Problem, robot: Robot) -> Problem:
-    """A problem of the same recordings for a robot, without discretisation errors."""
-    return replace(problem, robot=robot, discretisation=LowRank(np.zeros((0, problem.weight.size))))
-
-
 def _errors(before: Sequence[float], after: Sequence[float]) -> tuple[ReplayError, ...]:
     return tuple(ReplayError(*pair) for pair in zip(before, after, strict=True))
 
@@ -141,7 +132,7 @@ def _worse(errors: Sequence[ReplayError], problems: Sequence[Problem]) -> bool:
 def _refitted(diagnosis: Diagnosis) -> Iterator[ExportedModel]:
     """Models with parameters, and laws of MJCF in the place of the patch's, that were fitted by least squares; the last
     one with fitted parameters only."""
-    robot, problem = diagnosis.robot, _plain(diagnosis.explanation.problem, diagnosis.robot)
+    robot, problem = diagnosis.robot, plain(diagnosis.explanation.problem, diagnosis.robot)
     for each in _distinct(descended(problem, _begun(diagnosis, problem))):
         effects = (*robot.known, *each.effects(problem.parameters))
         try:

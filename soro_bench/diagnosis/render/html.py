@@ -15,8 +15,6 @@ from soro_bench.files import replacing
 
 RANKED = 10  # effects of the table
 
-Rows = list[tuple[str, ...]]
-
 _TEMPLATES = Environment(
     loader=PackageLoader("soro_bench.diagnosis.render"), autoescape=select_autoescape(), trim_blocks=True,
     lstrip_blocks=True,
@@ -38,7 +36,7 @@ class Table:
 
     title: str
     head: tuple[str, ...]
-    rows: Rows
+    rows: words.Rows
 
 
 def write_html(result: Result, path: str | Path) -> None:
@@ -102,7 +100,6 @@ def _figures(result: Result) -> list[Figure]:
 
 def _tables(result: Result) -> list[Table]:
     return [
-        Table("Errors", ("recordings", "noise", "plain replay", "without discretisation error"), _errors(result)),
         Table("Candidates", ("probability", "law", "location", "magnitudes", "drawbacks"), _candidates(result)),
         Table("Parameters", ("parameter", "value [90 %]", "nominal", "prior sd"), _parameters(result)),
         Table("Selection", ("on top of", "predicted gain [nats]", "misfit after the fit [nats]"), _rounds(result)),
@@ -110,17 +107,7 @@ def _tables(result: Result) -> list[Table]:
     ]
 
 
-def _errors(result: Result) -> Rows:
-    unit = result.robot.unit
-    rows: Rows = []
-    for name, each in (("training", result.train), ("held out", result.heldout)):
-        if each is not None:
-            noise = words.number(each.noise, unit)
-            rows.append((name, noise, words.errors(each, unit), words.corrected(each, unit)))
-    return rows
-
-
-def _candidates(result: Result) -> Rows:
+def _candidates(result: Result) -> words.Rows:
     return [_candidate(each) for each in result.findings if each.name not in ("none",)][:RANKED]
 
 
@@ -131,7 +118,7 @@ def _candidate(found: Finding) -> tuple[str, ...]:
     return words.probability(found.probability), name, location, magnitudes, words.plain("; ".join(found.drawbacks))
 
 
-def _parameters(result: Result) -> Rows:
+def _parameters(result: Result) -> words.Rows:
     return [
         (
             words.law(each.estimate.name),
@@ -143,7 +130,7 @@ def _parameters(result: Result) -> Rows:
     ]
 
 
-def _rounds(result: Result) -> Rows:
+def _rounds(result: Result) -> words.Rows:
     return [
         (
             words.terms(each.on_top_of) or "fitted parameters",
@@ -154,8 +141,8 @@ def _rounds(result: Result) -> Rows:
     ]
 
 
-def _detectable(result: Result) -> Rows:
-    rows: Rows = [
+def _detectable(result: Result) -> words.Rows:
+    rows: words.Rows = [
         (
             words.law(each.name),
             words.law(each.quantity),

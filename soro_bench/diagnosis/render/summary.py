@@ -14,12 +14,13 @@ USUAL = (  # in real robots, the most usual first
     "viscous_friction", "pressure_leak", "sensor_bias", "sensor_delay",
 )  # fmt: skip
 _LABEL = 13  # columns of the labels
+_NAME, _CELL = 22, 16  # columns of the table of errors
 
 
 def summary(result: Result) -> str:
-    """The answer first, then law, location, magnitude, errors, what else it may be, and what to record next."""
+    """The answer first, then errors, law, location, magnitude, what else it may be, and what to record next."""
     unit = result.robot.unit
-    lines = [words.headline(result) + _confidence(result)]
+    lines = [words.headline(result) + _confidence(result), *_replays(result)]
     if result.outliers.share:
         share, size = 100 * result.outliers.share, words.number(result.outliers.size, unit)
         lines.append(_line("outliers", f"{share:.2g} % of the points are {size} off (rms); left out"))
@@ -32,18 +33,6 @@ def summary(result: Result) -> str:
             lines.append(_line("", unconstrained))
     if known := words.known(result):
         lines.append(_line("known", known))
-    lines.append(_line("noise", words.number(result.train.noise, unit)))
-    if result.best.effects:
-        lines.append(_line("replay", f"RMSE {words.errors(result.train, unit)}"))
-        if result.heldout:
-            lines.append(_line("held out", f"RMSE {words.errors(result.heldout, unit)}"))
-        lines.append(
-            _line("", f"without discretisation error: {words.corrected(result.heldout or result.train, unit)}")
-        )
-    else:
-        lines.append(_line("replay", f"RMSE {words.number(result.train.after, unit)}"))
-        if result.heldout:
-            lines.append(_line("held out", f"RMSE {words.number(result.heldout.after, unit)}"))
     if not result.best.effects and result.verdict != "outside_catalogue":
         lines += _detectable(result)
     if also := words.alternatives(result):
@@ -55,6 +44,17 @@ def summary(result: Result) -> str:
     if then := words.next_recording(result):
         lines.append(_line("record next", then))
     return "\n".join(lines)
+
+
+def _replays(result: Result) -> list[str]:
+    """A table of plain replay errors, and what they rest on."""
+    head = ("RMSE", "fitted to", *(["held out"] if result.heldout else []))
+    lines = []
+    for i, (name, *cells) in enumerate([head, *words.replays(result)]):
+        row = "".join(f"{cell.replace(words.NO_BREAK, ' '):>{_CELL}}" for cell in cells)
+        lines.append(f"  {'' if i else 'plain replay':<{_LABEL}}{name:<{_NAME}}{row}".rstrip())
+    lines.append(_line("noise", words.number(result.train.noise, result.robot.unit)))
+    return lines + ([_line("", said)] if (said := words.explained(result)) else [])
 
 
 def _confidence(result: Result) -> str:

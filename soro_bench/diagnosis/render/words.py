@@ -24,11 +24,19 @@ FAR = 3.0  # standard deviations of the prior from which a parameter is called f
 NEAR = 0.9  # of the best location's gain, from which another one explains nearly as much
 CLEAR = 0.7  # probability from which a kind of fault is clear
 AHEAD = 0.05  # by which a kind has to be more probable than the law
+ROBOTS = {  # whose plain replays are shown
+    "nominal": "model as built",
+    "fitted": "fitted parameters",
+    "patched": "with effects",
+    "best": "best hypothesis",
+}
+BEYOND = "the variance beyond noise and discretisation error"
 KINDS = {
     "static_error": "static actuator or load error",
     "friction": "dry friction",
     "hysteresis_or_play": "hysteresis or play",
 }
+Rows = list[tuple[str, ...]]
 _POWERS = {"^2": "²", "^3": "³"}
 _LAWS = re.compile(rf"\b({'|'.join(sorted(EQUATIONS, key=len, reverse=True))})\b")
 
@@ -91,7 +99,7 @@ def detectable(found: Detectable) -> str:
 
 def change(before: float, after: float, unit: str) -> str:
     """An error before and after; once where it is the same."""
-    first, last = number(before, unit), number(after, unit)
+    first, last = error(before, unit), error(after, unit)
     return last if first == last else f"{first.split(NO_BREAK)[0]} -> {last}"
 
 
@@ -187,39 +195,78 @@ def kind(result: Result) -> str:
 
 
 def unconstrained(result: Result) -> str:
-    """What an input without a law would leave, in a sentence; empty where none was estimated."""
-    if (found := result.unknown_input) is None:
+    """What an input without a law would explain, in a sentence; empty where none was estimated or nothing is left."""
+    found, errors = result.unknown_input, result.train
+    if found is None or not errors.corrected_before > errors.noise:
         return ""
-    both = change(result.train.corrected_before, found.rmse_after, result.robot.unit).replace(" -> ", " to ")
-    return f"An unconstrained input there would reduce the RMSE from {both}."
+    both = errors.corrected_before**2 - errors.noise**2, max(found.rmse_after**2 - errors.noise**2, 0.0)
+    share = max(1.0 - both[1] / both[0], 0.0)
+    return f"To first order, an unconstrained input there explains {100 * share:.0f} % of {BEYOND}."
 
 
-def errors(found: Errors, unit: str) -> str:
-    """Plain replay errors, and whether they grew."""
-    return change(found.before, found.after, unit) + (" (worse)" if found.after > found.before else "")
+def error(value: float, unit: str) -> str:
+    """An error of a plain replay."""
+    return number(value, unit) if math.isfinite(value) else "diverges"
 
 
-def corrected(found: Errors, unit: str) -> str:
-    """Errors without discretisation error, with the share of the variance that is explained."""
-    said = change(found.corrected_before, found.corrected_after, unit)
+def replays(result: Result) -> Rows:
+    """Errors of plain replays on the recordings fitted to and on held-out ones, a row for each robot; then what the
+    covariance of discretisation error takes off the last one."""
+    unit, both = result.robot.unit, [result.train, *([result.heldout] if result.heldout else [])]
+    rows: Rows = []
+    if result.robots:
+        shown = [each for each in result.robots if each.name in ROBOTS]
+        for each in shown:
+            name = "fitted, known effects" if each.name == "fitted" and each.effects else ROBOTS[each.name]
+            values = (each.train, each.heldout) if result.heldout else (each.train,)
+            rows.append((name, *(error(math.nan if value is None else value, unit) for value in values)))
+        if not result.best.effects:
+            rows.append((ROBOTS["patched"], "no effects", *[""] * (len(both) - 1)))
+    else:  # of an older version
+        rows.append((ROBOTS["fitted"], *(error(each.before, unit) for each in both)))
+        if result.best.effects:
+            rows.append((ROBOTS["best"], *(error(each.after, unit) for each in both)))
+    return [*rows, ("may be discretisation", *(_taken_off(each, unit) for each in both))]
+
+
+def _taken_off(found: Errors, unit: str) -> str:
+    """What the covariance of discretisation error takes off an error."""
+    square = found.after**2 - found.corrected_after**2
+    return number(math.sqrt(max(square, 0.0)), unit) if math.isfinite(square) else ""
+
+
+def explained(result: Result) -> str:
+    """What the effects explain beyond noise and discretisation error, in a sentence; empty without effects."""
+    found, which = (result.heldout, "held-out") if result.heldout else (result.train, "fitted")
+    if not result.best.effects or math.isnan(found.explained):
+        return ""
     if found.is_worse:
-        return f"{said} (worse)"
-    if math.isnan(found.explained) or found.corrected_before == found.corrected_after:
-        return said
-    return f"{said}; explains {100 * found.explained:.0f} % of the variance above noise"
+        return f"On {which} recordings the effects add to {BEYOND}."
+    return f"On {which} recordings the effects explain {100 * found.explained:.0f} % of {BEYOND}."
+
+
+def _of_errors(result: Result) -> list[str]:
+    """Where plain errors are not what the verdict is about, and where the effects make replays worse."""
+    said, heldout, far = [], result.heldout, []
+    for name, each in (("fitted", result.train), ("held-out", heldout)):
+        pairs = ((each.before, each.corrected_before), (each.after, each.corrected_after)) if each else ()
+        ratio = max((plain / max(left, 1e-300) for plain, left in pairs if plain > 0), default=0.0)
+        far += [f"{ratio:.1f} times on {name} recordings"] if CORRECTED < ratio < math.inf else []
+    if far:
+        said.append(f"Plain errors are larger than what the verdict is about, {listed(far)}: the rest may be "
+                    "discretisation error, and stays in every replay.")  # fmt: skip
+    worse = heldout is not None and heldout.after > heldout.before
+    if result.patch.state == "rejected":
+        off = "" if worse or heldout is None else ", discretisation error taken off"
+        said.append(f"The patch is rejected: it makes held-out recordings worse{off}.")
+    elif worse and result.best.effects:
+        said.append("A plain replay of held-out recordings is worse with the effects than without them.")
+    return said
 
 
 def warnings(result: Result) -> list[str]:
     """What a reader must know before using the numbers."""
-    said = []
-    pairs = [("training", result.train)] + ([("held-out", result.heldout)] if result.heldout else [])
-    for name, each in pairs:
-        if each.after > CORRECTED * each.corrected_after:
-            ratio = each.after / max(each.corrected_after, 1e-300)
-            said.append(f"On {name} recordings a plain replay errs {ratio:.1f} times as much as the corrected figure: "
-                        "discretisation error takes the difference.")  # fmt: skip
-    if result.patch.state == "rejected":
-        said.append("The patch is rejected: it makes held-out recordings worse.")
+    said = _of_errors(result)
     if result.patch.state == "untested" and result.best.effects:
         said.append("No recording was held out: nothing tests the patch on another motion.")
     far = [
@@ -255,7 +302,7 @@ def patched_model(result: Result) -> list[str]:
 
 def alone(result: Result) -> str:
     """Errors of replays of the patched model alone, on the recordings fitted to and on held-out ones."""
-    pairs = zip(("training", "held-out"), result.patch.replays, strict=False)
+    pairs = zip(("fitted", "held-out"), result.patch.replays, strict=False)
     return ", ".join(f"{change(each.built, each.patched, result.robot.unit)} on {name}" for name, each in pairs)
 
 

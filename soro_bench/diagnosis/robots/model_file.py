@@ -1,5 +1,6 @@
 """A MuJoCo model as a file has it: read, checked, and its elements found by name or number."""
 
+import hashlib
 import re
 import warnings
 from operator import attrgetter
@@ -10,6 +11,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS
 
+from soro_bench.diagnosis.result_parts import SourceFile
 from soro_bench.effects.elements import AUXILIARY, instrument
 
 _TIMESTEPS = 1e-6, 1.0  # s, least and longest of a model
@@ -37,6 +39,14 @@ Model: TypeAlias = str | Path | mujoco.MjSpec  # an MJCF file, or what MuJoCo ha
 def title(model: Model) -> str:
     """What a model is called: the name of its file without suffix, or that in a spec."""
     return model.modelname if isinstance(model, mujoco.MjSpec) else Path(model).stem
+
+
+def source_files(*sources: object) -> tuple[SourceFile, ...]:
+    """The files that a robot was made from; none if not all of them are files."""
+    paths = [Path(each) for each in sources if isinstance(each, str | Path)]
+    if len(paths) < len(sources) or not all(path.is_file() for path in paths):
+        return ()
+    return tuple(SourceFile(path.as_posix(), hashlib.sha256(path.read_bytes()).hexdigest()) for path in paths)
 
 
 def load_spec(model: Model) -> mujoco.MjSpec:

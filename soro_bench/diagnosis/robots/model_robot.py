@@ -12,7 +12,16 @@ import numpy as np
 from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.diagnosis.robots.map_parameters import Entry, held, parameters_of, settings_of
 from soro_bench.diagnosis.robots.measured import Drive, Measured
-from soro_bench.diagnosis.robots.model_file import Model, ModelError, load_model, load_spec, name_of, number, title
+from soro_bench.diagnosis.robots.model_file import (
+    Model,
+    ModelError,
+    load_model,
+    load_spec,
+    name_of,
+    number,
+    source_files,
+    title,
+)
 from soro_bench.diagnosis.robots.model_state import initial_state, signal_source, unused_keyframes
 from soro_bench.diagnosis.robots.priors import Baseline, Prior
 from soro_bench.diagnosis.robots.replays import SIMULATIONS
@@ -71,6 +80,7 @@ class ModelRobot(Robot):
         self._known = known
         self.shorter = shorter
         table = read_mapping(mapping)
+        self.files = source_files(model, mapping)
         self.name = self.model_name = title(model)
         settings = table["robot"]
         with quiet():

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from soro_bench.arrays import Floats
+from soro_bench.diagnosis.result_parts import SourceFile
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.priors import Baseline, CannotHave, FixedParameter, Prior
 from soro_bench.diagnosis.robots.replays import Replays
@@ -37,6 +38,7 @@ class Robot(Replays):
         pneumatic: whether its actuators fill chambers.
         from_baseline: whether its priors come from a baseline diagnosis.
         shorter: how many times shorter its time steps are than those of its model.
+        files: that it was made from: its model and its mapping, if they are files.
         notes: what a user should know of it before its results, in words.
     """
 
@@ -52,6 +54,7 @@ class Robot(Replays):
     pneumatic: bool = False
     from_baseline: bool = False
     shorter: int = 1
+    files: tuple[SourceFile, ...] = ()
     notes: tuple[str, ...] = ()
 
     def _remember(self, baseline: Baseline | None) -> None:
