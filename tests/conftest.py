@@ -86,7 +86,7 @@ def paths(tmp_path: Path) -> tuple[Path, Path]:
 def robot_of(tmp_path: Path) -> Callable[..., Any]:
     """A function that makes the robot of a mapping, of the arm with a gripper or another model."""
     model_robot = pytest.importorskip("soro_bench.diagnosis.robots.model_robot", reason="needs the infer extra")
-    from tests.hand import HAND
+    from tests.arm import HAND
 
     def robot_of(mapping: str, model: str = HAND, **options: Any) -> Any:
         (tmp_path / "hand.xml").write_text(model)

@@ -13,7 +13,7 @@ from soro_bench.diagnosis.robots.model_file import ModelError
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.effects.effect import Effect, Location
 from soro_bench.recording.recording import Recording, RecordingError, Signal
-from tests.hand import HAND, MAP, NOMINAL, SIGNAL, goals, plain, with_initial
+from tests.arm import HAND, HAND_MAP, NOMINAL, SIGNAL, goals, plain, with_initial
 
 
 def begun(robot: ModelRobot, recording: Recording) -> ModelRobot:
@@ -37,7 +37,7 @@ def test_a_keyframe_is_where_the_robot_begins_and_what_holds_undriven_actuators(
 
 
 def test_keyframes_that_the_mapping_does_not_mention_are_said(robot_of):
-    assert any("keyframes (home)" in note for note in robot_of(MAP).notes)
+    assert any("keyframes (home)" in note for note in robot_of(HAND_MAP).notes)
     assert not any("keyframes" in note for note in robot_of(with_initial('keyframe = ""')).notes)
     assert not any("keyframes" in note for note in robot_of(with_initial('keyframe = "#0"')).notes)
     with pytest.raises(ModelError, match="no keyframe 'rest'; it has home"):
@@ -83,7 +83,9 @@ def test_a_robot_settles_from_where_it_begins(robot_of):
     rod = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" springref="0"/>
     <geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.3" mass="0.2" contype="0" conaffinity="0"/></body></worldbody>
     <keyframe><key name="left" qpos="-0.1"/><key name="right" qpos="0.1"/></keyframe></mujoco>"""
-    mapping = re.sub(r"\[commands.goal\]\n.*\n", "", MAP).replace("0.02", "0.02\nsettle = 20").replace(":arm", ":*")
+    mapping = (
+        re.sub(r"\[commands.goal\]\n.*\n", "", HAND_MAP).replace("0.02", "0.02\nsettle = 20").replace(":arm", ":*")
+    )
     for side, sign in (("left", -1.0), ("right", 1.0)):
         robot = robot_of(f'{mapping}[initial]\nkeyframe = "{side}"', rod)
         (values,) = robot.simulate(np.zeros((3, 0)), NOMINAL, [()])
@@ -95,19 +97,19 @@ def test_a_robot_settles_from_where_it_begins(robot_of):
 
 def test_constant_controls_are_given_and_an_actuator_that_nothing_drives_is_said(robot_of):
     recording = Recording({"goal": goals([0.5] * 10)}, {"angle": Signal(0.02 * np.arange(11), np.full(11, 0.5), "rad")})
-    robot = robot_of(f"{MAP}\n[fixed]\ngripper = 0.03")
+    robot = robot_of(f"{HAND_MAP}\n[fixed]\ngripper = 0.03")
     assert robot.actions(recording)[:, 1].tolist() == [0.03] * 10
     assert not any("drives" in note for note in robot.notes)
-    assert robot_of(f'{MAP}\n[fixed]\n"grip*" = 0.03').actions(recording)[0, 1] == 0.03
-    silent = robot_of(MAP)
+    assert robot_of(f'{HAND_MAP}\n[fixed]\n"grip*" = 0.03').actions(recording)[0, 1] == 0.03
+    silent = robot_of(HAND_MAP)
     assert silent.actions(recording)[:, 1].tolist() == [0.0] * 10
     assert any(note.startswith("no command drives gripper; held at 0;") for note in silent.notes)
     with pytest.raises(ModelError, match=r"\[fixed\] gripper is 5; its ctrlrange is 0 to 0.1"):
-        robot_of(f"{MAP}\n[fixed]\ngripper = 5")
+        robot_of(f"{HAND_MAP}\n[fixed]\ngripper = 5")
 
 
 def test_a_robot_of_constant_controls_needs_no_command(robot_of):
-    mapping = re.sub(r"\[commands.goal\]\n.*\n", "[fixed]\nmotor = 0.2\n", MAP)
+    mapping = re.sub(r"\[commands.goal\]\n.*\n", "[fixed]\nmotor = 0.2\n", HAND_MAP)
     falling = Recording({}, {"angle": Signal(0.02 * np.arange(20), np.linspace(0.0, 0.3, 20), "rad")})
     assert robot_of(mapping).measured(falling).actions[0].tolist() == [0.2, 0.0]
 
@@ -115,14 +117,14 @@ def test_a_robot_of_constant_controls_needs_no_command(robot_of):
 def test_commands_beyond_a_range_are_a_note_and_can_be_let_through(robot_of):
     asked = np.concatenate([np.full(30, 0.5), np.full(10, 1.5)])
     recording = Recording({"goal": goals(asked)}, {"angle": Signal(0.02 * np.arange(41), np.linspace(0, 1, 41), "rad")})
-    clipped = robot_of(MAP)
+    clipped = robot_of(HAND_MAP)
     (note,) = clipped.measured(recording).notes
     assert "'goal' is from 0.5 to 1.5" in note and "'motor', -1 to 1 (25 % of the time)" in note
     ends = {}
     for name, mapping in (
-        ("clipped", MAP),
-        ("widened", MAP.replace('["motor"]', '["motor"]\nctrlrange = "widen"')),
-        ("all", MAP.replace("[robot]", '[robot]\nctrlrange = "widen"')),
+        ("clipped", HAND_MAP),
+        ("widened", HAND_MAP.replace('["motor"]', '["motor"]\nctrlrange = "widen"')),
+        ("all", HAND_MAP.replace("[robot]", '[robot]\nctrlrange = "widen"')),
     ):
         robot = robot_of(mapping)
         measured = robot.measured(recording)
@@ -137,7 +139,7 @@ def test_commands_beyond_a_range_are_a_note_and_can_be_let_through(robot_of):
 
 def test_control_steps_of_30_hz_are_met_by_a_slightly_shorter_time_step(robot_of):
     step = 1 / 30
-    mapping = MAP.replace("control_timestep = 0.02", f"control_timestep = {step!r}")
+    mapping = HAND_MAP.replace("control_timestep = 0.02", f"control_timestep = {step!r}")
     robot = robot_of(mapping)
     timestep = robot.simulation.model.opt.timestep
     assert timestep == pytest.approx(step / 17) and timestep < 0.002
@@ -148,12 +150,12 @@ def test_control_steps_of_30_hz_are_met_by_a_slightly_shorter_time_step(robot_of
     np.testing.assert_allclose(values[:, 0, 0], expected, atol=1e-12)
     assert robot.shortened(2).simulation.model.opt.timestep == pytest.approx(step / 34)
     assert robot.spec().option.timestep == timestep
-    longer = robot_of(MAP.replace("control_timestep = 0.02", "control_timestep = 0.0015"))
+    longer = robot_of(HAND_MAP.replace("control_timestep = 0.02", "control_timestep = 0.0015"))
     assert longer.simulation.model.opt.timestep == 0.0015
 
 
 def test_a_time_step_that_fits_stays_as_it_is(robot_of):
-    robot = robot_of(MAP)
+    robot = robot_of(HAND_MAP)
     assert robot.simulation.model.opt.timestep == 0.002 and not any("time step" in note for note in robot.notes)
 
 
@@ -162,7 +164,7 @@ def test_a_time_step_that_fits_stays_as_it_is(robot_of):
 
 def test_a_payload_may_be_on_a_body_that_is_welded_to_one_that_moves(robot_of):
     """It adds its mass at the body's own centre of mass; a body that is fixed to the world, or by mocap, has none."""
-    robot = robot_of(MAP)
+    robot = robot_of(HAND_MAP)
     at = {one.location.name for one in terms(robot) if one.name == "payload"}
     assert at == {"arm", "hand", "finger", "ball", "box"}
     assert {one.location.name for one in terms(robot) if one.name == "viscous_friction"} == {"hinge", "slide"}
@@ -181,21 +183,21 @@ def test_welded_bodies_that_share_a_centre_of_mass_or_have_none_carry_nothing(ro
     more = '<body name="pad"><geom size="0.01" mass="0.01"/></body><body name="frame" pos="0 0 0.1"/>'
     more += '<body name="camera" pos="0 0 0.1"><geom size="0.01" mass="0.01"/></body>'
     model = HAND.replace('<site name="tip"/>', f'<site name="tip"/>{more}')
-    at = {one.location.name for one in terms(robot_of(MAP, model)) if one.name == "payload"}
+    at = {one.location.name for one in terms(robot_of(HAND_MAP, model)) if one.name == "payload"}
     assert at == {"arm", "hand", "camera", "finger", "ball", "box"}
 
 
 def test_an_actuator_that_ignores_its_control_needs_none(robot_of):
     """Such as one that is a damper."""
     damper = '<general name="drag" joint="hinge" gainprm="0" biastype="affine" biasprm="0 0 -0.1"/>'
-    robot = robot_of(f"{MAP}\n[fixed]\ngripper = 0.03", HAND.replace("</actuator>", f"{damper}</actuator>").replace(
-        'ctrl="0.5 0.04"', 'ctrl="0.5 0.04 0"'))  # fmt: skip
+    model = HAND.replace("</actuator>", f"{damper}</actuator>").replace('ctrl="0.5 0.04"', 'ctrl="0.5 0.04 0"')
+    robot = robot_of(f"{HAND_MAP}\n[fixed]\ngripper = 0.03", model)
     assert not any("drives" in note for note in robot.notes)
 
 
 def test_unnamed_elements_are_called_by_number(robot_of):
     nameless = HAND.replace('<site name="tip"/>', "<site/>")
-    mapping = MAP.replace(SIGNAL, 'name = "tip"\nsites = ["#0"]\nunit = "m"\nframe = "world"')
+    mapping = HAND_MAP.replace(SIGNAL, 'name = "tip"\nsites = ["#0"]\nunit = "m"\nframe = "world"')
     nameless = re.sub(r"<accelerometer.*?/>", "", nameless)
     robot = robot_of(mapping, nameless)
     (values,) = robot.simulate(np.zeros((5, 2)), NOMINAL, [()])
@@ -207,13 +209,13 @@ def test_unnamed_elements_are_called_by_number(robot_of):
 
 
 def test_origins_of_bodies_can_be_what_is_explained(robot_of):
-    robot = robot_of(MAP.replace(SIGNAL, 'name = "hand"\nbodies = ["hand"]\nunit = "m"\nframe = "world"'))
+    robot = robot_of(HAND_MAP.replace(SIGNAL, 'name = "hand"\nbodies = ["hand"]\nunit = "m"\nframe = "world"'))
     (values,) = robot.simulate(np.zeros((5, 2)), NOMINAL, [()])  # the site is at its origin
     np.testing.assert_allclose(values[:, 0], [state[2] for state in plain(HAND, np.zeros((5, 2)), 10)], atol=1e-12)
 
 
 def test_a_proposed_motion_leaves_actuators_without_a_command_where_they_are(robot_of):
-    robot = robot_of(f"{MAP}\n[fixed]\ngripper = 0.03")
+    robot = robot_of(f"{HAND_MAP}\n[fixed]\ngripper = 0.03")
     found = robot.commanded(np.tile([[1.0], [-1.0]], (1, 2)), np.zeros((3, 2)))
     assert found[:, 1].tolist() == [0.03, 0.03] and np.ptp(found[:, 0]) > 0.1
 
@@ -226,7 +228,7 @@ def test_an_accurate_model_without_the_keyframe_is_named(robot_of, tmp_path):
 
 
 def test_mocap_bodies_are_said_to_stay(robot_of):
-    assert any("mocap bodies stay where the model has them: target" in note for note in robot_of(MAP).notes)
+    assert any("mocap bodies stay where the model has them: target" in note for note in robot_of(HAND_MAP).notes)
 
 
 # --- sensors ---
@@ -234,7 +236,7 @@ def test_mocap_bodies_are_said_to_stay(robot_of):
 
 def test_quaternions_are_explained_as_the_axes_of_their_frame(robot_of):
     """Whatever their sign: a recording may change it."""
-    mapping = MAP.replace(SIGNAL, 'name = "turn"\nsensors = ["turn"]\nunit = "1"')
+    mapping = HAND_MAP.replace(SIGNAL, 'name = "turn"\nsensors = ["turn"]\nunit = "1"')
     states = plain(HAND, np.zeros((30, 2)), 10)
     quaternions = np.array([[1.0, 0, 0, 0], *(state[1][:4] for state in states)])
     flipped = quaternions * np.where(np.arange(31) % 3 == 1, -1.0, 1.0)[:, None]
@@ -253,7 +255,7 @@ def test_quaternions_are_explained_as_the_axes_of_their_frame(robot_of):
 
 @pytest.mark.parametrize(("sensor", "entries", "unit"), [("felt", [4, 5, 6], "m/s^2"), ("torque", [7], "N m")])
 def test_sensors_of_accelerations_and_forces_are_those_of_the_end_of_a_step(robot_of, sensor, entries, unit):
-    robot = robot_of(MAP.replace(SIGNAL, f'name = "s"\nsensors = ["{sensor}"]\nunit = "{unit}"'))
+    robot = robot_of(HAND_MAP.replace(SIGNAL, f'name = "s"\nsensors = ["{sensor}"]\nunit = "{unit}"'))
     controls = 0.5 * np.sin(np.arange(40) / 5)[:, None] * [1.0, 0.0]
     (values,) = robot.simulate(controls, NOMINAL, [()])
     expected = np.array([state[1][entries] for state in plain(HAND, controls, 10)])
@@ -262,7 +264,7 @@ def test_sensors_of_accelerations_and_forces_are_those_of_the_end_of_a_step(robo
 
 def test_a_free_joint_is_no_signal(robot_of):
     with pytest.raises(ModelError, match="joint 'free' has 7 numbers of different units; give a site or sensors"):
-        robot_of(MAP.replace('joints = ["hinge"]', 'joints = ["free"]'))
+        robot_of(HAND_MAP.replace('joints = ["hinge"]', 'joints = ["free"]'))
 
 
 def test_a_wide_sensor_is_so_many_numbers(robot_of):
@@ -270,7 +272,7 @@ def test_a_wide_sensor_is_so_many_numbers(robot_of):
     model = re.sub("<accelerometer.*?/>", "", HAND).replace('contype="0" conaffinity="0"', "").replace(
         "<sensor>", '<sensor><contact name="touch" body1="box" data="force torque pos"/>').replace(
         "<worldbody>", '<worldbody><geom name="floor" type="plane" size="5 5 1" pos="0 0 0.85"/>')  # fmt: skip
-    robot = robot_of(MAP.replace(SIGNAL, 'name = "touch"\nsensors = ["touch"]\nunit = "N"'), model)
+    robot = robot_of(HAND_MAP.replace(SIGNAL, 'name = "touch"\nsensors = ["touch"]\nunit = "N"'), model)
     controls = np.zeros((20, 2))
     expected = np.array([state[1][:9] for state in plain(model, controls, 10)])
     signal = Signal(0.02 * np.arange(21), np.concatenate([expected[:1], expected])[:, None], "N")

@@ -154,3 +154,52 @@ def test_recordings_are_explained_once_and_held_out_ones_are_others(paths):
             diagnose(robot, recordings, heldout)
     with pytest.raises(RecordingError, match="no recording"):
         diagnose(robot, [])
+
+
+GAIN = """
+[settings.gain]
+SOURCE
+reference = 2
+fields = ["actuator_gainprm[0]:motor"]
+"""
+
+
+def with_gain(paths, source):
+    model, mapping = paths
+    mapping.write_text(MAP + GAIN.replace("SOURCE", source))
+    return ModelRobot(model, mapping, threads=1)
+
+
+def test_settings_of_a_recording_scale_fields(paths):
+    """Half the gain of a recording is half the gain of the model; one that changes with time does so from then on."""
+    goals = np.full((40, 1), 0.4)
+    given = recording(paths, [], 0)
+    times, steps = given.commands["goal"].time, len(goals)
+    one = with_gain(paths, 'metadata = "gain"')
+    half = one.settings(replace(given, metadata={"gain": "1"}), steps)
+    assert half.tolist() == [[0.5]] * steps
+    changing = {**given.commands, "gain": Signal(times, np.where(times < 0.4 - 1e-6, 2.0, 1.0))}
+    later = with_gain(paths, 'command = "gain"').settings(replace(given, commands=changing), steps)
+    assert later.ravel().tolist() == [1.0] * 20 + [0.5] * 20
+    nominal = np.array([[1.0, 1.0, 0.0]])
+    plain, at_half, changed = (
+        one.simulate(goals, nominal, [()], settings=s) for s in (np.ones_like(half), half, later)
+    )
+    assert np.array_equal(plain[:, :20], changed[:, :20])
+    assert (plain[:, -1] > at_half[:, -1]).all()
+    assert changed[0, -1, 0, 0] == pytest.approx(at_half[0, -1, 0, 0], rel=0.1)
+
+
+@pytest.mark.parametrize("metadata", [{}, *({"gain": text} for text in ("large", "nan", "inf", "-1"))])
+def test_a_recording_without_a_setting_is_refused(paths, metadata):
+    given = recording(paths, [], 0)
+    with pytest.raises(RecordingError, match=r"'gain' of the recording is .*; a number is needed"):
+        with_gain(paths, 'metadata = "gain"').measured(replace(given, metadata=metadata))
+
+
+def test_a_setting_that_is_negative_at_times_is_refused(paths):
+    given = recording(paths, [], 0)
+    times = given.commands["goal"].time
+    changing = {**given.commands, "gain": Signal(times, np.where(times < 0.4, 1.0, -1.0))}
+    with pytest.raises(RecordingError, match="'gain' is a setting"):
+        with_gain(paths, 'command = "gain"').measured(replace(given, commands=changing))

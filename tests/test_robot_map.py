@@ -16,7 +16,7 @@ from soro_bench.models.simulation import quiet
 from soro_bench.recording.parquet import save
 from soro_bench.recording.recording import Recording, Signal
 from tests import arm
-from tests.hand import HAND, MAP, NOMINAL, SIGNAL, plain
+from tests.arm import HAND, HAND_MAP, NOMINAL, SIGNAL, plain
 
 
 def test_quaternions_have_no_unit(paths):
@@ -161,7 +161,7 @@ _KINDS = {  # what is added to the world, to the arm, and beside the world
 @pytest.mark.parametrize("kind", _KINDS)
 def test_models_of_all_kinds_move_as_mujoco_alone_moves_them(robot_of, kind):
     model = _PENDULUM.format(*_KINDS[kind])
-    robot = robot_of(MAP.replace(":arm", ":a").replace(SIGNAL, 'name = "tip"\nsites = ["tip"]\nunit = "m"'), model)
+    robot = robot_of(HAND_MAP.replace(":arm", ":a").replace(SIGNAL, 'name = "tip"\nsites = ["tip"]\nunit = "m"'), model)
     controls = np.sin(np.arange(50) / 5)[:, None]
     (values,) = robot.simulate(controls, NOMINAL, [()])
     np.testing.assert_allclose(values[:, 0], [state[2] for state in plain(model, controls, 4)], atol=1e-9)
@@ -179,7 +179,7 @@ def test_models_of_all_kinds_move_as_mujoco_alone_moves_them(robot_of, kind):
 def test_what_mujoco_says_of_a_model_is_one_line(robot_of, tmp_path, monkeypatch, old, new, message):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ModelError, match=message) as caught:
-        robot_of(MAP, HAND.replace(old, new, 1))
+        robot_of(HAND_MAP, HAND.replace(old, new, 1))
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
@@ -198,13 +198,13 @@ def test_mujoco_stays_quiet_until_the_last_caller_has_ended():
 def test_a_replay_that_diverges_logs_nothing(robot_of, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     stiff = HAND.replace('kp="8" kv="0.5"', 'kp="1e7" kv="0"').replace("implicitfast", "Euler")
-    assert np.isnan(robot_of(MAP, stiff).simulate(np.tile([1.0, 0.0], (50, 1)), NOMINAL, [()])).any()
+    assert np.isnan(robot_of(HAND_MAP, stiff).simulate(np.tile([1.0, 0.0], (50, 1)), NOMINAL, [()])).any()
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
 
 
 def test_a_model_in_which_nothing_moves_is_refused(robot_of):
     with pytest.raises(ModelError, match="nothing moves in it"):
-        robot_of(MAP, "<mujoco><worldbody><body><geom size='1'/></body></worldbody></mujoco>")
+        robot_of(HAND_MAP, "<mujoco><worldbody><body><geom size='1'/></body></worldbody></mujoco>")
 
 
 def test_included_files_and_meshes_in_folders_are_found(robot_of, tmp_path):
@@ -220,7 +220,7 @@ def test_included_files_and_meshes_in_folders_are_found(robot_of, tmp_path):
     model = HAND.replace("<worldbody>", '<include file="parts/assets.xml"/><worldbody>', 1)
     model = model.replace('angle="degree"', 'angle="degree" meshdir="meshes"')
     hand, site = 'size="0.02" mass="0.1"/>', '<site name="tip"/>'
-    robot = robot_of(MAP, model.replace(hand + site, f'type="mesh" mesh="w" mass="0.1"/>{site}'))
+    robot = robot_of(HAND_MAP, model.replace(hand + site, f'type="mesh" mesh="w" mass="0.1"/>{site}'))
     assert np.isfinite(robot.simulate(np.zeros((5, 2)), NOMINAL, [()])).all()
 
 

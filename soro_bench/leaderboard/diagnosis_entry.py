@@ -26,7 +26,7 @@ from soro_bench.blind_benchmark.score import (
 )
 from soro_bench.files import brief, parsed_json, read_json, replacing, write_json
 from soro_bench.leaderboard.strict import REPORT_BYTES, check, read_strict
-from soro_bench.results import versions
+from soro_bench.sources import versions
 
 FORMAT, SCHEMA = "soro_bench/diagnosis/1", "diagnosis_entry.schema.json"
 PARTS = ("gates", "confusion", "calibration", "ablations")

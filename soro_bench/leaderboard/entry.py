@@ -22,7 +22,7 @@ from soro_bench.leaderboard.strict import check, read_strict
 from soro_bench.policies.onnx_policy import OnnxPolicy
 from soro_bench.policies.policy import MAX_BYTES, Policy, PolicyCard, TrainedPolicy
 from soro_bench.registration import make_task, task_type
-from soro_bench.results import versions
+from soro_bench.sources import versions
 from soro_bench.training.curve import read_curve
 
 FORMAT, SCHEMA = "soro_bench/control/1", "control_entry.schema.json"

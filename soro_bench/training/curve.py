@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.arrays import Floats
-from soro_bench.results import metric_key
+from soro_bench.sources import metric_key
 
 
 def read_curve(path: str | Path, metric: str, parts: int) -> tuple[Floats, Floats]:

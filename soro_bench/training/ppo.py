@@ -33,7 +33,7 @@ from soro_bench.models.simulation import quiet
 from soro_bench.policies.policy import OBSERVATION_CLIP, Policy, PolicyCard
 from soro_bench.randomization import Distribution
 from soro_bench.registration import task_type
-from soro_bench.results import metric_key
+from soro_bench.sources import metric_key
 
 Progress = Callable[[int, int, dict[str, float]], None]  # steps done, steps in total, a row of the curve
 # version of how a configuration becomes a policy; 1 let the learning rate fall in every segment anew, for 1 and 2
