@@ -10,11 +10,13 @@ from itertools import pairwise
 import numpy as np
 
 from soro_bench.arrays import Floats
+from soro_bench.diagnosis.robots.measured import ObservedSignal
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import PriorSettings
 from soro_bench.effects.catalogue import ALL, MEASUREMENT, PHYSICS, QUANTITIES
 from soro_bench.effects.effect import EVERY, Effect, Location, Quantity
 
+_OF_CLOCKS = ("sensor_delay", "clock_skew")
 PNEUMATIC = ("pressure_leak", "pressure_asymmetry", "supply_coupling")
 _DEFAULT = PriorSettings()
 _SHARE_REMOVED = 0.5  # of what the model has, at most, that a screened term takes away
@@ -120,7 +122,6 @@ def slices(terms: Sequence[Term], first: int = 0) -> list[slice]:
 
 def terms(robot: Robot, settings: PriorSettings = _DEFAULT) -> list[Term]:
     """Every law at every location of the robot that can have it, and every fault of its sensor."""
-    points, coordinates = robot.shape
     found: list[Term] = []
     for name, law in PHYSICS.items():
         if name in PNEUMATIC and not robot.pneumatic:
@@ -133,10 +134,24 @@ def terms(robot: Robot, settings: PriorSettings = _DEFAULT) -> list[Term]:
             found += [each for one in possible for each in variants(one)]
             found += _removals(robot, [one for one in possible if one.location.name != EVERY])
     for name, fault in MEASUREMENT.items():
-        if name != "outliers" and (coordinates == 3 or name != "frame_misalignment"):
-            indices: Sequence[int | None] = range(points) if fault.local else [None]
-            found += [term(robot, name, Location("sensor", robot.signal, i), settings) for i in indices]
+        if name == "outliers":
+            continue
+        for signal in robot.signals:
+            if _has_fault(robot, signal, name):
+                indices: Sequence[int | None] = range(signal.shape[0]) if fault.local else [None]
+                found += [term(robot, name, Location("sensor", signal.name, i), settings) for i in indices]
+        if robot.others and name in _OF_CLOCKS:  # one logger may have recorded all signals
+            found.append(term(robot, name, Location("sensor", EVERY), settings))
     return found
+
+
+def _has_fault(robot: Robot, signal: ObservedSignal, name: str) -> bool:
+    """Whether a signal may have a fault: the axes of a frame are no points, and only points are in a frame."""
+    if name in _OF_CLOCKS:
+        return True
+    if signal in robot.others and (signal.directions or (name == "frame_misalignment" and signal.unit != "m")):
+        return False
+    return signal.shape[1] == 3 or name != "frame_misalignment"
 
 
 def _possible(robot: Robot, name: str, locations: Sequence[Location], settings: PriorSettings) -> list[Term]:
@@ -170,19 +185,23 @@ def late(robot: Robot, name: str, location: Location) -> bool:
     """Whether an effect delays all commands or all measurements. The two are indistinguishable: either way the motion
     is measured late after its command."""
     all_actuators = location.name == EVERY or robot.locations("actuator") == [location]
-    return name == "sensor_delay" or (name == "actuator_delay" and all_actuators)
+    all_signals = location.name == EVERY or not robot.others
+    return (name == "sensor_delay" and all_signals) or (name == "actuator_delay" and all_actuators)
 
 
 def term(robot: Robot, name: str, location: Location, settings: PriorSettings = _DEFAULT) -> Term:
     """The candidate term of a law at a location, with the magnitudes that are typical there."""
-    one = robot.locations(location.kind)[0] if location.name == EVERY else location
     physics, elements = name in PHYSICS, robot.elements
-    idle = PHYSICS[name].idle(elements, one) if physics else MEASUREMENT[name].idle(robot.shape[1])
+    one = robot.locations(location.kind)[0] if physics and location.name == EVERY else location
+    signal = robot.observed(location)
+    idle = PHYSICS[name].idle(elements, one) if physics else MEASUREMENT[name].idle(signal.shape[1])
     typical, magnitudes = [], []
     for i, q in enumerate(ALL[name].quantities):
         if q.name not in idle:
             magnitudes.append(i == 0 or (q.null == 0.0 and q.bounds[0] < 0))
-            typical.append(q.typical * (elements.scale(one, q.of) if physics else 1.0))
+            size = q.typical * (elements.scale(one, q.of) if physics else 1.0)
+            of_range = q.unit == "signal" and signal.reach > 0
+            typical.append(settings.offset_share * signal.reach if of_range else size)
     return Term(name, location, tuple(typical), tuple(magnitudes), idle, settings)
 
 

@@ -1,19 +1,18 @@
 """The stages of a diagnosis, from recordings to the discrepancies of a simulation."""
 
 import itertools
-import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeVar
 
 import numpy as np
 
 from soro_bench.diagnosis.candidates import terms
 from soro_bench.diagnosis.data_quality.inspection import Inspected, compressed, inspected
-from soro_bench.diagnosis.data_quality.noise import DataQuality, data_quality, noise, outliers
+from soro_bench.diagnosis.data_quality.noise import DataQuality, noise, outliers
 from soro_bench.diagnosis.data_quality.samples import spikes
+from soro_bench.diagnosis.data_quality.signals import explaining, labels, left_out, named, qualities_of
 from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.posterior_covariance import with_covariance
@@ -32,8 +31,6 @@ from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
 from soro_bench.recording.recording import Recording, RecordingError
 
-T = TypeVar("T")
-
 
 @dataclass(frozen=True)
 class Outliers:
@@ -44,8 +41,12 @@ class Outliers:
     size: float
 
     def with_more(self, problem: Problem, nominal: Hypothesis, far: np.ndarray, weight: np.ndarray) -> "Outliers":
-        """These, and those that a fit found: (M,) ``far``, of samples with a weight (M,)."""
-        left = problem.sigma * problem.discretisation.without(nominal.residual)[far]
+        """These, and those that a fit found in the first signal: (M,) ``far``, of samples with a weight (M,)."""
+        far, weight = (np.concatenate([part.ravel() for part in problem.split(each)]) for each in (far, weight))
+        if not far.any():
+            return self
+        parts = problem.split(problem.discretisation.without(nominal.residual))
+        left = problem.sigma * np.concatenate([part.ravel() for part in parts])[far]
         share = float(far.sum() / weight.sum())
         square = (self.share * self.size**2 + share * float((left**2).mean())) / (self.share + share)
         return Outliers(self.share + share, float(np.sqrt(square)))
@@ -114,23 +115,25 @@ def run_diagnosis(
     """
     start = time.perf_counter()
     progress("data quality")
+    inspections = _inspected(robot, recordings, heldout, settings)
+    robot, inspections = explaining(robot, inspections, settings)
     fitted = robot.shortened(settings.discretisation.fitted_refinement)
     refined = robot.refined(settings.discretisation.reference_refinement)
-    inspections = _inspected(robot, recordings, heldout, settings)
     measured, tested = _measured(robot, settings.report.most_numbers, *inspections)
     looked_at = tuple(each for group in inspections for each in group)
-    data_qualities = tuple(
-        _quality(each, found, settings) for each, found in zip((*measured, *tested), looked_at, strict=True)
-    )
+    qualities = qualities_of(robot, (*measured, *tested), looked_at, settings)
+    data_qualities = tuple(each for each in qualities[0] if each is not None)
     measured, tested = (
         tuple(found.applied(each) for each, found in zip(some, group, strict=True))
         for some, group in zip((measured, tested), inspections, strict=True)
     )
+    found_of = [[each for each in group if each is not None] for group in qualities]
+    least = tuple(max(a.least for a in group) for group in found_of)
     # of one sensor: motion only adds to it
-    sigma = max(min(a.sigma for a in data_qualities), max(a.least for a in data_qualities))
-    spoilt = any(found.findings for found in looked_at)
-    check_unit_and_sign(unexplained(robot, measured, sigma, settings))
-    untouched = unexplained(fitted, measured, sigma, settings)
+    sigma, *others = (max(min(a.sigma for a in group), low) for group, low in zip(found_of, least, strict=True))
+    spoilt = any(found.all_findings for found in looked_at)
+    check_unit_and_sign(unexplained(robot, measured, sigma, settings, others))
+    untouched = unexplained(fitted, measured, sigma, settings, others)
     problem, nominal = nominal_fit(untouched, refined, seed, progress)
     for each in (robot, fitted):
         problem.check_finite(each, problem.simulated(each, [(nominal.x, ())]))
@@ -141,7 +144,7 @@ def run_diagnosis(
         untouched,
         refined,
         found_outliers,
-        max(a.least for a in data_qualities),
+        least,
         spoilt,
         seed,
         progress,
@@ -154,7 +157,7 @@ def run_diagnosis(
     explanation, comparison = _with_covariances(explanation, comparison, seed)
     found = Diagnosis(
         robot, data_qualities, found_outliers, explanation, comparison, (), None, 0.0,
-        tested=trial[0] if trial else None, data=_findings(looked_at),
+        tested=trial[0] if trial else None, data=(*_findings(looked_at), *left_out(untouched, problem)),
         digests=tuple(each.digest() for each in (*recordings, *heldout)),
     )  # fmt: skip
     if comparison.detected and comparison.unknown > settings.report.least_unknown:
@@ -179,13 +182,6 @@ def _with_covariances(explanation: Explanation, comparison: Comparison, seed: in
     return replace(explanation, nominal=nominal), replace(comparison, answers=tuple(answers))
 
 
-def _named(label: str, function: Callable[[Recording], T], recording: Recording) -> T:
-    try:
-        return function(recording)
-    except RecordingError as error:
-        raise RecordingError(f"{label}: {error}") from error
-
-
 def _inspected(
     robot: Robot, recordings: Sequence[Recording], heldout: Sequence[Recording], settings: Settings
 ) -> tuple[tuple[Inspected, ...], tuple[Inspected, ...]]:
@@ -193,28 +189,21 @@ def _inspected(
     if not recordings:
         raise RecordingError("there is no recording to explain")
     found = []
-    for number, (label, recording) in enumerate(
-        zip(_labels(recordings, heldout), (*recordings, *heldout), strict=True)
-    ):
+    for number, (label, recording) in enumerate(zip(labels(recordings, heldout), (*recordings, *heldout), strict=True)):
         check = partial(inspected, number=number, robot=robot, settings=settings)
-        found.append(_named(label, check, recording))
+        found.append(named(label, check, recording))
     return tuple(found[: len(recordings)]), tuple(found[len(recordings) :])
-
-
-def _labels(recordings: Sequence, heldout: Sequence) -> list[str]:
-    groups = ("", recordings), ("held-out ", heldout)
-    return [f"{label}recording {number}" for label, group in groups for number in range(1, len(group) + 1)]
 
 
 def _measured(robot: Robot, most_numbers: int, *groups: Sequence[Inspected]) -> list[tuple[Measured, ...]]:
     """What the diagnosis sees of the recordings to explain, and of held-out ones."""
-    labels = iter(_labels(*groups))
-    found = [tuple(_named(next(labels), robot.measured, each.recording) for each in group) for group in groups]
+    names = iter(labels(*groups))
+    found = [tuple(named(next(names), robot.measured, each.recording) for each in group) for group in groups]
     for i, j in itertools.combinations([each.recording for group in groups for each in group], 2):
         if _same(robot, i, j):
             raise RecordingError("two of the recordings are the same; what is explained twice is no more certain, and "
                                  "held-out recordings have to be others than those that are explained")  # fmt: skip
-    if (size := sum(each.values.size for group in found for each in group)) > most_numbers:
+    if (size := sum(each.columns.size for group in found for each in group)) > most_numbers:
         raise RecordingError(f"{size} numbers to explain; at most {most_numbers}, so cut the recordings")
     return found
 
@@ -234,35 +223,47 @@ def _proposal(found: Diagnosis, seed: int) -> Proposal | None:
     return proposed(found.explanation.problem, found.comparison, unknown, seed)
 
 
-def unexplained(robot: Robot, measured: tuple[Measured, ...], sigma: float, settings: Settings = DEFAULT) -> Problem:
-    """Recordings of which nothing is explained yet, with noise ``sigma`` and no discretisation error."""
-    weight = np.concatenate([np.isfinite(each.values).ravel().astype(float) for each in measured])
-    return Problem(robot, measured, sigma, weight, LowRank(_late(measured) / sigma * weight), settings=settings)
+def unexplained(
+    robot: Robot,
+    measured: tuple[Measured, ...],
+    sigma: float,
+    settings: Settings = DEFAULT,
+    others: Sequence[float] = (),
+) -> Problem:
+    """Recordings of which nothing is explained yet, without discretisation error.
+
+    Args:
+        sigma: noise of the first signal [its unit]. others: that of the robot's other signals; 1 by default.
+    """
+    weight = np.concatenate([np.isfinite(each.columns).ravel().astype(float) for each in measured])
+    sigmas = tuple((each, 0.0) for each in (others or [1.0] * len(robot.others)))
+    nothing = LowRank(np.zeros((0, weight.size)))
+    problem = Problem(robot, measured, sigma, weight, nothing, settings=settings, others=sigmas)
+    late = _late(measured)
+    return problem.with_discretisation(late * problem.of_samples(problem.scales) if sigmas else late)
 
 
 def _late(measured: tuple[Measured, ...]) -> np.ndarray:
-    """(F, M) how the signals [their unit] change with each possible error of their time stamps."""
-    size = sum(each.values.size for each in measured)
+    """(F, M) how the signals [their units] change with each possible error of their time stamps."""
+    size = sum(each.columns.size for each in measured)
     rows, start = [np.zeros((0, size))], 0
     for each in measured:
         if each.late is not None:
             found = np.zeros((len(each.late), size))
-            found[:, start : start + each.values.size] = (each.late[:, :, None, None] * _rate(each)).reshape(
-                len(each.late), -1
-            )
+            found[:, start : start + each.columns.size] = (each.late * _rate(each)).reshape(len(each.late), -1)
             rows.append(found)
-        start += each.values.size
+        start += each.columns.size
     return np.concatenate(rows)
 
 
 def _rate(measured: Measured) -> np.ndarray:
-    """(T, P, D) rate of change of the signal, across missing samples too."""
-    columns = measured.values.reshape(len(measured.values), -1).copy()
+    """(T, C) rates of change of the signals, across missing samples too."""
+    columns = measured.columns
     for column in columns.T:
         seen = np.isfinite(column)
         if seen.any():
             column[:] = np.gradient(np.interp(measured.time, measured.time[seen], column[seen]), measured.time)
-    return np.nan_to_num(columns).reshape(measured.values.shape)
+    return np.nan_to_num(columns)
 
 
 def tried_on(
@@ -277,7 +278,8 @@ def tried_on(
     if not measured:
         return None
     problem = found.problem
-    tested = replace(unexplained(problem.robot, measured, problem.sigma, problem.settings), noise=problem.noise)
+    tested = unexplained(problem.robot, measured, problem.sigma, problem.settings, problem.sigmas[1:])
+    tested = replace(tested, noise=problem.noise, others=problem.others)
     tested = _masked(tested, _outliers(tested, tested.residuals([(found.nominal.x, ())])[0]))
     points = [(h.x, h.terms) for h in hypotheses]
     discretisation, residuals = discretisation_and_residuals(tested, refined, points, points)
@@ -287,13 +289,16 @@ def tried_on(
 def _outliers(problem: Problem, residual: np.ndarray, spoilt: bool = False) -> np.ndarray:
     """(M,) whether a sample belongs to a point that is alone and far off; one of two, where others were ``spoilt``."""
     left = np.where(problem.weight > 0, problem.discretisation.without(residual), np.nan)
-    found, settings = [], problem.settings
-    for part in problem.split(left):
-        far = outliers(part, settings.data_quality)
-        if spoilt:
-            far |= np.stack([spikes(part[:, p], 1.0, settings.signals) for p in range(part.shape[1])], axis=1)
-        found.append(np.repeat(far.ravel(), part.shape[2]))
-    return np.concatenate(found)
+    found: list[list[np.ndarray]] = []
+    settings = problem.settings
+    for which in range(len(problem.robot.signals)):
+        found.append([])
+        for part in problem.split(left, which):
+            far = outliers(part, settings.data_quality)
+            if spoilt:
+                far |= np.stack([spikes(part[:, p], 1.0, settings.signals) for p in range(part.shape[1])], axis=1)
+            found[-1].append(np.repeat(far[:, :, None], part.shape[2], axis=2))
+    return problem.joined(found)
 
 
 def _fitted_again(
@@ -302,7 +307,7 @@ def _fitted_again(
     untouched: Problem,
     refined: Sequence[Robot],
     found: Outliers,
-    least: float,
+    least: Sequence[float],
     spoilt: bool,
     seed: int,
     progress: Callable[[str], None],
@@ -314,7 +319,7 @@ def _fitted_again(
     Args:
         untouched: the problem before any fit.
         found: outliers so far.
-        least: noise [signal's unit].
+        least: noise of each signal [its unit].
         spoilt: whether samples were left out before any fit.
     """
     settings = problem.settings.data_quality
@@ -323,16 +328,16 @@ def _fitted_again(
         quiet = problem, nominal
         if not problem.misfit_dominated:
             quiet = _with_noise(problem, nominal, least, spoilt)
-        noisier = spoilt and quiet[0].sigma < settings.refit_noise * untouched.sigma
+        sigmas = zip(quiet[0].sigmas, untouched.sigmas, strict=True)
+        noisier = spoilt and any(now < settings.refit_noise * before for now, before in sigmas)
         if again == settings.refits or not (far.any() or noisier):
             break
         if far.any():
             found = found.with_more(problem, nominal, far, untouched.weight)
             untouched = _masked(untouched, far)
         if noisier:
-            ratio = untouched.sigma / quiet[0].sigma
-            basis = LowRank(untouched.discretisation.basis * ratio)
-            untouched = replace(untouched, sigma=quiet[0].sigma, discretisation=basis)
+            basis = LowRank(untouched.discretisation.basis * untouched.factor_to(quiet[0]))
+            untouched = replace(untouched, sigma=quiet[0].sigma, others=quiet[0].others, discretisation=basis)
         problem, nominal = nominal_fit(untouched, refined, seed, progress)
     if far.any():  # of the last fit
         found, problem = found.with_more(problem, nominal, far, untouched.weight), _masked(problem, far)
@@ -347,38 +352,40 @@ def _of_samples(found: Sequence[Inspected], problem: Problem) -> Outliers:
     if not count:
         return Outliers(0.0, 0.0)
     square = sum(each.spikes * each.size**2 for each in found) / count
-    points = float(problem.weight.sum()) / problem.robot.shape[1]
+    points = sum(float(part.sum()) for part in problem.split(problem.weight)) / problem.robot.shape[1]
     return Outliers(count / (points + count), float(np.sqrt(square)))
 
 
-def _quality(measured: Measured, found: Inspected, settings: Settings) -> DataQuality:
-    """Noise and gaps of what is left of a recording."""
-    if not found.findings:
-        return data_quality(measured, settings.data_quality)
-    quality = data_quality(replace(measured, values=compressed(measured.values)), settings.data_quality)
-    least = max(quality.least, found.step / math.sqrt(12))
-    return DataQuality(max(quality.sigma, least), least, float(np.isnan(measured.values).mean()))
-
-
 def _findings(found: Sequence[Inspected]) -> tuple[DataFinding, ...]:
-    return tuple(finding for each in found for finding in each.findings)
+    return tuple(finding for each in found for finding in each.all_findings)
 
 
 def _masked(problem: Problem, far: np.ndarray) -> Problem:
     return replace(problem, weight=problem.weight * ~far, discretisation=LowRank(problem.discretisation.basis * ~far))
 
 
-def _with_noise(problem: Problem, nominal: Hypothesis, least: float, spoilt: bool) -> tuple[Problem, Hypothesis]:
+def _with_noise(
+    problem: Problem, nominal: Hypothesis, least: Sequence[float], spoilt: bool
+) -> tuple[Problem, Hypothesis]:
     """The same with the noise of what the nominal fit leaves: little of the motion is in it, so it shows better.
 
     Args:
-        least: noise [signal's unit]. spoilt: whether samples were left out, so that few windows are complete.
+        least: noise of each signal [its unit]. spoilt: whether samples were left out, so that few windows are complete.
     """
-    left = problem.split(np.where(problem.weight > 0, problem.discretisation.without(nominal.residual), np.nan))
-    left = [compressed(part) for part in left] if spoilt else left
-    found = max(noise(part.reshape(len(part), -1), problem.settings.data_quality) for part in left)
-    factor = 1.0 / min(1.0, max(least / problem.sigma, found))
+    rest = np.where(problem.weight > 0, problem.discretisation.without(nominal.residual), np.nan)
+    factors = []
+    for which, (sigma, low) in enumerate(zip(problem.sigmas, least, strict=True)):
+        left = problem.split(rest, which)
+        left = [part for part in left if not which or np.isfinite(part).any()]  # recordings may lack other signals
+        left = [compressed(part) for part in left] if spoilt else left
+        found = max(noise(part.reshape(len(part), -1), problem.settings.data_quality) for part in left)
+        factors.append(1.0 / min(1.0, max(low / sigma, found)))
+    sigma, *others = (sigma / factor for sigma, factor in zip(problem.sigmas, factors, strict=True))
+    factor = problem.of_samples(problem.of_columns(factors)) if others else factors[0]
     problem = replace(
-        problem, sigma=problem.sigma / factor, discretisation=LowRank(problem.discretisation.basis * factor)
+        problem,
+        sigma=sigma,
+        others=tuple((each, 0.0) for each in others),
+        discretisation=LowRank(problem.discretisation.basis * factor),
     )
     return problem, nominal.scaled(problem, factor)

@@ -146,6 +146,7 @@ class PriorSettings:
     limit: float = setting(4.0, "prior deviations", "farthest that a parameter or a law's shape may be from its prior")
     same_robot: float = setting(0.1, "prior deviations", "drift of a parameter since the baseline diagnosis")
     magnitude_deviation: float = setting(5.0, "typical magnitudes", "of an effect; wide, as any may be there")
+    offset_share: float = setting(0.02, "1", "share of the range of a signal beside the first: a typical offset of it")
     shape_deviation: float = setting(0.7, "1", "of the logarithm of a time, rate or exponent of a law: a factor of 2")
 
 

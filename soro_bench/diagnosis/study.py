@@ -200,7 +200,8 @@ def errors_of(robot: Robot, measured: dict[str, tuple[Measured, ...]], hypothesi
     for key, some in measured.items():
         problem = unexplained(robot, some, 1.0)
         residual = problem.residuals([(hypothesis.x, hypothesis.terms)])[0]
-        found[key] = errors(residual.reshape(-1, *robot.shape), problem.weight.reshape(-1, *robot.shape) > 0)
+        values, seen = (np.concatenate(problem.split(each)) for each in (residual, problem.weight))
+        found[key] = errors(values, seen > 0)
     return found
 
 

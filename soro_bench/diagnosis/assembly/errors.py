@@ -78,12 +78,19 @@ def rms_as_it_is(robot: Robot, problems: Sequence[Problem]) -> list[float]:
     return [plain_rms(problem, plain(problem, robot).simulated(robot, points)[0]) for problem in problems]
 
 
-def plain_rms(problem: Problem, simulated: Floats) -> float:
-    """Root mean square [signal's unit] of measured less simulated (M,), as any replay shows it; infinite where the
-    simulation diverges."""
-    measured = np.concatenate([each.values.ravel() for each in problem.recordings])
-    seen = problem.weight > 0
-    off = measured[seen] - simulated[seen]
+def plain_rms(problem: Problem, simulated: Floats, which: int = 0) -> float:
+    """Root mean square of measured less simulated (M,) of one signal [its unit], as any replay shows it.
+
+    It is infinite where the simulation diverges, and NaN where the recordings lack the signal.
+
+    Args:
+        which: the number of the signal.
+    """
+    columns = (problem.measured, simulated, problem.weight)
+    measured, values, weight = (np.concatenate([part.ravel() for part in problem.split(c, which)]) for c in columns)
+    off = (measured[weight > 0] - values[weight > 0]) * (problem.sigmas[which] / problem.sigma)
+    if not off.size:
+        return math.nan
     return float(np.sqrt(np.mean(off**2))) if np.isfinite(off).all() else math.inf
 
 

@@ -180,7 +180,7 @@ def _replayed(
     """(N, M) in units of the noise; ``before_step`` gives what to call before the steps of every recording."""
     parameters = np.tile(list(problem.robot.parameters(hypothesis.x).values()), (len(effects), 1))
     parts = [
-        problem.robot.simulate_all([each.drive], parameters, effects, before_step(k))[0].reshape(len(effects), -1)
+        problem.robot.simulate_all([each.drive], parameters, effects, before_step(k))[0]
         for k, each in enumerate(problem.recordings)
     ]
-    return np.concatenate(parts, axis=1) / problem.sigma * problem.weight
+    return problem.scaled(parts) / problem.sigma * problem.weight

@@ -13,7 +13,7 @@ from soro_bench.diagnosis.data_quality.samples import Channel
 from soro_bench.diagnosis.data_quality.stamps import Stamps, interpolated, stamps
 from soro_bench.diagnosis.data_quality.texts import text
 from soro_bench.diagnosis.result_parts import DataFinding
-from soro_bench.diagnosis.robots.measured import Measured
+from soro_bench.diagnosis.robots.measured import Measured, ObservedSignal
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import DEFAULT, DataQualitySettings, Settings, SignalSettings
 from soro_bench.recording.recording import Recording, RecordingError, Signal
@@ -28,6 +28,7 @@ class Inspected:
     findings: what was found. step: largest one between levels, 0 if the signal is not quantised. quantised: (C,)
     channels. error, rate: standard deviations of a constant error [s] of time stamps, and of the rate of their clock.
     spikes: points left out; size: their rms distance of a coordinate [unit].
+    others: the same of the robot's other signals, in its order.
     """
 
     recording: Recording
@@ -38,46 +39,84 @@ class Inspected:
     rate: float = 0.0
     spikes: int = 0
     size: float = 0.0
+    others: "tuple[Inspected, ...]" = ()
+
+    @property
+    def all_findings(self) -> tuple[DataFinding, ...]:
+        """Of all signals."""
+        return (*self.findings, *(finding for each in self.others for finding in each.findings))
 
     def applied(self, measured: Measured) -> Measured:
         """What is measured of the recording, with the possible errors of its time stamps, and without samples that
         only repeat a level."""
-        if self.error or self.rate:
-            about = measured.time - measured.time.mean()
-            measured = replace(measured, late=np.stack([np.full(len(about), self.error), self.rate * about]))
+        each, count = (self, *self.others), measured.columns.shape[1]
+        signals = (measured.values, *measured.others)
+        values = tuple(found._without_repeats(part) for found, part in zip(each, signals, strict=True))
+        late, first = [], 0
+        for found, part in zip(each, values, strict=True):
+            if found.error or found.rate:
+                about = measured.time - measured.time.mean()
+                rows = np.zeros((2, len(about), count))
+                own = np.stack([np.full(len(about), found.error), found.rate * about])
+                rows[:, :, first : first + part[0].size] = own[:, :, None]
+                late.append(rows)
+            first += part[0].size
+        errors = np.concatenate(late) if late else measured.late
+        return replace(measured, values=values[0], others=values[1:], late=errors)
+
+    def _without_repeats(self, values: Floats) -> Floats:
+        """(T, P, D) samples of the signal without those that only repeat a level."""
         if not any(self.quantised):
-            return measured
-        columns = measured.values.reshape(len(measured.values), -1).copy()
+            return values
+        columns = values.reshape(len(values), -1).copy()
         for i in np.flatnonzero(self.quantised):
             columns[samples.repeats(columns[:, i]), i] = np.nan
-        return replace(measured, values=columns.reshape(measured.values.shape))
+        return columns.reshape(values.shape)
 
 
 def inspected(recording: Recording, number: int, robot: Robot, settings: Settings = DEFAULT) -> Inspected:
-    """A recording whose signal is freed of what its sensor and logger did to it.
+    """A recording whose signals are freed of what their sensors and loggers did to them.
 
     Args:
         number: index of the recording in the result.
-        robot: whose signal it has; a recording without that signal is left to :meth:`Robot.measured`.
+        robot: whose signals it has; a recording without one of them is left to :meth:`Robot.measured`.
 
     Raises:
-        RecordingError: nothing of the signal is left.
+        RecordingError: nothing of a signal is left.
     """
-    signal = recording.signals.get(robot.signal)
-    points, coordinates = robot.shape
-    if signal is None or signal.unit != robot.unit or signal.values[0].size != points * coordinates:
+    found: list[Inspected] = []
+    for each in robot.signals:
+        found.append(_of_signal(found[-1].recording if found else recording, number, robot, each, settings))
+    return replace(found[0], recording=found[-1].recording, others=tuple(found[1:]))
+
+
+def _of_signal(
+    recording: Recording, number: int, robot: Robot, observed: ObservedSignal, settings: Settings
+) -> Inspected:
+    """A recording of which one signal is inspected."""
+    signal = recording.signals.get(observed.name)
+    if signal is None or signal.unit != observed.unit or signal.values[0].size != observed.size:
         return Inspected(recording)
-    return _Inspection(recording, number, robot, settings, signal).result()
+    return _Inspection(recording, number, robot, observed, settings, signal).result()
 
 
 class _Inspection:
     """One signal on its way through all checks; ``values`` (T, C) lose what is spoilt."""
 
-    def __init__(self, recording: Recording, number: int, robot: Robot, settings: Settings, signal: Signal):
+    def __init__(
+        self,
+        recording: Recording,
+        number: int,
+        robot: Robot,
+        observed: ObservedSignal,
+        settings: Settings,
+        signal: Signal,
+    ):
         self.recording, self.number, self.robot, self.signal = recording, number, robot, signal
+        self.observed = observed
         self.settings, self.quality = settings.signals, settings.data_quality
         self.values = signal.values.reshape(len(signal.time), -1).copy()
-        self.points, self.coordinates = robot.shape
+        self.points, self.coordinates = observed.shape
         self.findings: list[DataFinding] = []
         self.spikes, self.size = 0, 0.0
 
@@ -114,7 +153,7 @@ class _Inspection:
         self._usable()
         largest = float(np.nanmax(np.abs(self.values)))
         if largest > self.settings.largest_number:
-            raise RecordingError(f"{self.robot.signal} has a number of the size {largest:.3g}; at most "
+            raise RecordingError(f"{self.observed.name} has a number of the size {largest:.3g}; at most "
                                  f"{self.settings.largest_number:g} is allowed, so the log is corrupt")  # fmt: skip
 
     def _usable(self) -> Bools:
@@ -126,14 +165,14 @@ class _Inspection:
         rows = np.isfinite(self.values).any(axis=1)
         if (count := int(rows.sum())) < (least := self.settings.least_samples):
             why = "".join(f"; {each.text}" for each in self.findings)
-            raise RecordingError(f"{self.robot.signal} has {count} usable samples; {least} are needed{why}")
+            raise RecordingError(f"{self.observed.name} has {count} usable samples; {least} are needed{why}")
         return rows
 
     def _note(self, name: str, count: int, lost: int = 0, **values: float) -> None:
         """Tell that ``count`` numbers of the signal are concerned, of which ``lost`` are not in the log."""
         share = min(count / (self.values.size + lost), 1.0)
-        said = text(name, self.robot.signal, self.robot.unit, share, values)
-        self.findings.append(DataFinding(name, self.robot.signal, self.number, int(count), float(share), said))
+        said = text(name, self.observed.name, self.observed.unit, share, values)
+        self.findings.append(DataFinding(name, self.observed.name, self.number, int(count), float(share), said))
 
     def _noise(self) -> float:
         """Standard deviation of the noise of samples that do not repeat the ones before."""
@@ -150,7 +189,7 @@ class _Inspection:
 
     def _unwrap(self) -> bool:
         """Take out the wraps of angles."""
-        if self.robot.unit != "rad" or self.coordinates != 1:
+        if self.observed.unit != "rad" or self.coordinates != 1:
             return False
         count, turn = 0, 0.0
         for i in range(self.values.shape[1]):
@@ -274,13 +313,13 @@ class _Inspection:
         wanted = np.asarray(begin + step * np.arange(1, count + 1), float)
         columns = [interpolated(time, column, wanted, step, self.noise, self.settings) for column in values.T]
         wanted = np.concatenate([[min(time[0], begin)], wanted])
-        return replace(recording, signals={**recording.signals, self.robot.signal: self._signal(
+        return replace(recording, signals={**recording.signals, self.observed.name: self._signal(
             wanted, np.vstack([values[:1], np.stack(columns, axis=1)]))})  # fmt: skip
 
     def _with(self, time: Floats, values: Floats) -> Recording:
         """The recording with other samples (T, C)."""
         return replace(
-            self.recording, signals={**self.recording.signals, self.robot.signal: self._signal(time, values)}
+            self.recording, signals={**self.recording.signals, self.observed.name: self._signal(time, values)}
         )
 
     def _signal(self, time: Floats, values: Floats) -> Signal:

@@ -64,8 +64,8 @@ class Hypothesis:
 def allowing(problem: Problem, best: Hypothesis, others: Sequence[Hypothesis]) -> tuple[Problem, list[Hypothesis]]:
     """The problem with the best hypothesis's misfit as noise, if it dominates (``Problem.allowing``), and ``others`` of
     that problem."""
-    same = problem.allowing(problem.left(best.residual))
-    return same, [each.scaled(same, problem.sigma / same.sigma) for each in others]
+    same = problem.allowing(*problem.left_of_each(best.residual))
+    return same, [each.scaled(same, problem.factor_to(same)) for each in others]
 
 
 @dataclass(frozen=True)

@@ -23,9 +23,14 @@ class SimulationError(ValueError):
 class Problem:
     """Recordings to explain together, M samples in all.
 
+    Samples are in the order of time, and of every time the C numbers of all signals. Those of other signals than the
+    first are scaled so that their noise is that of the first one: all samples are in the unit of the first signal, and
+    the algebra of fits knows one ``sigma``.
+
     robot: whose replays explain them. sigma: standard deviation of their noise [signal's unit]. weight: (M,) 0 for
     missing samples and outliers, else 1. discretisation: errors of the simulation in units of sigma. noise: of the
     sensor, where the misfit dominates and ``sigma`` is larger (``allowing``); else 0. settings: of the diagnosis.
+    others: of each other signal what ``sigma`` is of the first, and what ``noise`` is [its unit].
     """
 
     robot: Robot
@@ -35,11 +40,35 @@ class Problem:
     discretisation: LowRank
     noise: float = 0.0
     settings: Settings = DEFAULT
+    others: tuple[tuple[float, float], ...] = ()
 
     @property
     def sensor(self) -> float:
         """Standard deviation of the sensor's noise [signal's unit]."""
         return self.noise or self.sigma
+
+    @property
+    def sigmas(self) -> tuple[float, ...]:
+        """Of each signal, what counts as its noise [its unit]."""
+        return self.sigma, *(sigma for sigma, _ in self.others)
+
+    @property
+    def sensors(self) -> tuple[float, ...]:
+        """Standard deviation of the noise of each signal's sensor [its unit]."""
+        return self.sensor, *(noise or sigma for sigma, noise in self.others)
+
+    @property
+    def scales(self) -> Floats:
+        """(C,) by which samples are scaled: units of the first signal for one of their own."""
+        return self.of_columns([self.sigma / sigma for sigma in self.sigmas])
+
+    def of_columns(self, values: Sequence[float]) -> Floats:
+        """(C,) one value of each signal, for each of its numbers."""
+        return np.repeat(np.asarray(values, float), [each.size for each in self.robot.signals])
+
+    def of_samples(self, columns: Floats) -> Floats:
+        """(M,) values (C,) of the numbers of a sample, for all samples."""
+        return np.tile(columns, self.weight.size // len(columns))
 
     @property
     def misfit_dominated(self) -> bool:
@@ -57,14 +86,23 @@ class Problem:
         return np.concatenate([each.actions for each in self.recordings])
 
     def simulated(self, robot: Robot, points: Points) -> Floats:
-        """(N, M) samples [signal's unit] of replays by a robot at N points."""
+        """(N, M) samples [first signal's unit] of replays by a robot at N points."""
         d = self.parameters
         values = np.array([x[:d] for x, _ in points])
         columns = [prior.value(values[:, i]) for i, prior in enumerate(self.robot.priors)]
         parameters = np.stack(columns, axis=1) if columns else values  # all may be known
         effects = [effects_at(x[d:], terms) for x, terms in points]
-        parts = robot.simulate_all([each.drive for each in self.recordings], parameters, effects)
-        return np.concatenate([part.reshape(len(points), -1) for part in parts], axis=1)
+        return self.scaled(robot.simulate_all([each.drive for each in self.recordings], parameters, effects))
+
+    def scaled(self, parts: Sequence[Floats]) -> Floats:
+        """(N, M) samples [first signal's unit] of replays (N, T, C) of each recording [unit of every signal]."""
+        scales = self.scales if self.others else 1.0
+        return np.concatenate([(part * scales).reshape(len(part), -1) for part in parts], axis=1)
+
+    @property
+    def measured(self) -> Floats:
+        """(M,) what was measured [first signal's unit]; NaN where nothing was."""
+        return self.scaled([each.columns[None] for each in self.recordings])[0]
 
     def check_finite(self, robot: Robot, simulated: Floats) -> None:
         """Refuse replays (N, M) by a robot that all diverge: their residuals would be taken for physics.
@@ -75,19 +113,35 @@ class Problem:
         finite = np.isfinite(simulated)
         if finite.all(axis=1).any():
             return
-        parts = self.split(finite[finite.sum(axis=1).argmax()])
+        parts = self.rows(finite[finite.sum(axis=1).argmax()])
         for number, (each, part) in enumerate(zip(self.recordings, parts, strict=True), 1):
-            if not (good := part.all(axis=(1, 2))).all():
+            if not (good := part.all(axis=1)).all():
                 raise SimulationError(
                     f"the simulation by {robot.model_name} diverges {each.time[good.argmin()]:.3g} s "
                     f"into recording {number}; a shorter time step may help"
                 )
 
-    def split(self, samples: np.ndarray) -> list[np.ndarray]:
-        """(M,) samples as (T, P, D) of every recording."""
-        ends = np.cumsum([each.values.size for each in self.recordings])[:-1]
-        parts = zip(np.split(samples, ends), self.recordings, strict=True)
-        return [part.reshape(each.values.shape) for part, each in parts]
+    def rows(self, samples: np.ndarray) -> list[np.ndarray]:
+        """(M,) samples as (T, C) of every recording, the numbers of all signals."""
+        count = self.robot.columns
+        ends = np.cumsum([len(each.values) * count for each in self.recordings])[:-1]
+        return [part.reshape(-1, count) for part in np.split(samples, ends)]
+
+    def split(self, samples: np.ndarray, which: int = 0) -> list[np.ndarray]:
+        """(M,) samples of one signal, as (T, P, D) of every recording [first signal's unit].
+
+        Args:
+            which: the number of the signal.
+        """
+        signals = self.robot.signals
+        first, signal = sum(each.size for each in signals[:which]), signals[which]
+        columns = slice(first, first + signal.size)
+        return [row[:, columns].reshape(len(row), *signal.shape) for row in self.rows(samples)]
+
+    def joined(self, parts: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
+        """(M,) samples, of those of each signal and recording (T, P, D): what ``split`` takes apart."""
+        rows = [[part.reshape(len(part), -1) for part in signal] for signal in parts]
+        return np.concatenate([np.concatenate(each, axis=1).ravel() for each in zip(*rows, strict=True)])
 
     def residuals(self, points: Points) -> Floats:
         """(N, M) measured less simulated at N points, in units of sigma."""
@@ -95,8 +149,7 @@ class Problem:
 
     def residuals_of(self, simulated: Floats) -> Floats:
         """(N, M) measured less simulated (N, M) [signal's unit], in units of sigma."""
-        measured = np.concatenate([each.values.ravel() for each in self.recordings])
-        residual = (np.nan_to_num(measured) - simulated) / self.sigma
+        residual = (np.nan_to_num(self.measured) - simulated) / self.sigma
         diverged = self.settings.likelihood.diverged
         return np.nan_to_num(residual, nan=diverged, posinf=diverged, neginf=-diverged) * self.weight
 
@@ -117,20 +170,50 @@ class Problem:
         return 0.5 * (squares - float(self.weight.sum()))
 
     def left(self, residual: Floats) -> float:
-        """Standard deviation [signal's unit] of a residual (M,) without its discretisation error."""
+        """Standard deviation [first signal's unit] of a residual (M,) without its discretisation error."""
         return self.sigma * float(np.sqrt((self.discretisation.without(residual) ** 2).sum() / self.weight.sum()))
 
-    def allowing(self, left: float) -> "Problem":
-        """The same problem for a simulation whose misfit is ``left`` [signal's unit].
+    def left_of_each(self, residual: Floats) -> list[float]:
+        """The same of every signal [its unit]; 0 where it has no sample."""
+        if not self.others:
+            return [self.left(residual)]
+        left, found = self.discretisation.without(residual), []
+        for which, sigma in enumerate(self.sigmas):
+            squares = sum(float((part**2).sum()) for part in self.split(left, which))
+            weight = sum(float(part.sum()) for part in self.split(self.weight, which))
+            found.append(sigma * float(np.sqrt(squares / max(weight, 1.0))))
+        return found
+
+    def allowing(self, *left: float) -> "Problem":
+        """The same problem for a simulation whose misfit is ``left`` [each signal's unit].
 
         If that is many times the sensor's noise, it becomes the noise. No law is right to a thousandth of a real
         robot's motion. With the sensor's noise alone the priors would not count, and small discretisation errors, a
         hundred times enlarged, would explain what physics has to; errors that are far smaller are dropped.
+        Of several signals each has its own misfit: one that a model hardly explains does not silence the others.
         """
-        misfit_dominated = left > self.settings.likelihood.misfit_dominated * self.sensor
-        sigma = left if misfit_dominated else self.sensor
-        same = replace(self, sigma=sigma, noise=self.sensor if misfit_dominated else 0.0)
-        return same._with_basis(self.discretisation.basis * (self.sigma / sigma))
+        limit = self.settings.likelihood.misfit_dominated
+        dominated = [each > limit * sensor for each, sensor in zip(left, self.sensors, strict=True)]
+        noises = self.sensors if any(dominated) else (0.0,) * len(dominated)
+        columns = zip(left, self.sensors, dominated, strict=True)
+        sigmas = [each if large else sensor for each, sensor, large in columns]
+        same = replace(self, sigma=sigmas[0], noise=noises[0], others=tuple(zip(sigmas[1:], noises[1:], strict=True)))
+        return same._with_basis(self.discretisation.basis * self.factor_to(same))
+
+    def factor_to(self, other: "Problem") -> float | Floats:
+        """By which residuals become those of the same problem with other noise: one factor, or (M,)."""
+        if not self.others:
+            return self.sigma / other.sigma
+        ratios = [one / another for one, another in zip(self.sigmas, other.sigmas, strict=True)]
+        return self.of_samples(self.of_columns(ratios))
+
+    def larger_than_sensor(self, residual: Floats) -> float:
+        """By how much squares of a residual (M,) are larger in units of the sensors' noise than in those of sigma."""
+        ratios = [(sigma / sensor) ** 2 for sigma, sensor in zip(self.sigmas, self.sensors, strict=True)]
+        if len(ratios) == 1:
+            return ratios[0]
+        squares = self.discretisation.without(residual) ** 2
+        return float((squares * self.of_samples(self.of_columns(ratios))).sum() / max(squares.sum(), 1e-300))
 
     def cost(self, residual: Floats, x: Floats) -> float:
         """Minus the log posterior of unknowns x (n,) with residual (M,), up to a constant."""

@@ -1,9 +1,12 @@
 """Unit check: whether a signal is in the unit that its recording names. A wrong unit would be taken for physics."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.robots.measured import ObservedSignal
 from soro_bench.recording.recording import RecordingError
 
 _WRONG_UNITS = (180 / np.pi, 100.0, 1000.0)  # degrees for rad, cm for m, mm for m
@@ -15,9 +18,15 @@ def check_unit_and_sign(problem: Problem) -> None:
     Raises:
         RecordingError: it does.
     """
+    simulated = problem.simulated(problem.robot, [(np.zeros(problem.parameters), ())])[0]
+    for which, signal in enumerate(problem.robot.signals):
+        parts = zip(problem.split(problem.measured, which), problem.split(simulated, which), strict=True)
+        _check(problem, signal, [_motions(*pair) for pair in parts])
+
+
+def _check(problem: Problem, signal: ObservedSignal, pairs: Sequence[tuple[Floats, Floats]]) -> None:
+    """Refuse a signal by its measured and simulated motions in every recording, each in a row."""
     settings = problem.settings.unit_check
-    parts = problem.split(problem.simulated(problem.robot, [(np.zeros(problem.parameters), ())])[0])
-    pairs = [_motions(each.values, part) for each, part in zip(problem.recordings, parts, strict=True)]
     measured, simulated = (np.concatenate(one) for one in zip(*pairs, strict=True))
     product, squares = float(measured @ simulated), float(simulated @ simulated)
     if not abs(product) > settings.correlation * np.sqrt(squares * float(measured @ measured)) > 0:
@@ -25,10 +34,9 @@ def check_unit_and_sign(problem: Problem) -> None:
     factor = product / squares
     for scale in (-1.0, *_WRONG_UNITS, *(1.0 / scale for scale in _WRONG_UNITS)):
         if abs(factor / scale - 1.0) < settings.tolerance:
-            each = problem.recordings[0]
             raise RecordingError(
-                f"{each.signal} moves {factor:.3g} times as far in the recordings as in the model; is "
-                f"it in {each.unit}, and the model the right way round?"
+                f"{signal.name} moves {factor:.3g} times as far in the recordings as in the model; is "
+                f"it in {signal.unit}, and the model the right way round?"
             )
 
 

@@ -30,7 +30,7 @@ class Nodes:
     def __init__(self, problem: Problem, fewest: int = 1):
         timestep, settings = problem.robot.control_timestep, problem.settings.localisation
         self._steps = [len(recording.values) for recording in problem.recordings]
-        self._sample = int(np.prod(problem.robot.shape))
+        self._sample = problem.robot.columns
         self.every = max(1, round(settings.node_spacing / timestep), fewest)
         self._apart = max(2, math.ceil(settings.memory / (self.every * timestep)))  # nodes between pulses of a replay
         self.counts = [(steps - 1) // self.every + 2 for steps in self._steps]

@@ -60,8 +60,8 @@ def left_over(problem: Problem, residual: np.ndarray) -> np.ndarray:
 
 def explained_over_time(problem: Problem, before: Hypothesis, after: Hypothesis) -> np.ndarray:
     """(T,) log evidence [nats] that ``after`` gains over ``before`` in each sample of the first recording."""
-    squares = [problem.split(problem.discretisation.without(h.residual))[0] ** 2 for h in (before, after)]
-    return 0.5 * (squares[0] - squares[1]).reshape(len(squares[0]), -1).sum(axis=1)
+    squares = [problem.rows(problem.discretisation.without(h.residual))[0] ** 2 for h in (before, after)]
+    return 0.5 * (squares[0] - squares[1]).sum(axis=1)
 
 
 def intervals(
@@ -128,6 +128,6 @@ def windows(problem: Problem, length: float) -> np.ndarray:
     recording."""
     return np.concatenate([
         # a sample at the end of a window belongs to it, as its control step does
-        np.repeat(((each.time - 1e-9) // length).astype(int), each.values[0].size) + WINDOWS * i
+        np.repeat(((each.time - 1e-9) // length).astype(int), problem.robot.columns) + WINDOWS * i
         for i, each in enumerate(problem.recordings)
     ])

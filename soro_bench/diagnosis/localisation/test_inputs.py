@@ -113,7 +113,7 @@ def _couple(robot: Robot, far: int, flex: int, axis: int, size: float) -> Act:
 class Offset:
     """A setpoint, or one coordinate of a measured point, that is off by ``amount`` [unit].
 
-    column: of the points' coordinates, of a measured point.
+    column: of the numbers of a sample, of a measured point.
     """
 
     location: Location
@@ -169,10 +169,10 @@ class Source:
 
     def rows(self, problem: Problem) -> np.ndarray:
         """(K, M) change of the residual by each offset of a measured point."""
-        rows = np.zeros((len(self.unit_inputs), int(np.prod(problem.robot.shape))))
+        rows, sigmas = np.zeros((len(self.unit_inputs), problem.robot.columns)), problem.of_columns(problem.sigmas)
         for row, offset in zip(rows, self.unit_inputs, strict=True):
             if isinstance(offset, Offset):
-                row[offset.column] = -offset.amount / problem.sigma
+                row[offset.column] = -offset.amount / sigmas[offset.column]
         return np.tile(rows, sum(len(recording.values) for recording in problem.recordings)) * problem.weight
 
 
@@ -241,13 +241,16 @@ def _on_setpoints(problem: Problem, robot: Robot, base: Hypothesis) -> Iterator[
 
 def _on_sensor(problem: Problem) -> Iterator[tuple[Offset, ...]]:
     """Offsets of every measured point."""
-    robot = problem.robot
-    points, dimension = robot.shape
-    names = AXES if dimension == len(AXES) else [str(k) for k in range(dimension)]
-    size = problem.settings.localisation.sensor_offset * problem.sigma
-    for i in range(points):
-        location = Location("sensor", robot.signal, i)
-        yield tuple(Offset(location, name, robot.unit, size, i * dimension + k) for k, name in enumerate(names))
+    first = 0
+    for signal, sigma in zip(problem.robot.signals, problem.sigmas, strict=True):
+        points, dimension = signal.shape
+        names = AXES if dimension == len(AXES) else [str(k) for k in range(dimension)]
+        size = problem.settings.localisation.sensor_offset * sigma
+        # the axes of a frame are not offset alone
+        for i in range(0 if signal.directions and signal in problem.robot.others else points):
+            location, start = Location("sensor", signal.name, i), first + i * dimension
+            yield tuple(Offset(location, name, signal.unit, size, start + k) for k, name in enumerate(names))
+        first += signal.size
 
 
 # parameters (d,), the test input, and (T, K) factors in every control step of each recording
@@ -275,7 +278,7 @@ def replayed(problem: Problem, robot: Robot, base: Hypothesis, acting: Sequence[
         for k, recording in enumerate(problem.recordings):
             inputs = [(acts[i] or [], acting[i][2][k]) for i in batch]
             parts.append(_simulated(robot, recording.drive, parameters[batch], given, inputs))
-        signals[batch] = np.concatenate(parts, axis=1)
+        signals[batch] = problem.scaled(parts)
     return signals
 
 
@@ -293,7 +296,7 @@ def _simulated(
     effects: Sequence[Sequence[Effect]],
     inputs: Sequence[tuple[list[Act], np.ndarray]],
 ) -> np.ndarray:
-    """(N, M) signal while acts with factors (T, K) are exerted in each of N simulations."""
+    """(N, T, C) signals while acts with factors (T, K) are exerted in each of N simulations."""
     batch = robot.simulation.batch
     before = np.zeros((len(inputs), *batch.xfrc_applied.shape[1:]))
 
@@ -308,7 +311,7 @@ def _simulated(
 
     simulated = robot.simulate_all([drive], parameters, effects, exert)[0]
     batch.xfrc_applied[:] = batch.qfrc_applied[:] = 0.0
-    return simulated.reshape(len(inputs), -1)
+    return simulated
 
 
 def setpoints(problem: Problem, robot: Robot, base: Hypothesis) -> list[np.ndarray]:

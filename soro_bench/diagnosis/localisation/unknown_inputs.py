@@ -197,7 +197,7 @@ class Search:
             simulated[replays] = replayed(problem, robot, self.base, [asked[i] for i in replays])
         for i, (_, source, factors) in enumerate(asked):
             if source.measured:
-                of_samples = np.repeat(np.concatenate(factors), int(np.prod(problem.robot.shape)), axis=0)
+                of_samples = np.repeat(np.concatenate(factors), problem.robot.columns, axis=0)
                 simulated[i] = self._without - problem.sigma * (of_samples * source.rows(problem).T).sum(axis=1)
         return simulated
 

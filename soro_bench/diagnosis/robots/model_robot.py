@@ -11,7 +11,7 @@ import numpy as np
 
 from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.diagnosis.robots.map_parameters import Entry, held, parameters_of, settings_of
-from soro_bench.diagnosis.robots.measured import Drive, Measured
+from soro_bench.diagnosis.robots.measured import Drive, Measured, ObservedSignal
 from soro_bench.diagnosis.robots.model_file import (
     Model,
     ModelError,
@@ -22,7 +22,7 @@ from soro_bench.diagnosis.robots.model_file import (
     source_files,
     title,
 )
-from soro_bench.diagnosis.robots.model_state import initial_state, signal_source, unused_keyframes
+from soro_bench.diagnosis.robots.model_state import initial_state, signal_sources, unused_keyframes
 from soro_bench.diagnosis.robots.priors import Baseline, Prior
 from soro_bench.diagnosis.robots.replays import SIMULATIONS
 from soro_bench.diagnosis.robots.robot import Robot
@@ -99,10 +99,11 @@ class ModelRobot(Robot):
                 "the mapping has no [commands.<name>], and the model has actuators; say what moves them, or give "
                 "constant controls in [fixed]"
             )
-        self._source = signal_source(compiled, table["signal"])
-        self.shape, self.signal = self._source.shape, table["signal"]["name"]
-        self.unit, self.frame = table["signal"]["unit"], table["signal"].get("frame", "")
-        self._initial = initial_state(compiled, table["initial"], self._source, self.signal)
+        (first, *others), self._signals = signal_sources(compiled, table["signal"], table["signals"])
+        self.signal, self.unit, self.frame, self.shape = first.name, first.unit, first.frame, first.shape
+        self.others = tuple(others)
+        self._stage = max(each.stage for each in self._signals.values())
+        self._initial = initial_state(compiled, table["initial"], self._signals[self.signal], self.signal)
         self._control = self._initial.control
         self._control[list(fixed)] = list(fixed.values())
         self._settings, scaled = settings_of(compiled, table["settings"])
@@ -119,29 +120,31 @@ class ModelRobot(Robot):
 
     def shortened(self, factor: int) -> Robot:
         """The same model with time steps shorter by a factor."""
-        return ModelRobot(*self._sources, self.threads, factor, self._baseline, self._known)
+        robot = ModelRobot(*self._sources, self.threads, factor, self._baseline, self._known)
+        return self._alike(robot)
 
     def knowing(self, known: Known) -> Robot:
         """The same robot with some parameters fixed."""
-        return ModelRobot(*self._sources, self.threads, self.shorter, self._baseline, known)
+        return self._alike(ModelRobot(*self._sources, self.threads, self.shorter, self._baseline, known))
 
     def as_built(self, xml: str | None = None) -> Robot:
         """The same robot by its model file or another one, without a baseline."""
         if xml is None:
-            return ModelRobot(*self._sources, self.threads)
+            return self._alike(ModelRobot(*self._sources, self.threads))
         folder = TemporaryDirectory()
         path = Path(folder.name) / f"{self.name}.xml"
         path.write_text(xml, encoding="utf-8")
         robot = ModelRobot(path, self._sources[1], self.threads)
         robot._folder = folder  # as long as the robot may read it again
-        return robot
+        return self._alike(robot)
 
     def accurate(self) -> Robot | None:
         """The same robot by the accurate model of the mapping, if there is one."""
         if self._accurate is None:
             return None
         try:
-            return ModelRobot(self._accurate, self._sources[1], self.threads, 1, self._baseline, self._known)
+            robot = ModelRobot(self._accurate, self._sources[1], self.threads, 1, self._baseline, self._known)
+            return self._alike(robot)
         except ModelError as error:
             raise ModelError(f"the accurate model {self._accurate}: {error}") from error
 
@@ -260,15 +263,16 @@ class ModelRobot(Robot):
         Raises:
             RecordingError: as of any robot; or the robot begins at a signal, and its first sample is missing or late.
         """
-        signals = dict(recording.signals)
-        if self.signal in signals:
-            signals[self.signal] = self._source.converted(self.signal, signals[self.signal])
-        found = super().measured(replace(recording, signals=signals))
+        found = super().measured(recording)
         found = replace(found, notes=tuple(text for _, text in self._clipped(found.actions)))
         if not self._initial.parts:
             return found
         start = self._initial.begun(recording, self.begins(recording), self.control_timestep)
         return replace(found, start=start.reshape(self.shape) if start.size == np.prod(self.shape) else start)
+
+    def converted(self, signal: ObservedSignal, given: Signal) -> Signal:
+        """A recorded signal as it is explained: of quaternions the axes of their frames."""
+        return self._signals[signal.name].converted(signal.name, given)
 
     def rates(self, actions: Floats) -> Floats:
         """(T, nu) changes of setpoints in a control step, as shares of the largest; controls, where they are rates."""
@@ -333,12 +337,20 @@ class ModelRobot(Robot):
         """Advance the simulations by a control step; (n,) whether each diverged."""
         ids = np.arange(len(actions))
         self.simulation.batch.ctrl[ids] = actions
-        self.simulation.step(ids, self._substeps, self._source.stage)
+        self.simulation.step(ids, self._substeps, self._stage)
         return self.simulation.bad_states(ids)
 
     def _read(self, count: int) -> Floats:
-        """(count, P, D) the signal now."""
-        values = self._source.read(self.simulation.batch, count)
+        """(count, P, D) the first signal now."""
+        return self._read_signal(self.signal, count)
+
+    def _read_others(self, count: int) -> list[Floats]:
+        """(count, P, D) each of the other signals now."""
+        return [self._read_signal(each.name, count) for each in self.others]
+
+    def _read_signal(self, name: str, count: int) -> Floats:
+        """(count, P, D) a signal of the first ``count`` simulations now."""
+        values = self._signals[name].read(self.simulation.batch, count)
         return np.where(np.abs(values) < _SETTINGS.diverged, values, np.nan)
 
 

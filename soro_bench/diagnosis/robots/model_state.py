@@ -8,6 +8,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from soro_bench.arrays import Floats, Ints
+from soro_bench.diagnosis.robots.measured import ObservedSignal
 from soro_bench.diagnosis.robots.model_file import (
     ModelError,
     check_keys,
@@ -52,7 +53,7 @@ class SignalSource:
     def read(self, batch: Batch, simulations: int) -> Floats:
         """(n, P, D) the signal of the first n simulations now."""
         values = getattr(batch, self.field)[:simulations, self.ids]
-        return (_axes(values) if self.quaternions else values).reshape(simulations, *self.shape)
+        return (axes(values) if self.quaternions else values).reshape(simulations, *self.shape)
 
     def converted(self, name: str, signal: Signal) -> Signal:
         """A recorded signal as it is explained.
@@ -64,17 +65,27 @@ class SignalSource:
         if samples.shape[1] != self.recorded:
             return signal  # refused later, as for any robot
         if self.quaternions:
-            lengths = np.linalg.norm(samples.reshape(len(samples), -1, _QUATERNION), axis=2)
-            if (odd := (np.abs(lengths - 1.0) > _UNIT_LENGTH).any(axis=1)).any():
-                at = signal.time[odd.argmax()]
-                raise RecordingError(f"{name} is no unit quaternion (w, x, y, z) at {at:.6g} s")
-            return replace(signal, values=_axes(samples).reshape(len(samples), *self.shape))
+            return as_axes(name, signal, self.shape)
         if self.field == "sensordata" and self.shape[1] == 1:  # numbers of wide sensors
             return replace(signal, values=samples)
         return signal
 
 
-def _axes(quaternions: Floats) -> Floats:
+def as_axes(name: str, signal: Signal, shape: tuple[int, int]) -> Signal:
+    """A signal of unit quaternions (T, 4 K), w first, as the axes of the frames that they turn, of shape (3 K, 3).
+
+    Raises:
+        RecordingError: a quaternion is none.
+    """
+    samples = signal.values.reshape(len(signal.time), -1)
+    lengths = np.linalg.norm(samples.reshape(len(samples), -1, _QUATERNION), axis=2)
+    if (odd := (np.abs(lengths - 1.0) > _UNIT_LENGTH).any(axis=1)).any():
+        at = signal.time[odd.argmax()]
+        raise RecordingError(f"{name} is no unit quaternion (w, x, y, z) at {at:.6g} s")
+    return replace(signal, values=axes(samples).reshape(len(samples), *shape))
+
+
+def axes(quaternions: Floats) -> Floats:
     """(n, P, 9) the three axes of the frames that unit quaternions (n, 4 P), w first, turn."""
     each = quaternions.reshape(len(quaternions), -1, 1, _QUATERNION)
     each = each / np.linalg.norm(each, axis=-1, keepdims=True)
@@ -82,16 +93,43 @@ def _axes(quaternions: Floats) -> Floats:
     return np.asarray(found.reshape(*each.shape[:2], 9))
 
 
-def signal_source(model: mujoco.MjModel, table: dict[str, Any]) -> SignalSource:
-    """Look up the signal of a mapping in the model.
+def signal_sources(
+    model: mujoco.MjModel, first: dict[str, Any], others: list[dict[str, Any]]
+) -> tuple[list[ObservedSignal], dict[str, SignalSource]]:
+    """The signals of a mapping, the first one first, and where each is in the model.
+
+    Args:
+        first: the section [signal].
+        others: the sections [[signals]].
+
+    Raises:
+        ModelError: says what is wrong.
+    """
+    found, sources = [], {}
+    for section, table in [("signal", first), *(("signals", each) for each in others)]:
+        source = signal_source(model, table, section)
+        name = table["name"]
+        if name in sources:
+            raise ModelError(f"[[signals]] has {name!r} twice; a signal is explained once")
+        sources[name] = source
+        frame = table.get("frame", "")
+        found.append(ObservedSignal(name, table["unit"], frame, source.shape, source.quaternions))
+    return found, sources
+
+
+def signal_source(model: mujoco.MjModel, table: dict[str, Any], section: str = "signal") -> SignalSource:
+    """Look up a signal of a mapping in the model.
+
+    Args:
+        section: of the mapping, for messages.
 
     Raises:
         ModelError: says what is wrong.
     """
     places = [key for key in _PLACES if key in table]
     if len(places) != 1 or not isinstance(table.get("name"), str) or not isinstance(table.get("unit"), str):
-        raise ModelError(f"[signal] needs a name, a unit, and one of {', '.join(_PLACES)}")
-    names = names_of("signal", table, places[0])
+        raise ModelError(f"[{section}] needs a name, a unit, and one of {', '.join(_PLACES)}")
+    names = names_of(section, table, places[0])
     if places[0] == "sites":
         sites = np.array([element(model, mujoco.mjtObj.mjOBJ_SITE, name) for name in names])
         return SignalSource("site_xpos", sites, (len(names), 3))

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from soro_bench.arrays import Bools, Floats, Ints
-from soro_bench.diagnosis.robots.measured import Drive
+from soro_bench.diagnosis.robots.measured import Drive, ObservedSignal
 from soro_bench.diagnosis.settings import RobotSettings
 from soro_bench.effects.catalogue import MEASUREMENT, between_steps
 from soro_bench.effects.effect import Effect
@@ -24,7 +24,7 @@ class Replays(ABC):
     Attributes:
         simulation: N simulations of the robot.
         control_timestep: s, between commands.
-        signal: the name of the signal of recordings that is explained.
+        signal: the name of the first signal of recordings that is explained.
         known: effects that the robot is known to have, whatever else acts.
         settling: control steps under its first action before a recording begins.
     """
@@ -42,6 +42,16 @@ class Replays(ABC):
 
     @property
     @abstractmethod
+    def signals(self) -> tuple[ObservedSignal, ...]:
+        """The signals of recordings that are explained; the first one decides the unit of a report."""
+
+    @property
+    def columns(self) -> int:
+        """Numbers of a sample of all signals."""
+        return sum(each.size for each in self.signals)
+
+    @property
+    @abstractmethod
     def _second(self) -> "Replays":
         """The same robot with other simulations, which run beside its own."""
 
@@ -55,7 +65,11 @@ class Replays(ABC):
 
     @abstractmethod
     def _read(self, count: int) -> Floats:
-        """(count, P, D) the signal of the first ``count`` simulations now."""
+        """(count, P, D) the first signal of the first ``count`` simulations now."""
+
+    def _read_others(self, count: int) -> list[Floats]:
+        """(count, P, D) each of the other signals of the first ``count`` simulations now."""
+        return []
 
     def _complete(self, parameters: Floats) -> Floats:
         """(N, D) values of all parameters, from those (N, d) that replays differ in."""
@@ -74,7 +88,7 @@ class Replays(ABC):
         before_step: Callable[[int], None] | None = None,
         settings: Floats | None = None,
     ) -> Floats:
-        """Replays: the signal that the sensor would record.
+        """Replays: the first signal, as its sensor would record it.
 
         Args:
             actions: (T, ...) one per control step.
@@ -88,7 +102,9 @@ class Replays(ABC):
         Returns:
             (N, T, P, D), NaN from where a simulation diverged.
         """
-        return self.simulate_all([Drive(actions, start, settings)], parameters, effects, before_step)[0]
+        first = self.signals[0]
+        (found,) = self.simulate_all([Drive(actions, start, settings)], parameters, effects, before_step)
+        return found[:, :, : first.size].reshape(*found.shape[:2], *first.shape)
 
     def simulate_all(
         self,
@@ -97,7 +113,8 @@ class Replays(ABC):
         effects: Sequence[Sequence[Effect]],
         before_step: Callable[[int], None] | None = None,
     ) -> list[Floats]:
-        """Replays under each of several drives, side by side: (N, T, P, D) of every drive. See :meth:`simulate`."""
+        """Replays under each of several drives, side by side: (N, T, C) of every drive, the numbers of all signals.
+        See :meth:`simulate`."""
         effects = [(*self.known, *each) for each in effects]
         # what differs only in the sensor is simulated once
         physics = [tuple(e for e in each if e.location.kind != "sensor") for each in effects]
@@ -130,12 +147,20 @@ class Replays(ABC):
         values = {job: each for some in found for job, each in some.items()}
         times = [np.asarray(self.control_timestep * np.arange(len(drive.actions) + 1), float) for drive in drives]
         return [
-            np.stack([
-                distorted(MEASUREMENT, each, time, values[k, i], self.signal)[1:]
-                for i, each in zip(first, effects, strict=True)
-            ])
+            np.stack([self._recorded(each, time, values[k, i])[1:] for i, each in zip(first, effects, strict=True)])
             for k, time in enumerate(times)
         ]
+
+    def _recorded(self, effects: Sequence[Effect], time: Floats, values: Floats) -> Floats:
+        """(T, C) numbers of all signals with the faults of their sensors among ``effects``."""
+        if not any(effect.location.kind == "sensor" for effect in effects):
+            return values
+        parts, first = [], 0
+        for each in self.signals:
+            part = values[:, first : first + each.size].reshape(len(values), *each.shape)
+            parts.append(distorted(MEASUREMENT, effects, time, part, each.name).reshape(len(values), -1))
+            first += each.size
+        return np.concatenate(parts, axis=1)
 
     def _roll_out(
         self,
@@ -144,7 +169,7 @@ class Replays(ABC):
         physics: Sequence[Sequence[Effect]],
         before_step: Callable[[int], None] | None,
     ) -> Floats:
-        """(n, 1 + T, P, D) signals of n replays, each with its own drive of T steps, before the first and after every
+        """(n, 1 + T, C) signals of n replays, each with its own drive of T steps, before the first and after every
         step."""
         n, actions = len(drives), np.stack([drive.actions for drive in drives])
         start, settings = drives[0].start, drives[0].settings  # all drives have them, or none
@@ -162,11 +187,16 @@ class Replays(ABC):
             if step == 0:
                 for _ in range(self.settling):
                     self._step(actions[:, 0])
-                values.append(self._read(n).copy())
+                values.append(self._sample(n))
             if before_step:
                 before_step(step)
             lost |= self._step(actions[:, step])
-            value = self._read(n).copy()
+            value = self._sample(n)
             value[lost] = np.nan
             values.append(value)
         return np.stack(values, axis=1)
+
+    def _sample(self, count: int) -> Floats:
+        """(count, C) numbers of all signals of the first ``count`` simulations now."""
+        parts = [self._read(count), *self._read_others(count)]
+        return np.concatenate([each.reshape(count, -1) for each in parts], axis=1)

@@ -1,6 +1,6 @@
 """The robot of a diagnosis: a simulation that replays recordings under parameters and effects."""
 
-import math
+import copy
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -11,7 +11,7 @@ import numpy as np
 
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.result_parts import SourceFile
-from soro_bench.diagnosis.robots.measured import Measured
+from soro_bench.diagnosis.robots.measured import Measured, ObservedSignal, samples_at
 from soro_bench.diagnosis.robots.priors import Baseline, CannotHave, FixedParameter, Prior
 from soro_bench.diagnosis.robots.replays import Replays
 from soro_bench.diagnosis.settings import DiscretisationSettings
@@ -20,7 +20,7 @@ from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.effects.elements import Elements
 from soro_bench.files import brief
 from soro_bench.recording.known import Known
-from soro_bench.recording.recording import Recording, RecordingError, resampled, sampled
+from soro_bench.recording.recording import Recording, RecordingError, Signal
 
 FITTED, REFINED = DiscretisationSettings().fitted_refinement, DiscretisationSettings().reference_refinement
 
@@ -31,7 +31,8 @@ class Robot(Replays):
     Attributes, besides those of :class:`~soro_bench.diagnosis.robots.replays.Replays`:
         name: of the robot, for people.
         model_name: of its model, for people.
-        unit, frame, shape: of the signal; the shape is (P, D), points and coordinates.
+        unit, frame, shape: of the first signal; the shape is (P, D), points and coordinates.
+        others: the other signals that are explained.
         kinds: kinds of locations that candidate terms may have.
         priors: of its parameters, but for the fixed ones.
         fixed: parameters that are known.
@@ -48,6 +49,7 @@ class Robot(Replays):
     unit: str
     frame: str
     shape: tuple[int, int]
+    others: tuple[ObservedSignal, ...] = ()
     kinds: tuple[str, ...]
     priors: tuple[Prior, ...]
     fixed: tuple[FixedParameter, ...] = ()
@@ -101,6 +103,34 @@ class Robot(Replays):
         Raises:
             ValueError: it has no such parameter, or cannot have that value.
         """
+
+    @property
+    def signals(self) -> tuple[ObservedSignal, ...]:
+        """The signals that are explained, the first one first."""
+        return ObservedSignal(self.signal, self.unit, self.frame, self.shape), *self.others
+
+    def observed(self, location: Location) -> ObservedSignal:
+        """The signal of a sensor's location; the first one where it is that of no signal."""
+        return next((each for each in self.signals if each.name == location.name), self.signals[0])
+
+    def explaining(self, others: Sequence[ObservedSignal], notes: Sequence[str] = ()) -> "Robot":
+        """The same robot, and the same simulations, of which only these other signals are explained.
+
+        Args:
+            others: some of its own, with what is known of them in the recordings.
+            notes: what there is to say of those that are left out.
+        """
+        if not self.others and not notes:
+            return self
+        found = copy.copy(self)
+        found.__dict__.pop("_second", None)  # it has the signals that this one has
+        found.others, found.notes = tuple(others), (*self.notes, *notes)
+        return found
+
+    def _alike(self, robot: "Robot") -> "Robot":
+        """Another simulation of this robot, with the signals that this one has."""
+        robot.others = self.others
+        return robot
 
     @property
     def elements(self) -> Elements:
@@ -171,7 +201,7 @@ class Robot(Replays):
     def beside(self, location: Location) -> list[Location]:
         """The neighbours of a body or of a measured point; none for other locations, which have no order."""
         if location.index is not None:
-            row = [replace(location, index=i) for i in range(self.shape[0])]
+            row = [replace(location, index=i) for i in range(self.observed(location).shape[0])]
         else:
             row = self.locations("body") if location.kind == "body" else []
         if location not in row:
@@ -217,7 +247,7 @@ class Robot(Replays):
         """
         if unit == "setpoint":
             return self.setpoint_unit_at(location)
-        parts = (self.unit if unit == "signal" else unit).split(" or ")
+        parts = (self.observed(location).unit if unit == "signal" else unit).split(" or ")
         turning = [part for part in parts if "rad" in part or "N m" in part]
         sliding = [part for part in parts if part not in turning]
         return (turning if turning and self.elements.turns(location) else sliding or parts)[0]
@@ -295,34 +325,37 @@ class Robot(Replays):
         return sim.batch.get_model(0)
 
     def measured(self, recording: Recording) -> Measured:
-        """The part of a recording that a diagnosis uses.
+        """The part of a recording that a diagnosis uses. Of the other signals all is missing that it lacks.
 
         Raises:
             RecordingError: says what the recording lacks.
         """
         actions = self.actions(recording)
-        if self.signal not in recording.signals:
-            raise RecordingError(f"the recording has no signal {self.signal!r}; it has {', '.join(recording.names)}")
-        given = recording.signals[self.signal]
-        if (given.unit, given.frame) != (self.unit, self.frame):
-            hint = "; imported recordings are in SI units" if given.unit != self.unit else ""
-            raise RecordingError(
-                f"{self.signal} is in {given.unit!r}, frame {given.frame!r}; expected are {self.unit!r}, {self.frame!r}"
-                f"{hint}"
-            )
-        shape = given.values.shape[1:]
-        if math.prod(shape) != math.prod(self.shape) or (len(shape) > 1 and shape != self.shape):
-            raise RecordingError(
-                f"{self.signal} has samples of shape {shape}; those of this robot have {self.shape}, points first"
-            )
-        _check_clocks(self.signal, given.time, [command.time for command in recording.commands.values()])
         begin = self.begins(recording)
         times = np.asarray(begin + self.control_timestep * np.arange(1, len(actions) + 1), float)
-        values = resampled(given, times).values.reshape(-1, *self.shape)
-        values[~sampled(given.time, times)] = np.nan
-        first = given.values[0].reshape(self.shape)
+        signal, *others = self.signals
+        first, values = self._samples(signal, recording, times)
+        more = tuple(self._samples(each, recording, times)[1] for each in others)
         settings = self.settings(recording, len(actions))
-        return Measured(actions, times - begin, values, self.signal, self.unit, first, settings)
+        return Measured(actions, times - begin, values, self.signal, self.unit, first, settings, others=more)
+
+    def converted(self, signal: ObservedSignal, given: Signal) -> Signal:
+        """A recorded signal as it is explained."""
+        return given
+
+    def _samples(self, signal: ObservedSignal, recording: Recording, times: Floats) -> tuple[Floats, Floats]:
+        """(P, D) the first sample of a signal, and (T, P, D) it at times (T,); NaN where the recording lacks another
+        signal than the first.
+
+        Raises:
+            RecordingError: the first signal is not there, or one is not as expected.
+        """
+        if signal.name in recording.signals:
+            given = self.converted(signal, recording.signals[signal.name])
+            return samples_at(signal, given, list(recording.commands.values()), times)
+        if signal in self.others:
+            return np.full(signal.shape, np.nan), np.full((len(times), *signal.shape), np.nan)
+        raise RecordingError(f"the recording has no signal {signal.name!r}; it has {', '.join(recording.names)}")
 
 
 def _length_unit(model: mujoco.MjModel, actuator: int) -> str:
@@ -337,17 +370,3 @@ def _length_unit(model: mujoco.MjModel, actuator: int) -> str:
         joints = model.wrap_objid[path][model.wrap_type[path] == int(mujoco.mjtWrap.mjWRAP_JOINT)]
         return "rad" if len(joints) and (model.jnt_type[joints] == hinge).all() else "m"
     return "m"
-
-
-def _check_clocks(name: str, times: Floats, commands: Sequence[Floats]) -> None:
-    """Refuse commands that are all after a signal, or before it by more than it lasts; some come only where they
-    change.
-
-    Raises:
-        RecordingError: they are.
-    """
-    start, end = times[0], times[-1]
-    first, last = (least([stamps[i] for stamps in commands], default=start) for i, least in ((0, min), (-1, max)))
-    if first > end or last < start - (end - start):
-        raise RecordingError(f"{name} is from {start:.6g} to {end:.6g} s, and the commands from {first:.6g} to "
-                             f"{last:.6g} s; do they have the same clock?")  # fmt: skip

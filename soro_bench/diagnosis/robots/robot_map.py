@@ -20,6 +20,11 @@ joints = ["hinge"]                # or sites, bodies or sensors
 unit = "rad"
 frame = ""
 
+[[signals]]                       # other signals that are explained too, each with its own unit and noise
+name = "current"
+sensors = ["torque"]
+unit = "N m"
+
 [initial]                         # where a recording begins (model_state.py)
 keyframe = "home"                 # of the model; "" for its default position
 joints = ["hinge"]                # joints that begin where the signal of this one joint does
@@ -53,11 +58,13 @@ from soro_bench.recording.recording import RecordingError, Signal
 from soro_bench.recording.untrusted import read_bytes
 
 _MAX_BYTES = 1_000_000
+_MOST_SIGNALS = 100
+_SIGNAL = ("name", "sites", "bodies", "joints", "sensors", "unit", "frame")
 _SECTIONS = {
     "robot": ("control_timestep", "settle", "accurate", "ctrlrange"),
     "commands": None,
     "fixed": None,
-    "signal": ("name", "sites", "bodies", "joints", "sensors", "unit", "frame"),
+    "signal": _SIGNAL,
     "initial": ("keyframe", "joints", "signals"),
     "settings": None,
     "parameters": None,
@@ -85,7 +92,8 @@ def read_mapping(mapping: str | Path | Mapping[str, Any]) -> dict[str, Any]:
         table, label = dict(mapping), "the mapping"
     else:
         table, label = _parsed(mapping), str(mapping)
-    check_keys(label, table, tuple(_SECTIONS))
+    check_keys(label, table, (*_SECTIONS, "signals"))
+    _check_signals(table)
     for section, allowed in _SECTIONS.items():
         entries = table.setdefault(section, {})
         if not isinstance(entries, dict):
@@ -93,6 +101,20 @@ def read_mapping(mapping: str | Path | Mapping[str, Any]) -> dict[str, Any]:
         if allowed is not None:
             check_keys(f"[{section}]", entries, allowed)
     return table
+
+
+def _check_signals(table: dict[str, Any]) -> None:
+    """Check the sections [[signals]]; the first of them is [signal] where that is not there."""
+    others = table.get("signals", [])
+    if not isinstance(others, list) or not all(isinstance(each, dict) for each in others):
+        raise ModelError("signals have to be sections, [[signals]], one for each signal")
+    if len(others) > _MOST_SIGNALS:
+        raise ModelError(f"{len(others)} sections [[signals]]; at most {_MOST_SIGNALS} are allowed")
+    for each in others:
+        check_keys("[[signals]]", each, _SIGNAL)
+    if "signal" not in table and others:
+        table["signal"], *others = others
+    table["signals"] = others
 
 
 def _parsed(path: str | Path) -> dict[str, Any]:

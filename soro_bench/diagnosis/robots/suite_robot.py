@@ -1,9 +1,13 @@
 """The robots of the suite, for a diagnosis: their locations, priors and signals."""
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
 from soro_bench.arrays import Bools, Floats
+from soro_bench.diagnosis.robots.measured import ObservedSignal
+from soro_bench.diagnosis.robots.model_state import as_axes, axes
 from soro_bench.diagnosis.robots.priors import Baseline, Prior
 from soro_bench.diagnosis.robots.replays import SIMULATIONS
 from soro_bench.diagnosis.robots.robot import Robot
@@ -12,7 +16,7 @@ from soro_bench.effects.elements import instrument
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import Parameter
 from soro_bench.recording.known import Known
-from soro_bench.recording.recording import Recording, RecordingError
+from soro_bench.recording.recording import Recording, RecordingError, Signal
 from soro_bench.recording.simulated import COMMAND, recorded_actions
 from soro_bench.registration import make_task, task_type
 
@@ -27,6 +31,7 @@ _KINDS = {
 _SETTINGS = RobotSettings()
 _NOTHING = Known()
 _BOUND = ("site_xpos", "xpos", "xquat", "actuator_length", "actuator_velocity")  # what the tasks read
+_QUATERNION = "quaternion"  # how the names of the tasks' orientations end
 _POISSON = ("poisson_ratio", "pdms_poisson_ratio", "ecoflex_poisson_ratio")
 # prior deviations of the parameters that have no normal logarithm
 _DEVIATIONS = {name: _SETTINGS.poisson_deviation for name in _POISSON} | {"wall_offset": _SETTINGS.wall_deviation}
@@ -42,6 +47,8 @@ class SuiteRobot(Robot):
         shorter: how many times shorter the model's time step is made.
         baseline: result of a baseline diagnosis of the same robot.
         known: parameters that are known.
+        signals: names of the signals that are explained beside the first; by default those that parameters are
+            inferred from, such as the pose of an object.
     """
 
     def __init__(
@@ -52,6 +59,7 @@ class SuiteRobot(Robot):
         shorter: int = 1,
         baseline: Baseline | None = None,
         known: Known = _NOTHING,
+        signals: Sequence[str] | None = None,
     ):
         if env_id not in _KINDS:
             raise ValueError(f"{env_id!r} cannot be diagnosed; allowed are {', '.join(_KINDS)}")
@@ -68,24 +76,50 @@ class SuiteRobot(Robot):
         self.signal = kind.inferred_from[0]
         self.unit, self.frame = kind.signal_units[self.signal]
         self.shape = self._task.signals(np.arange(1))[self.signal].shape[1:]
+        self.others = self._others(kind.inferred_from[1:] if signals is None else signals)
         self.priors = tuple(_prior(p) for p in kind.parameters.parameters.values())
         self._remember(baseline)
         self._fix(known)
 
     def shortened(self, factor: int) -> Robot:
         """The same robot with shorter time steps."""
-        return SuiteRobot(self.env_id, self.model_name, self.threads, factor, self._baseline, self._known)
+        robot = SuiteRobot(self.env_id, self.model_name, self.threads, factor, self._baseline, self._known)
+        return self._alike(robot)
 
     def knowing(self, known: Known) -> Robot:
         """The same robot with some parameters fixed."""
-        return SuiteRobot(self.env_id, self.model_name, self.threads, self.shorter, self._baseline, known)
+        robot = SuiteRobot(self.env_id, self.model_name, self.threads, self.shorter, self._baseline, known)
+        return self._alike(robot)
+
+    def _others(self, names: Sequence[str]) -> tuple[ObservedSignal, ...]:
+        """The signals with these names, beside the first.
+
+        Raises:
+            ValueError: the robot has no such signal.
+        """
+        units, now = task_type(self.env_id).signal_units, self._task.signals(np.arange(1))
+        found = []
+        for name in dict.fromkeys(names):
+            if name not in units:
+                raise ValueError(f"{self.env_id} has no signal {name!r}; it has {', '.join(units)}")
+            size, (unit, frame) = now[name][0].size, units[name]
+            turned, points = name.endswith(_QUATERNION), unit == "m" and size % 3 == 0
+            shape = (3 * size // 4, 3) if turned else (size // 3, 3) if points else (size, 1)
+            found += [ObservedSignal(name, unit, frame, shape, turned)] if name != self.signal else []
+        return tuple(found)
+
+    def converted(self, signal: ObservedSignal, given: Signal) -> Signal:
+        """A recorded signal as it is explained: of quaternions the axes of their frames."""
+        if not signal.directions or 3 * given.values[0].size != 4 * signal.shape[0]:
+            return given
+        return as_axes(signal.name, given, signal.shape)
 
     def as_built(self, xml: str | None = None) -> Robot:
         """The same robot by its own model or another one, without a baseline."""
         robot = SuiteRobot(self.env_id, self.model_name, self.threads)
         if xml is not None:
             robot._simulate(instrument(mujoco.MjSpec.from_string(xml)).compile())
-        return robot
+        return self._alike(robot)
 
     def _simulate(self, model: mujoco.MjModel) -> None:
         """Take a model with the same elements, as it is, in the place of the task's own."""
@@ -95,10 +129,11 @@ class SuiteRobot(Robot):
             self.simulation.batch.bind(name)
 
     def accurate(self) -> Robot | None:
-        """The same robot by the suite's accurate model; None if its signal has other points, as on another mesh."""
-        accurate = task_type(self.env_id).accurate
-        other = SuiteRobot(self.env_id, accurate, self.threads, 1, self._baseline, self._known)
-        return other if other.shape == self.shape else None
+        """The same robot by the suite's accurate model; None if its signals have other points, as on another mesh."""
+        names, accurate = [each.name for each in self.others], task_type(self.env_id).accurate
+        other = SuiteRobot(self.env_id, accurate, self.threads, 1, self._baseline, self._known, names)
+        same = [each.shape for each in other.signals] == [each.shape for each in self.signals]
+        return self._alike(other) if same else None
 
     def spec(self) -> mujoco.MjSpec:
         """The model of the task's scene, with what effects need where its model has that: a mesh has no springs."""
@@ -144,6 +179,16 @@ class SuiteRobot(Robot):
     def _read(self, count: int) -> Floats:
         """(count, P, D) the signal now."""
         return self._task.signals(np.arange(count))[self.signal]
+
+    def _read_others(self, count: int) -> list[Floats]:
+        """(count, P, D) each of the other signals now."""
+        if not self.others:
+            return []
+        now, found = self._task.signals(np.arange(count)), []
+        for each in self.others:
+            values = now[each.name].reshape(count, -1)
+            found.append((axes(values) if each.directions else values).reshape(count, *each.shape))
+        return found
 
 
 def _prior(parameter: Parameter) -> Prior:

@@ -152,9 +152,9 @@ def predictions(
         points: unknowns, and the terms they belong to.
     """
     first = problem.recordings[0]
-    seen = np.isfinite(first.values).any(axis=0)  # points that are never measured tell nothing
+    seen = np.asarray(np.isfinite(first.columns).any(axis=0))  # points that are never measured tell nothing
     asked = replace(problem, recordings=(first.under(problem.robot.commanded(actions, problem.recorded)),))
-    values = asked.simulated(problem.robot, points).reshape(len(points), len(actions), *seen.shape)
+    values = asked.simulated(problem.robot, points).reshape(len(points), len(actions), len(seen))
     values = values[:, :, seen] - values[:, :, seen].mean(axis=1, keepdims=True)
     return values.reshape(len(points), -1) / problem.sigma
 

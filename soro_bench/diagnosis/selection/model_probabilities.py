@@ -159,9 +159,9 @@ def _products(problem: Problem, residual: np.ndarray) -> np.ndarray:
     settings = problem.settings.probabilities
     largest, sums = settings.largest_sample, np.zeros(4)
     near = np.clip(problem.discretisation.without(residual), -largest, largest)
-    parts = zip(problem.split(near), problem.split(problem.weight), problem.recordings, strict=True)
+    parts = zip(problem.rows(near), problem.rows(problem.weight), problem.recordings, strict=True)
     for part, weight, recording in parts:
-        sampled = weight.any(axis=(1, 2))
+        sampled = weight.any(axis=1)
         part, weight, time = part[sampled], weight[sampled], recording.time[sampled]
         lag = math.ceil(settings.slow_lag / float(np.median(np.diff(time))) - 1e-6)
         later = (part[lag:] * part[:-lag]).sum(), (weight[lag:] * weight[:-lag]).sum()
@@ -266,8 +266,9 @@ def _probability_of_unknown(problem: Problem, hypotheses: Sequence[Hypothesis], 
         return 1.0  # if anything is missing: no term was worth a fit
     settings = problem.settings.probabilities
     misfits = [problem.misfit(h.residual) for h in hypotheses]
-    samples, larger = float(problem.weight.sum()), (problem.sigma / problem.sensor) ** 2
-    above_sensor = [0.5 * ((2.0 * misfit + samples) * larger - samples) for misfit in misfits]
+    samples = float(problem.weight.sum())
+    larger = [problem.larger_than_sensor(h.residual) for h in hypotheses]
+    above_sensor = [0.5 * ((2.0 * misfit + samples) * by - samples) for misfit, by in zip(misfits, larger, strict=True)]
     healthy = settings.healthy_misfit_per_sample * samples
     share = (min(above_sensor) - healthy) / max(above_sensor[0] - healthy, 1.0)
     known = expit((settings.unknown_share - share) / settings.unknown_share_width)

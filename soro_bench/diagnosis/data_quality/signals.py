@@ -1,0 +1,93 @@
+"""The signals of recordings: which of a robot's they have, how noisy they are, and what is left out of them."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+
+from soro_bench.diagnosis.data_quality.inspection import Inspected, compressed
+from soro_bench.diagnosis.data_quality.noise import DataQuality, data_quality
+from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.result_parts import DataFinding
+from soro_bench.diagnosis.robots.measured import Measured
+from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.settings import Settings
+from soro_bench.recording.recording import Recording, RecordingError
+
+T = TypeVar("T")
+Groups = tuple[tuple[Inspected, ...], tuple[Inspected, ...]]  # of recordings to explain, and held-out ones
+
+
+def explaining(robot: Robot, inspections: Groups, settings: Settings) -> tuple[Robot, Groups]:
+    """The robot with those of its other signals that the recordings to explain have, and what was seen of these."""
+    kept, notes = [], []
+    for which, signal in enumerate(robot.others, 1):
+        qualities, reach = [], 0.0
+        for label, each in zip(labels(inspections[0], ()), inspections[0], strict=True):
+            if signal.name in each.recording.signals:
+                seen = named(label, robot.measured, each.recording).only(which, signal)
+                with suppress(RecordingError):  # too few samples, or one value only: nothing to explain
+                    qualities.append(_quality(seen, each.others[which - 1], settings))
+                    reach = max(reach, float(np.max(np.nanmax(seen.values, axis=0) - np.nanmin(seen.values, axis=0))))
+        if qualities:
+            kept.append((which - 1, replace(signal, reach=reach)))
+        else:
+            notes.append(f"{signal.name} is not explained: the recordings have no samples of it that change")
+    first, second = (
+        tuple(replace(each, others=tuple(each.others[i] for i, _ in kept)) for each in group) for group in inspections
+    )
+    return robot.explaining([signal for _, signal in kept], notes), (first, second)
+
+
+def qualities_of(
+    robot: Robot, measured: Sequence[Measured], found: Sequence[Inspected], settings: Settings
+) -> list[list[DataQuality | None]]:
+    """Of each signal the noise and gaps in every recording; None where another signal than the first is missing."""
+    qualities: list[list[DataQuality | None]] = [
+        [_quality(each.only(0, robot.signals[0]), one, settings) for each, one in zip(measured, found, strict=True)]
+    ]
+    for which, signal in enumerate(robot.others, 1):
+        qualities.append([])
+        for each, one in zip(measured, found, strict=True):
+            quality = None
+            with suppress(RecordingError):
+                quality = _quality(each.only(which, signal), one.others[which - 1], settings)
+            qualities[-1].append(quality)
+    return qualities
+
+
+def _quality(measured: Measured, found: Inspected, settings: Settings) -> DataQuality:
+    """Noise and gaps of what is left of a recording."""
+    if not found.findings:
+        return data_quality(measured, settings.data_quality)
+    quality = data_quality(replace(measured, values=compressed(measured.values)), settings.data_quality)
+    least = max(quality.least, found.step / math.sqrt(12))
+    return DataQuality(max(quality.sigma, least), least, float(np.isnan(measured.values).mean()))
+
+
+def left_out(before: Problem, after: Problem) -> Iterator[DataFinding]:
+    """What fits left out of other signals than the first."""
+    for which, signal in enumerate(before.robot.others, 1):
+        weights = zip(before.split(before.weight, which), after.split(after.weight, which), strict=True)
+        for number, (had, has) in enumerate(weights):
+            if count := int((had - has).sum()):
+                share = count / float(had.sum())
+                said = f"{signal.name}: {100 * share:.2g} % of the samples are alone and far off; left out"
+                yield DataFinding("spikes", signal.name, number, count, share, said)
+
+
+def labels(recordings: Sequence, heldout: Sequence) -> list[str]:
+    """Names of the recordings to explain and of the held-out ones."""
+    groups = ("", recordings), ("held-out ", heldout)
+    return [f"{label}recording {number}" for label, group in groups for number in range(1, len(group) + 1)]
+
+
+def named(label: str, function: Callable[[Recording], T], recording: Recording) -> T:
+    """What a function makes of a recording; its errors say which recording it was."""
+    try:
+        return function(recording)
+    except RecordingError as error:
+        raise RecordingError(f"{label}: {error}") from error
