@@ -79,12 +79,14 @@ SIGMA = 5e-4  # rad, and m, of the noise
 TRUNK_TRUTH = np.array([0.5, -0.4, -0.6, 0.3, 0.2])
 
 
-def recording(paths: tuple[Path, Path], hidden: Sequence[Effect], seed: int, noise: float = SIGMA) -> Recording:
+def recording(
+    paths: tuple[Path, Path], hidden: Sequence[Effect], seed: int, noise: float = SIGMA, truth: np.ndarray = TRUTH
+) -> Recording:
     """Of an arm with other parameters, half the time step and hidden effects."""
     rng = np.random.default_rng(seed)
     goals = np.repeat(rng.uniform(-0.6, 0.6, 15), 15)[:, None]
     start = np.full((1, 1), 0.2)
-    (values,) = ModelRobot(*paths, threads=1, shorter=2).simulate(goals, TRUTH, [hidden], start)
+    (values,) = ModelRobot(*paths, threads=1, shorter=2).simulate(goals, truth, [hidden], start)
     values = np.concatenate([start[None], values]) + noise * rng.standard_normal((len(goals) + 1, 1, 1))
     times = 0.02 * np.arange(len(values))
     return Recording({"goal": Signal(times[:-1], goals)}, {"angle": Signal(times, values[:, 0, 0], "rad")})

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from soro_bench.diagnosis.result_drawings import LawCurve, Replay, Shape
 from soro_bench.diagnosis.result_parts import (
+    Agreement,
     DataFinding,
     Detectable,
     Errors,
@@ -31,7 +32,7 @@ from soro_bench.diagnosis.result_parts import (
 from soro_bench.files import brief, read_json, write_json
 
 SCHEMA = "soro-bench/diagnosis/2"
-VERDICTS = ("adequate", "discrepancy", "outside_catalogue", "measurement_fault")
+VERDICTS = ("adequate", "discrepancy", "outside_catalogue", "measurement_fault", "recordings_disagree")
 DIGITS = 7  # significant ones of numbers in a file; a float32 has as many
 
 
@@ -39,8 +40,8 @@ DIGITS = 7  # significant ones of numbers in a file; a float32 has as many
 class Result:
     """What a diagnosis found.
 
-    verdict: "adequate" (no discrepancy detected), "discrepancy" (a law of the catalogue), "outside_catalogue" or
-        "measurement_fault".
+    verdict: "adequate" (no discrepancy detected), "discrepancy" (a law of the catalogue), "outside_catalogue",
+        "measurement_fault", or "recordings_disagree" (no law was detected, but parameters change).
     p_value: probability of as much misfit where nothing is missing; None where the model error is far above the sensor
         noise. alpha: the level at which a discrepancy is as likely as none.
     unknown: probability that the discrepancy is outside the catalogue. healthy: that there is none.
@@ -59,6 +60,7 @@ class Result:
     settings: that differ from their defaults. notes: on the model, its mapping and the recordings, in words.
     data: what sensors and loggers did to the recordings.
     robots: whose plain replays are shown; empty in results of older versions.
+    agreement: what each recording alone says of parameters and magnitudes; empty where one recording was fitted.
     """
 
     robot: RobotSummary
@@ -99,6 +101,7 @@ class Result:
     notes: tuple[str, ...] = ()
     data: tuple[DataFinding, ...] = ()
     robots: tuple[ReplayedRobot, ...] = ()
+    agreement: tuple[Agreement, ...] = ()
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
@@ -109,7 +112,7 @@ class Result:
     @property
     def detected(self) -> bool:
         """Whether something is missing or wrong, outliers apart."""
-        return self.verdict == "discrepancy" or self.verdict == "outside_catalogue" or bool(self.best.effects)
+        return self.verdict not in ("adequate", "measurement_fault") or bool(self.best.effects)
 
     @property
     def best(self) -> HypothesisSummary:

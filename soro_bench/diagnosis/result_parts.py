@@ -47,6 +47,26 @@ class Estimate:
 
 
 @dataclass(frozen=True)
+class Agreement:
+    """A quantity that was fitted to each recording alone.
+
+    name: of the parameter, or of the quantity of a law; ``law`` and ``location`` say which, and are empty for a
+        parameter.
+    estimates: from each of the recordings that were fitted to, in their order.
+    p_value: of a larger difference between any two of them by chance, corrected for the number of comparisons.
+    overlap: whether the 90 % intervals of any two do. changes: whether they do not, beyond chance.
+    """
+
+    name: str
+    law: str
+    location: Location | None
+    estimates: tuple[Estimate, ...]
+    p_value: float
+    overlap: bool
+    changes: bool
+
+
+@dataclass(frozen=True)
 class ParameterEstimate:
     """A parameter of the robot: the estimate, its nominal value, and how many standard deviations of its prior are
     between the two.

@@ -310,6 +310,16 @@ class LocalisationSettings:
 
 
 @dataclass(frozen=True)
+class AgreementSettings:
+    """Whether several recordings have the same parameters."""
+
+    radii: tuple[float, ...] = setting(
+        (0.15, 0.15, 0.07), "prior deviations", "of the samples of a recording's steps from the joint fit"
+    )
+    alpha: float = setting(0.05, "1", "chance of any difference that is called a change, of all that are compared")
+
+
+@dataclass(frozen=True)
 class ExperimentDesignSettings:
     """Which recording to make next."""
 
@@ -372,6 +382,7 @@ class Settings:
     selection: SelectionSettings = SelectionSettings()
     probabilities: ProbabilitySettings = ProbabilitySettings()
     localisation: LocalisationSettings = LocalisationSettings()
+    agreement: AgreementSettings = AgreementSettings()
     experiment_design: ExperimentDesignSettings = ExperimentDesignSettings()
     report: ReportSettings = ReportSettings()
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from soro_bench.diagnosis.assembly.agreement import agreement
 from soro_bench.diagnosis.assembly.errors import PlainReplays, plain_replays
 from soro_bench.diagnosis.assembly.findings import deviations, findings, prior_values, tempered, unit_at
 from soro_bench.diagnosis.assembly.force_against_state import force_against_state
@@ -17,6 +18,7 @@ from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.result_drawings import LawCurve, Replay
 from soro_bench.diagnosis.result_parts import (
+    Agreement,
     Detectable,
     Estimate,
     Finding,
@@ -56,9 +58,10 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
     replays = plain_replays(diagnosis)
     train, heldout = replays.errors(diagnosis, diagnosis.best)
     found = _all_findings(diagnosis, replays)
+    alone = agreement(diagnosis, seed)
     return Result(
         robot=_robot(diagnosis),
-        verdict=diagnosis.verdict,
+        verdict=_verdict(diagnosis, alone),
         p_value=comparison.p_value,
         alpha=alpha(explanation.problem.settings),
         unknown=float(comparison.unknown),
@@ -95,7 +98,14 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
         notes=_notes(diagnosis),
         data=diagnosis.data,
         robots=_robots(diagnosis, replays),
+        agreement=alone,
     )
+
+
+def _verdict(diagnosis: Diagnosis, alone: Sequence[Agreement]) -> str:
+    """That of the diagnosis; where no law was detected, parameters that change from recording to recording count."""
+    changes = any(each.changes for each in alone)
+    return "recordings_disagree" if changes and not diagnosis.detected else diagnosis.verdict
 
 
 def _notes(diagnosis: Diagnosis) -> tuple[str, ...]:
@@ -145,7 +155,7 @@ def _robots(diagnosis: Diagnosis, replays: PlainReplays) -> tuple[ReplayedRobot,
         name = "patched" if name == "best" and patch(diagnosis) else name
         laws = tuple(effect.to_json() for effect in effects)
         errors = map(_finite, replays.rms(hypothesis))
-        found.append(ReplayedRobot(name, robot.parameters(hypothesis.x), laws, *errors))
+        found.append(ReplayedRobot(name, robot.every_parameter(hypothesis.x), laws, *errors))
     return tuple(found)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from soro_bench.diagnosis.assembly.errors import PlainReplays
 from soro_bench.diagnosis.candidates import Term, late, slices
 from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.localisation.residual_maps import Regime, explained_over_time, intervals, regimes
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.result_parts import Estimate, Finding
@@ -150,9 +151,13 @@ def deviations(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:
 
 
 def tempered(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:
+    """(n, n) covariance of x in the problem of a diagnosis, see :func:`tempered_by`."""
+    return tempered_by(diagnosis.explanation.problem, hypothesis)
+
+
+def tempered_by(problem: Problem, hypothesis: Hypothesis) -> np.ndarray:
     """(n, n) covariance of x, under evidence tempered as in the comparison: a model that is wrong knows less than it
     seems. Priors are as they are."""
-    problem = diagnosis.explanation.problem
     temper, prior = (
         temperature(problem.misfit(hypothesis.residual), problem.settings.probabilities),
         np.eye(len(hypothesis.x)),

@@ -102,6 +102,7 @@ def _tables(result: Result) -> list[Table]:
     return [
         Table("Candidates", ("probability", "law", "location", "magnitudes", "drawbacks"), _candidates(result)),
         Table("Parameters", ("parameter", "value [90 %]", "nominal", "prior sd"), _parameters(result)),
+        Table("Recordings one by one", ("quantity", "values [90 %]", "agreement"), _agreement(result)),
         Table("Selection", ("on top of", "predicted gain [nats]", "misfit after the fit [nats]"), _rounds(result)),
         Table("Smallest detectable magnitudes", ("law", "quantity", "magnitude"), _detectable(result)),
     ]
@@ -128,6 +129,10 @@ def _parameters(result: Result) -> words.Rows:
         )
         for each in result.parameters
     ]
+
+
+def _agreement(result: Result) -> words.Rows:
+    return [(words.quantity(each), words.each_recording(each), words.agreement(each)) for each in result.agreement]
 
 
 def _rounds(result: Result) -> words.Rows:

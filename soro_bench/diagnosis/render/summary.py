@@ -31,6 +31,7 @@ def summary(result: Result) -> str:
         lines.append(_line("location", words.where(result)))
         if unconstrained := words.unconstrained(result):
             lines.append(_line("", unconstrained))
+    lines += [_line("" if i else "recordings", each) for i, each in enumerate(words.disagreement(result))]
     if known := words.known(result):
         lines.append(_line("known", known))
     if not result.best.effects and result.verdict != "outside_catalogue":

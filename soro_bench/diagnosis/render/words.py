@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.result_parts import (
+    Agreement,
     Detectable,
     Errors,
     Estimate,
@@ -44,6 +45,7 @@ ANSWERS = {
     "adequate": "Adequate: no discrepancy detected",
     "discrepancy": "Not adequate: the simulation lacks physics",
     "outside_catalogue": "Not adequate: a discrepancy outside the catalogue",
+    "recordings_disagree": "Not adequate: parameters change from recording to recording",
     "measurement_fault": "Sensor fault: the measurement differs, not the robot",
 }
 
@@ -72,6 +74,32 @@ def estimate(found: Estimate) -> str:
     scale, unit = shown_unit(found.unit, found.value)
     low, high = (f"{scale * each:.3g}" for each in (found.low, found.high))
     return _joined(f"{scale * found.value:.3g} [{low}, {high}]", unit)
+
+
+def disagreement(result: Result) -> list[str]:
+    """Which quantities change from recording to recording, in sentences; none where the recordings agree."""
+    found = [each for each in result.agreement if each.changes]
+    if not found:
+        return []
+    said = ["Parameters change from recording to recording: the structure of the model is wrong."]
+    return said + [f"{quantity(each)}: {each_recording(each)} ({chance(each.p_value)})." for each in found]
+
+
+def quantity(found: Agreement) -> str:
+    """A parameter, or a quantity of a law and where that acts."""
+    return f"{law(found.name)} of {law(found.law)} at {found.location}" if found.law else law(found.name)
+
+
+def each_recording(found: Agreement) -> str:
+    """What the recordings say, one after the other."""
+    return ", ".join(map(estimate, found.estimates))
+
+
+def agreement(found: Agreement) -> str:
+    """Whether recordings agree on a quantity."""
+    if found.overlap:
+        return "intervals overlap"
+    return f"{'changes' if found.changes else 'intervals apart, may be chance'} ({chance(found.p_value)})"
 
 
 def parameter(found: ParameterEstimate) -> str:
@@ -107,7 +135,12 @@ def p_value(result: Result) -> str:
     """The p-value, never smaller than can be known."""
     if result.p_value is None:
         return ""
-    return "p < 0.001" if result.p_value < TINY else f"p = {result.p_value:.2g}"
+    return chance(result.p_value)
+
+
+def chance(p_value: float) -> str:
+    """A p-value, never smaller than can be known."""
+    return "p < 0.001" if p_value < TINY else f"p = {p_value:.2g}"
 
 
 def law(name: str) -> str:

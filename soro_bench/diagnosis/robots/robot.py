@@ -293,6 +293,10 @@ class Robot(Replays):
         """Values by name of the parameters that are not fixed; they are the first of the unknowns ``x`` (n,)."""
         return {prior.name: float(prior.value(value)) for prior, value in zip(self.priors, x, strict=False)}
 
+    def every_parameter(self, x: Floats) -> dict[str, float]:
+        """Values by name of all parameters, those that are not fixed at unknowns ``x`` (n,)."""
+        return {**self.parameters(x), **{each.name: each.value for each in self.fixed}}
+
     def accepts(self, effects: Sequence[Effect]) -> bool:
         """Whether the robot can have these effects at once, beside the known ones. Its simulations stay as they are.
 
@@ -318,8 +322,7 @@ class Robot(Replays):
 
         Simulation 0 has them from then on.
         """
-        sim = self.simulation
-        fixed = {each.name: each.value for each in self.fixed}
+        sim, fixed = self.simulation, {each.name: each.value for each in self.fixed}
         sim.assign_effects([effects] * self._count)
         sim.set_params(np.arange(1), sim.parameters.to_array({**fixed, **parameters})[None])
         return sim.batch.get_model(0)
