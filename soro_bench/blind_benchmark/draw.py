@@ -60,7 +60,7 @@ def draw_cases(count: int, seed: int, healthy: int | None = None) -> list[Case]:
         group, effects, robot = drawn[k]
         low, high = np.log(TARGETS)
         targets = tuple(float(t) for t in np.exp(rng.uniform(low, high, len(effects))))
-        cases.append(Case(f"case_{i:03d}", group, robot, _parameters(rng), effects, targets, (seed, i)))
+        cases.append(Case(f"case_{i:03d}", group, robot, draw_parameters(rng), effects, targets, (seed, i)))
     return cases
 
 
@@ -91,7 +91,8 @@ def _pair(rng: np.random.Generator) -> tuple[str, ...]:
             return a, b
 
 
-def _parameters(rng: np.random.Generator) -> dict[str, float]:
+def draw_parameters(rng: np.random.Generator) -> dict[str, float]:
+    """The trunk's parameters about their nominal values, within the prior of a diagnosis."""
     parameters = {p.name: p.nominal * math.exp(rng.uniform(-_SPREAD, _SPREAD)) for p in trunk.PARAMETERS}
     nominal = next(p.nominal for p in trunk.PARAMETERS if p.name == "poisson_ratio")
     return parameters | {"poisson_ratio": nominal + rng.uniform(-_POISSON_SPREAD, _POISSON_SPREAD)}

@@ -17,15 +17,32 @@ from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 
 CONTROL_TIMESTEP = 0.05  # s
-# engine model and time step [s]: the accurate one as it is, and the cheap one at an eighth of its step, half of the
-# shortest that the diagnosis simulates
-KINDS = {"flex": ("flex", 0.005), "fine": ("cable", 0.00125)}
 _FIRST_LAW = 10  # tag of the first law's random numbers; seeds that differ by trailing zeros only are the same
 _REACH = 0.5  # m, no keypoint of a sound simulation gets so far from the clamp
 
 
 class Diverged(ValueError):
     """A simulation left what a trunk can do."""
+
+
+@dataclass(frozen=True)
+class Engine:
+    """A model of the trunk and the options of MuJoCo that differ from the suite's.
+
+    Args:
+        model: "flex" or "cable".
+        timestep: s.
+        options: fields of MuJoCo's option, with their values.
+    """
+
+    model: str
+    timestep: float
+    options: tuple[tuple[str, float], ...] = ()
+
+
+# the accurate model as it is, and the cheap one at an eighth of its step, half of the shortest that the diagnosis
+# simulates
+KINDS = {"flex": Engine("flex", 0.005), "fine": Engine("cable", 0.00125)}
 
 
 class Law:
@@ -65,7 +82,11 @@ class Trace:
 
 
 def simulate(
-    kind: str, parameters: Mapping[str, float], laws: Sequence[Law], actions: np.ndarray, seed: Sequence[int] = (0,)
+    kind: str | Engine,
+    parameters: Mapping[str, float],
+    laws: Sequence[Law],
+    actions: np.ndarray,
+    seed: Sequence[int] = (0,),
 ) -> Trace:
     """What a new robot does with (T, 8) actions from its reset state; ``seed`` is of what its laws draw.
 
@@ -79,13 +100,13 @@ class Robot:
     """A trunk with parameters and laws, for one run.
 
     Args:
-        kind: "flex" or "fine".
+        kind: of KINDS, or another engine.
         parameters: of the trunk, by name.
         laws: in the order in which they act on the commands.
     """
 
-    def __init__(self, kind: str, parameters: Mapping[str, float], laws: Sequence[Law] = ()) -> None:
-        self.model = model = copy.copy(_compiled(kind))
+    def __init__(self, kind: str | Engine, parameters: Mapping[str, float], laws: Sequence[Law] = ()) -> None:
+        self.model = model = copy.copy(_compiled(_engine(kind)))
         self.data = mujoco.MjData(model)
         self.laws = tuple(laws)
         self.duration = 0.0  # s, of the present run
@@ -208,13 +229,18 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[:, [1, 2, 0]] * b[:, [2, 0, 1]] - a[:, [2, 0, 1]] * b[:, [1, 2, 0]]
 
 
-@lru_cache(maxsize=2)
-def _compiled(kind: str) -> mujoco.MjModel:
-    if kind not in KINDS:
+def _engine(kind: str | Engine) -> Engine:
+    if isinstance(kind, str) and kind not in KINDS:
         raise ValueError(f"unknown robot {kind!r}; there are {', '.join(KINDS)}")
-    name, timestep = KINDS[kind]
-    spec = trunk.build_spec("reach.xml", name)
-    spec.option.timestep = timestep
+    return KINDS[kind] if isinstance(kind, str) else kind
+
+
+@lru_cache(maxsize=2)
+def _compiled(engine: Engine) -> mujoco.MjModel:
+    spec = trunk.build_spec("reach.xml", engine.model)
+    spec.option.timestep = engine.timestep
+    for name, value in engine.options:
+        setattr(spec.option, name, value)
     return spec.compile()
 
 

@@ -1,0 +1,67 @@
+"""Robots of other discretisations and simulators: known answers of their statics, and what is recorded of them."""
+
+import numpy as np
+import pytest
+
+from soro_bench.blind_benchmark import healthy
+from soro_bench.blind_benchmark.links import simulate_chain
+from soro_bench.blind_benchmark.robot import Engine, simulate
+from soro_bench.models import trunk
+from soro_bench.models import trunk_geometry as geo
+
+NOMINAL = {p.name: p.nominal for p in trunk.PARAMETERS}
+DAMPED = NOMINAL | {"damping": 0.2}  # comes to rest within 2 s
+TIP = {"L0": 41.6, "S0": 24.2}  # mm/N, per force on a cable without gravity, finite elements on the reference mesh
+SHORT = {"train": 18.5, "heldout": 1.0}
+
+
+def bent(points):
+    """Distance [mm] of the last keypoint from where it begins, at the end."""
+    return 1e3 * np.linalg.norm(points[-1, -1] - points[0, -1])
+
+
+def test_chain_of_many_links_hangs_like_the_suite_chain():
+    """With slack cables, under its own weight."""
+    suite = simulate(Engine("cable", 0.0025), DAMPED, [], np.r_[np.full((6, 8), -1.0), np.zeros((34, 8))])
+    assert bent(simulate_chain(30, 0.0025, DAMPED, np.full((800, 8), -0.03))) == pytest.approx(
+        bent(suite.points), rel=0.03
+    )
+
+
+@pytest.mark.parametrize("cable", TIP)
+def test_rod_bends_as_finite_elements_do(cable):
+    pytest.importorskip("elastica")
+    from soro_bench.blind_benchmark.cosserat import Arm, ArmLaw
+
+    class Pulled(ArmLaw):
+        """0.02 N on one cable, the others slack, no gravity."""
+
+        def install(self, arm):
+            arm.gravity[:] = 0
+
+        def command(self, arm, pull):
+            return pull - 0.01
+
+        def cables(self, arm):
+            return [(geo.CABLE_NAMES.index(cable), 0.02, 0.0, 0.02, 0.02)]
+
+    points = Arm(DAMPED, [Pulled()], timestep=2e-4).run(np.zeros((10000, 8)), 10000)
+    assert bent(points) / 0.02 == pytest.approx(TIP[cable], rel=0.02)
+
+
+def test_recordings_are_the_same_for_a_seed_and_differ_for_others():
+    once, again, other = (healthy.build("cable", seed, SHORT) for seed in (7, 7, 8))
+    assert once[1] == again[1] and once[1]["robot"] in healthy.ROBOTS["cable"]
+    keypoints = [recordings["train"].signals["keypoints"].values for recordings, _ in (once, again, other)]
+    assert np.array_equal(keypoints[0], keypoints[1]) and not np.array_equal(keypoints[0], keypoints[2])
+    assert once[1]["parameters"] != other[1]["parameters"]
+
+
+def test_every_robot_without_further_packages_moves_within_a_few_millimetres_of_the_accurate_one():
+    rng = np.random.default_rng(0)
+    actions = np.repeat(rng.uniform(-0.5, 0.5, (4, 8)), 5, axis=0)
+    accurate = healthy.keypoints(Engine("flex", 0.005), NOMINAL, actions)
+    for kind in ("cable", "flex", "links"):
+        for robot in healthy.ROBOTS[kind].values():
+            points = healthy.keypoints(robot, NOMINAL, actions)
+            assert np.abs(points - accurate).max() > 0.0 and np.sqrt(np.square(points - accurate).mean()) < 0.008
