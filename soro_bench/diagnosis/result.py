@@ -23,6 +23,7 @@ from soro_bench.diagnosis.result_parts import (
     ParameterEstimate,
     Patch,
     RankedLocation,
+    ReachedLimit,
     ReplayedRobot,
     RobotSummary,
     SelectionRound,
@@ -61,6 +62,8 @@ class Result:
     data: what sensors and loggers did to the recordings.
     robots: whose plain replays are shown; empty in results of older versions.
     agreement: what each recording alone says of parameters and magnitudes; empty where one recording was fitted.
+    limits: what the fitted robot reaches in replays of these recordings: limits of force and control, slack cables,
+        stops, contacts.
     """
 
     robot: RobotSummary
@@ -102,6 +105,7 @@ class Result:
     data: tuple[DataFinding, ...] = ()
     robots: tuple[ReplayedRobot, ...] = ()
     agreement: tuple[Agreement, ...] = ()
+    limits: tuple[ReachedLimit, ...] = ()
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:

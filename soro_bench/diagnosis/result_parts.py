@@ -67,6 +67,22 @@ class Agreement:
 
 
 @dataclass(frozen=True)
+class ReachedLimit:
+    """A limit that the fitted robot reaches in a plain replay.
+
+    name: "force_limit", "control_limit", "slack", "stop" or "contact".
+    element: its kind and name, or those of both sides of a contact.
+    share: of the time. value: of the limit, None where it has none. unit: of that value.
+    """
+
+    name: str
+    element: str
+    share: float
+    value: float | None = None
+    unit: str = ""
+
+
+@dataclass(frozen=True)
 class ParameterEstimate:
     """A parameter of the robot: the estimate, its nominal value, and how many standard deviations of its prior are
     between the two.

@@ -337,6 +337,14 @@ class ExperimentDesignSettings:
 
 
 @dataclass(frozen=True)
+class LimitSettings:
+    """Which limits that a simulated robot reaches are told."""
+
+    least_share: float = setting(0.05, "1", "of the time at a limit; a peak now and then says little")
+    tolerance: float = setting(1e-3, "1", "share of a range within which a value is at its end; solvers round")
+
+
+@dataclass(frozen=True)
 class ReportSettings:
     """What is accepted, and which hypotheses and locations are worth more work at the end."""
 
@@ -384,6 +392,7 @@ class Settings:
     localisation: LocalisationSettings = LocalisationSettings()
     agreement: AgreementSettings = AgreementSettings()
     experiment_design: ExperimentDesignSettings = ExperimentDesignSettings()
+    limits: LimitSettings = LimitSettings()
     report: ReportSettings = ReportSettings()
 
     def listed(self) -> Iterator[tuple[str, str, Any, str, str]]:

@@ -10,6 +10,7 @@ from soro_bench.diagnosis.assembly.agreement import agreement
 from soro_bench.diagnosis.assembly.errors import PlainReplays, plain_replays
 from soro_bench.diagnosis.assembly.findings import deviations, findings, prior_values, tempered, unit_at
 from soro_bench.diagnosis.assembly.force_against_state import force_against_state
+from soro_bench.diagnosis.assembly.limits import reached_limits
 from soro_bench.diagnosis.assembly.patch import kept, model_patch, patch, rejected
 from soro_bench.diagnosis.assembly.shapes import shapes
 from soro_bench.diagnosis.candidates import Term
@@ -99,6 +100,7 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
         data=diagnosis.data,
         robots=_robots(diagnosis, replays),
         agreement=alone,
+        limits=reached_limits(diagnosis),
     )
 
 

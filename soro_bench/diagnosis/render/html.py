@@ -103,6 +103,7 @@ def _tables(result: Result) -> list[Table]:
         Table("Candidates", ("probability", "law", "location", "magnitudes", "drawbacks"), _candidates(result)),
         Table("Parameters", ("parameter", "value [90 %]", "nominal", "prior sd"), _parameters(result)),
         Table("Recordings one by one", ("quantity", "values [90 %]", "agreement"), _agreement(result)),
+        Table("Limits in the replay", ("limit", "element", "value", "share of the time"), _limits(result)),
         Table("Selection", ("on top of", "predicted gain [nats]", "misfit after the fit [nats]"), _rounds(result)),
         Table("Smallest detectable magnitudes", ("law", "quantity", "magnitude"), _detectable(result)),
     ]
@@ -128,6 +129,18 @@ def _parameters(result: Result) -> words.Rows:
             "" if each.known else f"{each.prior_deviations:+.1f}",
         )
         for each in result.parameters
+    ]
+
+
+def _limits(result: Result) -> words.Rows:
+    return [
+        (
+            words.law(each.name),
+            each.element,
+            "" if each.value is None else words.number(each.value, each.unit),
+            f"{100 * each.share:.0f} %",
+        )
+        for each in result.limits
     ]
 
 

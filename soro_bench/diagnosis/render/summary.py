@@ -41,6 +41,7 @@ def summary(result: Result) -> str:
     if kind := words.kind(result):
         lines.append(_line("kind", kind))
     lines += [_line("model", each) for each in words.patched_model(result)]
+    lines += [_line("" if i else "limits", each) for i, each in enumerate(words.limits(result))]
     lines += [_line("note", each) for each in words.warnings(result)]
     if then := words.next_recording(result):
         lines.append(_line("record next", then))

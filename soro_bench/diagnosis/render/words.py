@@ -13,6 +13,7 @@ from soro_bench.diagnosis.result_parts import (
     Finding,
     NamedLocation,
     ParameterEstimate,
+    ReachedLimit,
 )
 from soro_bench.effects.effect import Location
 from soro_bench.effects.equations import EQUATIONS
@@ -38,6 +39,14 @@ KINDS = {
     "hysteresis_or_play": "hysteresis or play",
 }
 Rows = list[tuple[str, ...]]
+LIMITS = {
+    "force_limit": "At a limit of force",
+    "control_limit": "At a limit of control",
+    "slack": "Slack",
+    "stop": "At a stop",
+    "contact": "In contact",
+}
+SHOWN_LIMITS = 4  # elements of a kind that are named
 _POWERS = {"^2": "²", "^3": "³"}
 _LAWS = re.compile(rf"\b({'|'.join(sorted(EQUATIONS, key=len, reverse=True))})\b")
 
@@ -74,6 +83,24 @@ def estimate(found: Estimate) -> str:
     scale, unit = shown_unit(found.unit, found.value)
     low, high = (f"{scale * each:.3g}" for each in (found.low, found.high))
     return _joined(f"{scale * found.value:.3g} [{low}, {high}]", unit)
+
+
+def limits(result: Result) -> list[str]:
+    """What the fitted robot reaches in its replay, a sentence for each kind of limit; the largest shares first."""
+    found = []
+    for name, said in LIMITS.items():
+        reached = [each for each in result.limits if each.name == name]
+        if reached:
+            more = len(reached) - SHOWN_LIMITS
+            shares = listed([*map(_share, reached[:SHOWN_LIMITS]), *([f"{more} more"] if more > 0 else [])])
+            found.append(f"{said}: {shares} of the time.")
+    return found
+
+
+def _share(found: ReachedLimit) -> str:
+    """An element, its limit and the share of the time."""
+    value = "" if found.value is None else f" ({number(found.value, found.unit)})"
+    return f"{found.element}{value} {100 * found.share:.0f}{NO_BREAK}%"
 
 
 def disagreement(result: Result) -> list[str]:

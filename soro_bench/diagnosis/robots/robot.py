@@ -216,9 +216,20 @@ class Robot(Replays):
         return "tendon" in self.kinds and bool((kinds == int(mujoco.mjtTrn.mjTRN_TENDON)).all())
 
     @property
+    def setpoint_units(self) -> list[str]:
+        """The unit of each actuator's setpoint."""
+        return [self._setpoint_unit(i) for i in range(self.elements.model.nu)]
+
+    @property
+    def force_units(self) -> list[str]:
+        """The unit of each actuator's force."""
+        model = self.elements.model
+        return [{"m": "N", "rad": "N m"}[_length_unit(model, i)] for i in range(model.nu)]
+
+    @property
     def setpoint_unit(self) -> str:
         """The unit of all setpoints; "1" where actuators have different ones (``setpoint_unit_at``)."""
-        units = {self._setpoint_unit(i) for i in range(self.elements.model.nu)}
+        units = set(self.setpoint_units)
         return units.pop() if len(units) == 1 else "1"
 
     def setpoint_unit_at(self, location: Location) -> str:
