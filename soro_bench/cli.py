@@ -15,7 +15,7 @@ try:
     from soro_bench.commands.leaderboard import Evaluate, Leaderboard
     from soro_bench.commands.recording import Data, Import, Record, View
     from soro_bench.commands.training import Train
-    from soro_bench.diagnosis.commands import Diagnose, Excite, Map, Report, Study
+    from soro_bench.diagnosis.commands import Check, Diagnose, Excite, Map, Report, Study
     from soro_bench.progress import console, table
 except ImportError as error:
     sys.exit(f"soro-bench needs more than the core install: pip install soro_bench[all] ({error})")
@@ -65,6 +65,7 @@ COMMANDS: dict[str, Callable[..., Command]] = {
     "map": Map,
     "diagnose": Diagnose,
     "report": Report,
+    "check": Check,
     "study": Study,
     "blind-benchmark": BlindBenchmark,
     "leaderboard": Leaderboard,

@@ -3,6 +3,7 @@ as the diagnosis sees it."""
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gymnasium
@@ -80,6 +81,25 @@ def paths(tmp_path: Path) -> tuple[Path, Path]:
     (tmp_path / "arm.xml").write_text(ARM)
     (tmp_path / "map.toml").write_text(MAP)
     return tmp_path / "arm.xml", tmp_path / "map.toml"
+
+
+@pytest.fixture(scope="session")
+def diagnosed_arm(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """An arm with friction that its model lacks: ``paths`` of model and mapping, ``recordings`` (fitted to, held out,
+    new), and the ``result`` of its diagnosis."""
+    from soro_bench.diagnosis.api import diagnose
+    from soro_bench.diagnosis.robots.model_robot import ModelRobot
+    from soro_bench.effects.effect import Effect, Location
+    from tests.arm import ARM, MAP, recording
+
+    folder = tmp_path_factory.mktemp("arm")
+    paths = folder / "arm.xml", folder / "map.toml"
+    paths[0].write_text(ARM)
+    paths[1].write_text(MAP)
+    hidden = [Effect("coulomb_friction", Location("joint", "hinge"), {"friction": 0.05})]
+    recordings = tuple(recording(paths, hidden, seed) for seed in range(3))
+    result = diagnose(ModelRobot(*paths, threads=1), recordings[:1], recordings[1:2])
+    return SimpleNamespace(paths=paths, recordings=recordings, result=result)
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import tyro
 
 from soro_bench.files import check_folder, check_output, results_folder
 from soro_bench.options import EnvId, KnownParameters, joined
-from soro_bench.progress import StageStatus, console
+from soro_bench.progress import StageStatus, console, table
 
 if TYPE_CHECKING:
     from soro_bench.diagnosis.robots.robot import Robot
@@ -146,6 +146,47 @@ class Report:
         with results_folder(self.out, FILES):
             text = render(result, self.out)
         console.print(text, soft_wrap=True, highlight=False)
+
+
+@dataclass
+class Check:
+    """Replay the robot of a result on recordings, and say how far off it is: as built, with fitted parameters, with
+    effects, and by patched_model.xml alone."""
+
+    result: Annotated[Path, tyro.conf.Positional]
+    """result.json of a diagnosis."""
+    recordings: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """.parquet of the same robot, also such as the diagnosis has not seen."""
+    model: Path | None = None
+    """MJCF file of a robot of your own, where it is not at the path that the result has. Only of someone you trust."""
+    map: Path | None = None
+    """TOML file of such a robot, likewise."""
+    out: Path | None = None
+    """Folder for check.html, with errors of every point, and check.json."""
+
+    def run(self) -> None:
+        from soro_bench.diagnosis.render.replay_check import FILES, tables, write_check
+        from soro_bench.diagnosis.replay_check import check_replays, robot_of
+        from soro_bench.diagnosis.result import Result
+        from soro_bench.recording.parquet import load
+
+        if not self.recordings:
+            raise ValueError("no recording to replay; give one or more .parquet files")
+        if self.out:
+            check_folder(self.out, FILES)
+        result = Result.load(self.result)
+        robot, notes = robot_of(result, self.result.parent, self.model, self.map)
+        found = check_replays(result, robot, {str(path): load(path) for path in self.recordings}, notes)
+        for errors in tables(found):
+            lines = table(*errors.head, title=errors.title)
+            for row in errors.rows:
+                lines.add_row(*row)
+            console.print(lines)
+        for note in found.notes:
+            console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
+        if self.out:
+            write_check(found, self.out)
+            console.print(f"{self.out / FILES[0]}, {self.out / FILES[1]}", soft_wrap=True)
 
 
 @dataclass

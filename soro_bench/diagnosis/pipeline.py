@@ -9,9 +9,8 @@ from functools import partial
 import numpy as np
 
 from soro_bench.diagnosis.candidates import terms
-from soro_bench.diagnosis.data_quality.inspection import Inspected, compressed, inspected
-from soro_bench.diagnosis.data_quality.noise import DataQuality, noise, outliers
-from soro_bench.diagnosis.data_quality.samples import spikes
+from soro_bench.diagnosis.data_quality.inspection import Inspected, compressed, far_off, inspected
+from soro_bench.diagnosis.data_quality.noise import DataQuality, noise
 from soro_bench.diagnosis.data_quality.signals import explaining, labels, left_out, named, qualities_of
 from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
 from soro_bench.diagnosis.estimation.fit import Hypothesis
@@ -290,14 +289,9 @@ def _outliers(problem: Problem, residual: np.ndarray, spoilt: bool = False) -> n
     """(M,) whether a sample belongs to a point that is alone and far off; one of two, where others were ``spoilt``."""
     left = np.where(problem.weight > 0, problem.discretisation.without(residual), np.nan)
     found: list[list[np.ndarray]] = []
-    settings = problem.settings
     for which in range(len(problem.robot.signals)):
-        found.append([])
-        for part in problem.split(left, which):
-            far = outliers(part, settings.data_quality)
-            if spoilt:
-                far |= np.stack([spikes(part[:, p], 1.0, settings.signals) for p in range(part.shape[1])], axis=1)
-            found[-1].append(np.repeat(far[:, :, None], part.shape[2], axis=2))
+        far = ((far_off(part, spoilt, problem.settings), part) for part in problem.split(left, which))
+        found.append([np.repeat(each[:, :, None], part.shape[2], axis=2) for each, part in far])
     return problem.joined(found)
 
 

@@ -125,7 +125,7 @@ class Result:
 
     def to_json(self) -> dict[str, typing.Any]:
         """A JSON object; NaN is null."""
-        return {"schema": SCHEMA, **_plain(self)}
+        return {"schema": SCHEMA, **plain_json(self)}
 
     @classmethod
     def from_json(cls, data: object) -> "Result":
@@ -148,13 +148,14 @@ class Result:
             raise ValueError(f"{path}: {error}") from error
 
 
-def _plain(value: typing.Any) -> typing.Any:
+def plain_json(value: typing.Any) -> typing.Any:
+    """Dataclasses as JSON objects, tuples as lists, numbers with seven digits, NaN as null."""
     if is_dataclass(value):
-        return {each.name: _plain(getattr(value, each.name)) for each in fields(value)}
+        return {each.name: plain_json(getattr(value, each.name)) for each in fields(value)}
     if isinstance(value, (tuple, list)):
-        return [_plain(each) for each in value]
+        return [plain_json(each) for each in value]
     if isinstance(value, dict):
-        return {str(key): _plain(each) for key, each in value.items()}
+        return {str(key): plain_json(each) for key, each in value.items()}
     if isinstance(value, float):
         return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
     return value

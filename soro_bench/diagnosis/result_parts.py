@@ -303,8 +303,8 @@ class Patch:
 class SignalQuality:
     """Of a recording: standard deviation of the noise [signal's unit], and share of missing samples.
 
-    digest: of its samples, to know it again. left_out: sample and point of outliers that fits left out, beside what
-        ``Result.data`` says.
+    digest: of its samples, to know it again. left_out: sample and column, through all signals, of numbers that fits
+        left out as outliers, beside what ``Result.data`` says.
     """
 
     noise: float
@@ -355,7 +355,7 @@ class RobotSummary:
     """The robot and the signal that was explained.
 
     channels: what each number of an action moves.
-    files: its model and its mapping, where it was made from files.
+    files: its model and its mapping, where it was made from files. others: names of the other explained signals.
     """
 
     name: str
@@ -365,3 +365,4 @@ class RobotSummary:
     channels: tuple[str, ...]
     has_baseline: bool = False
     files: tuple[SourceFile, ...] = ()
+    others: tuple[str, ...] = ()

@@ -350,6 +350,7 @@ class ReportSettings:
 
     most_numbers: int = setting(300_000, "numbers", "four minutes of a trunk; every candidate term adds as many")
     least_probability: float = setting(0.05, "1", "of a hypothesis whose intervals are computed by replays")
+    same_error: float = setting(0.01, "1", "share; a replay that is further from the printed error is noted")
     least_unknown: float = setting(0.1, "1", "probability of an unknown law, above which its location is searched")
 
 

@@ -1,13 +1,12 @@
 """The result of a diagnosis, from its internal state: everything that is shown, as plain numbers and names."""
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from soro_bench.diagnosis.assembly.agreement import agreement
-from soro_bench.diagnosis.assembly.errors import PlainReplays, plain_replays
+from soro_bench.diagnosis.assembly.errors import PlainReplays, plain_replays, replayed_robots
 from soro_bench.diagnosis.assembly.findings import deviations, findings, prior_values, tempered, unit_at
 from soro_bench.diagnosis.assembly.force_against_state import force_against_state
 from soro_bench.diagnosis.assembly.limits import reached_limits
@@ -31,7 +30,6 @@ from soro_bench.diagnosis.result_parts import (
     ParameterEstimate,
     Patch,
     RankedLocation,
-    ReplayedRobot,
     RobotSummary,
     ScreenedTerm,
     SelectionRound,
@@ -98,7 +96,7 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
         settings=_changed(explanation.problem.settings),
         notes=_notes(diagnosis),
         data=diagnosis.data,
-        robots=_robots(diagnosis, replays),
+        robots=replayed_robots(diagnosis, replays, bool(patch(diagnosis))),
         agreement=alone,
         limits=reached_limits(diagnosis),
     )
@@ -129,41 +127,20 @@ def _changed(settings: Settings) -> dict[str, Any]:
 def _robot(diagnosis: Diagnosis) -> RobotSummary:
     robot = diagnosis.robot
     return RobotSummary(
-        robot.name, robot.model_name, robot.signal, robot.unit, tuple(robot.channels), robot.from_baseline, robot.files
-    )
+        robot.name, robot.model_name, robot.signal, robot.unit, tuple(robot.channels), robot.from_baseline, robot.files,
+        tuple(each.name for each in robot.others),
+    )  # fmt: skip
 
 
 def _recordings(diagnosis: Diagnosis, replays: PlainReplays) -> tuple[SignalQuality, ...]:
     """The quality of every recording, and what fits left out of it."""
     found = []
     for problem in replays.problems:
-        for each, weight in zip(problem.recordings, problem.split(problem.weight), strict=True):
-            sample, point = np.nonzero((np.isfinite(each.values) & (weight == 0)).any(axis=2))
-            found.append(tuple(zip(sample.tolist(), point.tolist(), strict=True)))
+        for each, weight in zip(problem.recordings, problem.rows(problem.weight), strict=True):
+            far = np.isfinite(each.columns) & (weight == 0)
+            found.append(tuple((int(sample), int(column)) for sample, column in np.argwhere(far)))
     columns = zip(diagnosis.data_qualities, diagnosis.digests, found, strict=True)
     return tuple(SignalQuality(a.sigma, a.missing, digest, left_out) for a, digest, left_out in columns)
-
-
-def _robots(diagnosis: Diagnosis, replays: PlainReplays) -> tuple[ReplayedRobot, ...]:
-    """The robots whose replays are shown: as built, with fitted parameters, and by every hypothesis with effects."""
-    robot, known, best = diagnosis.robot, diagnosis.robot.known, diagnosis.best
-    found = [ReplayedRobot("nominal", dict(replays.nominal), (), *map(_finite, replays.built))]
-    for answer in (None, *diagnosis.comparison.ranked):
-        hypothesis = answer.hypothesis if answer else diagnosis.explanation.nominal
-        if answer and not answer.names:
-            continue
-        effects = (*known, *hypothesis.effects(len(robot.priors)))
-        name = "fitted" if answer is None else ("alternative" if answer is not best else "best")
-        name = "patched" if name == "best" and patch(diagnosis) else name
-        laws = tuple(effect.to_json() for effect in effects)
-        errors = map(_finite, replays.rms(hypothesis))
-        found.append(ReplayedRobot(name, robot.every_parameter(hypothesis.x), laws, *errors))
-    return tuple(found)
-
-
-def _finite(error: float) -> float:
-    """NaN for the error of a replay that diverges."""
-    return error if math.isfinite(error) else math.nan
 
 
 def _ranked(diagnosis: Diagnosis) -> Sequence:

@@ -15,7 +15,7 @@ from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Points, Problem
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.result_parts import Errors
+from soro_bench.diagnosis.result_parts import Errors, ReplayedRobot
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer
 from soro_bench.inference.statistical_linearisation import LowRank
@@ -64,6 +64,32 @@ def plain_replays(diagnosis: Diagnosis) -> PlainReplays:
     built = robot.as_built()
     nominal = {prior.name: float(prior.nominal) for prior in built.priors}
     return PlainReplays(problems, rows, tuple(rms_as_it_is(built, problems)), nominal)
+
+
+def replayed_robots(diagnosis: Diagnosis, replays: PlainReplays, patched: bool) -> tuple[ReplayedRobot, ...]:
+    """The robots whose replays are shown: as built, with fitted parameters, and by every hypothesis with effects.
+
+    Args:
+        patched: whether the patch is the best hypothesis.
+    """
+    robot, known, best = diagnosis.robot, diagnosis.robot.known, diagnosis.best
+    found = [ReplayedRobot("nominal", dict(replays.nominal), (), *map(_finite, replays.built))]
+    for answer in (None, *diagnosis.comparison.ranked):
+        hypothesis = answer.hypothesis if answer else diagnosis.explanation.nominal
+        if answer and not answer.names:
+            continue
+        effects = (*known, *hypothesis.effects(len(robot.priors)))
+        name = "fitted" if answer is None else ("alternative" if answer is not best else "best")
+        name = "patched" if name == "best" and patched else name
+        laws = tuple(effect.to_json() for effect in effects)
+        errors = map(_finite, replays.rms(hypothesis))
+        found.append(ReplayedRobot(name, robot.every_parameter(hypothesis.x), laws, *errors))
+    return tuple(found)
+
+
+def _finite(error: float) -> float:
+    """NaN for the error of a replay that diverges."""
+    return error if math.isfinite(error) else math.nan
 
 
 def plain(problem: Problem, robot: Robot) -> Problem:

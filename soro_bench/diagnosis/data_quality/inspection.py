@@ -8,7 +8,7 @@ import numpy as np
 from soro_bench.arrays import Bools, Floats
 from soro_bench.diagnosis.data_quality import samples
 from soro_bench.diagnosis.data_quality.lattice import is_lattice, lattice_step
-from soro_bench.diagnosis.data_quality.noise import noise
+from soro_bench.diagnosis.data_quality.noise import noise, outliers
 from soro_bench.diagnosis.data_quality.samples import Channel
 from soro_bench.diagnosis.data_quality.stamps import Stamps, interpolated, stamps
 from soro_bench.diagnosis.data_quality.texts import text
@@ -325,6 +325,19 @@ class _Inspection:
     def _signal(self, time: Floats, values: Floats) -> Signal:
         shape = self.signal.values.shape[1:]
         return Signal(time, values.reshape(len(time), *shape), self.signal.unit, self.signal.frame)
+
+
+def far_off(residual: Floats, spoilt: bool, settings: Settings = DEFAULT) -> Bools:
+    """(T, P) whether a point is alone and far off; one of two, where the recording was ``spoilt``.
+
+    Args:
+        residual: (T, P, D) measured less simulated, in standard deviations of the noise; NaN where missing.
+    """
+    far = outliers(residual, settings.data_quality)
+    if spoilt:
+        columns = (residual[:, p] for p in range(residual.shape[1]))
+        far |= np.stack([samples.spikes(column, 1.0, settings.signals) for column in columns], axis=1)
+    return far
 
 
 def compressed(values: Floats) -> Floats:

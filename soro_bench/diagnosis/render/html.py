@@ -15,7 +15,7 @@ from soro_bench.files import replacing
 
 RANKED = 10  # effects of the table
 
-_TEMPLATES = Environment(
+TEMPLATES = Environment(
     loader=PackageLoader("soro_bench.diagnosis.render"), autoescape=select_autoescape(), trim_blocks=True,
     lstrip_blocks=True,
 )  # fmt: skip
@@ -47,7 +47,7 @@ def write_html(result: Result, path: str | Path) -> None:
 
 def html(result: Result) -> str:
     """The report as HTML."""
-    return _TEMPLATES.get_template("report.html").render(
+    return TEMPLATES.get_template("report.html").render(
         result=result,
         words=words,
         tone="good" if words.headline(result).startswith("Adequate") else "bad",
