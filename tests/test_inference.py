@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from soro_bench.campaign.inputs import inferred
+from soro_bench.effects.effect import Effect, Location
 from soro_bench.inference import rf_dropo
+from soro_bench.inference.guard import guarded, independent, rms
 from soro_bench.inference.methods import infer
 from soro_bench.inference.replay import Replay
+from soro_bench.inference.report import rounded, warnings
 from soro_bench.randomization import load
 from soro_bench.recording.parquet import save
 from soro_bench.recording.recording import RecordingError, Signal
@@ -74,14 +77,14 @@ def test_simulations_of_bayes_sim_are_as_noisy_as_the_recording(reach, tmp_path)
 
 
 def test_the_log_of_another_inference_is_refused(reach, tmp_path):
-    infer("sysid", Replay(reach[0], threads=1), tmp_path / "log", max_iterations=1)
+    infer("sysid", Replay(reach[0], threads=1), tmp_path / "log", max_iterations=1, starts=1)
     with pytest.raises(ValueError, match="log of another inference"):
         infer("sysid", Replay(reach[0], threads=1), tmp_path / "log", seed=1)
 
 
 def test_training_reads_a_posterior_as_a_distribution(reach, tmp_path):
     names = ("trunk_mass", "poisson_ratio")
-    infer("sysid", Replay(reach[0], names, threads=1)).save(tmp_path / "posterior.json")
+    infer("sysid", Replay(reach[0], names, threads=1), max_iterations=3, starts=1).save(tmp_path / "posterior.json")
     assert load(tmp_path / "posterior.json").names == names
 
 
@@ -97,7 +100,7 @@ def test_least_squares_are_as_unsure_as_the_search_box_of_what_a_recording_says_
     """Friction, before anything is touched."""
     recording = record("TrunkPush-v0", model="cable", steps=3)
     replay = Replay(recording, ("trunk_mass", "friction"), noise=5e-4, threads=1)
-    distribution = infer("sysid", replay, max_iterations=3).distribution
+    distribution = infer("sysid", replay, max_iterations=3, starts=1).distribution
     low, high = replay.parameters[1].search
     assert np.sqrt(distribution.cov[1, 1]) == pytest.approx(rf_dropo.LARGEST_STD * (high - low), rel=0.05)
 
@@ -143,7 +146,7 @@ def test_the_fit_is_over_what_was_measured(reach):
     values[1::2] = np.nan
     patchy = replace(recording, signals={"keypoints": Signal(signal.time, values, "m", "world")})
     replay = Replay(patchy, known={"young_modulus": 8e6, "poisson_ratio": 0.45}, threads=1)
-    posterior = infer("sysid", replay)
+    posterior = infer("sysid", replay, starts=1)
     residual = replay.residuals(np.array([[posterior.estimate["trunk_mass"]]]))[0]
     left = residual[~np.isnan(replay.measured)]
     assert posterior.fit["keypoints"] == pytest.approx(np.sqrt((left**2).mean()), rel=1e-6)
@@ -172,8 +175,68 @@ def test_what_a_fit_leaves_widens_what_is_said_to_be_determined(reach):
     recording, _ = reach
     far = Replay(recording, known={"young_modulus": 8e6, "poisson_ratio": 0.45}, threads=1)
     near = Replay(recording, known={"young_modulus": 3.9e6, "poisson_ratio": 0.43}, threads=1)
-    widths = [infer("sysid", replay).combinations[0].relative_std for replay in (far, near)]
+    widths = [infer("sysid", replay, starts=1).combinations[0].relative_std for replay in (far, near)]
     assert widths[0] > 10 * widths[1]
+
+
+@pytest.fixture(scope="module")
+def weak():
+    """The cheap trunk with a cable that moves half as far as it is told, measured with noise."""
+    gain = Effect("actuator_gain", Location("actuator", "L1"), {"gain": 0.5})
+    return record("TrunkReach-v0", model="cable", steps=STEPS, noise=5e-4, effects=[gain])
+
+
+@pytest.mark.parametrize(
+    ("method", "settings"),
+    [("rf-dropo", {"starts": 2}), ("sysid", {"max_iterations": 5, "starts": 2}), ("bayes-sim", {"simulations": 64})],
+)
+def test_a_model_that_does_not_explain_a_recording_is_said_and_widens_intervals(weak, method, settings):
+    replay = Replay(weak, ("trunk_mass",), noise=5e-4, threads=1)
+    posterior = infer(method, replay, **settings)
+    assert posterior.guard.unexplained == ("keypoints",)
+    assert posterior.guard.widening > posterior.fit["keypoints"] / 5e-4 > 3
+    assert posterior.guard.nominal["keypoints"] == pytest.approx(rms(replay, replay.nominal_residual)["keypoints"])
+    (said,) = [text for text in warnings(posterior, replay) if "does not explain" in text]
+    assert "mm of keypoints" in said and "soro-bench diagnose" in said
+
+
+def test_of_a_model_that_explains_a_recording_nothing_is_said(reach):
+    recording, truth = reach
+    replay = Replay(recording, ("trunk_mass",), {name: truth[name] for name in tuple(truth)[1:]}, threads=1)
+    posterior = infer("sysid", replay, starts=1)
+    assert (posterior.guard.unexplained, posterior.guard.widening, warnings(posterior, replay)) == ((), 1.0, [])
+
+
+def test_an_estimate_that_is_worse_than_nominal_parameters_or_at_a_bound_is_said():
+    recording = record("TrunkReach-v0", model="cable", steps=STEPS)  # with nominal parameters
+    replay = Replay(recording, ("trunk_mass",), threads=1)
+    point = np.array([[1.0]])
+    found = guarded(replay, replay.residuals(point)[0], np.zeros((STEPS, 63, 1)), point[0])
+    assert (found.worse, found.at_bounds) == (("keypoints",), {"trunk_mass": "upper"})
+
+
+@pytest.mark.parametrize(("alike", "expected"), [("nothing", 40 * 6), ("columns", 40), ("steps", 1), ("all", 1)])
+def test_samples_that_are_alike_count_once(alike, expected):
+    shape = {"nothing": (40, 6), "columns": (40, 1), "steps": (1, 6), "all": (1, 1)}[alike]
+    rng = np.random.default_rng(0)
+    found = [independent(np.broadcast_to(rng.standard_normal(shape), (40, 6))) for _ in range(50)]
+    assert np.mean(found) == pytest.approx(expected, rel=0.35)
+
+
+@pytest.mark.parametrize(
+    ("value", "deviation", "text"),
+    [(0.4187654, 0.0054, "0.4188"), (6.998e6, 1.1e6, "7e+06"), (4.5e6, 12.0, "4.5e+06"), (0.4187654, 0.0, "0.4188")],
+)
+def test_an_estimate_has_the_digits_that_are_known(value, deviation, text):
+    assert rounded(value, deviation) == text
+
+
+def test_least_squares_start_again_where_they_end_above_the_noise():
+    recording = record("TrunkReach-v0", model="cable", steps=STEPS, noise=5e-4, seed=1)
+    replay = Replay(recording, ("trunk_mass", "poisson_ratio"), noise=5e-4, threads=1)
+    once, often = (infer("sysid", replay, start=0.99, max_iterations=1, starts=count) for count in (1, 2))
+    assert often.fit["keypoints"] < once.fit["keypoints"]
+    assert often.replays > once.replays
 
 
 @pytest.mark.parametrize(
@@ -318,7 +381,7 @@ def test_a_recorded_state_that_cannot_be_gone_on_from_is_refused(reach):
 def test_a_posterior_holds_what_was_known(reach, tmp_path):
     known = {"poisson_ratio": 0.44, "young_modulus": 4e6}
     for method in ("rf-dropo", "sysid"):
-        infer(method, Replay(reach[0], known=known, threads=1)).save(tmp_path / "posterior.json")
+        infer(method, Replay(reach[0], known=known, threads=1), starts=1).save(tmp_path / "posterior.json")
         sample = load(tmp_path / "posterior.json").sample(np.random.default_rng(0))
         assert sample.keys() == {"trunk_mass", *known} and sample["young_modulus"] == pytest.approx(4e6)
 

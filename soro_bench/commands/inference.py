@@ -49,7 +49,7 @@ class Infer:
 
         from soro_bench.inference.methods import infer
         from soro_bench.inference.replay import Replay
-        from soro_bench.inference.report import write_report
+        from soro_bench.inference.report import nominal_words, write_report
         from soro_bench.recording.known import known_parameters
         from soro_bench.recording.parquet import load
         from soro_bench.registration import ENV_IDS, task_type
@@ -67,6 +67,7 @@ class Infer:
         names = task_type(env_id).parameters.names if env_id in ENV_IDS else ()  # Replay refuses others
         known = known_parameters(joined(self.known), [recording], [name for name in names if name not in self.infer])
         replay = Replay(recording, self.infer or None, known.values, self.model, self.noise, restart, also=self.also)
+        console.print(nominal_words(replay), soft_wrap=True)
         work = self.out.with_suffix(".log.jsonl")
         with InferenceBar(self.method) as steps:
             posterior = infer(self.method, replay, work, self.seed, steps, self.workers, **settings)

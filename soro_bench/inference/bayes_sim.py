@@ -51,7 +51,8 @@ class Estimator:
             if len(kept) >= count:
                 return kept[:count]
         raise ValueError(f"{len(kept)} of {BATCHES * count} samples of BayesSim's network lie in the search box: "
-                         f"it has learned too little; more simulations are needed")  # fmt: skip
+                         "it has learned too little, and more simulations are needed, or no parameters explain the "
+                         "recording")  # fmt: skip
 
 
 def summarise(signals: Floats, actions: ArrayLike) -> Floats:

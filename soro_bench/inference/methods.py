@@ -13,6 +13,8 @@ import numpy as np
 
 from soro_bench.arrays import Floats
 from soro_bench.inference import rf_dropo
+from soro_bench.inference.continuation import EXPLAINED
+from soro_bench.inference.guard import Guard, guarded, rms
 from soro_bench.inference.identifiability import combinations, fisher
 from soro_bench.inference.posterior import Posterior
 from soro_bench.inference.replay import SIMULATIONS, Replay
@@ -152,14 +154,45 @@ def _droid(search: Search, iterations: int = 60, popsize: int = 16) -> _Found:
     return TruncatedNormal(search.replay.names, values, np.zeros(search.dimension)), values, _slope(search, best)
 
 
-def _sysid(search: Search, max_iterations: int = 30, start: float | None = None) -> _Found:
-    """Nonlinear least squares by mujoco.sysid, from the nominal values or a share of the search box in every
-    direction; the normal approximation at the optimum."""
+def _sysid(search: Search, max_iterations: int = 30, start: float | None = None, starts: int = 4) -> _Found:
+    """Nonlinear least squares by mujoco.sysid; the normal approximation at the optimum.
+
+    It starts from the nominal values, or a share of the search box in every direction. As long as it ends above the
+    noise, it starts again from the best of SIMULATIONS random points of the box, ``starts`` times in all.
+    """
+    replay, steps = search.replay, search.replay.steps
+    nominal = np.clip(search.point(np.array([p.nominal for p in replay.parameters])), 0.01, 0.99)
+    best = _least_squares(search, nominal if start is None else np.full(search.dimension, start), max_iterations)
+    left = search.log(lambda p: search.residuals(p[None], steps)[0], best, "fit")
+    if starts > 1 and not _left(replay, left) < EXPLAINED:
+        points = np.random.default_rng(search.seed).random((SIMULATIONS, search.dimension))
+        costs = search.log(
+            lambda p: np.array([_left(replay, one) for one in search.residuals(p, steps)]), points, "rms"
+        )
+        for point in points[np.argsort(costs, kind="stable")[: starts - 1]]:
+            other = _least_squares(search, point, max_iterations)
+            found = search.log(lambda p: search.residuals(p[None], steps)[0], other, "fit")
+            if not _left(replay, found) >= _left(replay, left):
+                best, left = other, found
+            if _left(replay, left) < EXPLAINED:
+                break
+    slope = _slope(search, best)
+    # not mujoco.sysid's, which knows no prior: what a recording says nothing about would have any variance
+    covariance = np.outer(search.width, search.width) * uncertainty(slope * search.width, _deviation(replay, left))
+    values = search.low + search.width * best
+    return Gaussian(replay.names, values, 0.5 * (covariance + covariance.T)), values, slope
+
+
+def _left(replay: Replay, residual: Floats) -> float:
+    """What a residual (T, k) has of what was measured, rms in standard deviations; NaN if it diverged."""
+    return float(np.sqrt(((residual / replay.deviation)[~np.isnan(replay.measured)] ** 2).mean()))
+
+
+def _least_squares(search: Search, begin: Floats, max_iterations: int) -> Floats:
+    """The point (d,) of the unit cube at which least squares end that begin at another."""
     from mujoco import sysid
 
     replay, steps = search.replay, search.replay.steps
-    nominal = np.clip(search.point(np.array([p.nominal for p in replay.parameters])), 0.01, 0.99)
-    begin = nominal if start is None else np.full(search.dimension, start)
     params = sysid.ParameterDict({
         name: sysid.Parameter(name, float(value), 0.0, 1.0) for name, value in zip(replay.names, begin, strict=True)
     })
@@ -173,13 +206,7 @@ def _sysid(search: Search, max_iterations: int = 30, start: float | None = None)
     # forward differences far above the solver's noise
     quiet: dict[str, Any] = {"output": io.StringIO()}  # its own switch does not reach the optimiser
     _, result = sysid.optimize(params, residual, verbose=False, max_iters=max_iterations, eps=1e-4, **quiet)
-    best = np.clip(np.asarray(result.x, float).ravel(), 0, 1)
-    slope = _slope(search, best)
-    left = search.log(lambda p: search.residuals(p[None], steps)[0], best, "fit")
-    # not mujoco.sysid's, which knows no prior: what a recording says nothing about would have any variance
-    covariance = np.outer(search.width, search.width) * uncertainty(slope * search.width, _deviation(replay, left))
-    values = search.low + search.width * best
-    return Gaussian(replay.names, values, 0.5 * (covariance + covariance.T)), values, slope
+    return np.asarray(np.clip(np.asarray(result.x, float).ravel(), 0, 1))
 
 
 def _bayes_sim(search: Search, features: str = "mdn", simulations: int = 1000, samples: int = 2000) -> _Found:
@@ -244,24 +271,42 @@ def _posterior(
     slope: Floats,
     settings: dict[str, Any],
 ) -> Posterior:
-    """What was found, with the fit at the estimate (d,) and what the slope (T, k, d) there says is determined."""
+    """What was found, with the fit at the estimate (d,) and what the slope (T, k, d) there says is determined.
+
+    Where the model does not explain the recording, the distribution is widened by what it leaves.
+    """
     replay, steps = search.replay, search.replay.steps
     residual = search.log(lambda p: search.residuals(p[None], steps)[0], search.point(estimate), "fit")
-    seen = ~np.isnan(replay.measured)
-    fit = {name: float(np.sqrt((residual[:, group][seen[:, group]] ** 2).mean()))
-           for name, group in zip(replay.signal_names, replay.groups, strict=True)}  # fmt: skip
+    guard = guarded(replay, residual, slope * search.width, search.point(estimate))
+    distribution = _widened(search, distribution, slope, guard)
+    deviation = guard.widening * replay.deviation if guard.unexplained else _deviation(replay, residual)
     return Posterior(
         method=method,
         distribution=_with_known(distribution, replay.known),
         estimate=dict(zip(replay.names, map(float, estimate), strict=True)),
-        fit=fit,
-        combinations=combinations(slope, _deviation(replay, residual), replay.parameters, estimate),
+        fit=rms(replay, residual),
+        guard=guard,
+        combinations=combinations(slope, deviation, replay.parameters, estimate),
         known=replay.known,
         model=replay.model,
         replay=replay.fingerprint(),
         replays=search.log.work / steps,
         settings=settings,
     )
+
+
+def _widened(
+    search: Search, found: TruncatedNormal | Gaussian, slope: Floats, guard: Guard
+) -> TruncatedNormal | Gaussian:
+    """A distribution with the errors of its means besides, as far as they come of a model that does not explain."""
+    if not guard.unexplained:
+        return found
+    errors = uncertainty(slope * search.width, guard.widening * search.replay.deviation)
+    if isinstance(found, Gaussian):
+        errors = np.outer(search.width, search.width) * 0.5 * (errors + errors.T)
+        return Gaussian(found.names, found.mean, found.cov + errors)
+    std = np.minimum(np.hypot(found.std / search.width, np.sqrt(np.diag(errors))), rf_dropo.LARGEST_STD)
+    return TruncatedNormal(found.names, found.mean, search.width * std)
 
 
 def _deviation(replay: Replay, residual: Floats) -> Floats:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from soro_bench.files import write_json
+from soro_bench.inference.guard import Guard
 from soro_bench.inference.identifiability import Combination
 from soro_bench.randomization import Distribution
 
@@ -20,6 +21,7 @@ class Posterior:
         distribution: what domain randomisation samples from.
         estimate: the best single value of each parameter, SI units.
         fit: root mean square of measured less simulated at the estimate, by signal, in its unit.
+        guard: what nominal parameters leave, bounds, and whether the model explains the recording.
         combinations: what the recording determines.
         known: values that were given.
         model: what the recording was replayed on.
@@ -32,6 +34,7 @@ class Posterior:
     distribution: Distribution
     estimate: dict[str, float]
     fit: dict[str, float]
+    guard: Guard
     combinations: list[Combination]
     known: dict[str, float]
     model: str
@@ -52,6 +55,7 @@ class Posterior:
             "estimate": self.estimate,
             "known": self.known,
             "fit": self.fit,
+            **self.guard.to_dict(),
             "identifiability": [c.to_dict() for c in self.combinations],
             "model": self.model,
             "replay": self.replay,

@@ -4,7 +4,7 @@ import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -122,6 +122,11 @@ class Replay:
         return tuple(self._task.parameters.parameters[name] for name in self.names)
 
     @property
+    def units(self) -> dict[str, str]:
+        """The SI unit of every signal that is inferred from."""
+        return {name: self._task.signal_units[name][0] for name in self.signal_names}
+
+    @property
     def steps(self) -> int:
         """T, the number of recorded actions."""
         return len(self.actions)
@@ -163,6 +168,11 @@ class Replay:
         simulated = self.simulate(params, steps)
         measured = self.measured[: simulated.shape[1]]
         return np.where(np.isnan(measured), 0.0, measured - simulated)
+
+    @cached_property
+    def nominal_residual(self) -> Floats:
+        """(T, k) measured less simulated with nominal values of what is inferred, 0 where nothing was measured."""
+        return self.residuals(np.array([[p.nominal for p in self.parameters]]))[0]
 
     def _roll_out(self, params: Floats, steps: int) -> Floats:
         task, ids = self._task, np.arange(len(params))

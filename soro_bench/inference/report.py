@@ -1,5 +1,7 @@
 """A posterior for people: a table in words, and a picture with the ridges."""
 
+import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -7,6 +9,7 @@ import numpy as np
 
 from soro_bench.arrays import Floats
 from soro_bench.files import replacing
+from soro_bench.inference.guard import noise_of, rms
 from soro_bench.inference.identifiability import scales
 from soro_bench.inference.posterior import Posterior
 from soro_bench.inference.replay import Replay
@@ -28,15 +31,63 @@ def write_report(posterior: Posterior, replay: Replay, path: str | Path) -> str:
     picture = path.with_suffix(".png")
     corner_plot(posterior, replay, draws, picture)
     rows = [
-        (p.name, f"{posterior.estimate[p.name]:.6g}", f"{values.std():.2g}", p.unit)
+        (p.name, rounded(posterior.estimate[p.name], values.std()), f"{values.std():.2g}", p.unit)
         for p, values in zip(replay.parameters, draws.T, strict=True)
     ]
     lines = [table(("parameter", "estimate", "standard deviation", "unit"), rows)]
-    fit = ", ".join(f"{name} {value:.3g}" for name, value in posterior.fit.items())
-    lines += ["", f"left unexplained (root mean square, SI): {fit}", f"{posterior.replays:.0f} replays"]
+    lines += ["", left("the estimate leaves", posterior.fit, replay), f"{posterior.replays:.0f} replays"]
     lines += [f"- {combination.words}" for combination in posterior.combinations]
+    lines += [f"\n{warning}" for warning in warnings(posterior, replay)]
     lines += ["", f"{path}, {picture}; train on it with: soro-bench train ENV --randomization {path}"]
     return "\n".join(lines)
+
+
+def left(what: str, values: Mapping[str, float], replay: Replay) -> str:
+    """Such as "nominal parameters leave (rms of a coordinate): keypoints 8.72 mm", of values by signal in SI units."""
+    return f"{what} (rms of a coordinate): " + ", ".join(
+        f"{name} {_length(value, replay.units[name])}" for name, value in values.items()
+    )
+
+
+def nominal_words(replay: Replay) -> str:
+    """What nominal parameters leave, in a line."""
+    return left("nominal parameters leave", rms(replay, replay.nominal_residual), replay)
+
+
+def rounded(value: float, deviation: float) -> str:
+    """A number with the digits that its standard deviation leaves, two of which are uncertain; six at most."""
+    if not deviation > 0.0 or value == 0.0:
+        return f"{value:.4g}"
+    digits = math.floor(math.log10(abs(value))) - math.floor(math.log10(deviation)) + 2
+    return f"{value:.{min(max(digits, 1), 6)}g}"
+
+
+def warnings(posterior: Posterior, replay: Replay) -> list[str]:
+    """What has to be known before the estimate is used, in sentences."""
+    guard, noise, found = posterior.guard, noise_of(replay), []
+    for name in guard.worse:
+        nominal, estimate = (_length(values[name], replay.units[name]) for values in (guard.nominal, posterior.fit))
+        found.append(f"Worse than nominal: of {name} the estimate leaves {estimate}, nominal parameters {nominal}. "
+                     "Do not use it.")  # fmt: skip
+    if guard.at_bounds:
+        named = (f"{name} ({posterior.estimate[name]:.3g}, {end})" for name, end in guard.at_bounds.items())
+        found.append(f"At a bound of the search box: {', '.join(named)}. The best value may lie beyond, or stand for "
+                     "what the model lacks.")  # fmt: skip
+    if guard.unexplained:
+        least = (f"{_length(guard.misfit[name] * noise[name], replay.units[name])} of {name}, {guard.misfit[name]:.0f} "
+                 "times the noise" for name in guard.unexplained)  # fmt: skip
+        found.append(
+            f"The model does not explain the recording: all parameters nearby leave {', '.join(least)}. The standard "
+            f"deviations are {guard.widening:.2g} times those of noise, and of this model's best fit, not of the "
+            "robot. Say --noise if the sensor is noisier, or ask soro-bench diagnose what the model lacks."
+        )
+    return found
+
+
+def _length(value: float, unit: str) -> str:
+    if not math.isfinite(value):
+        return "a replay that diverges"
+    return f"{1e3 * value:.3g} mm" if unit == "m" else f"{value:.3g} {unit}".removesuffix(" 1")
 
 
 def corner_plot(posterior: Posterior, replay: Replay, draws: Floats, path: Path) -> None:
