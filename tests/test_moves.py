@@ -198,18 +198,18 @@ def test_a_term_that_only_leads_to_better_parameters_is_dropped(robot, local_min
 def test_the_search_starts_again_as_often_as_the_settings_say(robot, local_minimum):
     given, stuck = local_minimum
     values = {"discrepant_misfit": 0.0, "discrepant_misfit_per_sample": 0.0}
-    given = replace(given, settings=with_selection(**values, restarts=0, most_terms=1))
+    given = replace(given, settings=with_selection(**values, restarts=0, least_gain_of_misfit=0.5))
     candidates = [term(robot, "payload", Location("body", f"vertebra{k}")) for k in (6, 8)]
     explanation = explained(given, stuck, robot, [], candidates, 0)
     assert len(explanation.rounds) == 1
     assert explanation.found
 
 
-def test_settings_of_the_problem_decide_how_many_terms_are_tried(paths):
-    given = arm.problem(paths, [FRICTION], settings=with_selection(most_terms=0))
+def test_settings_of_the_problem_decide_which_terms_are_tried(paths):
+    given = arm.problem(paths, [FRICTION], settings=with_selection(least_gain=1e9))
     candidates = candidate_terms(given, "coulomb_friction", "viscous_friction")
     none = explained(given, fit(given), given.robot, [], candidates, 0)
     assert none.found == () and none.remaining_gain > DEFAULT.selection.least_gain
-    one = explained(replace(given, settings=with_selection(most_terms=1)), fit(given), given.robot, [], candidates, 0)
+    one = explained(replace(given, settings=DEFAULT), fit(given), given.robot, [], candidates, 0)
     assert [t.name for t in one.found[0].terms] == ["coulomb_friction"]
     assert one.remaining_gain < none.remaining_gain

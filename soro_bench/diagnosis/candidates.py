@@ -100,6 +100,22 @@ class Term:
             values[q.name] = float(np.clip(q.null + by if magnitude else typical * np.exp(by), *self._ends(q)))
         return Effect(self.name, self.location, values)
 
+    def parts(self, x: Floats) -> list[tuple["Term", Floats]]:
+        """Terms of one effect each, with their coordinates: this one, or those of all elements (spread_terms.py)."""
+        return [(self, x)]
+
+    def deviations_of_parts(self, covariance: Floats) -> list[Floats]:
+        """Standard deviations of the coordinates of each part.
+
+        Args:
+            covariance: (size, size) of the coordinates of this term.
+        """
+        return [np.sqrt(np.diag(covariance))]
+
+    def effects(self, x: Floats) -> list[Effect]:
+        """The effects at coordinates x (size,)."""
+        return [one.effect(part) for one, part in self.parts(x)]
+
     def coordinates(self, values: Mapping[str, float]) -> Floats:
         """(size,) coordinates at which ``effect`` has these values; zero for quantities without one."""
         found, columns = [], zip(self.quantities, self.typical, self.magnitudes, self.deviations, strict=True)
@@ -111,7 +127,8 @@ class Term:
 
 def effects_at(x: Floats, terms: Sequence[Term]) -> list[Effect]:
     """The effects of some terms at the coordinates x (n,) of all of them."""
-    return [term.effect(x[part]) for term, part in zip(terms, slices(terms), strict=True)]
+    pairs = zip(terms, slices(terms), strict=True)
+    return [effect for term, part in pairs for effect in term.effects(x[part])]
 
 
 def slices(terms: Sequence[Term], first: int = 0) -> list[slice]:

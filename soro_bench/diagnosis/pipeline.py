@@ -148,7 +148,9 @@ def run_diagnosis(
         seed,
         progress,
     )
-    explanation = explained(problem, nominal, robot, refined, terms(robot, settings.priors), seed, progress)
+    unfitted = unexplained(fitted, tested, sigma, settings, others) if tested else None
+    candidates = terms(robot, settings.priors)
+    explanation = explained(problem, nominal, robot, refined, candidates, seed, progress, unfitted)
     progress("comparison")
     hypotheses = shortlist(explanation)
     trial = tried_on(explanation, tested, refined, hypotheses)

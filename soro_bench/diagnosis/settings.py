@@ -147,6 +147,7 @@ class PriorSettings:
     same_robot: float = setting(0.1, "prior deviations", "drift of a parameter since the baseline diagnosis")
     magnitude_deviation: float = setting(5.0, "typical magnitudes", "of an effect; wide, as any may be there")
     offset_share: float = setting(0.02, "1", "share of the range of a signal beside the first: a typical offset of it")
+    common_share: float = setting(0.8, "1", "of the prior variance of magnitudes, that like elements have in common")
     shape_deviation: float = setting(0.7, "1", "of the logarithm of a time, rate or exponent of a law: a factor of 2")
 
 
@@ -202,11 +203,13 @@ class SelectionSettings:
     # which terms are tried
     candidates: int = setting(6, "screened candidates", "that are fitted in a round; the right one was among them")
     candidates_per_law: int = setting(2, "screened candidates", "of the same laws, so that other laws are tried too")
+    spread_laws: int = setting(2, "laws", "at each element of a kind that are fitted in a round beside the others")
     least_share_of_gain: float = setting(0.3, "1", "share of the best predicted gain below which none is tried")
-    most_terms: int = setting(3, "terms", "of a hypothesis; recordings of 30 s hardly tell more apart")
+    unchecked_terms: int = setting(3, "terms", "before each must lower held-out error; recordings of 30 s show so many")
     least_gain: float = setting(400.0, "nats", "predicted gain that is worth a fit; 40 healthy cases reach 85, but one")
     least_gain_of_misfit: float = setting(0.05, "1", "share of the misfit, likewise; small shares come of unknown laws")
     least_gain_of_explained: float = setting(0.005, "1", "share of what is explained, likewise; no law is quite right")
+    beyond_chance: float = setting(2.0, "standard errors", "by which held-out error has to fall for another term")
     restarts: int = setting(5, "restarts", "from better parameters, where a term only led out of a local minimum")
     # fits
     fit_radius: float = setting(0.15, "prior deviations", "of the samples that fit a new term")

@@ -12,12 +12,14 @@ SCHEMA = "soro-bench/effects/2"
 OLD_SCHEMA = "soro-bench/effects/1"  # its locations have the key "where"; it is still read
 KINDS = ("tendon", "joint", "actuator", "body", "flex", "geom", "model", "sensor")
 EVERY = "*"  # the name that means all locations of a kind
+EACH = "*each"  # the same, with a magnitude of its own at each: of several effects, never of one
 MAX_EFFECTS = 100
 
 
 @dataclass(frozen=True)
 class Location:
-    """Where an effect acts: a named element of a MuJoCo model, all of a kind ("*"), or an entry of a signal.
+    """Where an effect acts: a named element of a MuJoCo model, all of a kind ("*"), or an entry of a signal. A finding
+    of a diagnosis may be at "*each" of a kind, with a magnitude of its own at each.
 
     ``kind`` is one of KINDS. For "model" the name says what of it, for "sensor" it is a signal's name, and ``index``
     the point of it that is concerned.
@@ -29,7 +31,8 @@ class Location:
 
     def __str__(self) -> str:
         place = "" if self.index is None else f"[{self.index}]"
-        return f"every {self.kind}" if self.name == EVERY else f"{self.kind} {self.name}{place}"
+        all_of_kind = {EVERY: f"every {self.kind}", EACH: f"each {self.kind}"}
+        return all_of_kind.get(self.name, f"{self.kind} {self.name}{place}")
 
     def to_json(self) -> dict[str, Any]:
         """As effects files have it."""
@@ -106,6 +109,8 @@ def effect_from(data: object, laws: Mapping[str, type[Acting]]) -> Effect:
         raise EffectError(
             f"location of {name} is {brief(location)}; it has a kind ({', '.join(KINDS)}), a name, an index"
         )
+    if location["name"] == EACH:
+        raise EffectError(f"{name} is at {EACH!r}, which names no location; give every location an effect of its own")
     if location["kind"] not in laws[name].kinds:
         raise EffectError(f"{name} acts on {', '.join(laws[name].kinds)}, not on {brief(location['kind'])}")
     return checked(Effect(name, Location(**location), data["parameters"]), laws[name].quantities)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from soro_bench.arrays import Floats, Ints
-from soro_bench.effects.effect import EVERY, EffectError, Location
+from soro_bench.effects.effect import EACH, EVERY, EffectError, Location
 
 AUXILIARY = "auxiliary:"  # and a joint's name: a spring of the effects, beside the joint's own
 FOUND = "found_at_"  # the same in a patched model
@@ -121,7 +121,8 @@ class Elements:
             locations += [Location("body", name) for name in self._moved()]
         if elastic and location == Location("body", EVERY):
             locations = [p for p in locations if self._hangs(self.id(p))]
-        chosen = locations if location.name == EVERY else [p for p in locations if p.name == location.name]
+        all_of_kind = location.name in (EVERY, EACH)
+        chosen = locations if all_of_kind else [p for p in locations if p.name == location.name]
         if not chosen:
             there_are = ", ".join(p.name for p in locations) or "none"
             raise EffectError(

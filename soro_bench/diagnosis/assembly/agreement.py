@@ -14,6 +14,7 @@ from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.result_parts import Agreement, Estimate
 from soro_bench.diagnosis.robots.priors import Prior
 from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.spread_terms import SpreadTerm
 
 Ends = tuple[Floats, Floats, Floats]  # (n,) unknowns: at the lower end of the interval, as fitted, at the upper end
 
@@ -32,7 +33,7 @@ def agreement(diagnosis: Diagnosis, seed: int) -> tuple[Agreement, ...]:
     ends = [_ends(each, spread) for each, spread in zip(found, spreads, strict=True)]
     alpha = problem.settings.agreement.alpha
     told = []
-    for i, (name, term, make) in enumerate(_quantities(diagnosis.robot, joint.terms)):
+    for i, name, term, make in _quantities(diagnosis.robot, joint.terms):
         each = differences[i]
         told.append(
             Agreement(
@@ -53,14 +54,19 @@ def _ends(found: Alone, spread: Floats) -> Ends:
     return x - NINETY * spread, x, x + NINETY * spread
 
 
-def _quantities(robot: Robot, terms: tuple[Term, ...]) -> Iterator[tuple[str, Term | None, Callable[[Ends], Estimate]]]:
-    """Of each unknown: its name, the term that it belongs to, and a function that makes an estimate of it."""
+def _quantities(
+    robot: Robot, terms: tuple[Term, ...]
+) -> Iterator[tuple[int, str, Term | None, Callable[[Ends], Estimate]]]:
+    """Of unknowns: the index, name, term that it belongs to, and a function that makes an estimate of it.
+
+    Laws at each element are left out: single unknowns of theirs are no magnitudes.
+    """
     for i, prior in enumerate(robot.priors):
-        yield prior.name, None, partial(_of_parameter, prior, i)
+        yield i, prior.name, None, partial(_of_parameter, prior, i)
     for term, part in zip(terms, slices(terms, len(robot.priors)), strict=True):
-        for quantity in term.quantities:
+        for i, quantity in enumerate(() if isinstance(term, SpreadTerm) else term.quantities, part.start):
             unit = robot.unit_at(quantity.unit, term.location)
-            yield quantity.name, term, partial(_of_term, term, part, quantity.name, unit)
+            yield i, quantity.name, term, partial(_of_term, term, part, quantity.name, unit)
 
 
 def _of_parameter(prior: Prior, i: int, ends: Ends) -> Estimate:

@@ -30,10 +30,10 @@ _TOO_MUCH = {
 
 @dataclass(frozen=True)
 class _Found:
-    """An effect of a hypothesis, the most probable one that has it, and its probability in all of them."""
+    """A term of a hypothesis, the most probable one that has it, and its probability in all of them."""
 
     term: Term
-    effect: Effect
+    effects: list[Effect]
     answer: Answer
     probability: float
 
@@ -43,35 +43,35 @@ def findings(diagnosis: Diagnosis, replays: PlainReplays) -> list[Finding]:
     best: dict[tuple[str, Location], _Found] = {}
     d = diagnosis.explanation.problem.parameters
     for answer in diagnosis.comparison.ranked:
-        for term, effect in zip(answer.hypothesis.terms, answer.hypothesis.effects(d), strict=True):
-            key = (effect.name, effect.location)
+        for term, effects in zip(answer.hypothesis.terms, answer.hypothesis.effects_of_terms(d), strict=True):
+            key = (term.name, term.location)
             first = best.get(key)
             chance = min(1.0, answer.probability + (first.probability if first else 0.0))  # but for rounding
-            best[key] = replace(first, probability=chance) if first else _Found(term, effect, answer, chance)
+            best[key] = replace(first, probability=chance) if first else _Found(term, effects, answer, chance)
     return [_finding(diagnosis, replays, found) for found in sorted(best.values(), key=lambda f: -f.probability)]
 
 
 def _finding(diagnosis: Diagnosis, replays: PlainReplays, found: _Found) -> Finding:
-    problem, hypothesis, effect = diagnosis.explanation.problem, found.answer.hypothesis, found.effect
+    problem, hypothesis, term = diagnosis.explanation.problem, found.answer.hypothesis, found.term
     gain = explained_over_time(problem, _lacking(diagnosis, found), hypothesis)
     measured, robot = problem.recordings[0], diagnosis.robot
-    channel = robot.channel(effect.location)
+    channel = robot.channel(term.location)
     rates = robot.rates(measured.actions)
     shares = regimes(measured.time, rates if channel is None else rates[:, [channel]], gain)
     train, heldout = replays.errors(diagnosis, found.answer)
     return Finding(
-        name=effect.name,
-        category=CATEGORIES[effect.name],
+        name=term.name,
+        category=CATEGORIES[term.name],
         probability=float(found.probability),
-        location=effect.location,
+        location=term.location,
         estimates=_estimates(diagnosis, found),
         intervals=tuple(intervals(measured.time, gain)),
-        condition=" ".join(filter(None, (_taken(found.term), _condition(effect, shares, channel is not None)))),
+        condition=" ".join(filter(None, (_taken(term), _condition(term.location, shares, channel is not None)))),
         train=train,
         heldout=heldout,
         drawbacks=tuple(_drawbacks(diagnosis, replays, found.answer)),
-        together_with=tuple(s.name for s in hypothesis.terms if s is not found.term),
-        indistinguishable_from=_indistinguishable(robot, effect),
+        together_with=tuple(s.name for s in hypothesis.terms if s is not term),
+        indistinguishable_from=_indistinguishable(robot, term),
         is_best=found.answer is diagnosis.best,
     )
 
@@ -81,11 +81,11 @@ def _taken(term: Term) -> str:
     return _TOO_MUCH.get(term.name, "The model has more of it than the robot.") if term.removable else ""
 
 
-def _indistinguishable(robot: Robot, effect: Effect) -> str:
-    """What hardly any recording can tell from an effect; nothing if there is no such thing."""
-    if not late(robot, effect.name, effect.location):
+def _indistinguishable(robot: Robot, term: Term) -> str:
+    """What hardly any recording can tell from a term; nothing if there is no such thing."""
+    if not late(robot, term.name, term.location):
         return ""
-    return "actuator_delay at every actuator" if effect.name == "sensor_delay" else "sensor_delay"
+    return "actuator_delay at every actuator" if term.name == "sensor_delay" else "sensor_delay"
 
 
 def _lacking(diagnosis: Diagnosis, finding: _Found) -> Hypothesis:
@@ -100,7 +100,7 @@ def _lacking(diagnosis: Diagnosis, finding: _Found) -> Hypothesis:
     return replace(whole, x=x, terms=others, residual=problem.residuals([(x, others)])[0])
 
 
-def _condition(effect: Effect, shares: Sequence[Regime], single: bool) -> str:
+def _condition(location: Location, shares: Sequence[Regime], single: bool) -> str:
     """When an effect mainly acts, in words; empty where neither commands nor the clock tell.
 
     Args:
@@ -109,7 +109,7 @@ def _condition(effect: Effect, shares: Sequence[Regime], single: bool) -> str:
     most = max(shares, key=lambda r: r.explained / max(r.time, 0.02))
     if most.explained <= _TELLS * most.time:
         return ""
-    subject, ending = (effect.location.name, "s") if single else ("a command", "s")
+    subject, ending = (location.name, "s") if single else ("a command", "s")
     when = {
         "just after reversals": f"just after {subject} reverse{ending}",
         "while it moves on, fast": f"while {subject} move{ending} fast",
@@ -123,20 +123,26 @@ def _condition(effect: Effect, shares: Sequence[Regime], single: bool) -> str:
 
 
 def _estimates(diagnosis: Diagnosis, finding: _Found) -> tuple[Estimate, ...]:
-    hypothesis, first = finding.answer.hypothesis, diagnosis.explanation.problem.parameters
-    x, spread = hypothesis.x, deviations(diagnosis, hypothesis)
-    which = next(i for i, term in enumerate(hypothesis.terms) if term is finding.term)
+    """Of every quantity; those that each element has of its own come with the element's name."""
+    hypothesis, first, term = finding.answer.hypothesis, diagnosis.explanation.problem.parameters, finding.term
+    which = next(i for i, each in enumerate(hypothesis.terms) if each is term)
     part = slices(hypothesis.terms, first)[which]
-    low, high = (finding.term.effect(x[part] + k * NINETY * spread[part]).parameters for k in (-1.0, 1.0))
-    return tuple(
-        Estimate(
-            q.name,
-            float(finding.effect.parameters[q.name]),
-            unit_at(diagnosis.robot, q.unit, finding.effect.location),
-            *sorted((float(low[q.name]), float(high[q.name]))),
-        )
-        for q in finding.term.quantities
-    )
+    deviation = term.deviations_of_parts(tempered(diagnosis, hypothesis)[part, part])
+    found: list[Estimate] = []
+    shape: list[Estimate] = []  # the same at all elements
+    parts = zip(term.parts(hypothesis.x[part]), deviation, finding.effects, strict=True)
+    for i, ((one, x), spread, effect) in enumerate(parts):
+        low, high = (one.effect(x + k * NINETY * spread).parameters for k in (-1.0, 1.0))
+        alone = len(finding.effects) == 1
+        for k, q in enumerate(one.quantities):
+            if i > 0 and not one.magnitudes[k]:
+                continue
+            name = q.name if alone or not one.magnitudes[k] else f"{q.name} at {effect.location.name}"
+            unit = unit_at(diagnosis.robot, q.unit, effect.location)
+            ends = sorted((float(low[q.name]), float(high[q.name])))
+            group = found if one.magnitudes[k] else shape
+            group.append(Estimate(name, float(effect.parameters[q.name]), unit, *ends))
+    return (*found, *shape)
 
 
 def unit_at(robot: Robot, unit: str, location: Location) -> str:

@@ -12,6 +12,7 @@ responses which, with the other unknowns and the numerical error, explains most 
 first order: right where the fitted motion is close to the recorded one. The cost is eleven replays.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -68,8 +69,11 @@ def force_against_state(diagnosis: Diagnosis) -> Curve | None:
 
 
 def _curve(problem: Problem, hypothesis: Hypothesis, i: int, site: Springs | Servos) -> Curve | None:
-    effects, of_rate = hypothesis.effects(problem.parameters), CATEGORIES[hypothesis.terms[i].name] in _OF_RATE
-    others = effects[:i] + effects[i + 1 :]
+    of_terms, of_rate = (
+        hypothesis.effects_of_terms(problem.parameters),
+        CATEGORIES[hypothesis.terms[i].name] in _OF_RATE,
+    )
+    effects, others = ([*itertools.chain(*each)] for each in (of_terms, of_terms[:i] + of_terms[i + 1 :]))
     states, forces = _observed(problem, hypothesis, [effects, others], site)
     nodes, weights = _nodes(states, problem.robot.control_timestep, of_rate)
     flat = np.concatenate([each.reshape(len(each), -1) for each in weights], axis=1)
@@ -88,7 +92,7 @@ def _curve(problem: Problem, hypothesis: Hypothesis, i: int, site: Springs | Ser
     fitted, measured, spread = ((site.scale * each).reshape(2, -1) for each in columns)
     scale, unit = (1.0, "rad") if site.turns else (1e3, "mm")
     label = f"rate of the {site.state} [{unit}/s]" if of_rate else f"{site.state} [{unit}]"
-    return Curve(effects[i], scale * nodes, fitted, measured, spread, share, (label, site.force))
+    return Curve(of_terms[i][0], scale * nodes, fitted, measured, spread, share, (label, site.force))
 
 
 def _nodes(tracks: Sequence[np.ndarray], timestep: float, of_rate: bool) -> tuple[np.ndarray, list[np.ndarray]]:

@@ -7,15 +7,17 @@ import numpy as np
 
 from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.spread_terms import SpreadTerm
 from soro_bench.effects.catalogue import PHYSICS
 from soro_bench.effects.effect import Location
 from soro_bench.effects.setpoints import SetpointLaw
 
 
 def law_site(robot: Robot, term: Term) -> "Springs | Servos | None":
-    """Where a candidate term acts; None for what is no passive force and no law of setpoints, or has no location."""
+    """Where a candidate term acts; None for what is no passive force and no law of setpoints, or has no location, or is
+    another function of the state at each."""
     elements, model, location = robot.elements, robot.elements.model, term.location
-    if location.kind not in ("tendon", "joint", "body", "actuator"):
+    if isinstance(term, SpreadTerm) or location.kind not in ("tendon", "joint", "body", "actuator"):
         return None
     locations = elements.expand(location, welded=True)
     ids = [elements.id(each) for each in locations]

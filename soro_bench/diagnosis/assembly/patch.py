@@ -155,10 +155,10 @@ def _distinct(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
 def _begun(diagnosis: Diagnosis, problem: Problem) -> list[Hypothesis]:
     """Where the fits begin: at what was found, at the parameters that were fitted alone, and at the model as built."""
     found, robot, d = kept(diagnosis), diagnosis.robot, problem.parameters
-    values = {
-        (one.name, one.location): found.x[part] for one, part in zip(found.terms, slices(found.terms, d), strict=True)
-    }
-    terms = _expressible(robot, found.terms, problem)
+    pairs = zip(found.terms, slices(found.terms, d), strict=True)
+    parts = [each for term, part in pairs for each in term.parts(found.x[part])]
+    values = {(one.name, one.location): x for one, x in parts}
+    terms = _expressible(robot, [one for one, _ in parts], problem)
     still = [np.zeros(one.size) for one in terms]
     as_found = [values.get((one.name, one.location), nothing) for one, nothing in zip(terms, still, strict=True)]
     points = [

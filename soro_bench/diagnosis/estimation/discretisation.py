@@ -60,7 +60,7 @@ def _common(problem: Problem, finer: Robot, x: Floats, terms: Sequence[Term]) ->
         kind, everywhere = term.location.kind, term.location.name == EVERY
         # a law at all joints is another law where there are more of them
         other = everywhere and len(finer.locations(kind)) != len(problem.robot.locations(kind))
-        if not other and finer.accepts([term.effect(part)]):
+        if not other and finer.accepts(term.effects(part)):
             kept.append(term)
             parts.append(part)
     return np.concatenate(parts), kept

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from soro_bench.arrays import Floats
-from soro_bench.diagnosis.candidates import Term, effects_at
+from soro_bench.diagnosis.candidates import Term, effects_at, slices
 from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
 from soro_bench.diagnosis.estimation.problem import Points, Problem
 from soro_bench.diagnosis.robots.robot import Robot
@@ -59,6 +59,12 @@ class Hypothesis:
     def effects(self, parameters: int) -> list[Effect]:
         """The terms as fitted, after so many parameters."""
         return effects_at(self.x[parameters:], self.terms)
+
+    def effects_of_terms(self, parameters: int) -> list[list[Effect]]:
+        """The same, of each term."""
+        return [
+            term.effects(self.x[part]) for term, part in zip(self.terms, slices(self.terms, parameters), strict=True)
+        ]
 
 
 def allowing(problem: Problem, best: Hypothesis, others: Sequence[Hypothesis]) -> tuple[Problem, list[Hypothesis]]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from soro_bench.diagnosis.render import words
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.result_drawings import Shape
-from soro_bench.effects.effect import EVERY, Location
+from soro_bench.effects.effect import EACH, EVERY, Location
 from soro_bench.plotting import pyplot
 
 WINDOW = 1.0  # s, of maps over time
@@ -43,7 +43,7 @@ def places(result: Result) -> list[Location]:
 def is_at(shape: Shape, locations: list[Location]) -> bool:
     """Whether a shape stands for one of some locations; "*" is all of a kind."""
     return any(
-        own.kind == each.kind and (each.name in (EVERY, own.name)) and own.index == each.index
+        own.kind == each.kind and (each.name in (EVERY, EACH, own.name)) and own.index == each.index
         for own in shape.locations
         for each in locations
     )

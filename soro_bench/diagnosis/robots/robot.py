@@ -16,7 +16,7 @@ from soro_bench.diagnosis.robots.priors import Baseline, CannotHave, FixedParame
 from soro_bench.diagnosis.robots.replays import Replays
 from soro_bench.diagnosis.settings import DiscretisationSettings
 from soro_bench.effects.catalogue import ALL
-from soro_bench.effects.effect import EVERY, Effect, Location
+from soro_bench.effects.effect import EACH, EVERY, Effect, Location
 from soro_bench.effects.elements import Elements
 from soro_bench.files import brief
 from soro_bench.recording.known import Known
@@ -234,7 +234,7 @@ class Robot(Replays):
 
     def setpoint_unit_at(self, location: Location) -> str:
         """The unit of the setpoint of the actuator at a location; for other locations that of all actuators."""
-        named = location.kind == "actuator" and location.name != EVERY
+        named = location.kind == "actuator" and location.name not in (EVERY, EACH)
         return self._setpoint_unit(self.elements.id(location)) if named else self.setpoint_unit
 
     def _setpoint_unit(self, actuator: int) -> str:
@@ -282,7 +282,7 @@ class Robot(Replays):
 
     def channel(self, location: Location) -> int | None:
         """Index of the number of an action that moves a tendon or actuator; None if it is not exactly one."""
-        if location.kind not in ("tendon", "actuator") or location.name == EVERY:
+        if location.kind not in ("tendon", "actuator") or location.name in (EVERY, EACH):
             return None
         ids = self.elements.actuators_on(location) if location.kind == "tendon" else [self.elements.id(location)]
         channels = set(self.moves[:, ids].argmax(axis=0).tolist()) if len(ids) else set()

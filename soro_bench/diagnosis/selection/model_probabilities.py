@@ -15,6 +15,7 @@ from scipy.special import expit
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.selection.forward_selection import Explanation
+from soro_bench.diagnosis.selection.stopping import evidence_beyond_chance
 from soro_bench.diagnosis.settings import DEFAULT, ProbabilitySettings, Settings
 from soro_bench.effects.effect import Location
 
@@ -222,9 +223,7 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
 
 def _evidence(problem: Problem, hypotheses: Sequence[Hypothesis]) -> np.ndarray:
     """(H,) of the recordings that they were fitted to, less what their terms gain by chance."""
-    settings = problem.settings.probabilities
-    by_chance = [settings.gain_of_term * len(h.terms) + settings.gain_of_unknown * _unknowns(h) for h in hypotheses]
-    return np.array([h.log_evidence(problem) for h in hypotheses]) - by_chance
+    return np.array([evidence_beyond_chance(problem, h) for h in hypotheses])
 
 
 def _of_law_errors(problem: Problem, hypotheses: Sequence[Hypothesis], misfits: Sequence[float]) -> np.ndarray:
@@ -271,7 +270,10 @@ def _probability_of_unknown(problem: Problem, hypotheses: Sequence[Hypothesis], 
     above_sensor = [0.5 * ((2.0 * misfit + samples) * by - samples) for misfit, by in zip(misfits, larger, strict=True)]
     healthy = settings.healthy_misfit_per_sample * samples
     share = (min(above_sensor) - healthy) / max(above_sensor[0] - healthy, 1.0)
-    known = expit((settings.unknown_share - share) / settings.unknown_share_width)
+    terms, usual = len(hypotheses[int(np.argmin(misfits))].terms), problem.settings.selection.unchecked_terms
+    # a law that has no name is described by several others: the more of them, the less they may leave
+    limit = settings.unknown_share * min(1.0, (usual / max(terms, 1)) ** 2)
+    known = expit((limit - share) / settings.unknown_share_width)
     if not problem.misfit_dominated:  # where the whole residual counts as noise, predicted gains are small
         limit = settings.unknown_gain + settings.unknown_gain_of_explained * (misfits[0] - min(misfits))
         known *= expit(math.log(limit / max(remaining_gain, 1.0)) / settings.unknown_gain_width)

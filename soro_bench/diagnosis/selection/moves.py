@@ -19,7 +19,7 @@ from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate
 from soro_bench.diagnosis.settings import SelectionSettings
 from soro_bench.effects.catalogue import CATEGORIES
-from soro_bench.effects.effect import Location
+from soro_bench.effects.effect import EACH, Location
 
 Laws = frozenset[tuple[str, Location]]  # of a hypothesis
 WithTerms = TypeVar("WithTerms", Guess, Hypothesis)
@@ -255,6 +255,7 @@ def _are_nested(first: Sequence[Term], second: Sequence[Term]) -> bool:
     """Whether terms differ in the law of the last only, one of which has all quantities of the other."""
     quantities, others = ({q.name for q in terms[-1].quantities} for terms in (first, second))
     same = first[:-1] == second[:-1] and first[-1].location == second[-1].location
+    same = same and first[-1].location.name != EACH  # whose coordinates are not those of one effect
     return same and (quantities < others or quantities > others)
 
 

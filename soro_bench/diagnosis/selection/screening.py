@@ -14,6 +14,7 @@ from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, normal_equati
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import ScreeningSettings
+from soro_bench.diagnosis.spread_terms import SpreadTerm
 from soro_bench.effects.effect import Effect
 
 
@@ -66,34 +67,47 @@ class Evidence:
     def screened_candidate(self, chosen: Sequence[int]) -> ScreenedCandidate:
         """The best magnitudes of some candidates together."""
         rows = np.concatenate([self.blocks[i] for i in chosen])
-        matrix, pull, bounds = self.matrix[np.ix_(rows, rows)], self.pull[rows], self.bounds[:, rows]
-        magnitudes, free = np.zeros(len(rows)), np.ones(len(rows), bool)
-        for _ in rows:  # a magnitude that would cross its bound stays there, and the rest is solved again
-            rest = pull[free] + matrix[np.ix_(free, ~free)] @ magnitudes[~free]
-            magnitudes[free] = -np.linalg.solve(matrix[np.ix_(free, free)], rest)
-            inside = np.clip(magnitudes, *bounds)
-            crossing = inside != magnitudes
-            if not crossing.any():
-                break
-            free &= ~crossing
-            magnitudes = inside
-        gain = -float(pull @ magnitudes + 0.5 * magnitudes @ matrix @ magnitudes)
-        gain -= 0.5 * float(np.linalg.slogdet(matrix)[1])
-        largest = self.settings.largest_step
-        x = self.base.x + np.clip(self.step - self.shift[:, rows] @ magnitudes, -largest, largest)
+        magnitudes, gain = _best(self.matrix[np.ix_(rows, rows)], self.pull[rows], self.bounds[:, rows])
+        x = self._parameters(self.shift[:, rows] @ magnitudes)
         ends = np.cumsum([len(self.blocks[i]) for i in chosen])[:-1]
         added = [self.candidates[i] for i in chosen]
         parts = [_coordinates(term, part) for term, part in zip(added, np.split(magnitudes, ends), strict=True)]
         return ScreenedCandidate((*self.base.terms, *added), gain, np.concatenate([x, *parts]), tuple(chosen))
 
+    def at_each(self, term: SpreadTerm) -> ScreenedCandidate:
+        """The best magnitudes of a law at several elements together, whose own terms are all candidates."""
+        chosen = self._chosen(term)
+        rows, mixing = np.concatenate([self.blocks[i] for i in chosen]), term.mixing
+        alone = self.matrix[np.ix_(rows, rows)] - np.eye(len(rows))  # without the priors of the members
+        matrix = mixing @ alone @ mixing.T + np.eye(len(mixing))
+        magnitudes, gain = _best(matrix, mixing @ self.pull[rows], term.bounds[:, : len(mixing)])
+        x = self._parameters(self.shift[:, rows] @ (magnitudes @ mixing))
+        coordinates = np.concatenate([magnitudes, np.zeros(term.size - len(magnitudes))])
+        return ScreenedCandidate((*self.base.terms, term), gain, np.concatenate([x, coordinates]), chosen)
+
+    def _parameters(self, moved: np.ndarray) -> np.ndarray:
+        """(n,) unknowns of the hypothesis beside added terms that move them by -``moved`` (n,)."""
+        largest = self.settings.largest_step
+        return self.base.x + np.clip(self.step - moved, -largest, largest)
+
+    def _chosen(self, term: SpreadTerm) -> tuple[int, ...]:
+        """Indices of the members of a term among the candidates."""
+        return tuple(self.candidates.index(member) for member in term.members)
+
     def guess(self, candidate: ScreenedCandidate) -> Guess:
         """Where to begin a fit. Unknowns that only shape a response have no column of the Jacobian yet."""
         jacobian = [self.base.jacobian]
-        for i in candidate.chosen:
-            rows = np.zeros((self.candidates[i].size, self.base.jacobian.shape[1]))
-            rows[list(self.candidates[i].magnitudes)] = self.responses[i]
+        for term in candidate.terms[len(self.base.terms) :]:
+            rows = np.zeros((term.size, self.base.jacobian.shape[1]))
+            rows[list(term.magnitudes)] = self.response(term)
             jacobian.append(rows)
         return Guess(candidate.x, candidate.terms, np.concatenate(jacobian))
+
+    def response(self, term: Term) -> np.ndarray:
+        """(k, M) of a candidate, or of a law at several elements: change of the residual by its k magnitudes."""
+        if isinstance(term, SpreadTerm):
+            return term.mixing @ np.concatenate([self.responses[i] for i in self._chosen(term)])
+        return self.responses[self.candidates.index(term)]
 
     def detectable(self, gain: float) -> tuple[tuple[Term, float], ...]:
         """Of each candidate, the coordinate of its first magnitude that gains so much if nothing else is missing.
@@ -167,6 +181,22 @@ def pairs(screened: Evidence) -> list[ScreenedCandidate]:
     firsts = order[: screened.settings.paired]
     paired = [screened.screened_candidate([i, j]) for n, i in enumerate(firsts) for j in order[n + 1 :]]
     return sorted(paired, key=lambda candidate: -candidate.gain)
+
+
+def _best(matrix: np.ndarray, pull: np.ndarray, bounds: np.ndarray) -> tuple[np.ndarray, float]:
+    """The best magnitudes (k,) within their bounds (2, k), and the log evidence that they gain; see ``Evidence``."""
+    magnitudes, free = np.zeros(len(pull)), np.ones(len(pull), bool)
+    for _ in pull:  # a magnitude that would cross its bound stays there, and the rest is solved again
+        rest = pull[free] + matrix[np.ix_(free, ~free)] @ magnitudes[~free]
+        magnitudes[free] = -np.linalg.solve(matrix[np.ix_(free, free)], rest)
+        inside = np.clip(magnitudes, *bounds)
+        crossing = inside != magnitudes
+        if not crossing.any():
+            break
+        free &= ~crossing
+        magnitudes = inside
+    gain = -float(pull @ magnitudes + 0.5 * magnitudes @ matrix @ magnitudes)
+    return magnitudes, gain - 0.5 * float(np.linalg.slogdet(matrix)[1])
 
 
 def _coordinates(term: Term, magnitudes: np.ndarray) -> np.ndarray:

@@ -1,0 +1,58 @@
+"""When a further term is worth having: it lowers the error of held-out motion beyond chance, or has evidence."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.localisation.residual_maps import windows
+
+_FEWEST = 4  # windows, from which a standard error is taken
+
+
+def by_chance(problem: Problem, hypothesis: Hypothesis) -> float:
+    """Log evidence that the terms of a hypothesis gain by chance [nats]."""
+    settings, unknowns = problem.settings.probabilities, sum(term.size for term in hypothesis.terms)
+    return settings.gain_of_term * len(hypothesis.terms) + settings.gain_of_unknown * unknowns
+
+
+def evidence_beyond_chance(problem: Problem, hypothesis: Hypothesis) -> float:
+    """Log evidence of a hypothesis, less what its terms gain by chance [nats]."""
+    return hypothesis.log_evidence(problem) - by_chance(problem, hypothesis)
+
+
+def falls_beyond_chance(heldout: Problem, before: Hypothesis, after: Hypothesis) -> bool:
+    """Whether the error of recordings that neither hypothesis was fitted to is smaller ``after``.
+
+    Their errors are compared window by window, as errors of one window are not independent. They have to fall by as
+    much as further unknowns gain by chance, too (Akaike 1974).
+
+    Args:
+        heldout: of those recordings.
+    """
+    rows = heldout.residuals([(h.x, h.terms) for h in (before, after)])
+    settings = heldout.settings
+    squares = np.minimum(rows**2, settings.likelihood.diverged**2)
+    _, number = np.unique(windows(heldout, settings.localisation.map_window), return_inverse=True)
+    fallen = 0.5 * np.bincount(number, squares[0] - squares[1])  # nats
+    error = fallen.std(ddof=1) * np.sqrt(len(fallen)) if len(fallen) >= _FEWEST else 0.0
+    least = max(len(after.x) - len(before.x), 0)
+    return bool(fallen.sum() > max(settings.selection.beyond_chance * error, least))
+
+
+def is_better(problem: Problem, heldout: Problem | None, before: Hypothesis, after: Hypothesis) -> bool:
+    """Whether a hypothesis with more terms is worth having instead of another one."""
+    if heldout is not None:
+        return falls_beyond_chance(heldout, before, after)
+    return evidence_beyond_chance(problem, after) > evidence_beyond_chance(problem, before)
+
+
+def simplest(problem: Problem, heldout: Problem | None, hypotheses: Sequence[Hypothesis]) -> Hypothesis | None:
+    """Of hypotheses with one term less than the first, the one with most evidence if that term is not worth having."""
+    whole, *others = hypotheses
+    fewer = [h for h in others if len(h.terms) == len(whole.terms) - 1 and set(h.terms) < set(whole.terms)]
+    best = max(fewer, key=lambda h: evidence_beyond_chance(problem, h), default=None)
+    if best is None or evidence_beyond_chance(problem, best) < evidence_beyond_chance(problem, whole):
+        return None
+    return None if heldout is not None and falls_beyond_chance(heldout, best, whole) else best
