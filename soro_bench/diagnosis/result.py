@@ -27,6 +27,7 @@ from soro_bench.diagnosis.result_parts import (
     ReplayedRobot,
     RobotSummary,
     SelectionRound,
+    SignalErrors,
     SignalQuality,
     UnknownInput,
 )
@@ -64,6 +65,7 @@ class Result:
     agreement: what each recording alone says of parameters and magnitudes; empty where one recording was fitted.
     limits: what the fitted robot reaches in replays of these recordings: limits of force and control, slack cables,
         stops, contacts.
+    signals: errors of every signal, where several are explained; all other errors are those of the first one.
     """
 
     robot: RobotSummary
@@ -106,6 +108,7 @@ class Result:
     robots: tuple[ReplayedRobot, ...] = ()
     agreement: tuple[Agreement, ...] = ()
     limits: tuple[ReachedLimit, ...] = ()
+    signals: tuple[SignalErrors, ...] = ()
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:

@@ -314,6 +314,23 @@ class SignalQuality:
 
 
 @dataclass(frozen=True)
+class SignalErrors:
+    """Of one of several signals: root mean squares of a coordinate in plain replays, in its unit.
+
+    noise: standard deviation of its sensor's noise. before, after: on the recordings fitted to, with fitted parameters
+    only and by the best hypothesis. heldout_before, heldout_after: on held-out recordings; None without them.
+    """
+
+    name: str
+    unit: str
+    noise: float
+    before: float
+    after: float
+    heldout_before: float | None = None
+    heldout_after: float | None = None
+
+
+@dataclass(frozen=True)
 class DataFinding:
     """What a sensor, a logger or a broken line did to a recording: no physics of the robot.
 

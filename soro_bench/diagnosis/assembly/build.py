@@ -33,6 +33,7 @@ from soro_bench.diagnosis.result_parts import (
     RobotSummary,
     ScreenedTerm,
     SelectionRound,
+    SignalErrors,
     SignalQuality,
     UnknownInput,
 )
@@ -99,6 +100,7 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
         robots=replayed_robots(diagnosis, replays, bool(patch(diagnosis))),
         agreement=alone,
         limits=reached_limits(diagnosis),
+        signals=_signals(diagnosis, replays),
     )
 
 
@@ -141,6 +143,12 @@ def _recordings(diagnosis: Diagnosis, replays: PlainReplays) -> tuple[SignalQual
             found.append(tuple((int(sample), int(column)) for sample, column in np.argwhere(far)))
     columns = zip(diagnosis.data_qualities, diagnosis.digests, found, strict=True)
     return tuple(SignalQuality(a.sigma, a.missing, digest, left_out) for a, digest, left_out in columns)
+
+
+def _signals(diagnosis: Diagnosis, replays: PlainReplays) -> tuple[SignalErrors, ...]:
+    """Errors of every signal, where there are several."""
+    count = len(diagnosis.robot.signals)
+    return tuple(replays.of_signal(diagnosis, which) for which in range(count)) if count > 1 else ()
 
 
 def _ranked(diagnosis: Diagnosis) -> Sequence:

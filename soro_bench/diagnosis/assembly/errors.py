@@ -15,7 +15,7 @@ from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Points, Problem
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.result_parts import Errors, ReplayedRobot
+from soro_bench.diagnosis.result_parts import Errors, ReplayedRobot, SignalErrors
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer
 from soro_bench.inference.statistical_linearisation import LowRank
@@ -49,8 +49,22 @@ class PlainReplays:
         """Of the recordings that an answer was fitted to, and of held-out ones, if there are any."""
         plain = zip(self.rms(diagnosis.explanation.nominal), self.rms(answer.hypothesis), strict=True)
         fits = [each for each in (answer.train, answer.heldout) if each is not None]
-        found = [Errors(*pair, fit.noise, fit.before, fit.after) for pair, fit in zip(plain, fits, strict=True)]
+        found = [
+            Errors(*pair, fit.noise, *(fit.own or (fit.before, fit.after)))
+            for pair, fit in zip(plain, fits, strict=True)
+        ]
         return found[0], found[1] if len(found) > 1 else None
+
+    def of_signal(self, diagnosis: Diagnosis, which: int) -> SignalErrors:
+        """Errors of one signal [its unit]: with fitted parameters only, and by the best hypothesis."""
+        first, signal = self.problems[0], diagnosis.robot.signals[which]
+        rows = zip(*(self.of(each) for each in (diagnosis.explanation.nominal, diagnosis.best.hypothesis)), strict=True)
+        found = [
+            tuple(_finite(plain_rms(problem, row, which)) for row in pair)
+            for problem, pair in zip(self.problems, rows, strict=True)
+        ]
+        heldout = found[1] if len(found) > 1 else (None, None)
+        return SignalErrors(signal.name, signal.unit, first.sensors[which], *found[0], *heldout)
 
 
 def plain_replays(diagnosis: Diagnosis) -> PlainReplays:

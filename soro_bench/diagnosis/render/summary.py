@@ -56,6 +56,7 @@ def _replays(result: Result) -> list[str]:
         row = "".join(f"{cell.replace(words.NO_BREAK, ' '):>{_CELL}}" for cell in cells)
         lines.append(f"  {'' if i else 'plain replay':<{_LABEL}}{name:<{_NAME}}{row}".rstrip())
     lines.append(_line("noise", words.number(result.train.noise, result.robot.unit)))
+    lines += [_line("" if i else "signals", each) for i, each in enumerate(words.signals(result))]
     return lines + ([_line("", said)] if (said := words.explained(result)) else [])
 
 

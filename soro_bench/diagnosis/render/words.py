@@ -289,6 +289,17 @@ def replays(result: Result) -> Rows:
     return [*rows, ("may be discretisation", *(_taken_off(each, unit) for each in both))]
 
 
+def signals(result: Result) -> list[str]:
+    """Errors of plain replays of every signal, where there are several, a sentence each."""
+    found = []
+    for each in result.signals:
+        said = f"{each.name}: RMSE {change(each.before, each.after, each.unit)}"
+        if each.heldout_before is not None and each.heldout_after is not None:
+            said += f", held out {change(each.heldout_before, each.heldout_after, each.unit)}"
+        found.append(f"{said}; noise {number(each.noise, each.unit)}")
+    return found
+
+
 def _taken_off(found: Errors, unit: str) -> str:
     """What the covariance of discretisation error takes off an error."""
     square = found.after**2 - found.corrected_after**2

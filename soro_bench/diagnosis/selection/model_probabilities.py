@@ -24,13 +24,16 @@ from soro_bench.effects.effect import Location
 class Fit:
     """How a hypothesis fits recordings.
 
-    before, after: rms residual of a coordinate [signal's unit] without and with its terms, less discretisation error.
+    before, after: rms residual of a coordinate [signal's unit] without and with its terms, less discretisation error;
+        of several signals in units of their noise, times that of the first one.
     noise: of the sensor [signal's unit].
+    own: the same errors of the first signal alone, where there are others.
     """
 
     before: float
     after: float
     noise: float
+    own: tuple[float, float] | None = None
 
     @property
     def explained(self) -> float:
@@ -203,7 +206,8 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
         unfitted_misfits = [unfitted.misfit(row) for row in residuals]
         scores, misfits = scores - unfitted_misfits, [a + b for a, b in zip(misfits, unfitted_misfits, strict=True)]
         rms = [unfitted.left(row) for row in residuals]
-        tested = [Fit(rms[0], after, problem.sensor) for after in rms]
+        tested = [Fit(rms[0], after, problem.sensor, _own(unfitted, residuals[0], row))
+                  for after, row in zip(rms, residuals, strict=True)]  # fmt: skip
         of_nominal.append((unfitted, residuals[0]))
     # where the misfit is far above the sensor's noise something is missing, whether or not a law explains it
     p = 0.0 if problem.misfit_dominated else min(p, p_slow(*slow_variance(of_nominal), settings))
@@ -213,12 +217,20 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
     mistaken = settings.probabilities.wrong_when_certain
     unknown = (1.0 - nothing) * _probability_of_unknown(problem, hypotheses, explanation.remaining_gain)
     unknown = float(np.clip(unknown, mistaken, 1.0 - mistaken))
-    fits = [Fit(train[0], after, problem.sensor) for after in train]
+    fits = [Fit(train[0], after, problem.sensor, _own(problem, hypotheses[0].residual, h.residual))
+            for h, after in zip(hypotheses, train, strict=True)]  # fmt: skip
     rows = zip(hypotheses, probabilities, scores.tolist(), fits, tested, misfits, strict=True)
     answers = [Answer(h, chance, *rest) for h, chance, *rest in rows]
     answers = [replace(a, probability=a.probability * (1.0 - unknown)) for a in answers]
     ranked = tuple(sorted(answers, key=lambda a: -a.probability))
     return Comparison(ranked, unknown, None if problem.misfit_dominated else p)
+
+
+def _own(problem: Problem, before: np.ndarray, after: np.ndarray) -> tuple[float, float] | None:
+    """What residuals (M,) leave of the first signal alone, where there are others."""
+    if not problem.others:
+        return None
+    return problem.left_of_each(before)[0], problem.left_of_each(after)[0]
 
 
 def _evidence(problem: Problem, hypotheses: Sequence[Hypothesis]) -> np.ndarray:
