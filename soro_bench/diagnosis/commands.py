@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from soro_bench.files import check_folder, check_output, results_folder
+from soro_bench.files import check_folder, check_output, read_json, results_folder
 from soro_bench.options import EnvId, KnownParameters, joined
 from soro_bench.progress import StageStatus, console, table
 
@@ -96,6 +96,11 @@ class Diagnose:
     baseline: Annotated[Path | None, tyro.conf.arg(aliases=["--since"])] = None
     """Folder of an earlier diagnosis of the same robot: its findings are known, and changes since then are looked
     for."""
+    before: tuple[Path, ...] = ()
+    """Instead of recordings to explain: some before a change of the robot, ..."""
+    after: tuple[Path, ...] = ()
+    """... and some after it, under the same commands: what differs is measured and tested, and with a model explained.
+    The folder gets report.html and paired.json."""
     seed: int = 0
 
     def run(self) -> None:
@@ -103,8 +108,11 @@ class Diagnose:
         from soro_bench.diagnosis.render import FILES, render
         from soro_bench.recording.parquet import load
 
+        if self.before or self.after:
+            self._compare()
+            return
         if not self.recordings:
-            raise ValueError("no recording to explain; give one or more .parquet files")
+            raise ValueError("no recording to explain; give one or more .parquet files, or --before and --after")
         with results_folder(self.out, FILES), StageStatus() as status:
             robot = self._robot()
             for note in robot.notes:
@@ -115,6 +123,25 @@ class Diagnose:
             text = render(result, self.out)
         console.print(text, soft_wrap=True, highlight=False)
         console.print(f"{self.out / 'report.html'}, {self.out / 'result.json'}; {result.seconds:.0f} s", soft_wrap=True)
+
+    def _compare(self) -> None:
+        """Compare recordings before and after a change."""
+        from soro_bench.diagnosis.paired.api import compare
+        from soro_bench.diagnosis.render.paired import FILES, render
+        from soro_bench.recording.parquet import load
+
+        if self.recordings or self.heldout:
+            raise ValueError("--before and --after have all recordings of a change; give no others")
+        if not (self.before and self.after):
+            raise ValueError("a change needs recordings of both sides: --before A.parquet --after B.parquet")
+        with results_folder(self.out, FILES), StageStatus() as status:
+            robot = self._robot() if self.env or self.model or self.map else None
+            before, after = ([load(path) for path in paths] for paths in (self.before, self.after))
+            result = compare(before, after, robot, self.seed, status, known=joined(self.known))
+            status("report")
+            text = render(result, self.out)
+        console.print(text, soft_wrap=True, highlight=False, markup=False)
+        console.print(f"{self.out / 'report.html'}, {self.out / 'paired.json'}; {result.seconds:.0f} s", soft_wrap=True)
 
     def _robot(self) -> "Robot":
         from soro_bench.diagnosis.baseline import baseline
@@ -134,17 +161,23 @@ class Report:
     """Render an earlier result again: report.html, comparison.rrd, the files for programs, and the summary."""
 
     result: Annotated[Path, tyro.conf.Positional]
-    """result.json of a diagnosis."""
+    """result.json of a diagnosis, or paired.json of a comparison."""
     out: Path
     """Folder for what is rendered."""
 
     def run(self) -> None:
-        from soro_bench.diagnosis.render import FILES, render
+        from soro_bench.diagnosis.paired.result import SCHEMA, PairedResult
+        from soro_bench.diagnosis.render import FILES, paired, render
         from soro_bench.diagnosis.result import Result
 
-        result = Result.load(self.result)
-        with results_folder(self.out, FILES):
-            text = render(result, self.out)
+        data = read_json(self.result)
+        if isinstance(data, dict) and data.get("schema") == SCHEMA:
+            with results_folder(self.out, paired.FILES):
+                text = paired.render(PairedResult.load(self.result), self.out)
+        else:
+            result = Result.load(self.result)
+            with results_folder(self.out, FILES):
+                text = render(result, self.out)
         console.print(text, soft_wrap=True, highlight=False)
 
 

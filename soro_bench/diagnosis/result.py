@@ -135,7 +135,7 @@ class Result:
         """The result that a JSON object describes; ValueError names what is wrong."""
         if not isinstance(data, dict) or data.get("schema") != SCHEMA:
             raise ValueError(f"not a result of a diagnosis: its schema has to be {SCHEMA}")
-        return _read(cls, {key: value for key, value in data.items() if key != "schema"}, "result")
+        return read(cls, {key: value for key, value in data.items() if key != "schema"}, "result")
 
     def save(self, path: str | Path) -> None:
         """Write it as JSON."""
@@ -164,11 +164,11 @@ def plain_json(value: typing.Any) -> typing.Any:
     return value
 
 
-def _read(kind: typing.Any, value: typing.Any, name: str) -> typing.Any:
+def read(kind: typing.Any, value: typing.Any, name: str) -> typing.Any:
     """A value of an annotated type, from plain JSON; ``name`` says which in errors."""
     origin, inner = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
-        return None if value is None else _read(next(each for each in inner if each is not type(None)), value, name)
+        return None if value is None else read(next(each for each in inner if each is not type(None)), value, name)
     if kind is typing.Any:
         return value
     if is_dataclass(kind):
@@ -177,14 +177,14 @@ def _read(kind: typing.Any, value: typing.Any, name: str) -> typing.Any:
         if not isinstance(value, list):
             raise ValueError(f"{name} is {brief(value)}; a list is expected")
         if len(inner) == 2 and inner[1] is Ellipsis:
-            return tuple(_read(inner[0], each, f"{name}[{i}]") for i, each in enumerate(value))
+            return tuple(read(inner[0], each, f"{name}[{i}]") for i, each in enumerate(value))
         if len(value) != len(inner):
             raise ValueError(f"{name} has {len(value)} entries; expected are {len(inner)}")
-        return tuple(_read(each, item, f"{name}[{i}]") for i, (each, item) in enumerate(zip(inner, value, strict=True)))
+        return tuple(read(each, item, f"{name}[{i}]") for i, (each, item) in enumerate(zip(inner, value, strict=True)))
     if origin is dict:
         if not isinstance(value, dict):
             raise ValueError(f"{name} is {brief(value)}; an object is expected")
-        return {key: _read(inner[1], each, f"{name}.{key}") for key, each in value.items()}
+        return {key: read(inner[1], each, f"{name}.{key}") for key, each in value.items()}
     if kind is float:
         if value is None:
             return math.nan
@@ -202,6 +202,6 @@ def _read_dataclass(kind: typing.Any, value: typing.Any, name: str) -> typing.An
     if not isinstance(value, dict) or not value.keys() <= required:
         raise ValueError(f"{name} is {brief(value)}; an object with {', '.join(sorted(required))} is expected")
     try:
-        return kind(**{key: _read(known[key], each, f"{name}.{key}") for key, each in value.items()})
+        return kind(**{key: read(known[key], each, f"{name}.{key}") for key, each in value.items()})
     except TypeError as error:
         raise ValueError(f"{name} lacks entries: {error}") from error

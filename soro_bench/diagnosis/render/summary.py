@@ -23,28 +23,28 @@ def summary(result: Result) -> str:
     lines = [words.headline(result) + _confidence(result), *_replays(result)]
     if result.outliers.share:
         share, size = 100 * result.outliers.share, words.number(result.outliers.size, unit)
-        lines.append(_line("outliers", f"{share:.2g} % of the points are {size} off (rms); left out"))
-    lines += [_line("data", each) for each in words.data(result)]
+        lines.append(line("outliers", f"{share:.2g} % of the points are {size} off (rms); left out"))
+    lines += [line("data", each) for each in words.data(result)]
     for each in words.best_findings(result):
         lines += _finding(each, nearest=result.verdict == "outside_catalogue")
     if result.verdict == "outside_catalogue":
-        lines.append(_line("location", words.where(result)))
+        lines.append(line("location", words.where(result)))
         if unconstrained := words.unconstrained(result):
-            lines.append(_line("", unconstrained))
-    lines += [_line("" if i else "recordings", each) for i, each in enumerate(words.disagreement(result))]
+            lines.append(line("", unconstrained))
+    lines += [line("" if i else "recordings", each) for i, each in enumerate(words.disagreement(result))]
     if known := words.known(result):
-        lines.append(_line("known", known))
+        lines.append(line("known", known))
     if not result.best.effects and result.verdict != "outside_catalogue":
         lines += _detectable(result)
     if also := words.alternatives(result):
-        lines.append(_line("or", "; ".join(also)))
+        lines.append(line("or", "; ".join(also)))
     if kind := words.kind(result):
-        lines.append(_line("kind", kind))
-    lines += [_line("model", each) for each in words.patched_model(result)]
-    lines += [_line("" if i else "limits", each) for i, each in enumerate(words.limits(result))]
-    lines += [_line("note", each) for each in words.warnings(result)]
+        lines.append(line("kind", kind))
+    lines += [line("model", each) for each in words.patched_model(result)]
+    lines += [line("" if i else "limits", each) for i, each in enumerate(words.limits(result))]
+    lines += [line("note", each) for each in words.warnings(result)]
     if then := words.next_recording(result):
-        lines.append(_line("record next", then))
+        lines.append(line("record next", then))
     return "\n".join(lines)
 
 
@@ -55,9 +55,9 @@ def _replays(result: Result) -> list[str]:
     for i, (name, *cells) in enumerate([head, *words.replays(result)]):
         row = "".join(f"{cell.replace(words.NO_BREAK, ' '):>{_CELL}}" for cell in cells)
         lines.append(f"  {'' if i else 'plain replay':<{_LABEL}}{name:<{_NAME}}{row}".rstrip())
-    lines.append(_line("noise", words.number(result.train.noise, result.robot.unit)))
-    lines += [_line("" if i else "signals", each) for i, each in enumerate(words.signals(result))]
-    return lines + ([_line("", said)] if (said := words.explained(result)) else [])
+    lines.append(line("noise", words.number(result.train.noise, result.robot.unit)))
+    lines += [line("" if i else "signals", each) for i, each in enumerate(words.signals(result))]
+    return lines + ([line("", said)] if (said := words.explained(result)) else [])
 
 
 def _confidence(result: Result) -> str:
@@ -71,13 +71,13 @@ def _confidence(result: Result) -> str:
 
 def _finding(found: Finding, nearest: bool) -> list[str]:
     name = words.law(found.name)
-    lines = [_line("nearest law" if nearest else "law", f"{name} ({words.category(found.category)})")]
+    lines = [line("nearest law" if nearest else "law", f"{name} ({words.category(found.category)})")]
     if found.location is not None and not nearest:
-        lines.append(_line("location", str(found.location)))
+        lines.append(line("location", str(found.location)))
     for each in found.estimates:
-        lines.append(_line("", f"{words.law(each.name)} {words.estimate(each)}"))
+        lines.append(line("", f"{words.law(each.name)} {words.estimate(each)}"))
     if found.condition:
-        lines.append(_line("", found.condition))
+        lines.append(line("", found.condition))
     return lines
 
 
@@ -85,11 +85,11 @@ def _detectable(result: Result) -> list[str]:
     lines = []
     if result.detectable:
         least = {each.name: f"{words.law(each.name)} {words.detectable(each)}" for each in result.detectable}
-        lines.append(_line("detectable", f"at least {_some(least)}"))
+        lines.append(line("detectable", f"at least {_some(least)}"))
     if result.undetectable:
-        lines.append(_line("invisible", f"in these recordings: {_laws(result.undetectable)}"))
+        lines.append(line("invisible", f"in these recordings: {_laws(result.undetectable)}"))
     if result.not_searched:
-        lines.append(_line("not searched", f"no location in this robot: {_laws(result.not_searched)}"))
+        lines.append(line("not searched", f"no location in this robot: {_laws(result.not_searched)}"))
     return lines
 
 
@@ -105,7 +105,8 @@ def _some(texts: dict[str, str]) -> str:
     return f"{said}; {more} more in report.html" if more > 0 else said
 
 
-def _line(label: str, text: str) -> str:
+def line(label: str, text: str) -> str:
+    """A labelled text, filled to the width of a console."""
     indent = " " * (_LABEL + 2)
     text = words.NO_BREAK.join(map(shown, text.split(words.NO_BREAK)))
     filled = textwrap.fill(text, WIDTH, initial_indent=indent, subsequent_indent=indent)

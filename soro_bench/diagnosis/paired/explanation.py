@@ -1,0 +1,331 @@
+"""Which change between two recordings explains their difference, and how large it is."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import expit
+
+from soro_bench.arrays import Floats
+from soro_bench.diagnosis.candidates import Term, term
+from soro_bench.diagnosis.data_quality.noise import data_quality, outliers
+from soro_bench.diagnosis.paired import result
+from soro_bench.diagnosis.paired.alignment import Pair
+from soro_bench.diagnosis.paired.changes import LawChange, ParameterChange, possible_changes
+from soro_bench.diagnosis.paired.fit import (
+    Fit,
+    evidence,
+    finalists,
+    fitted_alone,
+    fitted_shared,
+    fitted_together,
+    screened,
+)
+from soro_bench.diagnosis.paired.problem import PairedProblem, Point
+from soro_bench.diagnosis.paired.settings import PairedSettings
+from soro_bench.diagnosis.pipeline import unexplained
+from soro_bench.diagnosis.result_parts import Estimate
+from soro_bench.diagnosis.robots.measured import Measured
+from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.selection.forward_selection import nominal_fit
+from soro_bench.diagnosis.settings import DEFAULT
+from soro_bench.effects.effect import Location
+
+_DRAWS = 400  # of the posterior, for intervals of sizes that are not linear in the unknowns
+
+
+def explained(
+    robot: Robot,
+    pairs: Sequence[Pair],
+    seed: int,
+    progress: Callable[[str], None],
+    settings: PairedSettings,
+) -> result.Explanation:
+    """The change that explains the difference of pairs of recordings.
+
+    Raises:
+        RecordingError: a recording lacks something that the robot needs.
+        SimulationError: the simulation diverges.
+    """
+    before, after, notes = _measured(robot, pairs, settings)
+    progress("fit of the parameters before the change")
+    sigma = max(data_quality(each).sigma for each in (*before, *after))
+    problem = PairedProblem(robot, before, after, _shared(robot))
+    nominal, fit = nominal_fit(unexplained(robot, before, sigma), [], seed)
+    nominal.check_finite(robot, nominal.simulated(robot, [(fit.x, ())]))
+    start = np.concatenate([fit.x, np.zeros(sum(s.size for s in problem.shared))])
+    problem, base = _before_change(problem, start, sigma, settings)
+    search = _Search(problem, base, possible_changes(robot, settings), sigma, seed, settings, progress)
+    search.run()
+    return search.explanation(tuple(notes))
+
+
+def _shared(robot: Robot) -> tuple[Term, ...]:
+    """Laws that both recordings have anyway: nearly every real robot is late, and the difference with it."""
+    late = term(robot, "sensor_delay", Location("sensor", robot.signal))
+    known = [(e.name, e.location) for e in robot.known]
+    return () if (late.name, late.location) in known else (late,)
+
+
+def _measured(
+    robot: Robot, pairs: Sequence[Pair], settings: PairedSettings
+) -> tuple[tuple[Measured, ...], tuple[Measured, ...], list[str]]:
+    """Both sides of all pairs, as long as each other; the beginnings of long ones."""
+    first, second, notes = [], [], []
+    most = max(settings.most_steps // len(pairs), 1)
+    for pair in pairs:
+        one, two = robot.measured(pair.before), robot.measured(pair.after)
+        count = min(len(one.time), len(two.time))
+        if count > most:
+            notes.append(f"the model explains the first {most * robot.control_timestep:.4g} s of a pair")
+        one, two = _until(one, min(count, most)), _until(two, min(count, most))
+        values = _without_outliers(two.values - one.values)
+        second.append(replace(two, values=one.values + values))
+        first.append(one)
+        notes += [*one.notes]
+    return tuple(first), tuple(second), list(dict.fromkeys(notes))
+
+
+def _until(measured: Measured, count: int) -> Measured:
+    """The first control steps."""
+    return replace(
+        measured, actions=measured.actions[:count], time=measured.time[:count], values=measured.values[:count],
+        settings=None if measured.settings is None else measured.settings[:count], late=None,
+    )  # fmt: skip
+
+
+def _without_outliers(values: Floats) -> Floats:
+    """Differences (T, P, D) without points that are alone and far off."""
+    steps = np.abs(np.diff(values, axis=0))
+    usual = float(np.nanmedian(steps)) if np.isfinite(steps).any() else 0.0
+    if usual <= 0:
+        return values
+    found = values.copy()
+    found[outliers(values / usual)] = np.nan
+    return found
+
+
+def _before_change(
+    problem: PairedProblem, start: Floats, noise: float, settings: PairedSettings
+) -> tuple[PairedProblem, Point]:
+    """The problem with the model's error before the change, and the shared unknowns there."""
+    nothing = np.zeros(0)
+    for _ in range(2):
+        point = Point(np.clip(start, *problem.bounds), nothing, ())
+        left = (problem.measured[0] - problem.simulated([point])[0][0])[None][0]
+        seen = problem.seen[0] & np.isfinite(left)
+        count = float(problem.seen[0].sum())
+        sigma = max(float(np.sqrt((left[seen] ** 2).mean())), noise)
+        share = problem.independent(left, seen) / count
+        problem = replace(problem, sigma=(sigma, problem.sigma[1]), share=(share, problem.share[1]))
+        if not problem.shared:
+            break
+        start = fitted_shared(problem, point.x, settings)
+    return problem, Point(np.clip(start, *problem.bounds), nothing, ())
+
+
+class _Search:
+    """Changes one after another, as long as the evidence grows."""
+
+    def __init__(
+        self,
+        problem: PairedProblem,
+        base: Point,
+        changes: Sequence[ParameterChange | LawChange],
+        noise: float,
+        seed: int,
+        settings: PairedSettings,
+        progress: Callable[[str], None],
+    ):
+        self.base, self.changes, self.noise, self.settings, self.progress = base, changes, noise, settings, progress
+        self.rng = np.random.default_rng(seed)
+        # what is to be explained is no noise: how independent its samples are shows when it is explained
+        self.problem = replace(self._scaled(problem, base), share=(problem.share[0], 1.0))
+        self.nothing = float(problem.squares([base])[0][1])  # the difference's own
+        self.singles: list[Fit] = []
+        self.best: Fit | None = None
+
+    def _scaled(self, problem: PairedProblem, point: Point) -> PairedProblem:
+        """The problem with what a point leaves of the difference as its noise."""
+        left = problem.measured[1] - problem.simulated([point])[1][0]
+        seen = problem.seen[1] & np.isfinite(left)
+        count = float(problem.seen[1].sum())
+        sigma = max(float(np.sqrt((left[seen] ** 2).mean())), np.sqrt(2.0) * self.noise)
+        share = problem.independent(left, seen) / count
+        return replace(problem, sigma=(problem.sigma[0], sigma), share=(problem.share[0], share))
+
+    def run(self) -> None:
+        """Search for one change, and for more beside it."""
+        self.progress("screening of changes")
+        found = finalists(screened(self.problem, self.base, self.changes), self.settings)
+        self.progress("fits of changes")
+        if not found:
+            return
+        fits = fitted_alone(self.problem, self.base, found, self.settings)
+        fits.sort(key=lambda each: each.squares[1])
+        self.problem = self._scaled(self.problem, fits[0].point)
+        self.progress("fits of changes together with the parameters")
+        together = fitted_together(self.problem, fits[: self.settings.refined], self.settings)
+        self.problem = self._scaled(self.problem, min(together, key=lambda each: each.squares[1]).point)
+        self.singles = [self._weighed(each) for each in (*together, *fits[self.settings.refined :])]
+        self.singles.sort(key=lambda each: -each.evidence)
+        self.best = self.singles[0]
+        while self.best is not None and len(self.best.changes) < self.settings.most_changes:
+            if not self._one_more():
+                break
+
+    def _one_more(self) -> bool:
+        """Add a change to the best ones if the evidence grows by enough; whether it did."""
+        assert self.best is not None
+        taken = {each.key for each in self.best.changes}
+        others = [each for each in self.changes if each.key not in taken and self._possible(each)]
+        problem = replace(self._scaled(self.problem, self.best.point), share=(self.problem.share[0], 1.0))
+        found = finalists(screened(problem, self.best.point, others), self.settings)[: self.settings.refined]
+        if not found:
+            return False
+        best = min(fitted_alone(problem, self.best.point, found, self.settings), key=lambda each: each.squares[1])
+        if best.squares[1] > self.best.squares[1] - self.settings.least_share * self.nothing:
+            return False
+        (joint,) = fitted_together(self._scaled(problem, best.point), [best], self.settings)
+        problem = self._scaled(problem, joint.point)
+        old, new = self._weighed(self.best, problem), self._weighed(joint, problem)
+        if new.evidence < old.evidence + self.settings.least_gain:
+            return False
+        self.problem, self.best = problem, new
+        return True
+
+    def _possible(self, change: ParameterChange | LawChange) -> bool:
+        """Whether the robot can have it beside the best changes."""
+        assert self.best is not None
+        point = Point(self.best.point.x, np.concatenate([self.best.point.z, change.typical]),
+                      (*self.best.changes, change))  # fmt: skip
+        return all(self.problem.robot.accepts(side.effects) for side in self.problem.sides(point))
+
+    def _weighed(self, fit: Fit, problem: PairedProblem | None = None) -> Fit:
+        """The fit with its evidence."""
+        problem = problem or self.problem
+        size = len(fit.point.x)
+        shared = np.eye(size)
+        if fit.joint:
+            rows = fit.jacobian[: problem.measured[0].size, :size]
+            shared = shared + rows.T @ rows
+        return replace(fit, evidence=evidence(problem, fit, shared, self.base))
+
+    def explanation(self, notes: tuple[str, ...]) -> result.Explanation:
+        """The result."""
+        problem, robot = self.problem, self.problem.robot
+        nothing = problem.squares([self.base])[0]
+        count = max(float(problem.seen[1].sum()), 1.0)
+        independent = problem.share[1] * count
+        evidences = np.array([-0.5 * independent * np.log(max(nothing[1], 1e-300)),
+                              *(each.evidence for each in self.singles)])  # fmt: skip
+        weights = np.exp(evidences - evidences.max())
+        left = self.best.squares[1] if self.best else nothing[1]
+        floor = count * 2.0 * self.noise**2
+        share = max(left - floor, 0.0) / max(nothing[1] - floor, 1e-300) if nothing[1] > floor else 0.0
+        unknown = float(expit((share - self.settings.unknown_share) / self.settings.unknown_width))
+        certain = DEFAULT.probabilities.wrong_when_certain
+        unknown = certain + (1.0 - certain) * unknown * (1.0 - weights[0] / weights.sum())
+        chances = (1.0 - unknown) * weights / weights.sum()
+        candidates = _merged([
+            self._change(each, 0, float(chance), nothing[1])
+            for each, chance in zip(self.singles, chances[1:], strict=True)
+        ], self.settings.alike)  # fmt: skip
+        if self.best is not None and len(self.best.changes) > 1:
+            chance = candidates[0].probability if candidates else 0.0
+            best = tuple(self._change(self.best, i, chance, nothing[1]) for i in range(len(self.best.changes)))
+        else:
+            best = tuple(candidates[:1])
+        if float(chances[0]) > max([unknown, *(each.probability for each in candidates)]):
+            best = ()
+        return result.Explanation(
+            robot.name,
+            robot.signal,
+            robot.unit,
+            best,
+            tuple(candidates[: self.settings.listed]),
+            float(chances[0]),
+            unknown,
+            1.0 - float(left / max(nothing[1], 1e-300)),
+            float(np.sqrt(nothing[1] / count)),
+            float(np.sqrt(left / count)),
+            float(np.sqrt((self.best.squares[0] if self.best else nothing[0]) / max(problem.seen[0].sum(), 1))),
+            independent,
+            notes,
+        )
+
+    def _change(self, fit: Fit, number: int, probability: float, nothing: float) -> result.Change:
+        """One change of a fit, with intervals."""
+        change = fit.changes[number]
+        covariance = fit.covariance()
+        size = len(covariance) - sum(each.size for each in fit.changes)  # 0 where the shared unknowns were not fitted
+        x = np.concatenate([fit.point.x[:size], fit.point.z])
+        if len(x) != len(covariance):  # only the last change was fitted
+            x = fit.point.z[-len(covariance) :]
+        draws = x + self.rng.multivariate_normal(np.zeros(len(x)), covariance, _DRAWS, method="eigh")
+        at = size + sum(each.size for each in fit.changes[:number])
+        z = fit.point.z[at - size : at - size + change.size]
+        zs = draws[:, at : at + change.size]
+        xs = draws[:, :size] if size else np.repeat(fit.point.x[None], _DRAWS, axis=0)
+        explained = 1.0 - fit.squares[1] / max(nothing, 1e-300)
+        if isinstance(change, ParameterChange):
+            estimates = _of_parameter(change, fit.point.x, z, xs, zs)
+            return result.Change(change.kind, change.prior.name, change.location, estimates, True, False, explained,
+                                 probability)  # fmt: skip
+        estimates = _of_law(self.problem.robot, change, z, np.clip(zs, *change.bounds))
+        return result.Change(change.kind, change.term.name, change.term.location, estimates, False,
+                             change.removed(z), explained, probability)  # fmt: skip
+
+
+def _interval(name: str, unit: str, value: float, draws: Floats) -> Estimate:
+    low, high = np.quantile(draws, (0.05, 0.95))
+    return Estimate(name, value, unit, float(low), float(high))
+
+
+def _of_parameter(change: ParameterChange, x: Floats, z: Floats, xs: Floats, zs: Floats) -> tuple[Estimate, ...]:
+    """Of a parameter: the mass that is added; or its factor, or what is added to it; and its values on both sides."""
+    i, prior, width = change.index, change.prior, change.width
+    old, new = float(prior.value(x[i])), float(prior.value(x[i] + width * z[0]))
+    olds, news = prior.value(xs[:, i]), prior.value(xs[:, i] + width * zs[:, 0])
+    values = (_interval("before", prior.unit, old, olds), _interval("after", prior.unit, new, news))
+    if change.mass:
+        return (_interval("mass", "kg", change.mass * (new - old), change.mass * (news - olds)), *values)
+    if prior.logarithmic:
+        return (_interval("factor", "1", new / old, news / olds), *values)
+    return (_interval("added", prior.unit, new - old, news - olds), *values)
+
+
+def _of_law(robot: Robot, change: LawChange, z: Floats, zs: Floats) -> tuple[Estimate, ...]:
+    """Of a law: its quantities; the magnitude of one that acts before only is negative."""
+    sign = -1.0 if change.removed(z) else 1.0
+    values = change.effect(z).parameters
+    drawn = [change.effect(row).parameters for row in zs]
+    signs = np.array([-1.0 if change.removed(row) else 1.0 for row in zs])
+    found = []
+    for i, (quantity, magnitude) in enumerate(zip(change.term.quantities, change.magnitudes, strict=True)):
+        unit = robot.unit_at(quantity.unit, change.term.location)
+        draws = np.array([each[quantity.name] for each in drawn])
+        first = i == 0 and magnitude and change.one_sided
+        value = values[quantity.name] * (sign if first else 1.0)
+        found.append(_interval(quantity.name, unit, value, draws * signs if first else draws))
+    return tuple(found)
+
+
+def _merged(changes: Sequence[result.Change], alike: float) -> list[result.Change]:
+    """Changes, the most probable first; those of one kind that are at one place, or explain as much, are one, under the
+    name of the most probable, a parameter before a law."""
+    found: list[result.Change] = []
+    for each in sorted(changes, key=lambda c: (-c.parameter, -c.probability)):
+        same = [
+            i for i, other in enumerate(found)
+            if other.kind == each.kind
+            and ((other.location == each.location and each.location is not None)
+                 or abs(other.explained - each.explained) < alike)
+        ]  # fmt: skip
+        if not same:
+            found.append(each)
+            continue
+        other = found[same[0]]
+        first = other if other.probability >= alike * each.probability else each
+        found[same[0]] = replace(first, probability=other.probability + each.probability)
+    return sorted(found, key=lambda c: (-c.probability, -c.explained))
