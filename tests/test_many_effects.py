@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from soro_bench.diagnosis.assembly.findings import estimates_of
 from soro_bench.diagnosis.candidates import Term, terms
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.pipeline import unexplained
@@ -132,6 +133,19 @@ def test_coordinates_of_a_law_at_each_element_lead_to_its_effects_and_back(robot
     assert [effect.parameters["friction"] for effect in whole.effects(whole.simulated)] == pytest.approx([
         member.typical[0] for member in members
     ])
+
+
+def test_a_law_at_each_element_is_reported_with_a_magnitude_of_each(robot):
+    """The common part and that of an element are hardly known apart, and their sum is known well."""
+    whole = spread(_friction(robot))
+    x = whole.coordinates_of([0.1, 0.2, 0.3], np.zeros(whole.size))
+    known = np.linalg.inv(np.pad(whole.mixing @ whole.mixing.T, (0, 1)) / 0.01**2 + np.eye(whole.size))
+    found = estimates_of(robot, whole, x, known)
+    assert [each.name for each in found] == [*(f"friction at {name}" for name in NAMES), "presliding"]
+    for u, each, member in zip((0.1, 0.2, 0.3), found, whole.members, strict=False):
+        assert each.unit == "N m"
+        assert each.value == pytest.approx(u * member.deviations[0])
+        assert each.high - each.value == pytest.approx(1.645 * 0.01 * member.deviations[0], rel=0.02)
 
 
 def test_a_law_at_each_element_is_screened_from_the_responses_of_its_elements(robot):

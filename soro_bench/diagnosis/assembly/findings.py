@@ -17,7 +17,7 @@ from soro_bench.diagnosis.robots.priors import Prior
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer, temperature
 from soro_bench.effects.catalogue import CATEGORIES
-from soro_bench.effects.effect import Effect, Location
+from soro_bench.effects.effect import Location
 
 NINETY = 1.645  # standard deviations on either side of the middle 90 %
 _TELLS = 1.2  # times more than its share of the time has to be explained for a condition to say when an effect acts
@@ -33,7 +33,6 @@ class _Found:
     """A term of a hypothesis, the most probable one that has it, and its probability in all of them."""
 
     term: Term
-    effects: list[Effect]
     answer: Answer
     probability: float
 
@@ -41,13 +40,12 @@ class _Found:
 def findings(diagnosis: Diagnosis, replays: PlainReplays) -> list[Finding]:
     """Every effect of any hypothesis, the most probable first; of those in one hypothesis that which gains most."""
     best: dict[tuple[str, Location], _Found] = {}
-    d = diagnosis.explanation.problem.parameters
     for answer in diagnosis.comparison.ranked:
-        for term, effects in zip(answer.hypothesis.terms, answer.hypothesis.effects_of_terms(d), strict=True):
+        for term in answer.hypothesis.terms:
             key = (term.name, term.location)
             first = best.get(key)
             chance = min(1.0, answer.probability + (first.probability if first else 0.0))  # but for rounding
-            best[key] = replace(first, probability=chance) if first else _Found(term, effects, answer, chance)
+            best[key] = replace(first, probability=chance) if first else _Found(term, answer, chance)
     return [_finding(diagnosis, replays, found) for found in sorted(best.values(), key=lambda f: -f.probability)]
 
 
@@ -123,25 +121,30 @@ def _condition(location: Location, shares: Sequence[Regime], single: bool) -> st
 
 
 def _estimates(diagnosis: Diagnosis, finding: _Found) -> tuple[Estimate, ...]:
-    """Of every quantity; those that each element has of its own come with the element's name."""
     hypothesis, first, term = finding.answer.hypothesis, diagnosis.explanation.problem.parameters, finding.term
     which = next(i for i, each in enumerate(hypothesis.terms) if each is term)
     part = slices(hypothesis.terms, first)[which]
-    deviation = term.deviations_of_parts(tempered(diagnosis, hypothesis)[part, part])
+    return estimates_of(diagnosis.robot, term, hypothesis.x[part], tempered(diagnosis, hypothesis)[part, part])
+
+
+def estimates_of(robot: Robot, term: Term, x: np.ndarray, covariance: np.ndarray) -> tuple[Estimate, ...]:
+    """Of every quantity of a term; magnitudes that each element has of its own come with the element's name.
+
+    Args:
+        x: (size,) coordinates of the term, with their covariance (size, size).
+    """
     found: list[Estimate] = []
     shape: list[Estimate] = []  # the same at all elements
-    parts = zip(term.parts(hypothesis.x[part]), deviation, finding.effects, strict=True)
-    for i, ((one, x), spread, effect) in enumerate(parts):
-        low, high = (one.effect(x + k * NINETY * spread).parameters for k in (-1.0, 1.0))
-        alone = len(finding.effects) == 1
-        for k, q in enumerate(one.quantities):
-            if i > 0 and not one.magnitudes[k]:
+    parts = list(zip(term.parts(x), term.deviations_of_parts(covariance), strict=True))
+    for i, ((one, middle), spread) in enumerate(parts):
+        low, value, high = (one.effect(middle + k * NINETY * spread).parameters for k in (-1.0, 0.0, 1.0))
+        for q, magnitude in zip(one.quantities, one.magnitudes, strict=True):
+            if i > 0 and not magnitude:
                 continue
-            name = q.name if alone or not one.magnitudes[k] else f"{q.name} at {effect.location.name}"
-            unit = unit_at(diagnosis.robot, q.unit, effect.location)
+            name = f"{q.name} at {one.location.name}" if magnitude and len(parts) > 1 else q.name
             ends = sorted((float(low[q.name]), float(high[q.name])))
-            group = found if one.magnitudes[k] else shape
-            group.append(Estimate(name, float(effect.parameters[q.name]), unit, *ends))
+            group = found if magnitude or len(parts) == 1 else shape
+            group.append(Estimate(name, float(value[q.name]), unit_at(robot, q.unit, one.location), *ends))
     return (*found, *shape)
 
 

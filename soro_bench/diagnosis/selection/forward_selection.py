@@ -26,7 +26,7 @@ from soro_bench.diagnosis.selection.moves import (
 )
 from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate, evidence, pairs, responses, singles
 from soro_bench.diagnosis.selection.spreading import at_each_element, generalised
-from soro_bench.diagnosis.selection.stopping import is_better, simplest
+from soro_bench.diagnosis.selection.stopping import is_better, simplest, without_a_term
 from soro_bench.diagnosis.selection.turns import (
     cheapest,
     compatible,
@@ -273,7 +273,7 @@ class _Search:
         """Take away terms of the best hypothesis that are not worth having, one after the other."""
         while len(self.best.terms) > 1:
             known = [h for h in self.tried if h is not self.best]
-            if not any(set(h.terms) < set(self.best.terms) for h in known):
+            if not without_a_term(self.best, known):
                 known = without_one(self.problem, self.best, self.nominal, next(self.seeds))
             if (fewer := simplest(self.problem, self.heldout, [self.best, *known])) is None:
                 return

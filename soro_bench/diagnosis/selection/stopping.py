@@ -48,11 +48,15 @@ def is_better(problem: Problem, heldout: Problem | None, before: Hypothesis, aft
     return evidence_beyond_chance(problem, after) > evidence_beyond_chance(problem, before)
 
 
+def without_a_term(whole: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The hypotheses that have all terms of another one but one."""
+    return [h for h in others if len(h.terms) == len(whole.terms) - 1 and set(h.terms) < set(whole.terms)]
+
+
 def simplest(problem: Problem, heldout: Problem | None, hypotheses: Sequence[Hypothesis]) -> Hypothesis | None:
     """Of hypotheses with one term less than the first, the one with most evidence if that term is not worth having."""
     whole, *others = hypotheses
-    fewer = [h for h in others if len(h.terms) == len(whole.terms) - 1 and set(h.terms) < set(whole.terms)]
-    best = max(fewer, key=lambda h: evidence_beyond_chance(problem, h), default=None)
+    best = max(without_a_term(whole, others), key=lambda h: evidence_beyond_chance(problem, h), default=None)
     if best is None or evidence_beyond_chance(problem, best) < evidence_beyond_chance(problem, whole):
         return None
     return None if heldout is not None and falls_beyond_chance(heldout, best, whole) else best
