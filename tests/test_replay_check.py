@@ -106,11 +106,22 @@ def trunk_result(robot, recording):
     nominal = replace(best, terms=(), x=x)
     found = SimpleNamespace(robot=robot, best=answer, comparison=comparison, tested=None,
                             explanation=SimpleNamespace(nominal=nominal, problem=problem))  # fmt: skip
-    robots = replayed_robots(found, plain_replays(found), True)
-    of = RobotSummary(robot.name, robot.model_name, robot.signal, robot.unit, ())
+    replays = plain_replays(found)
+    robots = replayed_robots(found, replays, True)
+    signals = tuple(replays.of_signal(found, which) for which in range(len(robot.signals)))
+    others = tuple(each.name for each in robot.others)
+    of = RobotSummary(robot.name, robot.model_name, robot.signal, robot.unit, (), others=others)
     patch = Patch("untested", robots[-1].effects, None, (), ())
     quality = (SignalQuality(5e-4, 0.0, recording.digest()),)
-    return replace(RESULTS["trunk friction"](), robot=of, robots=robots, patch=patch, recordings=quality, heldout=None)
+    return replace(
+        RESULTS["trunk friction"](),
+        robot=of,
+        robots=robots,
+        signals=signals,
+        patch=patch,
+        recordings=quality,
+        heldout=None,
+    )
 
 
 def test_every_error_of_a_robot_of_the_suite_is_that_of_a_replay(robot):
@@ -127,6 +138,18 @@ def test_every_error_of_a_robot_of_the_suite_is_that_of_a_replay(robot):
         off = episode.signals["keypoints"] - recording.signals["keypoints"].values
         assert each.train == pytest.approx(np.sqrt(np.mean(off[1:] ** 2)), rel=0.01)
     assert len(checked.files[0].points["fitted"]) == 21
+
+
+def test_errors_of_other_signals_are_those_of_a_replay_too():
+    """Of the object that a trunk pushes."""
+    robot = SuiteRobot("TrunkPush-v0", threads=1)
+    recording = record("TrunkPush-v0", model="cable", steps=20, params={"trunk_mass": 0.5}, seed=3)
+    result = trunk_result(robot, recording)
+    checked = check_replays(result, robot_of(result)[0], {"run": recording})
+    assert checked.signals == tuple(each.name for each in robot.signals) and len(checked.signals) > 1
+    for each in result.signals:
+        pooled = checked.pooled(FITTED, each.name)
+        assert (pooled["fitted"], pooled["patched"]) == pytest.approx((each.before, each.after), rel=0.01)
 
 
 def spoilt(recording, samples, size):
