@@ -47,6 +47,7 @@ fields = ["dof_armature:hinge"]
 deviation = 0.5
 """
 )
+NEVER = 1e9  # times the misfit: no law is predicted to gain so much
 CONDITIONS = ("healthy", "effect", "unexplained")
 
 
@@ -134,7 +135,8 @@ def _settings(condition: str) -> Settings:
     if condition != "unexplained":
         return DEFAULT
     # neither laws nor locations are looked for
-    selection, report = replace(DEFAULT.selection, most_terms=0), replace(DEFAULT.report, least_unknown=1.0)
+    selection = replace(DEFAULT.selection, least_gain_of_misfit=NEVER)
+    report = replace(DEFAULT.report, least_unknown=1.0)
     return replace(DEFAULT, selection=selection, report=report)
 
 
