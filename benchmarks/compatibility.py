@@ -20,6 +20,8 @@ import venv
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from soro_bench.files import read_json, write_json
+
 CHECKOUT = Path(__file__).parents[1]
 CLEANRL = "https://github.com/vwxyzjn/cleanrl"
 LIMIT = 1800  # s for a row
@@ -178,7 +180,7 @@ def main() -> None:
     parser.add_argument("--venvs", type=Path, required=True, help="folder for virtual environments and results")
     parser.add_argument("--cleanrl", type=Path, help="folder with CleanRL's scripts")
     parser.add_argument("--only", nargs="+", choices=[row.name for row in ROWS], help="rows to run")
-    parser.add_argument("--out", type=Path, default=CHECKOUT / "docs" / "results" / "compatibility.json")
+    parser.add_argument("--out", type=Path, default=CHECKOUT / "docs" / "results" / "measured.json")
     options = parser.parse_args()
     folder = options.venvs.resolve()
     results = folder / "results"
@@ -195,7 +197,7 @@ def main() -> None:
         if result.ok:
             path.write_text(json.dumps(asdict(result), indent=1) + "\n")
     done = [json.loads(path.read_text()) for row in ROWS if (path := results / f"{row.name}.json").exists()]
-    options.out.write_text(json.dumps(done, indent=1) + "\n")
+    write_json(options.out, (read_json(options.out) if options.out.exists() else {}) | {"compatibility": done})
     print(f"{len(done)} of {len(ROWS)} rows in {options.out}")
     if len(done) < len(ROWS) and not options.only:
         sys.exit(1)

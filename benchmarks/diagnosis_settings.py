@@ -4,7 +4,7 @@
     python docs/generate.py
 
 The first command takes hours on two cores and can be stopped: it goes on with the settings that
-docs/results/settings_sensitivity.json lacks. The second one writes the changes into docs/reference/settings.md.
+docs/results/measured.json lacks. The second one writes the changes into docs/reference/settings.md.
 
 The robots are an arm of one joint: healthy, with a payload, with a delayed motor, and with dry friction. The payload
 shows as a discrepancy outside the catalogue, since the arm's inertia is a parameter.
@@ -28,7 +28,7 @@ from soro_bench.effects.effect import Effect, Location
 from soro_bench.files import read_json, write_json
 from tests.arm import ARM, MAP, recording
 
-RESULTS = Path(__file__).parents[1] / "docs" / "results" / "settings_sensitivity.json"
+RESULTS = Path(__file__).parents[1] / "docs" / "results" / "measured.json"
 FACTORS = {"halved": 0.5, "doubled": 2.0}
 CASES = {
     "healthy": (),
@@ -65,7 +65,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--stages", nargs="*", help="of these stages only")
     options = parser.parse_args()
-    known = read_json(RESULTS) if RESULTS.exists() else {}
+    measured = read_json(RESULTS)
+    known = measured["settings_sensitivity"]
     with tempfile.TemporaryDirectory() as folder:
         paths = Path(folder) / "arm.xml", Path(folder) / "arm.toml"
         for path, text in zip(paths, (ARM, MAP), strict=True):
@@ -81,7 +82,7 @@ def main() -> None:
             else:
                 found = {case: changed(paths, case, settings, usual[case]) for case in CASES}
             known.setdefault(key, {})[name] = {case: text for case, text in found.items() if text}
-            write_json(RESULTS, known)
+            write_json(RESULTS, measured)
             print(key, name, known[key][name] or "no change", flush=True)
 
 

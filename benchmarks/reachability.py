@@ -4,7 +4,7 @@
     python benchmarks/reachability.py --model flex --minutes 25      # starts from the plans for cable
 
 Searches open-loop plans (reach_planner.py) for all goals at once, saves one JSON file per goal after every
-improvement and goes on from these files. Prints a table and writes docs/results/reachability.json and, of every
+improvement and goes on from these files. Prints a table and writes docs/results/measured.json and, of every
 model searched so far, docs/images/reachability.png.
 """
 
@@ -127,7 +127,7 @@ def plot(results: Path, path: Path) -> None:
     """Final distance per goal, one row of bars per model."""
     plt = pyplot()
     figure, axes = plt.subplots(figsize=(11, 3.6), layout="constrained")
-    models = read_json(results)
+    models = read_json(results)["reachability"]
     found = [models[model] for model in VARIANTS if model in models]
     for i, result in enumerate(found):
         x = np.arange(len(result["plans"])) + (i - (len(found) - 1) / 2) * 0.4
@@ -156,8 +156,10 @@ def main() -> None:
     print_table(result)
     if len(result["plans"]) < len(EVALUATION_GOALS):
         return  # to be published when all are there
-    results = options.docs / "results" / "reachability.json"
-    write_json(results, read_json(results) | {options.model: result})
+    results = options.docs / "results" / "measured.json"
+    measured = read_json(results)
+    measured["reachability"][options.model] = result
+    write_json(results, measured)
     plot(results, options.docs / "images" / "reachability.png")
 
 

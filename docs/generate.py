@@ -333,6 +333,11 @@ def _option(action: argparse.Action) -> tuple[str, ...]:
 # --- settings of the diagnosis ---
 
 
+def measured(what: str):
+    """What benchmarks have measured."""
+    return json.loads((DOCS / "results" / "measured.json").read_text())[what]
+
+
 def settings() -> str:
     """A table for every stage."""
     groups = {field.name: getattr(DEFAULT, field.name) for field in dataclasses.fields(DEFAULT)}
@@ -340,7 +345,7 @@ def settings() -> str:
 
 
 def _settings(stage: str, group) -> str:
-    changes = json.loads((DOCS / "results" / "settings_sensitivity.json").read_text())
+    changes = measured("settings_sensitivity")
     rows = [
         (f"`{name}`", f"{value}", unit, reason, *_changes(changes.get(f"{stage}.{name}", {}), stage == "robots"))
         for _, name, value, unit, reason in listed(stage, group)
@@ -430,7 +435,7 @@ def in_json(hint) -> str:
 def libraries() -> str:
     """The table of what benchmarks/compatibility.py has run."""
     rows = []
-    for result in json.loads((DOCS / "results" / "compatibility.json").read_text()):
+    for result in measured("compatibility"):
         versions = ", ".join(f"{name} {version}" for name, version in result["versions"].items())
         steps = f"{result['steps']:,}" if result["steps"] else ""
         rows.append((result["library"], "; ".join(result["did"]), steps, versions, result["note"]))

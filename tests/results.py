@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from soro_bench.diagnosis.result import Result
-from soro_bench.diagnosis.result_drawings import LawCurve, Replay, Shape
+from soro_bench.diagnosis.result import LawCurve, Replay, Result, Shape
 from soro_bench.diagnosis.result_parts import (
     Detectable,
     Errors,

@@ -199,11 +199,11 @@ def _render(**content: Any) -> str:
         import jinja2
     except ImportError as error:
         raise ImportError("the leaderboard's page needs jinja2: pip install soro_bench[board]") from error
-    style, script = ((_HERE / name).read_text() for name in ("page.css", "page.js"))
+    script = (_HERE / "page.js").read_text()
     # the browser runs this script and no other, whatever the entries hold
     allowed = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_HERE), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
     )  # fmt: skip
-    return environment.get_template("page.html").render(style=style, script=script, allowed=allowed, **content)
+    return environment.get_template("page.html").render(script=script, allowed=allowed, **content)

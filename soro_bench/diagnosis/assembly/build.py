@@ -15,8 +15,7 @@ from soro_bench.diagnosis.assembly.shapes import shapes
 from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.localisation.residual_maps import explained_over_time
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.result import Result
-from soro_bench.diagnosis.result_drawings import LawCurve, Replay
+from soro_bench.diagnosis.result import LawCurve, Replay, Result
 from soro_bench.diagnosis.result_parts import (
     Agreement,
     Detectable,

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soro_bench.diagnosis.render import words
-from soro_bench.diagnosis.result import Result
-from soro_bench.diagnosis.result_drawings import Shape
+from soro_bench.diagnosis.result import Result, Shape
 from soro_bench.effects.effect import EACH, EVERY, Location
 from soro_bench.plotting import pyplot
 
