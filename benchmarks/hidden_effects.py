@@ -152,8 +152,8 @@ def steps_of_sensors(model: mujoco.MjModel, values: np.ndarray) -> np.ndarray:
     return np.where(model.jnt_type == _HINGE, 2 * np.pi, np.maximum(ranges, 1e-3)) / BITS
 
 
-def mapping(model: mujoco.MjModel, timestep: float) -> str:
-    """TOML of the robot's mapping: its joints, masses and damping."""
+def mapping(model: mujoco.MjModel, timestep: float, unit: str = "1") -> str:
+    """TOML of the robot's mapping: its joints in a unit, masses and damping."""
     joints = [model.joint(i).name for i in range(model.njnt)]
     bodies = [model.body(i).name for i in range(1, model.nbody) if model.body_mass[i] > 0]
     mass = [f"body_mass:{name}" for name in bodies]
@@ -161,7 +161,7 @@ def mapping(model: mujoco.MjModel, timestep: float) -> str:
     parameters = {"mass": mass} | ({"damping": ["dof_damping:*"]} if model.dof_damping.any() else {})
     text = f"[robot]\ncontrol_timestep = {CONTROL}\n[commands.all]\n"
     text += f"actuators = {json.dumps([model.actuator(i).name for i in range(model.nu)])}\n"
-    text += f'[signal]\nname = "angles"\njoints = {json.dumps(joints)}\nunit = "1"\n'
+    text += f'[signal]\nname = "angles"\njoints = {json.dumps(joints)}\nunit = "{unit}"\n'
     for name, fields in parameters.items():
         text += f"[parameters.{name}]\nfields = {json.dumps(fields)}\ndeviation = {DEVIATION}\n"
     return text

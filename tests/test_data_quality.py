@@ -59,9 +59,9 @@ def test_values_for_missing_samples(value):
     x = noisy() + 2.0
     at = [10, 11, 12, 90, 200, 201, 310]
     x[at] = value
-    found, said = samples.placeholder(Channel(x, NOISE), SETTINGS)
+    found, said = samples.placeholder(x[:, None], NOISE, SETTINGS)
     assert (np.flatnonzero(found).tolist(), said) == (at, value)
-    assert not samples.placeholder(Channel(noisy(), NOISE), SETTINGS)[0].any()
+    assert not samples.placeholder(noisy()[:, None], NOISE, SETTINGS)[0].any()
 
 
 @pytest.mark.parametrize("half", [np.pi, np.pi / 2])

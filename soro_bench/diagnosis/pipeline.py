@@ -11,7 +11,15 @@ import numpy as np
 from soro_bench.diagnosis.candidates import terms
 from soro_bench.diagnosis.data_quality.inspection import Inspected, compressed, far_off, inspected
 from soro_bench.diagnosis.data_quality.noise import DataQuality, noise
-from soro_bench.diagnosis.data_quality.signals import explaining, labels, left_out, named, qualities_of
+from soro_bench.diagnosis.data_quality.signals import (
+    answers_of,
+    explaining,
+    imported,
+    labels,
+    left_out,
+    named,
+    qualities_of,
+)
 from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.posterior_covariance import with_covariance
@@ -119,6 +127,7 @@ def run_diagnosis(
     fitted = robot.shortened(settings.discretisation.fitted_refinement)
     refined = robot.refined(settings.discretisation.reference_refinement)
     measured, tested = _measured(robot, settings.report.most_numbers, *inspections)
+    measured, tested, answers = answers_of(robot, measured, tested, settings)
     looked_at = tuple(each for group in inspections for each in group)
     qualities = qualities_of(robot, (*measured, *tested), looked_at, settings)
     data_qualities = tuple(each for each in qualities[0] if each is not None)
@@ -158,7 +167,8 @@ def run_diagnosis(
     explanation, comparison = _with_covariances(explanation, comparison, seed)
     found = Diagnosis(
         robot, data_qualities, found_outliers, explanation, comparison, (), None, 0.0,
-        tested=trial[0] if trial else None, data=(*_findings(looked_at), *left_out(untouched, problem)),
+        tested=trial[0] if trial else None,
+        data=(*imported((*recordings, *heldout)), *_findings(looked_at), *answers, *left_out(untouched, problem)),
         digests=tuple(each.digest() for each in (*recordings, *heldout)),
     )  # fmt: skip
     if comparison.detected and comparison.unknown > settings.report.least_unknown:

@@ -63,6 +63,7 @@ class SignalSettings:
     )
     most_levels: int = setting(2**18, "levels", "in the range of a signal; finer steps are below the least noise")
     fewest_levels: int = setting(4, "levels", "in the range of a signal; of coarser ones nothing can be told")
+    whole_step: float = setting(0.02, "steps", "by which changes over a few levels may differ from whole steps")
     least_levels: int = setting(20, "samples", "on different levels, without which there is no evidence of levels")
     level_sharpness: float = setting(0.5, "1", "of the characteristic function; noise of 0.2 steps leaves 0.45")
     surely_levels: float = setting(0.8, "1", "of the characteristic function of all levels, for a multiple of a step")
@@ -74,6 +75,7 @@ class SignalSettings:
     # samples that a sensor or a logger has spoilt (data_quality/samples.py)
     least_placeholders: int = setting(3, "samples", "of one far-off value; fewer may be spikes")
     spike_noise: float = setting(8.0, "noise deviations", "that samples are off at least, before anything is fitted")
+    usual_change: float = setting(0.9, "1", "quantile of the changes of a point, below which no sample is a spike")
     spike_changes: float = setting(3.0, "1", "times the changes beside them; bounces change these too")
     spike_reach: float = setting(0.02, "1", "share of the range that a value for missing samples is off at least")
     wrap_tolerance: float = setting(0.25, "1", "share of a turn that an angle may move between two samples")
@@ -92,7 +94,7 @@ class SignalSettings:
         1e-4, "1", "share of the range of a jump; a robot that comes to rest makes smaller ones"
     )
     held_even: float = setting(0.8, "1", "share of runs of the same length, but for one sample")
-    frozen_jump: float = setting(3.0, "1", "times the next change; motion that begins is no larger than what follows")
+    frozen_jump: float = setting(1.5, "1", "times the next change; motion that begins is smaller than what follows")
     # time stamps (data_quality/stamps.py)
     regular: float = setting(0.01, "1", "share of the period by which stamps may differ; 0.2 ms at 50 Hz")
     stamp_window: int = setting(20, "samples", "in which some are received at once; bursts are shorter")
@@ -112,6 +114,23 @@ class SignalSettings:
     )
     clock_rate: float = setting(5e-4, "1", "deviation of a clock's rate where stamps are rebuilt; crystals have 1e-4")
     snapped: float = setting(1e-3, "1", "of a whole number of control steps; clocks differ by less")
+
+
+@dataclass(frozen=True)
+class ResponseSettings:
+    """Whether a signal answers to commands, beside replays of the nominal robot."""
+
+    least_samples: int = setting(20, "samples", "of a coordinate; fewer say nothing of its motion")
+    least_motion: float = setting(0.1, "1", "share of the widest motion of a replay; less is no evidence of standstill")
+    still_motion: float = setting(0.01, "1", "share of a replay's motion below which a coordinate stands still")
+    still_noise: float = setting(0.3, "1", "the same share of white noise, which is no motion")
+    still_correlation: float = setting(3.0, "deviations", "of successive samples; motion correlates nearly all of them")
+    parameter_step: float = setting(0.5, "prior deviations", "of the differences that say what parameters change")
+    unanswered: float = setting(0.3, "1", "by which the missing share of a response may differ from all of it")
+    unanswered_deviation: float = setting(0.1, "1", "standard deviation of that share, above which nothing is known")
+    unanswered_left: float = setting(
+        0.3, "1", "share of the squared misfit without these commands; swapped ones leave a half"
+    )
 
 
 @dataclass(frozen=True)
@@ -383,6 +402,7 @@ class Settings:
 
     data_quality: DataQualitySettings = DataQualitySettings()
     signals: SignalSettings = SignalSettings()
+    responses: ResponseSettings = ResponseSettings()
     unit_check: UnitCheckSettings = UnitCheckSettings()
     discretisation: DiscretisationSettings = DiscretisationSettings()
     likelihood: LikelihoodSettings = LikelihoodSettings()

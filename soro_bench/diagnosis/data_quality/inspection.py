@@ -206,12 +206,11 @@ class _Inspection:
         self.noise = self._noise()
         count, value = 0, 0.0
         for p in range(self.points):
-            columns = range(p * self.coordinates, (p + 1) * self.coordinates)
-            found = [samples.placeholder(Channel(self.values[:, i], self.noise), self.settings) for i in columns]
-            at = np.all([each for each, _ in found], axis=0)
+            columns = slice(p * self.coordinates, (p + 1) * self.coordinates)
+            at, stands = samples.placeholder(self.values[:, columns], self.noise, self.settings)
             if at.any():
-                self.values[np.ix_(at, list(columns))] = np.nan
-                count, value = count + int(at.sum()) * self.coordinates, found[0][1]
+                self.values[at, columns] = np.nan
+                count, value = count + int(at.sum()) * self.coordinates, stands
         if count:
             self._note("placeholders", count, value=value)
 
@@ -243,15 +242,31 @@ class _Inspection:
     def _leave_out_stale(self, steps: Floats) -> tuple[bool, float]:
         """Leave out values that are only held; whether the sensor holds throughout, and the interval of rows [s]."""
         counts = {"held": 0, "frozen": 0}
+        given = self.values.copy()
         for i, channel in self._channels(steps):
             at, kind = samples.stale(channel, self.settings)
             self.values[at, i] = np.nan
             if kind:
                 counts[kind] += int(at.sum())
+        counts["frozen"] += self._leave_out_beside(given)
         for name, count in counts.items():
             if count:
                 self._note(name, count)
         return counts["held"] > 0, float(np.median(np.diff(self.signal.time)))
+
+    def _leave_out_beside(self, given: Floats) -> int:
+        """Leave out the other coordinates of points that are only held, where they repeat themselves too; how many.
+
+        Args:
+            given: (T, C) before any were left out.
+        """
+        again = np.zeros(given.shape, bool)
+        again[1:] = np.diff(given, axis=0) == 0
+        left_out = np.isnan(self.values) & np.isfinite(given)
+        of_point = left_out.reshape(len(given), self.points, -1).any(axis=2).repeat(self.coordinates, axis=1)
+        more = of_point & again & ~left_out
+        self.values[more] = np.nan
+        return int(more.sum())
 
     def _leave_out_spikes(self) -> None:
         """Leave out points that are alone and far off."""

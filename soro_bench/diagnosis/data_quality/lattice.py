@@ -29,7 +29,7 @@ def lattice_step(samples: Floats, least: float, settings: SignalSettings) -> flo
     high = reach / settings.fewest_levels
     while high > low > 0.0:
         step = _within(samples, max(low, 0.5 * high), high, settings)
-        if step and _in_changes(samples, step, settings):
+        if step and _in_changes(samples, step, settings) and _in_distinct(samples, step, settings):
             return _widened(samples, step, settings)
         high *= 0.5
     return 0.0
@@ -38,6 +38,9 @@ def lattice_step(samples: Floats, least: float, settings: SignalSettings) -> flo
 def is_lattice(samples: Floats, step: float, settings: SignalSettings) -> bool:
     """Whether samples (T,) lie on levels that are ``step`` apart."""
     samples = samples[np.isfinite(samples)]
+    changes = np.diff(samples) / step
+    if (np.abs(changes - np.round(changes)) < settings.whole_step).all():
+        return True
     picked = _picked(samples, 0.5 * step, step)
     sharp = abs(_characteristic(picked, np.array([1.0 / step]))[0]) if len(picked) else 0.0
     return sharp > _limit(len(picked), 1, settings) and _in_changes(samples, step, settings)
@@ -60,6 +63,13 @@ def _within(samples: Floats, low: float, high: float, settings: SignalSettings) 
     near = centre + space * np.linspace(-1.0, 1.0, _FINE)
     sharp = np.abs(_characteristic(picked, near))
     return float(1.0 / near[sharp.argmax()]) if sharp.max() > _limit(len(picked), len(tried), settings) else 0.0
+
+
+def _in_distinct(samples: Floats, step: float, settings: SignalSettings) -> bool:
+    """Whether the same holds of samples without repetitions; True where too few changes are left to tell."""
+    distinct = samples[np.r_[True, np.diff(samples) != 0]]
+    changes = np.abs(np.diff(distinct, n=2)) > 0.5 * step
+    return bool(changes.sum() < settings.least_changes) or _in_changes(distinct, step, settings)
 
 
 def _in_changes(samples: Floats, step: float, settings: SignalSettings) -> bool:

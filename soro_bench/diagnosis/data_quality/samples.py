@@ -29,29 +29,36 @@ class Channel:
         return float(np.ptp(present)) if len(present) else 0.0
 
 
-def placeholder(channel: Channel, settings: SignalSettings) -> tuple[Bools, float]:
-    """(T,) where a value stands for a missing sample, and that value; zero, or the least or the largest one.
+def placeholder(point: Floats, noise: float, settings: SignalSettings) -> tuple[Bools, float]:
+    """(T,) where a value stands for a missing sample of a point (T, D), and that value; zero, or the least or the
+    largest one. All coordinates have it.
 
     The samples around it are far from it, and go on where they were before it.
     """
-    x = channel.values
-    present = np.flatnonzero(np.isfinite(x))
-    none = np.zeros(len(x), bool)
+    present = np.flatnonzero(np.isfinite(point).all(axis=1))
+    none = np.zeros(len(point), bool)
     if len(present) < settings.least_samples:
         return none, 0.0
-    for value in dict.fromkeys((0.0, float(np.nanmin(x)), float(np.nanmax(x)))):
-        here, others = present[x[present] == value], present[x[present] != value]
+    for value in dict.fromkeys((0.0, float(np.nanmin(point)), float(np.nanmax(point)))):
+        has = (point[present] == value).all(axis=1)
+        here, others = present[has], present[~has]
         if len(here) < settings.least_placeholders or len(others) < settings.least_samples:
             continue
+        x = point[others]
         far = np.maximum(
-            settings.spike_changes * _changes_beside(x[others], np.searchsorted(others, here)),
-            max(settings.spike_noise * channel.noise, settings.spike_reach * float(np.ptp(x[others]))),
+            settings.spike_changes * _changes_beside(x, np.searchsorted(others, here)),
+            max(settings.spike_noise * noise, settings.spike_reach * float(np.ptp(x, axis=0).max())),
         )
         before, after = _around(others, here)
-        off = (np.abs(x[before] - value) > far) & (np.abs(x[after] - value) > far)
+        off = np.minimum(*(np.linalg.norm(point[each] - value, axis=1) for each in (before, after))) > far
+        runs = 1 + int((np.diff(here) > 1).sum())
+        if value and runs < settings.least_placeholders:  # a turning point that is held may be the least value too
+            off &= np.linalg.norm(point[before] - value, axis=1) > 0.5 * np.ptp(x, axis=0).max()
         if off.sum() >= settings.least_placeholders:
             found = none.copy()
-            every = off.mean() > 0.5 or _is_random(channel, settings)  # some lie where the motion is near that value
+            # noise never has it, nor have several coordinates at once; some lie where the motion is near that value
+            never = point.shape[1] > 1 or _is_random(Channel(point[:, 0], noise), settings)
+            every = off.mean() > 0.5 or never
             found[here if every else here[off]] = True
             return found, value
     return none, 0.0
@@ -64,10 +71,13 @@ def _around(others: Ints, here: Ints) -> tuple[Ints, Ints]:
 
 
 def _changes_beside(values: Floats, after: Ints) -> Floats:
-    """(n,) the larger one of the changes of values (T,) before and after each gap; ``after`` are its ends."""
-    changes = np.r_[0.0, np.abs(np.diff(values)), 0.0]  # before each value, and after the last one
-    before = np.maximum(after - 1, 0)
-    return np.maximum(changes[before], changes[np.minimum(after + 1, len(values))])
+    """(n,) the larger one of the next changes of values (T, D) before and after each gap; ``after`` are its ends."""
+    changes = np.r_[0.0, np.linalg.norm(np.diff(values, axis=0), axis=1), 0.0]  # before each value, and after the last
+    number, moves = np.arange(len(changes)), changes > 0
+    last = np.maximum.accumulate(np.where(moves, number, 0))  # repeated values are no evidence of slow motion
+    following = np.minimum.accumulate(np.where(moves, number, len(values))[::-1])[::-1]
+    before = last[np.maximum(after - 1, 0)]
+    return np.maximum(changes[before], changes[following[np.minimum(after + 1, len(values))]])
 
 
 def spikes(point: Floats, noise: float, settings: SignalSettings) -> Bools:
@@ -79,10 +89,10 @@ def spikes(point: Floats, noise: float, settings: SignalSettings) -> Bools:
     found = np.zeros(len(point), bool)
     rows = np.flatnonzero(np.isfinite(point).all(axis=1))
     x = point[rows]
-    if len(x) < settings.least_samples:
+    if len(x) < settings.least_samples or not np.ptp(x, axis=0).any():
         return found
     changes = np.linalg.norm(np.diff(x, axis=0), axis=1)
-    usual = float(np.quantile(changes, 0.9))
+    usual = float(np.quantile(changes, settings.usual_change))
     for length in (1, 2):
         count = len(x) - length - 3
         first, second = x[:count], x[1 : 1 + count]
@@ -119,6 +129,9 @@ def wrapped(values: Floats, settings: SignalSettings) -> tuple[int, float]:
         if np.ptp(x) > turn * (1.0 + settings.wrap_tolerance):
             continue
         jumps = np.abs(change) > (1.0 - settings.wrap_tolerance) * turn
+        back = (jumps[:-1] & jumps[1:]) | (jumps[:-1] & np.r_[jumps[2:], False])  # samples alone on the other side
+        if 2 * back.sum() >= jumps.sum():
+            continue
         rest = np.abs(np.diff(np.unwrap(x, period=turn)))
         if jumps.any() and rest.max() < 0.5 * (1.0 - settings.wrap_tolerance) * turn:
             return int(jumps.sum()), turn
@@ -208,7 +221,7 @@ def stale(channel: Channel, settings: SignalSettings) -> tuple[Bools, str]:
         if long.sum() >= settings.least_held and even and long.sum() >= settings.held_jumps * moving.sum():
             return repeated, "held"
         following = np.abs(np.r_[after[1:], np.nan])
-        chosen = moving & (runs.length >= settings.least_frozen)
+        chosen = (np.abs(before) > far) & (np.abs(after) > far) & (runs.length >= settings.least_frozen)
         chosen &= np.abs(after) > settings.frozen_jump * following
     found = none.copy()
     for first, length in zip(runs.first[chosen], runs.length[chosen], strict=True):

@@ -4,19 +4,22 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
 
 from soro_bench.diagnosis.data_quality.inspection import Inspected, compressed
 from soro_bench.diagnosis.data_quality.noise import DataQuality, data_quality
+from soro_bench.diagnosis.data_quality.responses import answered
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.result_parts import DataFinding
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import Settings
-from soro_bench.recording.recording import Recording, RecordingError
+from soro_bench.recording.recording import NOTES, Recording, RecordingError
 
+S = TypeVar("S")
 T = TypeVar("T")
 Groups = tuple[tuple[Inspected, ...], tuple[Inspected, ...]]  # of recordings to explain, and held-out ones
 
@@ -40,6 +43,28 @@ def explaining(robot: Robot, inspections: Groups, settings: Settings) -> tuple[R
         tuple(replace(each, others=tuple(each.others[i] for i, _ in kept)) for each in group) for group in inspections
     )
     return robot.explaining([signal for _, signal in kept], notes), (first, second)
+
+
+def answers_of(
+    robot: Robot, measured: Sequence[Measured], tested: Sequence[Measured], settings: Settings
+) -> tuple[tuple[Measured, ...], tuple[Measured, ...], list[DataFinding]]:
+    """The recordings to explain and the held-out ones, whose first signals were compared with their commands; and what
+    was found."""
+    found = []
+    for number, (label, each) in enumerate(zip(labels(measured, tested), (*measured, *tested), strict=True)):
+        check = partial(answered, number=number, robot=robot, settings=settings.responses)
+        found.append(named(label, check, each))
+    values, count = tuple(each.measured for each in found), len(measured)
+    return values[:count], values[count:], [finding for each in found for finding in each.findings]
+
+
+def imported(recordings: Sequence[Recording]) -> Iterator[DataFinding]:
+    """What the imports of recordings have left out, changed or seen."""
+    for number, recording in enumerate(recordings):
+        for line in recording.metadata.get(NOTES, "").splitlines():
+            group, _, name = line.partition(": ")[0].partition(".")
+            about = name if group in ("signals", "commands") else ""
+            yield DataFinding("import", about, number, 0, 0.0, f"import: {line.rstrip('.')}")
 
 
 def qualities_of(
@@ -85,7 +110,7 @@ def labels(recordings: Sequence, heldout: Sequence) -> list[str]:
     return [f"{label}recording {number}" for label, group in groups for number in range(1, len(group) + 1)]
 
 
-def named(label: str, function: Callable[[Recording], T], recording: Recording) -> T:
+def named(label: str, function: Callable[[S], T], recording: S) -> T:
     """What a function makes of a recording; its errors say which recording it was."""
     try:
         return function(recording)

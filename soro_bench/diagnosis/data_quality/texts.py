@@ -30,6 +30,11 @@ TEXTS = {
     "sample faster, or at control steps",
     "missing_samples": "{share} of the samples are missing, and count neither for nor against anything; check for lost "
     "messages or hidden markers",
+    "unmoved": "{share} of the samples stay within {reach} although commands move, which would be {motion} in the "
+    "model, and were left out; check that the sensor is connected and the right column, and that the motor is on",
+    "unanswered_command": "nothing in the signal follows it, so it was taken as held; check its column, its line and "
+    "the power of its motor",
+    "constant_command": "it never changes, so nothing can be told of how it acts; move it in the next recording",
 }  # fmt: skip
 
 

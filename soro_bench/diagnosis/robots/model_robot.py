@@ -299,10 +299,10 @@ class ModelRobot(Robot):
         fastest = np.where(model.actuator_ctrllimited, bounds, np.abs(recorded).max(axis=0))
         slower = np.maximum(np.abs(speeds).max(axis=0) / np.maximum(fastest, 1e-9), 1.0)
         found = np.where(integrates, speeds / slower, np.clip(0.0, low + reach, high - reach) + moved)
-        return np.where(self._driven, found, self._control)
+        return np.where(self.driven, found, self._control)
 
     @property
-    def _driven(self) -> Bools:
+    def driven(self) -> Bools:
         """(nu,) whether a command moves an actuator."""
         return np.isin(np.arange(self._model.nu), [i for command in self._commands for i in command.actuators])
 

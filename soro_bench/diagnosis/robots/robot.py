@@ -9,7 +9,7 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from soro_bench.arrays import Floats
+from soro_bench.arrays import Bools, Floats
 from soro_bench.diagnosis.result_parts import SourceFile
 from soro_bench.diagnosis.robots.measured import Measured, ObservedSignal, samples_at
 from soro_bench.diagnosis.robots.priors import Baseline, CannotHave, FixedParameter, Prior
@@ -267,6 +267,11 @@ class Robot(Replays):
     def moves(self) -> Floats:
         """(A, nu) 1 where a number of an action moves an actuator, else 0."""
         return np.eye(self.elements.model.nu)
+
+    @property
+    def driven(self) -> Bools:
+        """(A,) whether recordings have a command for each number of an action."""
+        return np.ones(len(self.moves), bool)
 
     @property
     def channels(self) -> list[str]:
