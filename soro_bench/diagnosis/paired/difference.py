@@ -102,11 +102,7 @@ def _cleaned(signal: Signal) -> Signal:
     noises = [_column_noise(column) for column in values.T]
     for p in range(shape[0]):
         columns = slice(p * shape[1], (p + 1) * shape[1])
-        found = [
-            samples.placeholder(Channel(column, noise), settings)[0]
-            for column, noise in zip(values[:, columns].T, noises[columns], strict=True)
-        ]
-        values[np.all(found, axis=0), columns] = np.nan
+        values[samples.placeholder(values[:, columns], max(noises[columns]), settings)[0], columns] = np.nan
         stale = [_frozen(Channel(c, n)) for c, n in zip(values[:, columns].T, noises[columns], strict=True)]
         values[np.all(stale, axis=0), columns] = np.nan
     return Signal(signal.time, values.reshape(signal.values.shape), signal.unit, signal.frame)
