@@ -65,3 +65,16 @@ def test_every_robot_without_further_packages_moves_within_a_few_millimetres_of_
         for robot in healthy.ROBOTS[kind].values():
             points = healthy.keypoints(robot, NOMINAL, actions)
             assert np.abs(points - accurate).max() > 0.0 and np.sqrt(np.square(points - accurate).mean()) < 0.008
+
+
+def test_hidden_physics_in_a_rod_changes_its_motion_and_is_labelled():
+    pytest.importorskip("elastica")
+    from soro_bench.blind_benchmark.cosserat import Arm
+    from soro_bench.blind_benchmark.cosserat_laws import HIDDEN
+
+    pulls = np.outer(np.linspace(0, 0.005, 600), [1.0, 0.5, 0.4, 0.6] * 2)
+    healthy_points = Arm(NOMINAL).run(pulls, 600)
+    for name, draw in HIDDEN.items():
+        hidden = draw(np.random.default_rng(0))
+        assert not np.array_equal(Arm(NOMINAL, hidden.laws()).run(pulls, 600) + hidden.offset, healthy_points), name
+        assert {"kind", "name"} <= hidden.location.keys() and hidden.parameters

@@ -47,15 +47,13 @@ def settle(
     shifts, spins = np.zeros((number, n + 1, 3)), np.zeros((number, n, 3))  # by an impulse along each cable
     for c in range(number):
         for i in range(n + 1):
-            shifts[c, i] = lightness[i] * moved[c, i]
+            for d in range(3):
+                shifts[c, i, d] = lightness[i] * moved[c, i, d]
         _damp(shifts[c], tangent, lightness, loss)
         spins[c] = turn @ turned[c]
-    compliance = np.empty((number, number))  # 1/kg
-    free = np.empty(number)  # m/s, rates without forces
-    for c in range(number):
-        free[c] = np.sum(moved[c] * speed) + np.sum(turned[c] * spin)
-        for d in range(number):
-            compliance[c, d] = np.sum(moved[c] * shifts[d]) + np.sum(turned[c] * spins[d])
+    flat = moved.reshape((number, 3 * n + 3)), turned.reshape((number, 3 * n))
+    compliance = flat[0] @ shifts.reshape((number, 3 * n + 3)).T + flat[1] @ spins.reshape((number, 3 * n)).T  # 1/kg
+    free = flat[0] @ speed.ravel() + flat[1] @ spin.ravel()  # m/s, rates without forces
     total = _forces(cables, rows, forces, lengths, free, compliance, dt, rates)
     for c in range(number):
         speed -= dt * total[c] * shifts[c]
@@ -82,9 +80,10 @@ def _measure(
         for i in range(counts[c]):
             _place(position, director, node[c, i], element[c, i], offset[c, i], here, arm)
             if i > 0:
-                size = np.sqrt(np.sum((here - before) ** 2))
+                size = np.sqrt((here[0] - before[0]) ** 2 + (here[1] - before[1]) ** 2 + (here[2] - before[2]) ** 2)
                 lengths[c] += size
-                unit[:] = (here - before) / size
+                for d in range(3):
+                    unit[d] = (here[d] - before[d]) / size
                 _add(moved[c], turned[c], node[c, i], element[c, i], arm, unit, 1.0)
                 _place(position, director, node[c, i - 1], element[c, i - 1], offset[c, i - 1], before, arm)
                 _add(moved[c], turned[c], node[c, i - 1], element[c, i - 1], arm, unit, -1.0)

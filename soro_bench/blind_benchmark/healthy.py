@@ -82,17 +82,23 @@ def build(kind: str, seed: int, durations: Mapping[str, float] = DURATIONS) -> t
         ValueError: the simulation diverged.
     """
     name, parameters = draw(kind, seed)
+    recordings = {
+        role: recording(rows, keypoints(ROBOTS[kind][name], parameters, rows), noise)
+        for role, (rows, noise) in drawn_actions(seed, durations).items()
+    }
+    return recordings, {"kind": kind, "robot": name, "seed": seed, "parameters": parameters, "effects": []}
+
+
+def drawn_actions(
+    seed: int, durations: Mapping[str, float] = DURATIONS
+) -> dict[str, tuple[np.ndarray, np.random.Generator]]:
+    """By role (T, 8) actions, and what draws the noise of their recording."""
     space = spaces.Box(-1.0, 1.0, (len(geo.CABLE_NAMES),), np.float32)
     actions = {
         "train": excitation(space, CONTROL_TIMESTEP, durations["train"], seed),
         "heldout": manoeuvre(durations["heldout"], [seed, 1]),
     }
-    recordings = {}
-    for i, (role, rows) in enumerate(actions.items()):
-        points = keypoints(ROBOTS[kind][name], parameters, rows)
-        recordings[role] = recording(rows, points, np.random.default_rng([seed, 2, i]))
-    label = {"kind": kind, "robot": name, "seed": seed, "parameters": parameters, "effects": []}
-    return recordings, label
+    return {role: (rows, np.random.default_rng([seed, 2, i])) for i, (role, rows) in enumerate(actions.items())}
 
 
 def keypoints(robot: Engine | Chain | Rod, parameters: Mapping[str, float], actions: np.ndarray) -> np.ndarray:

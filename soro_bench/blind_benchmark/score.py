@@ -134,7 +134,7 @@ def case_row(label: dict, report: dict) -> dict:
         "first_three": bool(set(said) & set(truth)),
         "exact": report["verdict"] != "unknown_physics" and sorted(all_of_them) == sorted(truth),
         "right_class": report["classes"][0]["class"] in [e["class"] for e in label["effects"]],
-        "place": named is not None and _same_location(named["where"], first["where"]),
+        "place": named is not None and same_location(named["where"], first["where"]),
         "part": named and _part(named["where"]),
         "covered": bool(set(report["credible_set"]) & set(truth or ["none"])),
         "abstained": report["verdict"] == "unknown_physics",
@@ -160,7 +160,7 @@ def _first(report: dict) -> dict:
     return found
 
 
-def _same_location(truth: dict, said: dict | None) -> bool:
+def same_location(truth: dict, said: dict | None) -> bool:
     """Whether a location is right: the same cable, or a segment or keypoint next to it."""
     if not said:
         return False
