@@ -130,6 +130,18 @@ def test_bad_signals_are_refused(robot_of):
         SuiteRobot("TrunkReach-v0", threads=1, signals=["heat"])
 
 
+def test_of_a_walker_only_the_beginning_is_explained_and_that_is_said():
+    """Its replays are slow: of 60 control steps, and not of all that an excitation needs."""
+    robot = SuiteRobot("MultiGait-v0", threads=1)
+    time, values = 0.6 * np.arange(201), np.zeros((201, 110, 3))
+    commands = {"action": Signal(time[:-1], np.zeros((200, 3)))}
+    about = {"env_id": "MultiGait-v0", "action": "continuous"}
+    whole = Recording(commands, {"vertices": Signal(time, values, "m", "world")}, metadata=about)
+    found = robot.measured(whole)
+    assert found.values.shape == (60, 110, 3) and found.time[-1] == pytest.approx(36.0)
+    assert found.notes == ("explained are the first 36 s of 120 s: replays of more take hours",)
+
+
 def test_a_pushed_cube_is_explained_beside_the_trunk():
     """The same simulation leaves nothing of its pose, and a heavier cube shows in its own numbers."""
     robot = SuiteRobot("TrunkPush-v0", threads=1)

@@ -389,6 +389,9 @@ class RobotSettings:
     solver_tolerance: float = setting(
         1e-5, "1", "of the suite's simulations; keypoints move by 0.1 um, steps cost less"
     )
+    walker_duration: float = setting(
+        36.0, "s", "of a recording of MultiGait that is explained: all channels move; a replay of 130 s takes 6 s"
+    )
     diverged: float = setting(1e6, "unit of the signal", "a simulation with a larger signal has diverged")
     test_range: float = setting(0.3, "1", "share of an actuator's range that a proposed motion uses")
     command_changes: int = setting(3, "changes", "of a command in a control step; more would be left out")

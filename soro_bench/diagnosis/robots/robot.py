@@ -1,6 +1,7 @@
 """The robot of a diagnosis: a simulation that replays recordings under parameters and effects."""
 
 import copy
+import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -40,6 +41,7 @@ class Robot(Replays):
         from_baseline: whether its priors come from a baseline diagnosis.
         shorter: how many times shorter its time steps are than those of its model.
         files: that it was made from: its model and its mapping, if they are files.
+        longest: s of a recording that are explained, from its beginning on; infinite but where replays are slow.
         notes: what a user should know of it before its results, in words.
     """
 
@@ -56,6 +58,7 @@ class Robot(Replays):
     pneumatic: bool = False
     from_baseline: bool = False
     shorter: int = 1
+    longest: float = math.inf
     files: tuple[SourceFile, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -349,14 +352,18 @@ class Robot(Replays):
         Raises:
             RecordingError: says what the recording lacks.
         """
-        actions = self.actions(recording)
+        actions, notes = self.actions(recording), tuple[str, ...]()
+        if len(actions) * self.control_timestep > self.longest:
+            whole, most = len(actions) * self.control_timestep, int(self.longest / self.control_timestep + 1e-9)
+            actions = actions[:most]
+            notes = (f"explained are the first {self.longest:g} s of {whole:.4g} s: replays of more take hours",)
         begin = self.begins(recording)
         times = np.asarray(begin + self.control_timestep * np.arange(1, len(actions) + 1), float)
         signal, *others = self.signals
         first, values = self._samples(signal, recording, times)
         more = tuple(self._samples(each, recording, times)[1] for each in others)
         settings = self.settings(recording, len(actions))
-        return Measured(actions, times - begin, values, self.signal, self.unit, first, settings, others=more)
+        return Measured(actions, times - begin, values, self.signal, self.unit, first, settings, notes, others=more)
 
     def converted(self, signal: ObservedSignal, given: Signal) -> Signal:
         """A recorded signal as it is explained."""

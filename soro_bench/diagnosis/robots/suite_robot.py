@@ -1,5 +1,6 @@
 """The robots of the suite, for a diagnosis: their locations, priors and signals."""
 
+import math
 from collections.abc import Sequence
 
 import mujoco
@@ -73,6 +74,7 @@ class SuiteRobot(Robot):
         self._task.sim.batch.expand("opt.tolerance")[...] = _SETTINGS.solver_tolerance
         self.simulation, self.control_timestep = self._task.sim, self._task.control_timestep
         self.kinds, self.pneumatic = _KINDS[env_id], env_id == "MultiGait-v0"
+        self.longest = _SETTINGS.walker_duration if self.pneumatic else math.inf
         self.signal = kind.inferred_from[0]
         self.unit, self.frame = kind.signal_units[self.signal]
         self.shape = self._task.signals(np.arange(1))[self.signal].shape[1:]
