@@ -105,6 +105,19 @@ def test_a_diagnosis_of_which_every_parameter_is_known_still_looks_for_laws(path
     assert result.verdict == "adequate" and {each.name for each in result.detectable} >= {"payload", "backlash"}
 
 
+def test_a_wrong_value_that_was_told_is_a_discrepancy_at_the_arm(paths):
+    """Nothing is fitted, so that all of it is left to be located; no law is looked for, which would take longer."""
+    quick = replace(
+        DEFAULT,
+        selection=replace(DEFAULT.selection, least_gain_of_misfit=NEVER),
+        report=replace(DEFAULT.report, least_unknown=0.0),
+    )
+    told = {"inertia": 1.0, "damping": 0.8, "zero": 0.01}
+    result = diagnose(ModelRobot(*paths, threads=1), [recording(paths, [], 0)], settings=quick, known=told)
+    assert result.verdict == "outside_catalogue" and result.next_recording is not None
+    assert result.locations[0].location.name in ("arm", "hinge")
+
+
 def test_a_posterior_holds_what_is_known():
 
     result = next(found for each in RESULTS.values() if (found := each()).trainable)

@@ -193,6 +193,8 @@ def _changes(
         allowed = bounds(problem, hypothesis.terms)
         points += [(np.clip(hypothesis.x + step, *allowed), hypothesis.terms) for step in steps]
         ends.append(len(points))
+    if not points:  # every parameter is known
+        return [np.zeros((0, predicted.shape[1]))] * len(rivals)
     rows = np.split(predictions(problem, actions, points), ends[:-1])
     return [np.nan_to_num(moved - own) for moved, own in zip(rows, predicted, strict=True)]
 
