@@ -5,6 +5,12 @@
 Three 5 s recordings per task, simulated with nominal parameters: TrunkReach under random discrete actions, TrunkPush
 under the three oracle policies of the leaderboard. Every inference is a file in --work, and the same command goes on
 with what is missing. Writes docs/results/measured.json and prints a table of the worst errors.
+
+    python benchmarks/inference_recovery.py --calibration --model cable
+
+Is the posterior of BayesSim calibrated? Trains on 1,000 simulations of the committed recording's actions, with both
+kinds of features, and checks the posterior on 100 others by simulation-based calibration and TARP (sbi). Prints
+p-values; small ones mean no calibration.
 """
 
 import argparse
@@ -13,11 +19,15 @@ from pathlib import Path
 
 import numpy as np
 
+from soro_bench.assets import asset_path
 from soro_bench.files import read_json, write_json
+from soro_bench.inference import bayes_sim
 from soro_bench.inference.methods import infer
 from soro_bench.inference.replay import Replay
-from soro_bench.markdown import table
+from soro_bench.markdown import header, table
+from soro_bench.markdown import row as markdown_row
 from soro_bench.parameters import ALL_PARAMETERS
+from soro_bench.recording.parquet import load
 from soro_bench.recording.simulated import record
 from soro_bench.registration import task_type
 from soro_bench.sources import SIMULATION, claim, version_of
@@ -27,6 +37,7 @@ RESULTS = ROOT / "docs" / "results" / "measured.json"
 POLICIES = ROOT / "leaderboard" / "results" / "TrunkPush-v0" / "ppo" / "oracle"
 REACH, PUSH = "TrunkReach-v0", "TrunkPush-v0"
 E_WRONG = {"young_modulus": 0.8 * ALL_PARAMETERS["young_modulus"].nominal}
+CHECK_SAMPLES = 500  # of the posterior, for each simulation that it is checked on
 SAMPLED = {"optimizer": "sampled", "iterations": 100, "samples": 20}
 # name: environment, method, what differs
 CASES = {
@@ -120,13 +131,65 @@ def worst(results: list[dict]) -> str:
     return table(heads, rows)
 
 
+def calibration(estimator: "bayes_sim.Estimator", points: np.ndarray, summaries: np.ndarray, seed: int = 0) -> dict:
+    """Simulation-based checks of the posterior on other simulations, by sbi.
+
+    Args:
+        points: (n, d) of the unit cube, drawn uniformly.
+        summaries: (n, m) of what was simulated there.
+
+    Returns:
+        p-values: "sbc", one per parameter, of the ranks of the true values among the posterior's samples being uniform
+        (Talts et al., 2018), and "tarp", one, of the expected coverage being nominal (Lemos et al., ICML 2023).
+    """
+    import torch
+    from sbi.diagnostics import check_sbc, check_tarp, run_sbc, run_tarp
+
+    torch.manual_seed(seed)
+    theta = torch.as_tensor(points, dtype=torch.float32)
+    x = torch.as_tensor((summaries - estimator.center) / estimator.scale, dtype=torch.float32)
+    quiet = {"show_progress_bar": False}
+    ranks, averaged = run_sbc(theta, x, estimator.posterior, CHECK_SAMPLES, **quiet)
+    sbc = check_sbc(ranks, theta, averaged, CHECK_SAMPLES)["ks_pvals"]
+    coverage, nominal = run_tarp(theta, x, estimator.posterior, num_posterior_samples=CHECK_SAMPLES, **quiet)
+    return {"sbc": [float(p) for p in sbc], "tarp": [float(check_tarp(coverage, nominal)[1])]}
+
+
+def check_calibration(model: str, simulations: int = 1000, checks: int = 100) -> None:
+    """Print p-values of BayesSim's posterior on recordings of two environments, and keep them."""
+    rows = []
+    print(header(("environment", "features", "SBC, p per parameter", "TARP, p")))
+    for env_id in (REACH, PUSH):
+        replay = Replay(load(asset_path(f"recordings/{env_id}.parquet")), model=model)
+        low, high = np.array([p.search for p in replay.parameters]).T
+        points = np.random.default_rng(0).random((simulations + checks, len(low)))
+        signals = replay.simulate(low + points * (high - low))
+        sane = np.isfinite(signals).all(axis=(1, 2))
+        summaries = bayes_sim.summarise(signals[sane], replay.actions)
+        points, train = points[sane], sane[:simulations].sum()
+        for features in bayes_sim.FEATURES:
+            estimator = bayes_sim.train(points[:train], summaries[:train], features)
+            found = calibration(estimator, points[train:], summaries[train:])
+            rows.append({"env_id": env_id, "model": model, "features": features,
+                         "parameters": list(replay.names), **found})  # fmt: skip
+            cells = ", ".join(f"{name} {p:.2g}" for name, p in zip(replay.names, found["sbc"], strict=True))
+            print(markdown_row((env_id, features, cells, f"{found['tarp'][0]:.2g}")), flush=True)
+    every = read_json(RESULTS)
+    every["bayes_sim_calibration"][model] = rows
+    write_json(RESULTS, every)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="+", default=list(CASES), choices=list(CASES))
     parser.add_argument("--model", default="flex", help="of the recordings, and of the inference where it is the same")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--work", type=Path, default=ROOT / "runs" / "inference")
+    parser.add_argument("--calibration", action="store_true", help="of BayesSim, instead")
     options = parser.parse_args()
+    if options.calibration:
+        check_calibration(options.model)
+        return
     claim(options.work / "sources.txt", version_of((*SIMULATION, "inference/*.py")))
     rows = []
     for i, case in enumerate(options.only):
