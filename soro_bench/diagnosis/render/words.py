@@ -49,7 +49,6 @@ LIMITS = {
 SHOWN_LIMITS = 4  # elements of a kind that are named
 _POWERS = {"^2": "²", "^3": "³"}
 _LAWS = re.compile(rf"\b({'|'.join(sorted(EQUATIONS, key=len, reverse=True))})\b")
-
 ANSWERS = {
     "adequate": "Adequate: no discrepancy detected",
     "discrepancy": "Not adequate: the simulation lacks physics",
@@ -259,9 +258,8 @@ def unconstrained(result: Result) -> str:
     found, errors = result.unknown_input, result.train
     if found is None or not errors.corrected_before > errors.noise:
         return ""
-    both = errors.corrected_before**2 - errors.noise**2, max(found.rmse_after**2 - errors.noise**2, 0.0)
-    share = max(1.0 - both[1] / both[0], 0.0)
-    return f"To first order, an unconstrained input there explains {100 * share:.0f} % of {BEYOND}."
+    left = max(found.rmse_after**2 - errors.noise**2, 0.0) / (errors.corrected_before**2 - errors.noise**2)
+    return f"To first order, an unconstrained input there explains {100 * max(1.0 - left, 0.0):.0f} % of {BEYOND}."
 
 
 def error(value: float, unit: str) -> str:
@@ -274,15 +272,13 @@ def replays(result: Result) -> Rows:
     covariance of discretisation error takes off the last one."""
     unit, both = result.robot.unit, [result.train, *([result.heldout] if result.heldout else [])]
     rows: Rows = []
-    if result.robots:
-        shown = [each for each in result.robots if each.name in ROBOTS]
-        for each in shown:
-            name = "fitted, known effects" if each.name == "fitted" and each.effects else ROBOTS[each.name]
-            values = (each.train, each.heldout) if result.heldout else (each.train,)
-            rows.append((name, *(error(math.nan if value is None else value, unit) for value in values)))
-        if not result.best.effects:
-            rows.append((ROBOTS["patched"], "no effects", *[""] * (len(both) - 1)))
-    else:  # of an older version
+    for each in filter(lambda robot: robot.name in ROBOTS, result.robots):
+        name = "fitted, known effects" if each.name == "fitted" and each.effects else ROBOTS[each.name]
+        values = [math.nan if value is None else value for value in (each.train, each.heldout)][: len(both)]
+        rows.append((name, *(error(value, unit) for value in values)))
+    if rows and not result.best.effects:
+        rows.append((ROBOTS["patched"], "no effects", *[""] * (len(both) - 1)))
+    elif not rows:  # of an older version
         rows.append((ROBOTS["fitted"], *(error(each.before, unit) for each in both)))
         if result.best.effects:
             rows.append((ROBOTS["best"], *(error(each.after, unit) for each in both)))
@@ -311,14 +307,15 @@ def explained(result: Result) -> str:
     found, which = (result.heldout, "held-out") if result.heldout else (result.train, "fitted")
     if not result.best.effects or math.isnan(found.explained):
         return ""
-    if found.is_worse:
-        return f"On {which} recordings the effects add to {BEYOND}."
-    return f"On {which} recordings the effects explain {100 * found.explained:.0f} % of {BEYOND}."
+    do = "add to" if found.is_worse else f"explain {100 * found.explained:.0f} % of"
+    return f"On {which} recordings the effects {do} {BEYOND}."
 
 
 def _of_errors(result: Result) -> list[str]:
     """Where plain errors are not what the verdict is about, and where the effects make replays worse."""
     said, heldout, far = [], result.heldout, []
+    if not result.robots:
+        said.append("Of an older version: replays had half the model's time step, unlike those of soro-bench check.")
     for name, each in (("fitted", result.train), ("held-out", heldout)):
         pairs = ((each.before, each.corrected_before), (each.after, each.corrected_after)) if each else ()
         ratio = max((plain / max(left, 1e-300) for plain, left in pairs if plain > 0), default=0.0)
@@ -326,11 +323,11 @@ def _of_errors(result: Result) -> list[str]:
     if far:
         said.append(f"Plain errors are larger than what the verdict is about, {listed(far)}: the rest may be "
                     "discretisation error, and stays in every replay.")  # fmt: skip
-    worse = heldout is not None and heldout.after > heldout.before
+    worse = heldout is None or heldout.after > heldout.before
     if result.patch.state == "rejected":
-        off = "" if worse or heldout is None else ", discretisation error taken off"
+        off = "" if worse else ", discretisation error taken off"
         said.append(f"The patch is rejected: it makes held-out recordings worse{off}.")
-    elif worse and result.best.effects:
+    elif heldout and worse and result.best.effects:
         said.append("A plain replay of held-out recordings is worse with the effects than without them.")
     return said
 
