@@ -283,7 +283,7 @@ def _probability_of_unknown(problem: Problem, hypotheses: Sequence[Hypothesis], 
     healthy = settings.healthy_misfit_per_sample * samples
     share = (min(above_sensor) - healthy) / max(above_sensor[0] - healthy, 1.0)
     terms, usual = len(hypotheses[int(np.argmin(misfits))].terms), problem.settings.selection.unchecked_terms
-    # a law that has no name is described by several others: the more of them, the less they may leave
+    # several laws describe one outside the catalogue too: the more of them, the less they may leave
     limit = settings.unknown_share * min(1.0, (usual / max(terms, 1)) ** 2)
     known = expit((limit - share) / settings.unknown_share_width)
     if not problem.misfit_dominated:  # where the whole residual counts as noise, predicted gains are small

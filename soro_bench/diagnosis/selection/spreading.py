@@ -87,8 +87,8 @@ def _simpler(problem: Problem, guess: Guess, candidates: Sequence[Term]) -> list
     first, found = len(guess.x) - last.size, []
     for group in alike(candidates):
         members = {each.location: each for each in group}
-        akin = CATEGORIES[group[0].name] == CATEGORIES[last.name] and group[0].size < last.members[0].size
-        if akin and not group[0].removable and all(each.location in members for each in last.members):
+        same = CATEGORIES[group[0].name] == CATEGORIES[last.name] and group[0].size < last.members[0].size
+        if same and not group[0].removable and all(each.location in members for each in last.members):
             whole = spread([members[each.location] for each in last.members])
             ratio = np.array([
                 a.deviations[0] / b.deviations[0] for a, b in zip(last.members, whole.members, strict=True)
