@@ -17,7 +17,7 @@ from soro_bench.recording.recording import Recording, RecordingError, Signal
 
 _EVEN = 0.5  # standard deviation of intervals over their mean, above which a command was logged at its changes only
 _IDENTICAL = 1e-6  # share of the range; commands that went through single precision differ so
-_SAME_CLOCK = 1e-5  # s; less is the rounding of stamps
+_SAME_CLOCK = 1e-4  # s; less is the rounding of stamps
 _RATES = 2e-5  # of clocks, that are worth a correction; crystals differ by 1e-4
 
 

@@ -15,6 +15,7 @@ from scipy.stats import t as student
 
 from soro_bench.arrays import Bools, Floats
 from soro_bench.diagnosis.data_quality import samples
+from soro_bench.diagnosis.data_quality.lattice import lattice_step
 from soro_bench.diagnosis.data_quality.noise import noise, outliers
 from soro_bench.diagnosis.data_quality.samples import Channel
 from soro_bench.diagnosis.paired.alignment import Pair
@@ -34,6 +35,7 @@ _SMOOTHED = 7  # samples, and the degree of the polynomial through them, for the
 _DEGREE = 2
 _LEAST_SHARE = 1e-3  # of the motion's variance: a block with less says nothing of gain and delay
 _LEAST_NOISE = 1e-6  # share of the range; simulated recordings have no other noise
+_LEVELS = 3  # columns, those that move most, in which levels are looked for
 _LEAST_SAMPLES = 20  # that both recordings have, for a statement
 
 
@@ -123,12 +125,17 @@ def _column_noise(column: Floats) -> float:
 
 
 def _noise(signal: Signal) -> float:
-    """Standard deviation of the white noise of a coordinate [unit]; at least the rounding of a simulation."""
+    """Standard deviation of the white noise of a coordinate [unit]; at least that of the levels of a coarse sensor, and
+    the rounding of a simulation."""
     values = signal.values.reshape(len(signal.time), -1)
     present = np.isfinite(values).sum(axis=0) > _LEAST_SAMPLES
     reach = np.nanmax(values[:, present], axis=0) - np.nanmin(values[:, present], axis=0)
     least = _LEAST_NOISE * float(reach.max()) if present.any() else 0.0
     found = [_column_noise(column) for column in values[:, present].T]
+    widest = values[:, present].T[np.argsort(-reach)[:_LEVELS]]
+    levels = [lattice_step(column, max(least, METHOD.signals.least_step * n), METHOD.signals)
+              for column, n in zip(widest, np.array(found)[np.argsort(-reach)], strict=False)]  # fmt: skip
+    least = max([least, *(step / np.sqrt(12.0) for step in levels)])
     return max(float(np.sqrt(np.mean(np.square(found)))) if found else 0.0, least)
 
 
@@ -186,7 +193,7 @@ def _point(index: int, values: Floats, expected: float) -> PointDifference:
     rms = float(np.sqrt((distance**2).mean()))
     mean = tuple(float(each) for each in values[there].mean(axis=0))
     return PointDifference(
-        index, mean, rms, float(distance.max()), rms / max(expected * np.sqrt(values.shape[1]), 1e-300),
+        index, mean, rms, float(distance.max()), float(rms / max(expected * np.sqrt(values.shape[1]), 1e-300)),
         float(there.mean()),
     )  # fmt: skip
 

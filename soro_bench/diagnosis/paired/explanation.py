@@ -267,7 +267,7 @@ class _Search:
         z = fit.point.z[at - size : at - size + change.size]
         zs = draws[:, at : at + change.size]
         xs = draws[:, :size] if size else np.repeat(fit.point.x[None], _DRAWS, axis=0)
-        explained = 1.0 - fit.squares[1] / max(nothing, 1e-300)
+        explained = float(1.0 - fit.squares[1] / max(nothing, 1e-300))
         if isinstance(change, ParameterChange):
             estimates = _of_parameter(change, fit.point.x, z, xs, zs)
             return result.Change(change.kind, change.prior.name, change.location, estimates, True, False, explained,

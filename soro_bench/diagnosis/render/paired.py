@@ -1,6 +1,7 @@
 """What is shown of paired recordings: the summary on the console, report.html and paired.json."""
 
 import math
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,9 +9,9 @@ import numpy as np
 
 from soro_bench.diagnosis.paired.result import Change, Explanation, PairedResult, SignalDifference
 from soro_bench.diagnosis.render import words
-from soro_bench.diagnosis.render.figures import MM, WIDTH, image
+from soro_bench.diagnosis.render.figures import MM, image
 from soro_bench.diagnosis.render.html import TEMPLATES, Table
-from soro_bench.diagnosis.render.summary import line
+from soro_bench.diagnosis.render.summary import WIDTH, line
 from soro_bench.diagnosis.result_parts import Estimate
 from soro_bench.files import replacing
 from soro_bench.plotting import pyplot
@@ -18,6 +19,8 @@ from soro_bench.plotting import pyplot
 FILES = ("report.html", "paired.json")
 _POINTS = 3  # that are named on the console
 _SHOWN = 0.01  # probability of a change that is listed on the console
+_LISTED = 3  # changes that are listed whatever their probability
+_TABLE = 19  # columns before the names of changes
 _VERDICTS = {
     "same": "The same: no difference beyond noise",
     "differs": "Different: beyond noise, without a steady pattern; two runs of one robot may differ so",
@@ -156,11 +159,14 @@ def _explained(found: Explanation) -> list[str]:
                       f"{words.change(found.before, found.after, found.unit)} rms; its own error of "
                       f"{words.number(found.replay, found.unit)} is in both recordings"),
         "",
-        f"  {'change':<34}{'size [90 %]':<28}{'prob.':>6}{'explains':>10}",
+        "  prob.  explains  change, size [90 %]",
     ]  # fmt: skip
-    for name, text, probability, share in candidates(found):
-        if float(probability) >= _SHOWN or len(lines) < 6:
-            lines.append(f"  {name[:33]:<34}{text[:27]:<28}{probability:>6}{share:>10}")
+    for number, (name, text, probability, share) in enumerate(candidates(found)):
+        if number < _LISTED or float(probability) >= _SHOWN:
+            what = f"{name}, {text}" if text else name
+            filled = textwrap.wrap(what, WIDTH - _TABLE)
+            lines.append(f"  {probability:>5}{share:>10}  {filled[0]}")
+            lines += [" " * (_TABLE + 2) + each for each in filled[1:]]
     return [*lines, ""]
 
 
@@ -239,7 +245,7 @@ def over_time(found: SignalDifference) -> str:
     """The difference of every point over time, and the noise; base64 PNG."""
     time, rms = np.array(found.profile.time), np.array(found.profile.rms)
     scale, unit = words.shown_unit(found.unit)
-    figure, ax = pyplot().subplots(figsize=(WIDTH, 2.6), layout="constrained")
+    figure, ax = pyplot().subplots(figsize=(6.5, 2.6), layout="constrained")
     shown = sorted(range(rms.shape[1]), key=lambda i: -np.nan_to_num(found.points[i].rms))[:6]
     for i in sorted(shown):
         ax.plot(time, scale * rms[:, i], lw=1.2, label=f"point {i}")
