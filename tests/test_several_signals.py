@@ -1,5 +1,7 @@
 """Robots with several signals, each in its own unit and with its own noise."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ pytest.importorskip("pyarrow", reason="needs the train extra")
 
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.candidates import late, terms
+from soro_bench.diagnosis.commands import Diagnose
 from soro_bench.diagnosis.data_quality.inspection import inspected
 from soro_bench.diagnosis.data_quality.signals import explaining
 from soro_bench.diagnosis.pipeline import unexplained
@@ -128,6 +131,22 @@ def test_bad_signals_are_refused(robot_of):
         diagnose(robot, [wrong])
     with pytest.raises(ValueError, match="TrunkReach-v0 has no signal 'heat'; it has keypoints"):
         SuiteRobot("TrunkReach-v0", threads=1, signals=["heat"])
+    command = Diagnose((), Path("out"), model="arm.xml", map=Path("arm.toml"), signals=("torque",))
+    with pytest.raises(ValueError, match="--signals is for --env"):
+        command._robot()
+
+
+def test_tensions_are_explained_where_they_are_asked_for():
+    given = record("TrunkReach-v0", model="cable", steps=20, seed=1)
+    alone, both = (SuiteRobot("TrunkReach-v0", threads=1, signals=names) for names in (None, ["tension"]))
+    assert [(each.name, each.unit, each.shape) for each in both.others] == [("tension", "N", (8, 1))]
+    assert both.shortened(2).others == both.accurate().others == both.others and alone.others == ()
+    measured = both.measured(given)
+    assert np.array_equal(measured.others[0][:, :, 0], given.signals["tension"].values[1:])
+    nominal = np.array([[prior.nominal for prior in both.priors]])
+    values, columns = (robot.simulate_all([measured.drive], nominal, [[]])[0] for robot in (alone, both))
+    assert np.array_equal(columns[:, :, :63], values)
+    assert np.allclose(columns[0, :, 63:], given.signals["tension"].values[1:], atol=0.05)
 
 
 def test_of_a_walker_only_the_beginning_is_explained_and_that_is_said():

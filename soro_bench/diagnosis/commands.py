@@ -101,6 +101,8 @@ class Diagnose:
     after: tuple[Path, ...] = ()
     """... and some after it, under the same commands: what differs is measured and tested, and with a model explained.
     The folder gets report.html and paired.json."""
+    signals: tuple[str, ...] = ()
+    """With --env: further signals to explain, such as tension; [[signals]] of the map are those of another robot."""
     seed: int = 0
 
     def run(self) -> None:
@@ -147,10 +149,14 @@ class Diagnose:
         from soro_bench.diagnosis.baseline import baseline
         from soro_bench.diagnosis.robots.model_robot import ModelRobot
         from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
+        from soro_bench.registration import task_type
 
         known = baseline(self.baseline) if self.baseline else None
         if self.env and not self.map:
-            return SuiteRobot(self.env, self.model, baseline=known)
+            more = (*task_type(self.env).inferred_from[1:], *self.signals) if self.signals else None
+            return SuiteRobot(self.env, self.model, baseline=known, signals=more)
+        if self.signals:
+            raise ValueError("--signals is for --env; the map names signals of another robot, in [[signals]] sections")
         if self.model and self.map and not self.env:
             return ModelRobot(self.model, self.map, baseline=known)
         raise ValueError("say which robot was recorded: --env ENV, or --model ROBOT.xml --map MAP.toml")
