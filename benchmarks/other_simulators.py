@@ -1,10 +1,11 @@
 """Other simulators as robots: does a diagnosis take what another simulator does differently for physics?
 
     python benchmarks/other_simulators.py --out FOLDER [--healthy | --hidden] [--kind flex links] [--count 4]
-        [--seed 1000] [--diagnose]
+        [--seed 1000] [--sorosim data/real/sorosim_reference] [--diagnose]
 
 Writes a folder for each case: train.parquet, heldout.parquet and label.json. Healthy robots are of every kind of
-``soro_bench/blind_benchmark/healthy.py``, --count of each. Hidden physics acts in trunks that PyElastica simulates, one
+``soro_bench/blind_benchmark/healthy.py``, --count of each, and with --sorosim, the folder of its releases, steel rods
+of SoroSim (also model.xml and map.toml, nothing held out). Hidden physics acts in trunks that PyElastica simulates, one
 law after the other, --count cases in all. With --diagnose also answer.json of each case, and then tables, with
 intervals of 95 %: false alarms by kind, right names and locations by law. The same command goes on with what is
 missing. PyElastica needs `pip install ".[simulators]"`. Seeds from 1000 are for development; thresholds are never set
@@ -19,28 +20,35 @@ from statistics import median
 
 from scipy.stats import binomtest
 
-from soro_bench.blind_benchmark import healthy
+from soro_bench.blind_benchmark import healthy, sorosim
 from soro_bench.blind_benchmark.score import same_location
 from soro_bench.diagnosis.api import diagnose
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.files import read_json, write_json
 from soro_bench.markdown import table
 from soro_bench.recording.parquet import load, save
 
-LABEL, ANSWER, HIDDEN = "label.json", "answer.json", "hidden"
+LABEL, ANSWER, MODEL, MAP = "label.json", "answer.json", "model.xml", "map.toml"
+HIDDEN, SOROSIM = "hidden", "sorosim"
 
 
-def write_case(kind: str, seed: int, folder: Path) -> None:
-    """Unless its label, which is written last, is there."""
+def write_case(kind: str, seed: int, folder: Path, data: Path | None) -> None:
+    """Unless its label, which is written last, is there; ``data`` is the folder of SoroSim's releases."""
     if (folder / LABEL).exists():
         return
-    if kind == HIDDEN:
+    folder.mkdir(parents=True, exist_ok=True)
+    if kind == SOROSIM:
+        model, robot_map, recording, label = sorosim.build(data, seed)
+        (folder / MODEL).write_text(model, encoding="utf-8")
+        (folder / MAP).write_text(robot_map, encoding="utf-8")
+        recordings = {"train": recording}
+    elif kind == HIDDEN:
         from soro_bench.blind_benchmark import cosserat_laws  # needs a package that healthy robots do not
 
         recordings, label = cosserat_laws.build(seed)
     else:
         recordings, label = healthy.build(kind, seed)
-    folder.mkdir(parents=True, exist_ok=True)
     for role, recording in recordings.items():
         save(recording, folder / f"{role}.parquet")
     write_json(folder / LABEL, label)
@@ -49,8 +57,12 @@ def write_case(kind: str, seed: int, folder: Path) -> None:
 def diagnosed(folder: Path) -> dict:
     """What a diagnosis of a case says."""
     begin = time.process_time()
-    robot = SuiteRobot("TrunkReach-v0", threads=1)
-    result = diagnose(robot, [load(folder / "train.parquet")], [load(folder / "heldout.parquet")])
+    if (folder / MODEL).exists():
+        robot = ModelRobot(folder / MODEL, folder / MAP, threads=1)
+    else:
+        robot = SuiteRobot("TrunkReach-v0", threads=1)
+    heldout = [load(path) for path in folder.glob("heldout.parquet")]
+    result = diagnose(robot, [load(folder / "train.parquet")], heldout)
     first = result.findings[0]
     place = first.location.to_json() if first.location else None
     return {
@@ -91,16 +103,18 @@ def main() -> None:
     parser.add_argument("--kind", nargs="+", choices=tuple(healthy.ROBOTS), default=list(healthy.ROBOTS))
     parser.add_argument("--count", type=int, default=4, help="healthy cases of each kind, and hidden cases")
     parser.add_argument("--seed", type=int, default=1000, help="of the first case")
+    parser.add_argument("--sorosim", type=Path, help="folder with SoroSim's releases.csv")
     parser.add_argument("--diagnose", action="store_true")
     chosen = parser.parse_args()
-    kinds = [*chosen.kind * (not chosen.hidden), *[HIDDEN] * (not chosen.healthy)]
+    kinds = [*chosen.kind, *[SOROSIM] * (chosen.sorosim is not None)] if not chosen.hidden else []
+    kinds += [HIDDEN] * (not chosen.healthy)
     cases = [
         (kind, seed, chosen.out / f"{kind}_{seed}")
         for kind in kinds
         for seed in range(chosen.seed, chosen.seed + chosen.count)
     ]
     for kind, seed, folder in cases:
-        write_case(kind, seed, folder)
+        write_case(kind, seed, folder, chosen.sorosim)
         print(folder, flush=True)
         if chosen.diagnose and not (folder / ANSWER).exists():
             write_json(folder / ANSWER, diagnosed(folder))

@@ -1,11 +1,13 @@
 """Robots of other discretisations and simulators: known answers of their statics, and what is recorded of them."""
 
+import mujoco
 import numpy as np
 import pytest
 
-from soro_bench.blind_benchmark import healthy
+from soro_bench.blind_benchmark import healthy, sorosim
 from soro_bench.blind_benchmark.links import simulate_chain
 from soro_bench.blind_benchmark.robot import Engine, simulate
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 
@@ -78,3 +80,28 @@ def test_hidden_physics_in_a_rod_changes_its_motion_and_is_labelled():
         hidden = draw(np.random.default_rng(0))
         assert not np.array_equal(Arm(NOMINAL, hidden.laws()).run(pulls, 600) + hidden.offset, healthy_points), name
         assert {"kind", "name"} <= hidden.location.keys() and hidden.parameters
+
+
+def test_release_of_a_sorosim_rod_is_a_recording_of_its_model(tmp_path):
+    """The model with the rod's own constants is at rest where the forces hold it; the map fits the recording."""
+    columns = ["mid_force_x", "mid_force_y", "mid_force_z", "tip_force_x", "tip_force_y", "tip_force_z"]
+    head = ["take", "material", "gravity_x", "gravity_y", "gravity_z", *columns, "true_damping_s"]
+    values = ["release_steel_01", "steel", 0, 0, -9.81, 0, 0, 0, 0, 0.1, 0, 0.004]
+    (tmp_path / "releases.csv").write_text(",".join(head) + "\n" + ",".join(map(str, values)) + "\n")
+    names = ["t_s", *(f"{point}_{axis}_m" for point in ("mid", "tip") for axis in "xyz")]
+    rows = [[0.005 * i, 0.3, 0, -0.01, 0.59, 0, -0.04] for i in range(1100)]
+    text = "\n".join(",".join(map(str, row)) for row in [names, *rows])
+    (tmp_path / "release_steel_01.csv").write_text(text + "\n")
+    model, robot_map, recording, label = sorosim.build(tmp_path, 3)
+    (tmp_path / "model.xml").write_text(model)
+    (tmp_path / "map.toml").write_text(robot_map)
+    measured = ModelRobot(tmp_path / "model.xml", tmp_path / "map.toml", threads=1).measured(recording)
+    assert measured.actions[0].tolist() == [0, 0, 0, 0, 0.1, 0] and not measured.actions[1:].any()
+    assert label["effects"] == [] and set(label["parameters"]) == {"stiffness", "mass", "damping"}
+    compiled = mujoco.MjModel.from_xml_path(str(tmp_path / "model.xml"))
+    data = mujoco.MjData(compiled)
+    mujoco.mj_resetDataKeyframe(compiled, data, 0)
+    data.ctrl[:] = measured.actions[0]
+    start = data.qpos.copy()
+    mujoco.mj_step(compiled, data, 100)
+    assert np.abs(data.qpos - start).max() < 0.01

@@ -1,7 +1,7 @@
 """Healthy robots of other discretisations and simulators: nothing is missing, and yet they do not move like the model.
 
 Five kinds: the cheap trunk at other time steps and integrators, the accurate one at other steps and solver settings,
-chains of another number of links, a Cosserat rod in PyElastica, and rods that SoroSim computed (``sorosim``).
+chains of another number of links, a Cosserat rod in PyElastica, and, in ``sorosim.py``, rods that SoroSim computed.
 """
 
 from collections.abc import Mapping
