@@ -217,8 +217,13 @@ class _Search:
         nothing = problem.squares([self.base])[0]
         count = max(float(problem.seen[1].sum()), 1.0)
         independent = problem.share[1] * count
-        evidences = np.array([-0.5 * independent * np.log(max(nothing[1], 1e-300)),
-                              *(each.evidence for each in self.singles)])  # fmt: skip
+        # all by the same number of independent samples: each may have been weighed by another one on the way
+        singles = [self._weighed(each) for each in self.singles]
+        several = [self._weighed(self.best)] if self.best is not None and len(self.best.changes) > 1 else []
+        evidences = np.array([
+            -0.5 * independent * np.log(max(nothing[1], 1e-300)),
+            *(each.evidence for each in (*singles, *several)),
+        ])
         weights = np.exp(evidences - evidences.max())
         left = self.best.squares[1] if self.best else nothing[1]
         floor = count * 2.0 * self.noise**2
@@ -229,14 +234,14 @@ class _Search:
         chances = (1.0 - unknown) * weights / weights.sum()
         candidates = _merged([
             self._change(each, 0, float(chance), nothing[1])
-            for each, chance in zip(self.singles, chances[1:], strict=True)
+            for each, chance in zip(singles, chances[1 : 1 + len(singles)], strict=True)
         ], self.settings.alike)  # fmt: skip
-        if self.best is not None and len(self.best.changes) > 1:
-            chance = candidates[0].probability if candidates else 0.0
-            best = tuple(self._change(self.best, i, chance, nothing[1]) for i in range(len(self.best.changes)))
+        if several:
+            chance = float(chances[-1])
+            best = tuple(self._change(several[0], i, chance, nothing[1]) for i in range(len(several[0].changes)))
         else:
             best = tuple(candidates[:1])
-        if float(chances[0]) > max([unknown, *(each.probability for each in candidates)]):
+        if float(chances[0]) > max([unknown, *(each.probability for each in (*candidates, *best))]):
             best = ()
         return result.Explanation(
             robot.name,
