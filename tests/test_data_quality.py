@@ -84,6 +84,15 @@ def test_clipping_is_found_and_rest_is_not(rounded):
     assert not samples.clipped(Channel(x, NOISE, step), SETTINGS).any()
 
 
+def test_clipping_of_a_slow_coarse_signal_is_found_and_its_rest_is_not():
+    """Forty levels, one after the other."""
+    step, limit = 0.05, 0.6
+    levels = step * np.round(np.sin(2 * np.pi * np.arange(800) / 200) / step)
+    found = samples.clipped(Channel(np.minimum(levels, limit), 0.0, step), SETTINGS)
+    assert np.array_equal(found, levels > limit - 0.5 * step)
+    assert not samples.clipped(Channel(levels, 0.0, step), SETTINGS).any()
+
+
 @pytest.mark.parametrize("rows", [2, 5])
 def test_a_held_sensor_leaves_the_first_of_equal_samples(rows):
     found, kind = samples.stale(Channel(noisy()[np.arange(400) // rows * rows], NOISE), SETTINGS)

@@ -80,6 +80,10 @@ class SignalSettings:
     spike_reach: float = setting(0.02, "1", "share of the range that a value for missing samples is off at least")
     wrap_tolerance: float = setting(0.25, "1", "share of a turn that an angle may move between two samples")
     clip_steps: float = setting(3.5, "steps", "by which values come to the end of a range and leave it, at least")
+    clip_levels: int = setting(
+        20, "levels", "in the range of a signal, of which the times on the last one tell anything"
+    )
+    clip_times: float = setting(6.0, "1", "times as long on the last level as on those beside it; rest begins slowly")
     least_clipped: int = setting(5, "samples", "at the end of a range; fewer are no evidence")
     random_noise: float = setting(2e-5, "1", "share of the range, above which noise makes equal values unlikely")
     random_flips: float = setting(0.42, "1", "share of sign changes of differences; 0.6 in noise, 0.25 without any")

@@ -186,6 +186,11 @@ def clipped(channel: Channel, settings: SignalSettings) -> Bools:
         corners = np.stack([before[at], after[at]])
         # a robot at its end stop comes fast and leaves slowly, one at rest does both slowly
         leaves = np.nan_to_num(corners.min(axis=0), nan=0.0) > sharp
+        if (
+            0.0 < settings.clip_levels * channel.step < channel.reach
+        ):  # slow motion takes one level after the other; at the end of a range it stops at once
+            beside = np.maximum(np.r_[np.inf, runs.length[:-1]], np.r_[runs.length[1:], np.inf])[at]
+            leaves |= runs.length[at] > settings.clip_times * beside
         if random or leaves.sum() >= max(2, 0.5 * at.sum()):
             for first, length in zip(runs.first[at], runs.length[at], strict=True):
                 found[present[first : first + length]] = True
