@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from soro_bench.blind_benchmark import healthy, sorosim
-from soro_bench.blind_benchmark.links import simulate_chain
 from soro_bench.blind_benchmark.robot import Engine, simulate
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
+from soro_bench.models.trunk_chain import simulate_chain
 
 NOMINAL = {p.name: p.nominal for p in trunk.PARAMETERS}
 DAMPED = NOMINAL | {"damping": 0.2}  # comes to rest within 2 s

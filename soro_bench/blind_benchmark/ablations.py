@@ -13,6 +13,7 @@ from soro_bench.diagnosis.pipeline import run_diagnosis, unexplained
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import FITTED, REFINED, Robot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
+from soro_bench.diagnosis.robots.variants import Variant
 from soro_bench.diagnosis.selection.forward_selection import nominal_fit
 from soro_bench.files import write_json
 from soro_bench.parallel import one_blas_thread, processors
@@ -28,6 +29,10 @@ class Unrefined(SuiteRobot):
     def refined(self, refinement: int = REFINED) -> list[Robot]:
         """None."""
         return []
+
+    def variants(self) -> tuple[Variant, ...]:
+        """None."""
+        return ()
 
 
 class Calibrated(SuiteRobot):

@@ -9,7 +9,7 @@ import numpy as np
 from soro_bench.blind_benchmark.cases import change, recording
 from soro_bench.blind_benchmark.cosserat import TIMESTEP, Arm, ArmLaw, Row
 from soro_bench.blind_benchmark.draw import draw_parameters
-from soro_bench.blind_benchmark.healthy import DURATIONS, displacements, drawn_actions
+from soro_bench.blind_benchmark.healthy import DURATIONS, drawn_actions
 from soro_bench.blind_benchmark.locations import (
     Quantities,
     Where,
@@ -22,6 +22,7 @@ from soro_bench.blind_benchmark.locations import (
 )
 from soro_bench.blind_benchmark.robot import CONTROL_TIMESTEP
 from soro_bench.models import trunk_geometry as geo
+from soro_bench.models.trunk_chain import displacements
 from soro_bench.recording.recording import Recording
 
 _SLOW = 1e-3  # m/s, below which Coulomb friction is viscous
@@ -300,7 +301,8 @@ def build(seed: int, durations: Mapping[str, float] = DURATIONS) -> tuple[dict[s
     hidden = HIDDEN[name](rng)
     recordings, changes = {}, {}
     for role, (actions, noise) in drawn_actions(seed, durations).items():
-        pulls, every = displacements(actions, TIMESTEP), round(CONTROL_TIMESTEP / TIMESTEP)
+        every = round(CONTROL_TIMESTEP / TIMESTEP)
+        pulls = displacements(actions, TIMESTEP, every)
         points = Arm(parameters, hidden.laws()).run(pulls, every) + hidden.offset
         recordings[role] = recording(actions, points, noise)
         if role == "train":

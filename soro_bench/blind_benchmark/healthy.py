@@ -13,9 +13,9 @@ from gymnasium import spaces
 
 from soro_bench.blind_benchmark.cases import recording
 from soro_bench.blind_benchmark.draw import draw_parameters, manoeuvre
-from soro_bench.blind_benchmark.links import simulate_chain
 from soro_bench.blind_benchmark.robot import CONTROL_TIMESTEP, Engine, simulate
 from soro_bench.models import trunk_geometry as geo
+from soro_bench.models.trunk_chain import displacements, simulate_chain
 from soro_bench.recording.excitation import excitation
 from soro_bench.recording.recording import Recording
 
@@ -105,18 +105,13 @@ def keypoints(robot: Engine | Chain | Rod, parameters: Mapping[str, float], acti
     """(T + 1, 21, 3) m, before the first and after each of (T, 8) actions."""
     if isinstance(robot, Engine):
         return simulate(robot, parameters, [], actions).at(CONTROL_TIMESTEP * np.arange(len(actions) + 1))
-    every, pulls = round(CONTROL_TIMESTEP / robot.timestep), displacements(actions, robot.timestep)
+    every = round(CONTROL_TIMESTEP / robot.timestep)
+    pulls = displacements(actions, robot.timestep, every)
     if isinstance(robot, Chain):
-        return simulate_chain(robot.links, robot.timestep, parameters, pulls)[::every]
+        found = simulate_chain(robot.links, robot.timestep, parameters, pulls)[::every]
+        if not np.isfinite(found).all():
+            raise ValueError(f"the simulation of {robot.links} links diverged")
+        return found
     from soro_bench.blind_benchmark.cosserat import Arm  # needs a package that the others do not
 
     return Arm(parameters, pieces=robot.pieces, timestep=robot.timestep).run(pulls, every)
-
-
-def displacements(actions: np.ndarray, timestep: float) -> np.ndarray:
-    """(T n, 8) commanded displacements [m] at the ends of n time steps [s] for each of (T, 8) actions."""
-    pull, found = np.zeros(actions.shape[1]), []
-    for action in np.repeat(actions, round(CONTROL_TIMESTEP / timestep), axis=0):
-        pull = np.clip(pull + geo.CABLE_RATE * timestep * action, -geo.CABLE_LIMITS, geo.CABLE_LIMITS)
-        found.append(pull)
-    return np.array(found)

@@ -20,8 +20,9 @@ from soro_bench.diagnosis.data_quality.signals import (
     named,
     qualities_of,
 )
-from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
+from soro_bench.diagnosis.estimation.discretisation import differences, discretisation_and_residuals
 from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.estimation.model_form import largest_model_form_error
 from soro_bench.diagnosis.estimation.posterior_covariance import with_covariance
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.estimation.unit_check import check_unit_and_sign
@@ -142,6 +143,7 @@ def run_diagnosis(
     spoilt = any(found.all_findings for found in looked_at)
     check_unit_and_sign(unexplained(robot, measured, sigma, settings, others))
     untouched = unexplained(fitted, measured, sigma, settings, others)
+    untouched = replace(untouched, variants=robot.variants())
     problem, nominal = nominal_fit(untouched, refined, seed, progress)
     for each in (robot, fitted):
         problem.check_finite(each, problem.simulated(each, [(nominal.x, ())]))
@@ -157,6 +159,7 @@ def run_diagnosis(
         seed,
         progress,
     )
+    problem = replace(problem, model_form=largest_model_form_error(problem, nominal))
     unfitted = unexplained(fitted, tested, sigma, settings, others) if tested else None
     candidates = terms(robot, settings.priors)
     explanation = explained(problem, nominal, robot, refined, candidates, seed, progress, unfitted)
@@ -290,11 +293,13 @@ def tried_on(
         return None
     problem = found.problem
     tested = unexplained(problem.robot, measured, problem.sigma, problem.settings, problem.sigmas[1:])
-    tested = replace(tested, noise=problem.noise, others=problem.others)
+    tested = replace(tested, noise=problem.noise, others=problem.others,
+                     model_form=problem.model_form, variants=problem.variants)  # fmt: skip
     tested = _masked(tested, _outliers(tested, tested.residuals([(found.nominal.x, ())])[0]))
     points = [(h.x, h.terms) for h in hypotheses]
     discretisation, residuals = discretisation_and_residuals(tested, refined, points, points)
-    return tested.with_discretisation(discretisation), residuals
+    others = differences(tested, [found.nominal.x])
+    return tested.with_discretisation(np.concatenate([discretisation, others])), residuals
 
 
 def _outliers(problem: Problem, residual: np.ndarray, spoilt: bool = False) -> np.ndarray:

@@ -17,6 +17,7 @@ from soro_bench.diagnosis.result_parts import (
     Errors,
     Finding,
     HypothesisSummary,
+    ModelForm,
     NamedLocation,
     NextRecording,
     Outliers,
@@ -132,6 +133,7 @@ class Result:
     limits: what the fitted robot reaches in replays of these recordings: limits of force and control, slack cables,
         stops, contacts.
     signals: errors of every signal, where several are explained; all other errors are those of the first one.
+    model_form: what another simulator of the robot could differ by; None in results before it was estimated.
     """
 
     robot: RobotSummary
@@ -175,6 +177,7 @@ class Result:
     agreement: tuple[Agreement, ...] = ()
     limits: tuple[ReachedLimit, ...] = ()
     signals: tuple[SignalErrors, ...] = ()
+    model_form: ModelForm | None = None
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:

@@ -36,6 +36,24 @@ class Errors:
 
 
 @dataclass(frozen=True)
+class ModelForm:
+    """Error of the model's form, as another simulator of the robot may have it: rms of a coordinate, in the unit of the
+    signal.
+
+    left: by fitted parameters beside the sensor's noise and discretisation error, on all recordings. largest: how large
+        such an error may be, from how far the simulators at hand are apart.
+    """
+
+    left: float
+    largest: float
+
+    @property
+    def possible(self) -> bool:
+        """Whether all that is left may be such an error."""
+        return self.left <= self.largest
+
+
+@dataclass(frozen=True)
 class Estimate:
     """A quantity with its unit ("1" if it has none) and the bounds of its 90 % interval, None where it has none."""
 

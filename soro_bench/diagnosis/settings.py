@@ -152,6 +152,11 @@ class DiscretisationSettings:
     fitted_refinement: int = setting(2, "1", "of the time step in fits; one of a trunk's leaves 0.66 mm, half 0.29 mm")
     reference_refinement: int = setting(4, "1", "of the time step in the reference; twice as fine as that of the fits")
     negligible: float = setting(0.1, "noise deviations", "rms of an error that explains none of a large misfit")
+    model_form_share: float = setting(0.75, "1", "of how far simulators of the robot are apart; others differ so much")
+    model_form_left: float = setting(
+        0.7, "1", "share of a possible model-form error that a law may leave: half its power"
+    )
+    model_form_predicted: float = setting(0.9, "1", "likewise, predicted to first order; of friction less is predicted")
 
 
 @dataclass(frozen=True)

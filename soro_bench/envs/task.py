@@ -8,6 +8,7 @@ import copy
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -219,12 +220,15 @@ class Task(ABC):
         vars(self).update(saved["own"])
         self.sim.resume(saved["sim"])
 
-    def refine(self, factor: int) -> None:
+    def refine(self, factor: int | Fraction) -> None:
         """Simulate with time steps that are shorter by a factor; effects, which know the time step, come after this."""
         if not self.sim.native:
             raise RuntimeError("shorten the time steps before there are effects, whose laws know them")
-        self.sim.batch.expand("opt.timestep")[...] /= factor
-        self._substeps *= factor
+        substeps = Fraction(self._substeps) * factor
+        if substeps.denominator != 1:
+            raise ValueError(f"{self._substeps} time steps of a control step cannot become {float(substeps):g}")
+        self.sim.batch.expand("opt.timestep")[...] /= float(factor)
+        self._substeps = int(substeps)
 
     def check_actions(self, actions: ArrayLike, count: int) -> NDArray[Any]:
         """Return ``actions`` as an array of ``count`` valid actions, those that a rounding took beyond the bounds at

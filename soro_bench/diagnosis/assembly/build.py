@@ -23,6 +23,7 @@ from soro_bench.diagnosis.result_parts import (
     Finding,
     FittedTerms,
     HypothesisSummary,
+    ModelForm,
     NamedLocation,
     NextRecording,
     Outliers,
@@ -100,6 +101,7 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
         agreement=alone,
         limits=reached_limits(diagnosis),
         signals=_signals(diagnosis, replays),
+        model_form=ModelForm(float(comparison.model_form), float(explanation.problem.model_form)),
     )
 
 

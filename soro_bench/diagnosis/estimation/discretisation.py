@@ -52,6 +52,23 @@ def discretisation_and_residuals(
     return np.nan_to_num(error), problem.residuals_of(found[count:])
 
 
+def differences(problem: Problem, points: Sequence[Floats]) -> Floats:
+    """Differences of other simulations of the robot from its own, without effects.
+
+    Args:
+        points: (n,) unknowns, of which the parameters come first.
+
+    Returns:
+        (F, M) differences [signal's unit]; 0 from where a simulation diverges.
+    """
+    if not problem.variants or not len(points):
+        return np.zeros((0, problem.weight.size))
+    plain = problem.simulated(problem.robot, [(x[: problem.parameters], ()) for x in points])
+    parameters, drives = problem.parameter_values(points), [each.drive for each in problem.recordings]
+    found = [problem.scaled(each(drives, parameters)) for each in problem.variants]
+    return np.nan_to_num(np.concatenate(found) - np.tile(plain, (len(problem.variants), 1)))
+
+
 def _common(problem: Problem, finer: Robot, x: Floats, terms: Sequence[Term]) -> tuple[Floats, list[Term]]:
     """A point without the terms that the finer robot cannot have."""
     kept, parts = [], [x[: problem.parameters]]

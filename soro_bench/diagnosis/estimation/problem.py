@@ -9,6 +9,7 @@ from soro_bench.arrays import Floats
 from soro_bench.diagnosis.candidates import Term, effects_at
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.robots.variants import Variant
 from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.inference.statistical_linearisation import LowRank
 
@@ -31,6 +32,8 @@ class Problem:
     missing samples and outliers, else 1. discretisation: errors of the simulation in units of sigma. noise: of the
     sensor, where the misfit dominates and ``sigma`` is larger (``allowing``); else 0. settings: of the diagnosis.
     others: of each other signal what ``sigma`` is of the first, and what ``noise`` is [its unit].
+    model_form: largest rms [signal's unit] of a model-form error beside the discretisation error (model_form.py).
+    variants: other simulations of the robot, of which nobody knows that they are more accurate.
     """
 
     robot: Robot
@@ -41,6 +44,8 @@ class Problem:
     noise: float = 0.0
     settings: Settings = DEFAULT
     others: tuple[tuple[float, float], ...] = ()
+    model_form: float = 0.0
+    variants: tuple[Variant, ...] = ()
 
     @property
     def sensor(self) -> float:
@@ -87,10 +92,7 @@ class Problem:
 
     def simulated(self, robot: Robot, points: Points) -> Floats:
         """(N, M) samples [first signal's unit] of replays by a robot at N points."""
-        d = self.parameters
-        values = np.array([x[:d] for x, _ in points])
-        columns = [prior.value(values[:, i]) for i, prior in enumerate(self.robot.priors)]
-        parameters = np.stack(columns, axis=1) if columns else values  # all may be known
+        d, parameters = self.parameters, self.parameter_values([x for x, _ in points])
         effects = [effects_at(x[d:], terms) for x, terms in points]
         return self.scaled(robot.simulate_all([each.drive for each in self.recordings], parameters, effects))
 
@@ -103,6 +105,12 @@ class Problem:
     def measured(self) -> Floats:
         """(M,) what was measured [first signal's unit]; NaN where nothing was."""
         return self.scaled([each.columns[None] for each in self.recordings])[0]
+
+    def parameter_values(self, points: Sequence[Floats]) -> Floats:
+        """(N, d) values of the parameters at N points of unknowns."""
+        values = np.array([x[: self.parameters] for x in points])
+        columns = [prior.value(values[:, i]) for i, prior in enumerate(self.robot.priors)]
+        return np.stack(columns, axis=1) if columns else values  # all may be known
 
     def check_finite(self, robot: Robot, simulated: Floats) -> None:
         """Refuse replays (N, M) by a robot that all diverge: their residuals would be taken for physics.

@@ -21,6 +21,7 @@ from soro_bench.effects.equations import EQUATIONS
 NO_BREAK = "\u00a0"  # the space between a number and its unit
 TINY = 1e-3  # a smaller p-value is printed as "p < 0.001"
 LIKELY = 0.05  # probability from which another hypothesis is mentioned
+VISIBLE = 0.3  # noise deviations from which an error of the model's form is told
 CORRECTED = 1.3  # ratio of plain to corrected errors from which the report warns
 FAR = 3.0  # standard deviations of the prior from which a parameter is called far off
 NEAR = 0.9  # of the best location's gain, from which another one explains nearly as much
@@ -50,7 +51,6 @@ SHOWN_LIMITS = 4  # elements of a kind that are named
 _POWERS = {"^2": "²", "^3": "³"}
 _LAWS = re.compile(rf"\b({'|'.join(sorted(EQUATIONS, key=len, reverse=True))})\b")
 ANSWERS = {
-    "adequate": "Adequate: no discrepancy detected",
     "discrepancy": "Not adequate: the simulation lacks physics",
     "outside_catalogue": "Not adequate: a discrepancy outside the catalogue",
     "recordings_disagree": "Not adequate: parameters change from recording to recording",
@@ -203,7 +203,27 @@ def headline(result: Result) -> str:
     """The verdict in one line."""
     if result.verdict == "measurement_fault" and not best_findings(result):
         return "Adequate but for outliers"
+    if result.verdict == "adequate":
+        return f"Adequate within {number(_plain_error(result), result.robot.unit)}: no discrepancy detected"
     return ANSWERS[result.verdict]
+
+
+def _plain_error(result: Result) -> float:
+    """Of a plain replay with fitted parameters, of held-out recordings where there are any."""
+    for each in result.robots:
+        if each.name == "fitted":
+            return each.train if each.heldout is None else each.heldout
+    return (result.heldout or result.train).before  # results before replays were part of them
+
+
+def model_form(result: Result) -> str:
+    """What another simulator of the robot may differ by, where that much is left; else ""."""
+    form, unit = result.model_form, result.robot.unit
+    if form is None or not form.possible or form.left < VISIBLE * result.train.noise:
+        return ""
+    left, largest = number(form.left, unit, 2), number(form.largest, unit, 2)
+    return (f"Beyond noise and discretisation error {left} is left. Another simulator of this robot may differ by "
+            f"{largest}, so a law outside the catalogue of that size would look the same.")  # fmt: skip
 
 
 def where(result: Result) -> str:
@@ -335,6 +355,8 @@ def _of_errors(result: Result) -> list[str]:
 def warnings(result: Result) -> list[str]:
     """What a reader must know before using the numbers."""
     said = _of_errors(result)
+    if form := model_form(result):
+        said.append(form)
     if result.patch.state == "untested" and result.best.effects:
         said.append("No recording was held out: nothing tests the patch on another motion.")
     far = [

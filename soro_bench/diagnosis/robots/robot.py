@@ -15,6 +15,7 @@ from soro_bench.diagnosis.result_parts import SourceFile
 from soro_bench.diagnosis.robots.measured import Measured, ObservedSignal, samples_at
 from soro_bench.diagnosis.robots.priors import Baseline, CannotHave, FixedParameter, Prior
 from soro_bench.diagnosis.robots.replays import Replays
+from soro_bench.diagnosis.robots.variants import Variant
 from soro_bench.diagnosis.settings import DiscretisationSettings
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import EACH, EVERY, Effect, Location
@@ -168,6 +169,10 @@ class Robot(Replays):
         except CannotHave:  # its parts are others; that of shorter time steps has the same
             finer = None
         return [self.shortened(refinement), *([finer] if finer else [])]
+
+    def variants(self) -> tuple[Variant, ...]:
+        """Other simulations of the same robot; nobody knows any of a model of one's own."""
+        return ()
 
     @abstractmethod
     def as_built(self, xml: str | None = None) -> "Robot":

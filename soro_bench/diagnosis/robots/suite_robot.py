@@ -2,16 +2,19 @@
 
 import math
 from collections.abc import Sequence
+from fractions import Fraction
+from functools import partial
 
 import mujoco
 import numpy as np
 
 from soro_bench.arrays import Bools, Floats
-from soro_bench.diagnosis.robots.measured import ObservedSignal
+from soro_bench.diagnosis.robots.measured import Drive, ObservedSignal
 from soro_bench.diagnosis.robots.model_state import as_axes, axes
 from soro_bench.diagnosis.robots.priors import Baseline, Prior
 from soro_bench.diagnosis.robots.replays import SIMULATIONS
 from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.robots.variants import Variant, plain, trunk_chains, with_other_integrator
 from soro_bench.diagnosis.settings import RobotSettings
 from soro_bench.effects.elements import instrument
 from soro_bench.models.simulation import Simulation
@@ -30,6 +33,7 @@ _KINDS = {
     "MultiGait-v0": ("actuator", "flex", "geom", "model"),
 }
 _SETTINGS = RobotSettings()
+_LONGER = Fraction(1, 2)  # of time steps: twice as long
 _NOTHING = Known()
 _BOUND = ("site_xpos", "xpos", "xquat", "actuator_length", "actuator_velocity")  # what the tasks read
 _QUATERNION = "quaternion"  # how the names of the tasks' orientations end
@@ -136,6 +140,20 @@ class SuiteRobot(Robot):
         other = SuiteRobot(self.env_id, accurate, self.threads, 1, self._baseline, self._known, names)
         same = [each.shape for each in other.signals] == [each.shape for each in self.signals]
         return self._alike(other) if same else None
+
+    def variants(self) -> tuple[Variant, ...]:
+        """By another integrator, by the accurate model with longer time steps, and as chains of other links."""
+        found = [plain(with_other_integrator(self.shortened(self.shorter)))]
+        if isinstance(coarse := self.accurate(), SuiteRobot):
+            coarse._task.refine(_LONGER)
+            found.append(plain(coarse))
+        if self.env_id == "TrunkReach-v0" and not self.others:
+            chains = trunk_chains(self._names, self.control_timestep)
+            found += [partial(self._by_chain, each) for each in chains]
+        return tuple(found)
+
+    def _by_chain(self, chain: Variant, drives: Sequence[Drive], parameters: Floats) -> list[Floats]:
+        return chain(drives, self._complete(parameters))
 
     def spec(self) -> mujoco.MjSpec:
         """The model of the task's scene, with what effects need where its model has that: a mesh has no springs."""

@@ -12,7 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from soro_bench.diagnosis.candidates import Term
+from soro_bench.diagnosis.estimation.discretisation import differences
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, fitted_under_discretisation
+from soro_bench.diagnosis.estimation.model_form import UnderModelForm
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.moves import (
@@ -111,6 +113,7 @@ def nominal_fit(
             reach = settings.nominal_reach
             draws = np.clip(guess.x + radii[0] * rng.standard_normal((1, d)), -reach, reach)
         points = [(x, ()) for x in draws]
+        problem = problem.with_discretisation(differences(problem, list(draws[:1])))
         problem, (fit,) = fitted_under_discretisation(problem, refined, points, [guess], radii, SEEDS * seed + k)
         problem, (fit,) = allowing(problem, fit, [fit])
         guess = Guess(fit.x, jacobian=fit.jacobian)
@@ -224,7 +227,7 @@ class _Search:
         if self.rounds and not self.problem.misfit_dominated and self.remaining_gain >= self.worth:
             self.possible = compatible(self.robot, self.best, self.candidates)
             self._screen()  # anew, where the best hypothesis is
-        return self.remaining_gain >= self.worth
+        return self.remaining_gain >= self.worth and self._is_beyond_model_form()
 
     def add_one_term(self) -> None:
         """One round: fit the best candidates, compare them with earlier hypotheses, and screen beside the best."""
@@ -308,6 +311,20 @@ class _Search:
     def _predict_gains(self) -> None:
         self.screened = evidence(self.problem, self.best, self.possible, self.responses)
         self.remaining_gain = singles(self.screened)[0].gain
+
+    def _is_beyond_model_form(self) -> bool:
+        """Whether what the best hypothesis leaves is more than model-form error: it is larger, or one more term is
+        predicted to explain some of it. A round in which no law explained enough was the last one."""
+        problem, settings = self.problem, self.problem.settings.discretisation
+        offered = singles(self.screened)[: self.problem.settings.screening.paired]
+        predicted = [self.screened.predicted_residual(each) for each in offered]
+        form = UnderModelForm.of(problem, [self.best.residual, *predicted])
+        if not form.possible[0]:
+            return True
+        fitted = UnderModelForm.of(problem, [self.nominal.residual, *(h.residual for h in self.tried)])
+        if self.rounds and fitted.possible[0] and not fitted.explain(settings.model_form_left).any():
+            return False
+        return bool(form.explain(settings.model_form_predicted).any())
 
     def _fitted(self, offered: Sequence[ScreenedCandidate]) -> list[Hypothesis]:
         """Hypotheses of the best candidates, the most probable first."""

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import expit
 
 from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.estimation.model_form import UnderModelForm
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.selection.forward_selection import Explanation
 from soro_bench.diagnosis.selection.stopping import evidence_beyond_chance
@@ -72,11 +73,13 @@ class Comparison:
     unknown: probability that none of them is right, as the discrepancy is outside the catalogue.
     p_value: of a healthy robot, for the largest predicted gain and for slow residuals, the smaller one; None where the
         misfit dominates, as nobody has counted false alarms there.
+    model_form: what the nominal robot leaves beside noise and discretisation error, rms [signal's unit].
     """
 
     answers: tuple[Answer, ...]
     unknown: float
     p_value: float | None
+    model_form: float = 0.0
 
     @property
     def likeliest(self) -> float:
@@ -197,10 +200,11 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
     settings = problem.settings
     scores = _evidence(problem, hypotheses)
     # the predicted gain, and where the simulation was too far off for a prediction, what has been gained
-    p = p_value(max(explanation.predicted_gain, *(scores - scores[0])), settings.probabilities)
+    gain = max(explanation.predicted_gain, *(scores - scores[0]))
     train, of_nominal = [problem.left(h.residual) for h in hypotheses], [(problem, hypotheses[0].residual)]
     misfits = [problem.misfit(h.residual) for h in hypotheses]
     tested: list[Fit | None] = [None] * len(hypotheses)
+    form = UnderModelForm.of(problem, [h.residual for h in hypotheses])
     if heldout is not None:
         unfitted, residuals = heldout
         unfitted_misfits = [unfitted.misfit(row) for row in residuals]
@@ -209,13 +213,19 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
         tested = [Fit(rms[0], after, problem.sensor, _own(unfitted, residuals[0], row))
                   for after, row in zip(rms, residuals, strict=True)]  # fmt: skip
         of_nominal.append((unfitted, residuals[0]))
-    # where the misfit is far above the sensor's noise something is missing, whether or not a law explains it
-    p = 0.0 if problem.misfit_dominated else min(p, p_slow(*slow_variance(of_nominal), settings))
+        form = form.beside(UnderModelForm.of(unfitted, residuals))
+    if form.possible[0] and not form.explain(settings.discretisation.model_form_left).any():
+        gain = 0.0
+    p = p_value(gain, settings.probabilities)
+    if not form.possible[0]:
+        # where the misfit is far above the sensor's noise something is missing, whether or not a law explains it
+        p = 0.0 if problem.misfit_dominated else min(p, p_slow(*slow_variance(of_nominal), settings))
     nothing = p / (p + alpha(settings))
     scores = scores - _of_law_errors(problem, hypotheses, misfits)
     probabilities = _probabilities(scores, nothing, temperature(min(misfits), settings.probabilities))
     mistaken = settings.probabilities.wrong_when_certain
-    unknown = (1.0 - nothing) * _probability_of_unknown(problem, hypotheses, explanation.remaining_gain)
+    remaining = 0.0 if form.possible.any() else explanation.remaining_gain
+    unknown = (1.0 - nothing) * _probability_of_unknown(problem, hypotheses, remaining)
     unknown = float(np.clip(unknown, mistaken, 1.0 - mistaken))
     fits = [Fit(train[0], after, problem.sensor, _own(problem, hypotheses[0].residual, h.residual))
             for h, after in zip(hypotheses, train, strict=True)]  # fmt: skip
@@ -223,7 +233,8 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
     answers = [Answer(h, chance, *rest) for h, chance, *rest in rows]
     answers = [replace(a, probability=a.probability * (1.0 - unknown)) for a in answers]
     ranked = tuple(sorted(answers, key=lambda a: -a.probability))
-    return Comparison(ranked, unknown, None if problem.misfit_dominated else p)
+    uncounted = problem.misfit_dominated and not form.possible[0]
+    return Comparison(ranked, unknown, None if uncounted else p, float(form.left[0]) * problem.sensor)
 
 
 def _own(problem: Problem, before: np.ndarray, after: np.ndarray) -> tuple[float, float] | None:
@@ -280,7 +291,7 @@ def _probability_of_unknown(problem: Problem, hypotheses: Sequence[Hypothesis], 
     samples = float(problem.weight.sum())
     larger = [problem.larger_than_sensor(h.residual) for h in hypotheses]
     above_sensor = [0.5 * ((2.0 * misfit + samples) * by - samples) for misfit, by in zip(misfits, larger, strict=True)]
-    healthy = settings.healthy_misfit_per_sample * samples
+    healthy = (settings.healthy_misfit_per_sample + 0.5 * (problem.model_form / problem.sensor) ** 2) * samples
     share = (min(above_sensor) - healthy) / max(above_sensor[0] - healthy, 1.0)
     terms, usual = len(hypotheses[int(np.argmin(misfits))].terms), problem.settings.selection.unchecked_terms
     # several laws describe one outside the catalogue too: the more of them, the less they may leave

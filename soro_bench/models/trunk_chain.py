@@ -1,4 +1,8 @@
-"""The trunk as a chain of any number of links, for healthy robots whose discretisation is not that of the suite."""
+"""The trunk as a chain of any number of links: the same robot in another discretisation.
+
+Nothing is trained or evaluated on it. A diagnosis takes from it how far simulators of one robot are apart, and the
+blind benchmark has healthy robots of it.
+"""
 
 from collections.abc import Mapping
 
@@ -108,11 +112,19 @@ def _add_cables(spec: mujoco.MjSpec, bodies: list[mujoco.MjsBody], starts: np.nd
         actuator.biasprm[:3] = -k_cable * rest, -k_cable, -k_cable * trunk.CABLE_DAMPING_TIME
 
 
+def displacements(actions: np.ndarray, timestep: float, every: int) -> np.ndarray:
+    """(T n, 8) commanded displacements [m] of the cables at the ends of n time steps [s] for each of (T, 8) actions."""
+    pull, found = np.zeros(actions.shape[1]), []
+    for action in np.repeat(actions, every, axis=0):
+        pull = np.clip(pull + geo.CABLE_RATE * timestep * action, -geo.CABLE_LIMITS, geo.CABLE_LIMITS)
+        found.append(pull)
+    return np.array(found)
+
+
 def simulate_chain(links: int, timestep: float, parameters: Mapping[str, float], pulls: np.ndarray) -> np.ndarray:
     """(T + 1, 21, 3) keypoints [m] before the first and after each of T steps that end at displacements (T, 8) [m].
 
-    Raises:
-        ValueError: the simulation diverged.
+    NaN from where the simulation diverges.
     """
     spec = build_chain(links, parameters)
     spec.option.timestep = timestep
@@ -120,10 +132,13 @@ def simulate_chain(links: int, timestep: float, parameters: Mapping[str, float],
     data = mujoco.MjData(model)
     points = [model.site(f"keypoint{i}").id for i in range(len(geo.KEYPOINT_Z))]
     mujoco.mj_forward(model, data)
-    found = [data.site_xpos[points].copy()]
-    for pull in pulls:
+    found = np.full((len(pulls) + 1, len(points), 3), np.nan)
+    found[0] = data.site_xpos[points]
+    for row, pull in zip(found[1:], pulls, strict=True):
         data.ctrl[:] = pull
         mujoco.mj_step(model, data)
+        if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
+            break
         mujoco.mj_kinematics(model, data)
-        found.append(data.site_xpos[points].copy())
-    return np.array(found)
+        row[:] = data.site_xpos[points]
+    return found

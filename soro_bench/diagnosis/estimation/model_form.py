@@ -1,0 +1,122 @@
+"""Model-form error: how far simulators of one robot are apart, beyond the differences that can be computed.
+
+The discretisation error spans the differences between the simulators at hand (discretisation.py). Another simulator
+of the same robot, or the robot, differs from them by more. That error is slow and smooth, and no larger than the
+simulators are apart: a model discrepancy of bounded size (Kennedy, O'Hagan, "Bayesian calibration of computer models",
+2001). White noise of the sensor is in all frequencies and spatial modes of a residual, so what is above the noise in
+some of them is such an error, or physics.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import dct
+from scipy.linalg import orth
+
+from soro_bench.arrays import Bools, Floats
+from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.estimation.problem import Problem
+
+_MODES = 8  # spatial modes that have variances of their own; the rest shares one
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Mean squares of a residual in blocks of frequencies and spatial modes.
+
+    power: (K,) in variances of the sensor's noise. count: (K,) numbers in each block.
+    """
+
+    power: Floats
+    count: Floats
+
+    @property
+    def excess(self) -> float:
+        """Standard deviation above the noise, in its standard deviations."""
+        above = np.maximum(self.power - 1.0, 0.0)
+        return float(np.sqrt(self.count @ above / self.count.sum()))
+
+
+def spectrum(problem: Problem, residual: Floats) -> Spectrum:
+    """The spectrum of a residual (M,), less its discretisation error, of all recordings."""
+    noises = [sigma / sensor for sigma, sensor in zip(problem.sigmas, problem.sensors, strict=True)]
+    left = problem.discretisation.without(residual) * problem.of_samples(problem.of_columns(noises))
+    powers, counts = [], []
+    parts = zip(problem.rows(left), problem.rows(problem.weight), problem.rows(problem.measured), strict=True)
+    for part, weight, measured in parts:
+        waves = dct(part @ _modes(measured), axis=0, norm="ortho") ** 2
+        share = max(float(weight.mean()), 1e-9)  # of the samples; the others are 0
+        for low, high in _octaves(len(part)):
+            for block in (*waves[low:high, :_MODES].T, waves[low:high, _MODES:]):
+                if block.size:
+                    powers.append(float(block.mean()) / share)
+                    counts.append(block.size * share)
+    return Spectrum(np.array(powers), np.array(counts))
+
+
+@dataclass(frozen=True)
+class UnderModelForm:
+    """Hypotheses where the rest may be model-form error, the nominal robot first.
+
+    squares: (H,) of what each leaves above the noise, summed over samples, in variances of the noise. count: number of
+    samples. bound: largest rms of such an error, in standard deviations of the noise.
+    """
+
+    squares: Floats
+    count: float
+    bound: float
+
+    @classmethod
+    def of(cls, problem: Problem, residuals: Iterable[Floats]) -> "UnderModelForm":
+        """Of the residuals (M,) of all hypotheses."""
+        found = [spectrum(problem, residual) for residual in residuals]
+        count = float(found[0].count.sum())
+        return cls(count * np.array([each.excess**2 for each in found]), count, problem.model_form / problem.sensor)
+
+    def beside(self, other: "UnderModelForm") -> "UnderModelForm":
+        """Of both recordings, under the same bound."""
+        return UnderModelForm(self.squares + other.squares, self.count + other.count, self.bound)
+
+    @property
+    def left(self) -> Floats:
+        """(H,) rms of what each leaves above the noise, in standard deviations of the noise."""
+        return np.sqrt(self.squares / max(self.count, 1.0))
+
+    @property
+    def possible(self) -> Bools:
+        """(H,) whether that may be model-form error."""
+        return self.left <= self.bound
+
+    def explain(self, share: float) -> Bools:
+        """(H,) whether each leaves at most a share of the rms that the nominal robot leaves."""
+        return self.squares <= share**2 * self.squares[0]
+
+
+def largest_model_form_error(problem: Problem, nominal: Hypothesis) -> float:
+    """How large a model-form error may be, rms [signal's unit]: a share of how far the simulators at hand are apart.
+
+    Args:
+        problem: with the discretisation errors of the nominal robot.
+        nominal: its fit. What parameters can change is no difference between simulators.
+    """
+    basis, jacobian = problem.discretisation.basis, nominal.jacobian
+    slopes = orth(jacobian.T)
+    apart = basis - (basis @ slopes) @ slopes.T
+    size = np.sqrt((apart**2).sum() / max(len(basis), 1) / max(problem.weight.sum(), 1.0))
+    return problem.settings.discretisation.model_form_share * problem.sigma * float(size)
+
+
+def _modes(measured: Floats) -> Floats:
+    """(C, C) orthonormal directions of the numbers of a sample (T, C), those that move most first."""
+    seen = np.isfinite(measured)
+    mean = np.where(seen, measured, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+    return np.asarray(np.linalg.svd(np.where(seen, measured - mean, 0.0), full_matrices=True)[2].T, float)
+
+
+def _octaves(count: int) -> Iterator[tuple[int, int]]:
+    """First and last index, exclusive, of the octaves of so many frequencies."""
+    low, high = 0, 1
+    while low < count:
+        yield low, min(high, count)
+        low, high = high, 2 * high
