@@ -5,7 +5,7 @@
 The robots are the arm of the tests, the servo of the real studies, the trunk, and six public models, which lie in the
 FOLDER of --models (see model_zoo.py). Each has other parameters than its model, within their priors, and a shorter time
 step; nothing is hidden in it. Writes one JSON file per case into the folder, and goes on where it was stopped. Prints a
-table; with all robots it writes docs/results/degraded_sensors.json.
+table; with all robots it writes docs/results/measured.json.
 """
 
 import argparse
@@ -30,7 +30,7 @@ from soro_bench.recording.recording import Recording, RecordingError, Signal
 from tests.arm import ARM, MAP, TRUTH
 
 ROOT = Path(__file__).parents[1]
-RESULTS = ROOT / "docs" / "results" / "degraded_sensors.json"
+RESULTS = ROOT / "docs" / "results" / "measured.json"
 NOISE = 5e-4  # of the widest motion of a coordinate
 DURATION = 6.0  # s, of recordings
 TRUNK_STEPS = 80  # control steps
@@ -377,7 +377,7 @@ def main() -> None:
                       f"{one['seconds']} s", flush=True)  # fmt: skip
     print(summary(found))
     if not options.robots:
-        write_json(RESULTS, found)
+        write_json(RESULTS, read_json(RESULTS) | {"degraded_sensors": found})
 
 
 def summary(found: list[dict]) -> str:

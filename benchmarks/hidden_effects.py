@@ -5,7 +5,7 @@
 Twelve fixed models of model_zoo.py are small, have no free body and move smoothly under their commands. Each robot has
 other masses and damping than its model, within their priors, and one hidden effect. It is simulated by MuJoCo alone
 with a quarter of the time step; the laws are coded here, apart from those of the catalogue. One JSON file for each
-case; the same command goes on with what is missing. Prints a table and writes docs/results/hidden_effects.json.
+case; the same command goes on with what is missing. Prints a table and writes docs/results/measured.json.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from soro_bench.files import read_json, write_json
 from soro_bench.markdown import table
 from soro_bench.recording.recording import Recording, Signal
 
-RESULTS = Path(__file__).parents[1] / "docs" / "results" / "hidden_effects.json"
+RESULTS = Path(__file__).parents[1] / "docs" / "results" / "measured.json"
 DURATION, CONTROL, FINER = 20.0, 0.02, 4  # s, s, time steps for one of the model
 BITS = 4096  # values of a sensor over a turn, or over the range of a slide
 DEVIATION = 0.2  # of the priors of masses and damping, logarithmic
@@ -234,7 +234,7 @@ def main() -> None:
         if not path.exists() and case.effect in options.only:
             write_json(path, examined(case, models[case.model].path, options.out, options.seed))
         found += [read_json(path)] if path.exists() else []
-    write_json(RESULTS, found)
+    write_json(RESULTS, read_json(RESULTS) | {"hidden_effects": found})
     print(summary(found))
 
 

@@ -5,7 +5,7 @@
 Simulated changes of a servo (an arm of one hinge, simulated with half the time step) and of the trunk (recorded on the
 accurate model, explained by the lumped one), and the recordings of the ASL trunk without and with a weight. Every case
 is a file of --work, and the same command goes on with what is missing. Prints a table and writes
-docs/results/paired_changes.json. A case is right if the first change that is named is of the right kind and its size
+docs/results/measured.json. A case is right if the first change that is named is of the right kind and its size
 within 20 % (25 % for the weight).
 """
 
@@ -32,7 +32,7 @@ from soro_bench.recording.recording import Recording, Signal
 from soro_bench.recording.simulated import record
 from tests.arm import ARM, MAP
 
-RESULTS = Path(__file__).parents[1] / "docs/results/paired_changes.json"
+RESULTS = Path(__file__).parents[1] / "docs/results/measured.json"
 ENV = "TrunkReach-v0"
 SERVO = {"inertia": 1.2, "damping": 0.8, "zero": 0.01}
 TRUNK = {"trunk_mass": 0.46, "young_modulus": 4.1e6, "damping": 0.12}
@@ -194,7 +194,7 @@ def main() -> None:
             write_json(path, summary(case, found, time.process_time() - start))
         print(path, flush=True)
     found_of = [read_json(path) for path in sorted(arguments.work.glob("*.json"))]
-    write_json(RESULTS, found_of)
+    write_json(RESULTS, read_json(RESULTS) | {"paired_changes": found_of})
     head = ("robot", "change", "true", "found [90 %]", "term", "probability", "right")
     print(table(head, [_row(each) for each in found_of]))
 

@@ -5,7 +5,7 @@
 Each model (model_zoo.py has the list) is patched as it is, and with every mass, all damping and all gains changed by
 random factors. Its MJCF is then replayed beside the simulation with those factors under random commands: for 2 s, or
 0.2 s where a change by 1e-10 grows beyond 1e-6. Prints a table, and every model that is not alike with the reason;
-writes docs/results/public_models.json.
+writes docs/results/measured.json.
 """
 
 import argparse
@@ -25,7 +25,7 @@ from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.files import read_json, write_json
 from soro_bench.markdown import table
 
-RESULTS = Path(__file__).parents[1] / "docs" / "results" / "public_models.json"
+RESULTS = Path(__file__).parents[1] / "docs" / "results" / "measured.json"
 CASES = ("nominal", "changed")
 CONTROL = 0.02  # s, how long a command is held, about
 _FACTORS = 0.5, 2.0  # of masses, damping and gains
@@ -118,7 +118,7 @@ def main() -> None:
         if not path.exists():
             write_json(path, case(model, options.out, options.seed))
         found.append(read_json(path))
-    write_json(RESULTS, found)
+    write_json(RESULTS, read_json(RESULTS) | {"public_models": found})
     print(summary(found))
 
 

@@ -1,6 +1,6 @@
 """Independent jobs: in this process, in several on this machine (joblib), or on a Dask cluster.
 
-docs/how_to/use_a_cluster.md.
+docs/how_to/train_many_policies.md.
 """
 
 import os

@@ -1,10 +1,20 @@
-"""Results of diagnoses, written down without any simulation: a trunk and an arm, with all four verdicts."""
+"""Results of diagnoses, written down without any simulation: a trunk and an arm, with all four verdicts.
 
+A small board with a small policy, and entries of it.
+"""
+
+import hashlib
+import json
 import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
+from soro_bench.blind_benchmark.score import CRITERIA
 from soro_bench.diagnosis.result import LawCurve, Replay, Result, Shape
 from soro_bench.diagnosis.result_parts import (
     Detectable,
@@ -27,10 +37,20 @@ from soro_bench.diagnosis.result_parts import (
     UnknownInput,
 )
 from soro_bench.effects.effect import Location
+from soro_bench.files import write_json
+from soro_bench.leaderboard.boards import BOARDS, Condition
+from soro_bench.leaderboard.entry import evaluated, write_entry
+from soro_bench.policies.policy import Policy, PolicyCard
 
 CABLES = tuple(Location("tendon", f"L{i}") for i in range(4))
+
+
 HINGE, ARM, MOTOR = Location("joint", "hinge"), Location("body", "arm"), Location("actuator", "motor")
+
+
 _TRUNK = RobotSummary("TrunkReach-v0", "cable", "keypoints", "m", ("cable L0", "cable L1", "cable L2", "cable L3"))
+
+
 _ARM = RobotSummary("arm", "arm", "angle", "rad", ("actuator motor",))
 
 
@@ -292,3 +312,60 @@ RESULTS = {
     "adequate": adequate,
     "outliers only": outliers_only,
 }
+
+
+BOARD = "TrunkReach-v0"
+
+
+CARD = PolicyCard(BOARD, "cable", "continuous", "oracle", 0, 1000)
+
+
+OBSERVED, PULLED = 66, 8
+
+
+def shrink_board(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two starts of five steps, on the cheap model."""
+    whole = BOARDS[BOARD]
+    conditions = {"cable": Condition("cable", whole.conditions["cable"].starts[:2])}
+    monkeypatch.setitem(BOARDS, BOARD, replace(whole, conditions=conditions, episode_steps=5))
+
+
+def policy(seed: int = 0, **card: Any) -> Policy:
+    """One random layer."""
+    rng = np.random.default_rng(seed)
+    tensors: dict[str, np.ndarray] = {"mean": np.zeros(OBSERVED), "std": np.ones(OBSERVED)}
+    tensors |= {"w0": rng.normal(size=(PULLED, OBSERVED)), "b0": np.zeros(PULLED)}
+    return Policy(replace(CARD, seed=seed, **card), tensors)
+
+
+def scores(*final_mm: float) -> dict:
+    """The scores of episodes that end with these metrics [mm], on the cheap model."""
+    return {"cable": {"final_mm": list(final_mm), "return": [0.0] * len(final_mm), "success": [False] * len(final_mm),
+                      "diverged": 0}}  # fmt: skip
+
+
+def true_entry(results: Path, entry: str = "ours", given: Policy | None = None) -> Path:
+    """An entry with what its policy does."""
+    given = given or policy()
+    return write_entry(results, BOARD, entry, given, evaluated(BOARDS[BOARD], given, num_threads=1))
+
+
+def edit(path: Path, change: Callable[[dict], object]) -> None:
+    """Change the content of an entry."""
+    entry = json.loads(path.read_text())
+    change(entry)
+    write_json(path, entry)
+
+
+def put_policy(path: Path, name: str, data: bytes) -> None:
+    """Another policy file for an entry, with its hash."""
+    (path.parent / name).write_bytes(data)
+    edit(path, lambda entry: entry.update(policy={"file": name, "sha256": hashlib.sha256(data).hexdigest()}))
+
+
+def gates(false_alarms: float) -> list[dict]:
+    """Those of a diagnosis of which only the first has cases."""
+    empty = {"cases": 0, "value": None, "interval": None, "met": None}
+    found: list[dict] = [{"gate": name, "bar": bar, "below": below, **empty} for name, _, _, bar, below in CRITERIA]
+    found[0] |= {"cases": 20, "value": false_alarms, "interval": [0.0, 0.1], "met": false_alarms <= found[0]["bar"]}
+    return found

@@ -9,7 +9,7 @@ import pytest
 from soro_bench.envs.wrappers import DomainRandomization
 from soro_bench.randomization import Gaussian, TruncatedNormal, Uniform, from_dict, load
 from soro_bench.registration import make_task
-from tests.recordings import says
+from tests.arm import says
 
 
 @pytest.mark.parametrize(

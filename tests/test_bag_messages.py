@@ -27,7 +27,7 @@ from soro_bench.recording.importers import guess_mapping, import_recording
 from soro_bench.recording.importers.bags.fields import Run, Slot
 from soro_bench.recording.importers.bags.layout import Walk, types_of
 from soro_bench.recording.recording import RecordingError
-from tests.recordings import says
+from tests.arm import says
 
 NOTES = "import_notes"
 

@@ -32,8 +32,8 @@ from soro_bench.parallel import HERE, Workers, each, processors
 from soro_bench.recording.simulated import record
 from soro_bench.registration import ENV_IDS, task_type
 from soro_bench.training.ppo import TRAINER
-from tests.entries import policy
 from tests.jobs import counted, die, squared, trained
+from tests.results import policy
 
 
 def test_list_shows_every_environment(call):

@@ -23,7 +23,7 @@ from soro_bench.models.trunk_chain import simulate_chain
 from soro_bench.recording.importers import guess_mapping, import_recording
 from soro_bench.recording.importers.guess_table import split_unit, toml
 from soro_bench.recording.recording import Recording, RecordingError
-from tests.recordings import says
+from tests.arm import says
 
 T = np.arange(50) / 100
 

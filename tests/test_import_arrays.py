@@ -16,7 +16,7 @@ from scipy.io.matlab import MatlabObject
 from benchmarks.fuzz_recordings import write_v73
 from soro_bench.recording.importers import guess_mapping, import_recording
 from soro_bench.recording.recording import RecordingError
-from tests.recordings import says
+from tests.arm import says
 
 RNG = np.random.default_rng(0)
 T = 6

@@ -31,7 +31,7 @@ from benchmarks.write_bags import (
 )  # fmt: skip
 from soro_bench.recording.importers import guess_mapping, import_recording
 from soro_bench.recording.recording import RecordingError
-from tests.recordings import says
+from tests.arm import says
 
 NOTES = "import_notes"
 LINE = "=" * 80 + "\n"

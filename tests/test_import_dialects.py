@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("pyarrow")
 from soro_bench.recording.importers import import_recording
 from soro_bench.recording.recording import NOTES, Recording, RecordingError
-from tests.recordings import says
+from tests.arm import says
 
 CLOCK = '[time]\ncolumn = "t"\n'
 X = '[signals.x]\ncolumns = ["x"]\nunit = "mm"\n'

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from benchmarks.fuzz_recordings import write_lerobot
 from soro_bench.recording.importers import guess_mapping, import_recording
 from soro_bench.recording.recording import RecordingError
-from tests.recordings import says
+from tests.arm import says
 
 
 def test_lerobot(tmp_path):

@@ -19,7 +19,7 @@ from soro_bench.cli import main
 from soro_bench.recording.importers import import_recording
 from soro_bench.recording.parquet import load
 from soro_bench.recording.recording import NOTES, Recording, RecordingError
-from tests.recordings import says
+from tests.arm import says
 
 
 def test_what_cannot_be_imported(tmp_path):

@@ -12,7 +12,7 @@ import c3d
 from benchmarks.fuzz_recordings import write_c3d
 from soro_bench.recording.importers import guess_mapping, import_recording
 from soro_bench.recording.recording import RecordingError
-from tests.recordings import says
+from tests.arm import says
 
 TRC = """PathFileType\t4\t(X/Y/Z)\ttrial.trc
 DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames

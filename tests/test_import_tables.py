@@ -10,7 +10,7 @@ from benchmarks.fuzz_recordings import write_npz
 from soro_bench.recording.importers import import_recording
 from soro_bench.recording.importers.units import UNITS, si
 from soro_bench.recording.recording import RecordingError
-from tests.recordings import says
+from tests.arm import says
 
 TABLE = """Motion capture, take 7
 exported 2026-03-01

@@ -35,7 +35,7 @@ from soro_bench.leaderboard.verify import verify_control
 from soro_bench.options import FOLDER, MAX_SEED
 from soro_bench.policies.policy import Policy
 from soro_bench.recording.simulated import record
-from tests.entries import BOARD, CARD, edit, policy, put_policy, scores, shrink_board, true_entry
+from tests.results import BOARD, CARD, edit, policy, put_policy, scores, shrink_board, true_entry
 from tests.test_bad_input import says
 
 

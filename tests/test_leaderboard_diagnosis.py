@@ -16,7 +16,7 @@ from soro_bench.leaderboard import diagnosis_entry
 from soro_bench.leaderboard.diagnosis_entry import Release
 from soro_bench.leaderboard.verify import verify_diagnosis, verify_release
 from soro_bench.packed import archive_of, folder_of, is_there, names, pack, read
-from tests.entries import edit
+from tests.results import edit
 from tests.test_bad_input import says
 from tests.test_blind_benchmark_score import label, report
 

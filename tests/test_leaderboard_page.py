@@ -23,7 +23,7 @@ from soro_bench.leaderboard.page import build
 from soro_bench.leaderboard.plots import plot_curves
 from soro_bench.leaderboard.statistics import interquartile_mean, interval, probability_of_improvement
 from soro_bench.leaderboard.verify import verify_control
-from tests.entries import BOARD, edit, gates, policy, put_policy, scores, shrink_board, true_entry
+from tests.results import BOARD, edit, gates, policy, put_policy, scores, shrink_board, true_entry
 from tests.test_bad_input import says
 
 SCRIPT = "<script>document.title = 'taken'</script><img src=x onerror=alert(1)>"

@@ -1,5 +1,9 @@
-"""Several effects at once, and a law at every joint with a magnitude each, on an arm of three joints."""
+"""Several effects at once, and a law at every joint with a magnitude each, on an arm of three joints.
 
+What a model has too much of is taken away, as what it lacks is added: known answers, and the search for them.
+"""
+
+import mujoco
 import numpy as np
 import pytest
 
@@ -12,11 +16,17 @@ from soro_bench.diagnosis.selection.forward_selection import Explanation, explai
 from soro_bench.diagnosis.selection.screening import evidence, responses
 from soro_bench.diagnosis.selection.stopping import falls_beyond_chance, simplest
 from soro_bench.diagnosis.spread_terms import alike, spread
-from soro_bench.effects.catalogue import ALL
-from soro_bench.effects.effect import EACH, Effect, EffectError, Location, load_effects, save_effects
+from soro_bench.effects.catalogue import ALL, QUANTITIES
+from soro_bench.effects.effect import EACH, EVERY, Effect, EffectError, Location, load_effects, save_effects
+from soro_bench.effects.elements import instrument
+from soro_bench.models.simulation import Simulation
+from soro_bench.parameters import ParameterSet
 from soro_bench.recording.recording import Recording, Signal
+from tests.arm import ARM, MAP, problem
 
 JOINTS, SIGMA = 3, 5e-4
+
+
 NAMES = [f"j{i}" for i in range(JOINTS)]
 
 
@@ -30,10 +40,12 @@ def _listed(*names: str) -> str:
     return "[" + ", ".join(f'"{name}"' for name in names) + "]"
 
 
-ARM = f"""<mujoco><option timestep="0.005" integrator="implicitfast"/><worldbody>{_link(0)}</worldbody><actuator>
+THREE = f"""<mujoco><option timestep="0.005" integrator="implicitfast"/><worldbody>{_link(0)}</worldbody><actuator>
 {"".join(f'<position name="m{i}" joint="j{i}" kp="{8 - 2 * i}" kv="0.2" forcerange="-3 3"/>' for i in range(JOINTS))}
 </actuator></mujoco>"""
-MAP = f"""[robot]
+
+
+OF_THREE = f"""[robot]
 control_timestep = 0.02
 [commands.goal]
 actuators = {_listed(*(f"m{i}" for i in range(JOINTS)))}
@@ -47,11 +59,17 @@ joints = {_listed(*NAMES)}
 fields = {_listed(*(f"body_{what}:link{i}" for i in range(JOINTS) for what in ("mass", "inertia")))}
 deviation = 0.2
 """
+
+
 FRICTION = (0.12, 0.07, 0.045)  # N m
+
+
 EVERYWHERE = [
     Effect("coulomb_friction", Location("joint", name), {"friction": friction, "presliding": 5e-4})
     for name, friction in zip(NAMES, FRICTION, strict=True)
 ]
+
+
 FOUR = [
     Effect("coulomb_friction", Location("joint", "j0"), {"friction": 0.1, "presliding": 5e-4}),
     Effect("actuator_gain", Location("actuator", "m1"), {"gain": 0.85}),
@@ -64,12 +82,12 @@ FOUR = [
 def robot(tmp_path_factory):
     folder = tmp_path_factory.mktemp("arm")
     model, mapping = folder / "arm.xml", folder / "map.toml"
-    model.write_text(ARM)
-    mapping.write_text(MAP)
+    model.write_text(THREE)
+    mapping.write_text(OF_THREE)
     return ModelRobot(model, mapping, threads=1, shorter=2)
 
 
-def problem(robot, hidden, seed=0, goals=5, inertia=1.1):
+def hiding(robot, hidden, seed=0, goals=5, inertia=1.1):
     """A recording of the arm with hidden effects and with other inertia, to be explained."""
     rng = np.random.default_rng(seed)
     commands = np.repeat(rng.uniform(-0.6, 0.6, (goals, JOINTS)), 15, axis=0)
@@ -84,9 +102,9 @@ def problem(robot, hidden, seed=0, goals=5, inertia=1.1):
 
 def search(robot, hidden, names, goals=5) -> Explanation:
     """What is found among the laws with some names, with another motion held out."""
-    given, nominal = nominal_fit(problem(robot, hidden, goals=goals), (), 0)
+    given, nominal = nominal_fit(hiding(robot, hidden, goals=goals), (), 0)
     candidates = [each for each in terms(robot) if each.name in names and not each.removable]
-    return explained(given, nominal, robot, (), candidates, 0, heldout=problem(robot, hidden, 1, goals))
+    return explained(given, nominal, robot, (), candidates, 0, heldout=hiding(robot, hidden, 1, goals))
 
 
 def test_friction_at_every_joint_is_one_term_with_a_magnitude_each(robot):
@@ -150,7 +168,7 @@ def test_a_law_at_each_element_is_reported_with_a_magnitude_of_each(robot):
 
 def test_a_law_at_each_element_is_screened_from_the_responses_of_its_elements(robot):
     """As well as all of them as terms of their own, but for their priors."""
-    given, nominal = nominal_fit(problem(robot, EVERYWHERE), (), 0)
+    given, nominal = nominal_fit(hiding(robot, EVERYWHERE), (), 0)
     members = _friction(robot)
     screened = evidence(given, nominal, members, responses(given, nominal, members, robot))
     together, each = screened.screened_candidate(range(JOINTS)), screened.at_each(spread(members))
@@ -178,7 +196,7 @@ def with_effects(given, *found: tuple[Term, Effect]) -> Hypothesis:
 
 
 def test_a_term_has_to_lower_the_error_of_another_motion_beyond_chance_or_goes(robot):
-    given, heldout = (problem(robot, FOUR[:1], seed, 8, 1.0) for seed in (0, 1))
+    given, heldout = (hiding(robot, FOUR[:1], seed, 8, 1.0) for seed in (0, 1))
     acts, idle = _friction(robot)[0], _friction(robot)[1]
     nothing = Effect(idle.name, idle.location, {"friction": 1e-9, "presliding": 5e-4})
     none, one = with_effects(given), with_effects(given, (acts, FOUR[0]))
@@ -188,3 +206,139 @@ def test_a_term_has_to_lower_the_error_of_another_motion_beyond_chance_or_goes(r
     assert simplest(given, heldout, [two, one]) is one
     assert simplest(given, None, [two, one]) is one
     assert simplest(given, heldout, [one, none]) is None
+
+
+MOTOR, HINGE = Location("actuator", "motor"), Location("joint", "hinge")
+
+
+SERVO = ARM.replace("<position", "<general").replace(
+    'kp="2" kv="0.05"', 'gainprm="2" biastype="affine" biasprm="0 -2 -0.05"'
+)
+
+
+STIFF = ARM.replace('kp="2" kv="0.05"', 'kp="4" kv="0.1"')
+
+
+LIMITED = ARM.replace('"-1 1"', '"-0.25 0.25"')
+
+
+LATE = ARM.replace("forcerange", 'nsample="10" interp="linear" delay="0.04" forcerange')
+
+
+SLOW = SERVO.replace("forcerange", 'dyntype="filterexact" actearly="true" dynprm="0.04" forcerange')
+
+
+STICKY = ARM.replace('damping="0.02"', 'damping="0.02" frictionloss="0.06"')
+
+
+TAKEN = {  # an effect on a model, and the same model with other numbers
+    "limit": (LIMITED, Effect("actuator_saturation", MOTOR, {"loss": -1.0}), LIMITED.replace("0.25", "0.5")),
+    "part of a delay": (LATE, Effect("actuator_delay", MOTOR, {"delay": -0.03}), LATE.replace("0.04", "0.01")),
+    "delay": (LATE, Effect("actuator_delay", MOTOR, {"delay": -0.04}), ARM),
+    "part of a filter": (SLOW, Effect("actuator_lag", MOTOR, {"time_constant": -0.03}), SLOW.replace("0.04", "0.01")),
+    "filter": (SLOW, Effect("actuator_lag", MOTOR, {"time_constant": -0.04}), SERVO),
+    "dry friction": (STICKY, Effect("coulomb_friction", HINGE, {"friction": -0.02}), STICKY.replace("0.06", "0.04")),
+    "damping": (ARM, Effect("viscous_friction", HINGE, {"damping": -0.015}), ARM.replace("0.02", "0.005")),
+    "all damping": (ARM, Effect("viscous_friction", HINGE, {"damping": -1.0}), ARM.replace("0.02", "0")),
+    "softness": (ARM, Effect("compliance", MOTOR, {"compliance": -0.25}), STIFF),
+}  # fmt: skip
+
+
+def moved(xml, effects):
+    """(300,) rad, the hinge under a changing goal."""
+    sim = Simulation(instrument(mujoco.MjSpec.from_string(xml)).compile(), ParameterSet(), (), 1, 1, effects)
+    sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    sim.begin(np.arange(1))
+    angles = []
+    for step in range(300):
+        sim.batch.ctrl[:] = 0.6 * np.sin(0.05 * step) + 0.3 * (step > 150)
+        sim.step(np.arange(1), 1)
+        angles.append(sim.batch.qpos[0, 0])
+    return np.array(angles)
+
+
+@pytest.mark.parametrize("case", TAKEN)
+def test_what_is_taken_away_leaves_a_model_with_less(case):
+    model, effect, other = TAKEN[case]
+    found, expected = moved(model, [effect]), moved(other, [])
+    assert found == pytest.approx(expected, abs=1e-12)
+    assert np.abs(found - moved(model, [])).max() > 1e-3
+
+
+def test_nothing_is_taken_from_a_model_that_has_nothing():
+    with pytest.raises(EffectError, match=r"delay of actuator_delay is -0.01.*nothing to take it from.*0 or more"):
+        moved(ARM, [Effect("actuator_delay", MOTOR, {"delay": -0.01})])
+
+
+TWO = LATE.replace(
+    "</worldbody>", '<body pos="0 1 0"><joint name="other"/><geom size="0.1"/></body></worldbody>'
+).replace("</actuator>", '<motor name="free" joint="other"/></actuator>')
+
+
+BOTH = ("actuator_gain", "pretension", "local_stiffness")
+
+
+@pytest.fixture
+def paths(tmp_path):
+    def written(xml):
+        folder = tmp_path / str(len(list(tmp_path.iterdir())))
+        folder.mkdir()
+        model, mapping = folder / "arm.xml", folder / "map.toml"
+        model.write_text(xml)
+        mapping.write_text(MAP)
+        return model, mapping
+
+    return written
+
+
+def test_there_are_candidates_of_both_signs(paths):
+    """Gains, offsets and stiffness have them in one term; what the model has of a law is taken away by another one."""
+    found = terms(ModelRobot(*paths(TWO), threads=1))
+    taken = {(each.name, str(each.location)) for each in found if each.removable}
+    expected = [("actuator_delay", MOTOR), ("actuator_saturation", MOTOR), ("compliance", MOTOR)]
+    assert taken == {(name, str(location)) for name, location in [*expected, ("viscous_friction", HINGE)]}
+    for each in found:
+        low, high = each.bounds
+        assert (low[0] < 0 < high[0]) == (each.name in BOTH or (not QUANTITIES[each.name][0].takes and low[0] < 0))
+        assert (low <= each.simulated).all() and (each.simulated <= high).all()
+    assert set(BOTH) <= {each.name for each in found}
+
+
+def test_what_all_locations_have_is_taken_away_at_all_of_them_too(paths):
+    several = LIMITED.replace("</actuator>", '<motor name="second" joint="hinge" forcerange="-2 2"/></actuator>')
+    found = terms(ModelRobot(*paths(several), threads=1))
+    taken = [each.location for each in found if each.name == "actuator_saturation" and each.removable]
+    assert taken == [Location("actuator", EVERY), MOTOR, Location("actuator", "second")]
+
+
+def test_the_delay_of_a_model_is_as_long_with_shorter_time_steps(paths):
+    """MuJoCo remembers a number of samples, and each is shorter then."""
+    late, plain = paths(LATE), paths(ARM)
+    goals = np.repeat([[0.0], [0.5]], 20, axis=0)
+
+    def angles(robot):
+        return robot.simulate(goals, np.array([[1.0, 1.0, 0.0]]), [()], np.zeros((1, 1)))[0].ravel()
+
+    for shorter in (1, 4):
+        found, undelayed = (angles(ModelRobot(*each, threads=1, shorter=shorter)) for each in (late, plain))
+        assert found[22:] == pytest.approx(undelayed[20:-2], abs=1e-3)  # 0.04 s are two control steps
+
+
+@pytest.mark.parametrize(
+    ("model", "real", "name", "location", "value"),
+    [
+        (LIMITED, ARM, "actuator_saturation", MOTOR, -3.0),
+        (LATE, ARM, "actuator_delay", MOTOR, -0.04),
+        (STICKY, ARM, "coulomb_friction", HINGE, -0.06),
+    ],
+    ids=["limit", "delay", "friction"],
+)
+def test_what_a_model_has_too_much_of_is_found_with_its_size(paths, model, real, name, location, value):
+    given = problem(paths(model), real=paths(real), steps=75)
+    given, nominal = nominal_fit(given, (), 0)
+    candidates = [each for each in terms(given.robot) if QUANTITIES[each.name][0].takes or each.name in BOTH]
+    found = explained(given, nominal, given.robot, (), candidates, 0)
+    (term,) = found.found[0].terms
+    (effect,) = found.found[0].effects(given.parameters)
+    assert (term.name, term.location) == (name, location)
+    assert effect.parameters[QUANTITIES[name][0].name] == pytest.approx(value, rel=0.1)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from soro_bench.recording.recording import SCHEMA, Recording, RecordingError, Signal, resampled
-from tests.recordings import assert_same, example, says
+from tests.arm import assert_same, example, says
 
 pa = pytest.importorskip("pyarrow")
 pq = pytest.importorskip("pyarrow.parquet")
@@ -256,7 +256,7 @@ WRITER = """
 import signal, sys, time
 import pyarrow.parquet as pq
 from soro_bench.recording.parquet import save
-from tests.recordings import example
+from tests.arm import example
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # which who starts the tests may have ignored
 

@@ -15,7 +15,7 @@ from soro_bench.recording.excitation import excitation, shortest, write_actions
 from soro_bench.recording.recording import Signal
 from soro_bench.recording.simulated import parse_params, record, recorded_actions, replay, replay_begins
 from soro_bench.registration import ENV_IDS, make_task, task_type
-from tests.recordings import assert_same, says
+from tests.arm import assert_same, says
 
 pytest.importorskip("pyarrow.parquet")
 from soro_bench.recording.parquet import load, save

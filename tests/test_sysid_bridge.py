@@ -77,7 +77,7 @@ def sequences(friction=0.0, seed=0, steps=1200, interval=1, xml=ARM):
     )  # fmt: skip
 
 
-PAGE = Path(__file__).parents[1] / "docs" / "how_to" / "use_mujoco_sysid.md"
+PAGE = Path(__file__).parents[1] / "docs" / "how_to" / "use_your_own_robot.md"
 
 
 @pytest.mark.skipif(not PAGE.exists(), reason="needs a checkout")

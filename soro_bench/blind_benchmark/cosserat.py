@@ -49,7 +49,7 @@ class ArmLaw:
 
 
 class _Simulation(elastica.BaseSystemCollection, elastica.Constraints, elastica.Forcing, elastica.Damping):
-    """One rod, what holds it and what acts on it."""
+    """One rod, its clamp and its forces."""
 
 
 class Arm:

@@ -112,7 +112,7 @@ class Import:
 
 @dataclass
 class Data:
-    """Get published recordings of real robots, and check them; docs/how_to/get_real_recordings.md."""
+    """Get published recordings of real robots, and check them; docs/how_to/import_a_log.md."""
 
     robots: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
     """Which; without any, all are listed, and what of them is there."""

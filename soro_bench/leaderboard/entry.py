@@ -5,6 +5,7 @@ seed<k>.safetensors or seed<k>.onnx beside it. The files of all seeds may be in 
 (:mod:`soro_bench.packed`); their paths stay the same.
 """
 
+import csv
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from soro_bench import packed
+from soro_bench.arrays import Floats
 from soro_bench.envs.task import Task
 from soro_bench.files import check_folder, replacing, write_json
 from soro_bench.leaderboard.boards import BOARDS, Board
@@ -22,8 +24,7 @@ from soro_bench.leaderboard.strict import check, read_strict
 from soro_bench.policies.onnx_policy import OnnxPolicy
 from soro_bench.policies.policy import MAX_BYTES, Policy, PolicyCard, TrainedPolicy
 from soro_bench.registration import make_task, task_type
-from soro_bench.sources import versions
-from soro_bench.training.curve import read_curve
+from soro_bench.sources import metric_key, versions
 
 FORMAT, SCHEMA = "soro_bench/control/1", "control_entry.schema.json"
 CURVE_POINTS = 50
@@ -211,3 +212,26 @@ def thinned_curve(path: str | Path, metric: str) -> dict[str, list[float]]:
     steps, final = read_curve(path, metric, CURVE_POINTS)
     final = np.clip(final, -FARTHEST, FARTHEST)  # an episode that diverged may have ended anywhere
     return {"steps": [round(float(s)) for s in steps], "final_mm": [round(float(value), 3) for value in final]}
+
+
+def read_curve(path: str | Path, metric: str, parts: int) -> tuple[Floats, Floats]:
+    """Steps and mean final metric [mm] of the episodes in each of so many equal parts of a training.
+
+    A part mixes whole updates: the episodes that end early in an update are the successful ones.
+
+    Raises:
+        ValueError: the file is no such table.
+    """
+    names = ("steps", "episodes", metric_key(metric))
+    try:
+        with Path(path).open() as file:
+            rows = [tuple(float(row[name]) for name in names) for row in csv.DictReader(file)]
+        steps, episodes, value = np.array(rows).T
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
+        raise ValueError(f"{path} is no table of {', '.join(names)} ({type(error).__name__}: {error})") from error
+    if not ((steps > 0) & (episodes > 0)).all() or not np.isfinite(rows).all():
+        raise ValueError(f"{path} has steps or episodes that are not positive, or other numbers that are not finite")
+    part = np.minimum((parts * steps / steps[-1]).astype(int), parts - 1)
+    present = np.unique(part)
+    means = [np.average(value[part == k], weights=episodes[part == k]) for k in present]
+    return (present + 0.5) / parts * steps[-1], np.array(means)
