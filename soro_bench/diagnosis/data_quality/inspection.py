@@ -295,13 +295,17 @@ class _Inspection:
                     self._note(name, count * self.values.shape[1], late=found.size)
             rebuilt = not {"gaps", "irregular"} >= set(found.kinds)
             time = found.time
-            if rebuilt:
+            if rebuilt and held:
+                # all are older than this by the same time, and none is as old as the row before its own; the first one
+                # may be from before the recording
+                width = max(spacing - float((self.signal.time[rows] - time)[1:].max()), 0.0)
+                time, error, rate = time - 0.5 * width, width / np.sqrt(12), self.settings.clock_rate
+            elif rebuilt:
                 error, rate = found.error, self.settings.clock_rate
                 given, time = self.signal.time[rows], self._snapped(found)
-                if not held:
-                    recording = _with_commands(recording, given, time, self.settings)
-        if held:  # a fresh value may be as old as the interval between two rows
-            error = float(np.hypot(error, spacing / np.sqrt(3)))
+                recording = _with_commands(recording, given, time, self.settings)
+        if held and not rate:  # a fresh value may be as old as the interval between two rows
+            error = spacing / np.sqrt(3)
         return self._on_steps(recording, time, self.values[rows]), error, rate
 
     def _snapped(self, found: Stamps) -> Floats:
@@ -322,7 +326,8 @@ class _Inspection:
 
     def _on_steps(self, recording: Recording, time: Floats, values: Floats) -> Recording:
         """The recording with the signal (T, C) at the ends of control steps, its first sample before them."""
-        time = time - min(time[0], 0.0)
+        before = max(int((time < 0.0).sum()) - 1, 0)  # all that was sampled before the recording, but for the last one
+        time, values = np.maximum(time[before:], 0.0), values[before:]
         step, begin = self.robot.control_timestep, self.robot.begins(recording)
         count = max(int(np.ceil((time[-1] - begin) / step - 1e-6)), 1)
         wanted = np.asarray(begin + step * np.arange(1, count + 1), float)

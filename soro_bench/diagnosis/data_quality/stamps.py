@@ -47,7 +47,8 @@ def stamps(time: Floats, values: Floats, settings: SignalSettings, late: bool = 
     if np.abs(interval - period).max() <= settings.regular * period:
         return None
     number = np.round(interval / period)
-    even = number.sum() >= len(number) + settings.least_even and _is_even(time, period, settings)
+    regular = time[1:] if late else time  # what a logger holds at first may be from before the recording
+    even = number.sum() >= len(number) + settings.least_even and _is_even(regular, period, settings)
     if (
         not even
         and (number >= 1).all()
