@@ -7,6 +7,7 @@ import pytest
 
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.data_quality import samples
+from soro_bench.diagnosis.data_quality.inspection import inspected
 from soro_bench.diagnosis.data_quality.lattice import lattice_step
 from soro_bench.diagnosis.data_quality.noise import data_quality, noise, outliers
 from soro_bench.diagnosis.data_quality.samples import Channel
@@ -52,6 +53,31 @@ def test_spikes_are_found_and_a_bounce_is_not():
     assert np.flatnonzero(samples.spikes(x[:, None], NOISE, SETTINGS)).tolist() == at
     bounce = np.abs(np.linspace(-1, 1, 201))[:, None]
     assert not samples.spikes(bounce, 1e-6, SETTINGS).any()
+
+
+@pytest.mark.parametrize("rows", [1.27, 1.5, 3])
+def test_a_sensor_slower_than_its_logger_gets_the_times_at_which_it_sampled(rows, tmp_path):
+    """Within what the rows leave open: a motion of 0.5 Hz shows a delay of a millisecond."""
+    paths = tmp_path / "arm.xml", tmp_path / "arm.toml"
+    for path, text in zip(paths, (ARM, MAP), strict=True):
+        path.write_text(text)
+    robot, row = ModelRobot(*paths, threads=1), np.arange(500)
+    fresh = np.maximum(np.floor((row - 0.3) / rows) * rows + 0.3, 0.0)
+    angle = (
+        np.sin(np.pi * 0.02 * fresh) + 1e-5 * np.random.default_rng(0).standard_normal(500)[np.floor(fresh).astype(int)]
+    )
+    logged = Recording(
+        {"goal": Signal(0.02 * row, np.zeros((500, 1)), "rad")}, {"angle": Signal(0.02 * row, angle, "rad")}
+    )
+    found = inspected(logged, 0, robot)
+    signal = found.recording.signals["angle"]
+    seen = np.isfinite(signal.values) & (signal.time > 0.1)
+    time, value = signal.time[seen], signal.values[seen]
+    slope = np.pi * np.cos(np.pi * time)
+    late = float(slope @ (np.sin(np.pi * time) - value) / (slope @ slope))
+    assert [each.name for each in found.findings] == ["held"]
+    assert abs(late) < 2.0 * found.error + 2e-4 and found.error < 0.007
+    assert np.std(value - np.sin(np.pi * (time - late))) < 2e-3
 
 
 @pytest.mark.parametrize("value", [0.0, -99.0])

@@ -215,7 +215,7 @@ def interpolated(
     distance = np.abs(time[nearest] - wanted)
     exact = distance <= settings.same_time * step
     found[exact] = values[nearest[exact]]
-    between = ~exact & (distance <= 0.5 * step) & (wanted > time[1]) & (wanted < time[-2])
+    between = ~exact & (distance <= (0.5 + settings.same_time) * step) & (wanted > time[1]) & (wanted < time[-2])
     left = np.clip(np.searchsorted(time, wanted, side="right") - 1, 1, len(time) - 3)
     around = left[:, None] + np.arange(-1, 3)
     cubic, line = np.zeros(len(wanted)), np.zeros(len(wanted))
