@@ -80,6 +80,20 @@ def test_a_sensor_slower_than_its_logger_gets_the_times_at_which_it_sampled(rows
     assert np.std(value - np.sin(np.pi * (time - late))) < 2e-3
 
 
+def test_a_log_that_begins_behind_a_wrap_is_moved_to_the_turn_in_which_the_robot_begins(tmp_path):
+    paths = tmp_path / "arm.xml", tmp_path / "arm.toml"
+    for path, text in zip(paths, (ARM, MAP.split("[initial]")[0]), strict=True):
+        path.write_text(text)
+    time = 0.02 * np.arange(400)
+    true = 0.5 * np.sin(1.3 * time - 0.6) + NOISE * np.random.default_rng(0).standard_normal(400)
+    logged = Recording(
+        {"goal": Signal(time, np.zeros((400, 1)), "rad")}, {"angle": Signal(time, np.mod(true, 2 * np.pi), "rad")}
+    )
+    found = inspected(logged, 0, ModelRobot(*paths, threads=1))
+    assert [each.name for each in found.findings] == ["wrap"]
+    assert found.recording.signals["angle"].values.ravel() == pytest.approx(true)
+
+
 @pytest.mark.parametrize("value", [0.0, -99.0])
 def test_values_for_missing_samples(value):
     x = noisy() + 2.0

@@ -196,10 +196,30 @@ class _Inspection:
             found, period = samples.wrapped(self.values[:, i], self.settings)
             if found:
                 self.values[:, i] = samples.unwrapped(self.values[:, i], period)
+                self._take_off_turns(i, period)
                 count, turn = count + found, period
         if count:
             self._note("wrap", count, turn=turn)
         return count > 0
+
+    def _take_off_turns(self, channel: int, period: float) -> None:
+        """Move an unwrapped channel to where the robot begins: a wrapped log does not say in which turn. A robot that
+        begins at its signal is not moved."""
+        seen = np.flatnonzero(np.isfinite(self.values[:, channel]))
+        if self.observed.name != self.robot.signal or not len(seen):
+            return
+        try:
+            drive = self.robot.measured(self._with(self.signal.time, self.values)).drive
+        except RecordingError:  # which is told where it is measured
+            return
+        begin = replace(
+            drive, actions=drive.actions[:1], settings=None if drive.settings is None else drive.settings[:1]
+        )
+        nominal = np.array([[prior.nominal for prior in self.robot.priors]])
+        (first,) = self.robot.simulate_all([begin], nominal, [()])
+        turns = (self.values[seen[0], channel] - first.ravel()[channel]) / period
+        if np.isfinite(turns):
+            self.values[:, channel] -= period * np.round(turns)
 
     def _leave_out_placeholders(self) -> None:
         """Leave out values that stand for missing samples: all coordinates of a point have them."""
