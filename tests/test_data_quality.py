@@ -82,7 +82,7 @@ def test_a_sensor_slower_than_its_logger_gets_the_times_at_which_it_sampled(rows
 
 def test_a_log_that_begins_behind_a_wrap_is_moved_to_the_turn_in_which_the_robot_begins(tmp_path):
     paths = tmp_path / "arm.xml", tmp_path / "arm.toml"
-    for path, text in zip(paths, (ARM, MAP.split("[initial]")[0]), strict=True):
+    for path, text in zip(paths, (ARM, MAP.split("[initial]")[0] + MAP[MAP.index("[parameters") :]), strict=True):
         path.write_text(text)
     time = 0.02 * np.arange(400)
     true = 0.5 * np.sin(1.3 * time - 0.6) + NOISE * np.random.default_rng(0).standard_normal(400)
