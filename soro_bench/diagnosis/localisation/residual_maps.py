@@ -20,44 +20,6 @@ class Regime:
     explained: float
 
 
-def residual_map(problem: Problem, residual: np.ndarray) -> np.ndarray:
-    """(windows, points) rms [signal's unit] of a residual (M,) less discretisation error, of the first recording.
-
-    NaN where nothing was measured.
-    """
-    physical = left_over(problem, residual)
-    size = _samples(problem)
-    count = len(physical) // size
-    windows = physical[: count * size].reshape(count, size, *physical.shape[1:])
-    seen = np.isfinite(windows).sum(axis=(1, 3))
-    return np.sqrt(np.nansum(windows**2, axis=(1, 3)) / np.where(seen, seen, np.nan))
-
-
-def map_window(problem: Problem) -> float:
-    """Length of the windows of the map [s]."""
-    return _samples(problem) * _spacing(problem)
-
-
-def _samples(problem: Problem) -> int:
-    """Of a window of the map."""
-    return max(1, round(problem.settings.localisation.map_window / _spacing(problem)))
-
-
-def _spacing(problem: Problem) -> float:
-    """Time between samples of the first recording [s]."""
-    return float(np.median(np.diff(problem.recordings[0].time)))
-
-
-def left_over(problem: Problem, residual: np.ndarray) -> np.ndarray:
-    """(T, P, D) a residual (M,) less discretisation error [signal's unit], of the first recording.
-
-    NaN where nothing was measured.
-    """
-    return problem.split(
-        np.where(problem.weight > 0, problem.sigma * problem.discretisation.without(residual), np.nan)
-    )[0]
-
-
 def explained_over_time(problem: Problem, before: Hypothesis, after: Hypothesis) -> np.ndarray:
     """(T,) log evidence [nats] that ``after`` gains over ``before`` in each sample of the first recording."""
     squares = [problem.rows(problem.discretisation.without(h.residual))[0] ** 2 for h in (before, after)]
