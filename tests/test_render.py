@@ -18,6 +18,7 @@ import pytest
 pytest.importorskip("rerun", reason="needs the train extra")
 
 from soro_bench.commands.recording import _describe
+from soro_bench.diagnosis.assembly.errors import worse_replays
 from soro_bench.diagnosis.render import render, words
 from soro_bench.diagnosis.render.html import html
 from soro_bench.diagnosis.render.rerun import rmse
@@ -232,6 +233,23 @@ def test_errors_that_discretisation_may_explain_raise_a_warning() -> None:
     assert float(row.split()[-2]) == pytest.approx(1e3 * math.sqrt(0.0042**2 - 0.003**2), rel=1e-2)
     near = replace(result, train=replace(result.train, corrected_before=0.0040, corrected_after=0.0040))
     assert "larger than what the verdict" not in " ".join(summary(near).split())
+
+
+def test_parameters_that_replay_worse_than_the_model_as_built_raise_a_warning() -> None:
+    """With both errors and the recordings, in the verdict of console and report; from 1 % on, and if they diverge."""
+    result = RESULTS["adequate"]()
+    built, fitted = (replace(each, train=0.004, heldout=0.004) for each in result.robots)
+    assert words.worse(result) == "" and worse_replays(result.robots, 0.01) == ()
+    assert worse_replays((built, replace(fitted, train=0.00403)), 0.01) == ()
+    fitted = replace(fitted, train=0.0044, heldout=math.nan)
+    found = worse_replays((built, fitted, replace(fitted, name="alternative")), 0.01)
+    assert [(each.robot, each.recordings) for each in found] == [("fitted", "fitted"), ("fitted", "held-out")]
+    assert (found[0].built, found[0].found) == (0.004, 0.0044) and math.isnan(found[1].found)
+    told = Result.from_json(json.loads(json.dumps(replace(result, worse_replays=found).to_json())))
+    said = ("Plain replays are worse than those of the model as built: fitted parameters 0.004 -> 0.0044 rad on fitted "
+            "recordings and 0.004 -> diverges on held-out recordings.")  # fmt: skip
+    assert f"warning {said}" in " ".join(summary(told).split())
+    assert said.replace("->", "→") in " ".join(text_of(html(told)).replace(words.NO_BREAK, " ").split())
 
 
 def test_a_replay_that_diverges_has_no_error() -> None:

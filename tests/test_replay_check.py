@@ -66,6 +66,7 @@ def test_every_printed_error_of_a_users_robot_is_that_of_a_replay(read, checked)
     pooled = {role: checked.pooled(role) for role in (FITTED, HELD_OUT)}
     shown = [each for each in read.robots if each.name != "alternative"]
     assert [each.name for each in shown] == ["nominal", "fitted", "patched"]
+    assert read.worse_replays == ()
     for each in shown:
         assert pooled[FITTED][each.name] == pytest.approx(each.train, rel=0.01)
         assert pooled[HELD_OUT][each.name] == pytest.approx(each.heldout, rel=0.01)

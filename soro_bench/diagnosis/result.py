@@ -31,6 +31,7 @@ from soro_bench.diagnosis.result_parts import (
     SignalErrors,
     SignalQuality,
     UnknownInput,
+    WorseReplay,
 )
 from soro_bench.effects.effect import Location
 from soro_bench.files import brief, read_json, write_json
@@ -134,6 +135,7 @@ class Result:
         stops, contacts.
     signals: errors of every signal, where several are explained; all other errors are those of the first one.
     model_form: what another simulator of the robot could differ by; None in results before it was estimated.
+    worse_replays: where fitted parameters or the best hypothesis have a larger plain error than the model as built.
     """
 
     robot: RobotSummary
@@ -178,6 +180,7 @@ class Result:
     limits: tuple[ReachedLimit, ...] = ()
     signals: tuple[SignalErrors, ...] = ()
     model_form: ModelForm | None = None
+    worse_replays: tuple[WorseReplay, ...] = ()
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:

@@ -294,6 +294,20 @@ class ReplayedRobot:
 
 
 @dataclass(frozen=True)
+class WorseReplay:
+    """Recordings of which a robot of the result replays worse than the model as built does.
+
+    robot: name of a ReplayedRobot. recordings: "fitted" or "held-out". built, found: root mean squares of a coordinate
+        in plain replays [signal's unit], by the model as built and by that robot; NaN where a replay diverges.
+    """
+
+    robot: str
+    recordings: str
+    built: float
+    found: float
+
+
+@dataclass(frozen=True)
 class Patch:
     """The physics that the simulation should have.
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from soro_bench.diagnosis.assembly.agreement import agreement
-from soro_bench.diagnosis.assembly.errors import PlainReplays, plain_replays, replayed_robots
+from soro_bench.diagnosis.assembly.errors import PlainReplays, plain_replays, replayed_robots, worse_replays
 from soro_bench.diagnosis.assembly.findings import deviations, findings, prior_values, tempered, unit_at
 from soro_bench.diagnosis.assembly.force_against_state import force_against_state
 from soro_bench.diagnosis.assembly.limits import reached_limits
@@ -59,11 +59,12 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
     train, heldout = replays.errors(diagnosis, diagnosis.best)
     found = _all_findings(diagnosis, replays)
     alone = agreement(diagnosis, seed)
+    robots, settings = replayed_robots(diagnosis, replays, bool(patch(diagnosis))), explanation.problem.settings
     return Result(
         robot=_robot(diagnosis),
         verdict=_verdict(diagnosis, alone),
         p_value=comparison.p_value,
-        alpha=alpha(explanation.problem.settings),
+        alpha=alpha(settings),
         unknown=float(comparison.unknown),
         healthy=float(comparison.nothing),
         predicted_gain=float(explanation.predicted_gain),
@@ -94,10 +95,11 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
         shapes=shapes(diagnosis),
         seed=seed,
         seconds=round(diagnosis.seconds, 1),
-        settings=_changed(explanation.problem.settings),
+        settings=_changed(settings),
         notes=_notes(diagnosis),
         data=diagnosis.data,
-        robots=replayed_robots(diagnosis, replays, bool(patch(diagnosis))),
+        robots=robots,
+        worse_replays=worse_replays(robots, settings.report.same_error),
         agreement=alone,
         limits=reached_limits(diagnosis),
         signals=_signals(diagnosis, replays),

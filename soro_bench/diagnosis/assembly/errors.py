@@ -15,7 +15,7 @@ from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Points, Problem
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.result_parts import Errors, ReplayedRobot, SignalErrors
+from soro_bench.diagnosis.result_parts import Errors, ReplayedRobot, SignalErrors, WorseReplay
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer
 from soro_bench.inference.statistical_linearisation import LowRank
@@ -98,6 +98,24 @@ def replayed_robots(diagnosis: Diagnosis, replays: PlainReplays, patched: bool) 
         laws = tuple(effect.to_json() for effect in effects)
         errors = map(_finite, replays.rms(hypothesis))
         found.append(ReplayedRobot(name, robot.every_parameter(hypothesis.x), laws, *errors))
+    return tuple(found)
+
+
+def worse_replays(robots: Sequence[ReplayedRobot], same: float) -> tuple[WorseReplay, ...]:
+    """Where a robot that a result is about replays recordings worse than the model as built does.
+
+    Args:
+        robots: the model as built first.
+        same: share by which errors may differ and count as the same.
+    """
+    found, built = [], robots[0]
+    for each in robots[1:]:
+        pairs = (("fitted", built.train, each.train), ("held-out", built.heldout, each.heldout))
+        for name, before, after in pairs:
+            if each.name == "alternative" or before is None or after is None or math.isnan(before):
+                continue
+            if not after <= (1.0 + same) * before:
+                found.append(WorseReplay(each.name, name, before, after))
     return tuple(found)
 
 

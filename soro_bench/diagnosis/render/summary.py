@@ -55,6 +55,8 @@ def _replays(result: Result) -> list[str]:
     for i, (name, *cells) in enumerate([head, *words.replays(result)]):
         row = "".join(f"{cell.replace(words.NO_BREAK, ' '):>{_CELL}}" for cell in cells)
         lines.append(f"  {'' if i else 'plain replay':<{_LABEL}}{name:<{_NAME}}{row}".rstrip())
+    if worse := words.worse(result):
+        lines.append(line("warning", worse))
     lines.append(line("noise", words.number(result.train.noise, result.robot.unit)))
     lines += [line("" if i else "signals", each) for i, each in enumerate(words.signals(result))]
     return lines + ([line("", said)] if (said := words.explained(result)) else [])

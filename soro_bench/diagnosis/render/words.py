@@ -352,6 +352,16 @@ def _of_errors(result: Result) -> list[str]:
     return said
 
 
+def worse(result: Result) -> str:
+    """That replays are worse than those of the model as built, in a sentence; empty where none is."""
+    found, unit = [], result.robot.unit
+    for name in dict.fromkeys(each.robot for each in result.worse_replays):
+        some = [each for each in result.worse_replays if each.robot == name]
+        pairs = (f"{change(each.built, each.found, unit)} on {each.recordings} recordings" for each in some)
+        found.append(f"{ROBOTS.get(name, name)} {listed(pairs)}")
+    return f"Plain replays are worse than those of the model as built: {'; '.join(found)}." if found else ""
+
+
 def warnings(result: Result) -> list[str]:
     """What a reader must know before using the numbers."""
     said = _of_errors(result)
