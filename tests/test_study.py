@@ -122,7 +122,7 @@ def test_files_of_a_study_are_there(name):
 
     from soro_bench.assets import asset_path
 
-    table = tomllib.loads(asset_path(f"studies/{name}.toml").read_text())
+    table = tomllib.loads(asset_path("studies.toml").read_text())[name]
     assert all(Path(asset_path(f"mjcf/{table[key]}")).is_file() for key in ("model", "map", "import"))
 
 

@@ -1,6 +1,6 @@
 """Studies of real robots: diagnoses of their recordings, and errors of the simulation before and after them.
 
-A study is a TOML file of ``assets/studies``: a model, its mapping, how its recordings are imported, and parts. A part
+A study is a table of ``assets/studies.toml``: a model, its mapping, how its recordings are imported, and parts. A part
 names recordings to explain, held-out ones and unseen ones, as files with the changes that their import makes to the
 mapping. The result of the part that it comes ``after`` is its baseline."""
 
@@ -65,7 +65,7 @@ def load_study(name: str, data: str | Path) -> Study:
     """
     if name not in STUDIES:
         raise ValueError(f"unknown study {name!r}; there are {', '.join(STUDIES)}")
-    table = read_toml(asset_path(f"studies/{name}.toml"))
+    table = read_toml(asset_path("studies.toml"))[name]
     folder = Path(data) / table["data"]
     parts = tuple(
         Part(

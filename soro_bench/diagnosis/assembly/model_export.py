@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS
 
-from soro_bench.diagnosis.assembly.explicit import make_explicit
+from soro_bench.arrays import Floats
 from soro_bench.diagnosis.assembly.motion import motion_difference
 from soro_bench.diagnosis.assembly.native_laws import write_law
 from soro_bench.diagnosis.robots.model_file import in_one_line
@@ -140,3 +140,73 @@ def _comment(
 def listed(effects: Sequence[Effect]) -> str:
     """Effects with their locations, in words."""
     return ", ".join(f"{effect.name} at {effect.location}" for effect in effects)
+
+
+_FREE, _TRUE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtAlignFree.mjALIGNFREE_TRUE
+_UNALIGNED = mujoco.mjtAlignFree.mjALIGNFREE_FALSE
+
+
+def make_explicit(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
+    """Give a spec the values that its compiler derived for ``model``, which was compiled from it just now."""
+    infers = any(_derives_mass(body.compiler) for body in spec.bodies)
+    for body in spec.bodies[1:]:
+        if (infers or not body.explicitinertial) and not _aligned(body):
+            _set_inertial(body, model)
+    for body in spec.bodies:
+        _keep_inertia(body.compiler)
+    for joint in spec.joints:
+        if any(joint.springdamper):
+            joint.stiffness[0] = model.jnt_stiffness[joint.id]  # the first coefficients of polynomials
+            joint.damping[0] = model.dof_damping[model.jnt_dofadr[joint.id]]
+            joint.springdamper = [0.0, 0.0]
+    for tendon in spec.tendons:
+        tendon.springlength = _row(model, "tendon_lengthspring", tendon.id)
+    for actuator in spec.actuators:
+        _set_actuator(actuator, model)
+    _keep_inertia(spec.compiler)
+    spec.compiler.LRopt.useexisting = 1
+
+
+def _derives_mass(compiler: mujoco.MjsCompiler) -> bool:
+    """Whether masses or inertia that are written may not be those of the model."""
+    geoms = compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    bounds = compiler.boundmass > 0 or compiler.boundinertia > 0
+    return bool(geoms or bounds or compiler.settotalmass > 0 or compiler.balanceinertia)
+
+
+def _keep_inertia(compiler: mujoco.MjsCompiler) -> None:
+    """Masses and inertia are as they are written, or of geoms where nothing is written."""
+    compiler.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    compiler.boundmass = compiler.boundinertia = 0.0
+    compiler.settotalmass, compiler.balanceinertia = -1.0, 0
+
+
+def _aligned(body: mujoco.MjsBody) -> bool:
+    """Whether compilation moves the frame of a body into its centre of mass; its inertial is none of its own frame."""
+    free = [joint.align for joint in body.joints if joint.type == _FREE]
+    return any(align == _TRUE or (align != _UNALIGNED and body.compiler.alignfree) for align in free)
+
+
+def _set_inertial(body: mujoco.MjsBody, model: mujoco.MjModel) -> None:
+    body.mass, body.inertia = float(_row(model, "body_mass", body.id)[0]), _row(model, "body_inertia", body.id)
+    body.ipos, body.iquat = _row(model, "body_ipos", body.id), _row(model, "body_iquat", body.id)
+    body.fullinertia = [float("nan"), 0.0, 0.0, 0.0, 0.0, 0.0]  # not a number: the three of the axes count
+    body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+    body.explicitinertial = 1
+
+
+def _set_actuator(actuator: mujoco.MjsActuator, model: mujoco.MjModel) -> None:
+    """What comes from inertia (dampratio), from a joint (inheritrange) and from the whole model (lengthrange)."""
+    actuator.gainprm = _row(model, "actuator_gainprm", actuator.id)
+    actuator.biasprm = _row(model, "actuator_biasprm", actuator.id)
+    if actuator.inheritrange:
+        integrates = actuator.dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR
+        name = "actrange" if integrates else "ctrlrange"
+        setattr(actuator, name, _row(model, f"actuator_{name}", actuator.id))
+        actuator.inheritrange = 0.0
+    actuator.lengthrange = _row(model, "actuator_lengthrange", actuator.id)
+
+
+def _row(model: mujoco.MjModel, field: str, row: int) -> Floats:
+    """Numbers of one element."""
+    return getattr(model, field)[row].reshape(-1)
