@@ -24,6 +24,7 @@ import numpy as np
 import tyro
 
 from soro_bench.cli import COMMANDS
+from soro_bench.diagnosis.paired.settings import PairedSettings
 from soro_bench.diagnosis.result import SCHEMA, Result
 from soro_bench.diagnosis.settings import DEFAULT, RobotSettings, listed
 from soro_bench.effects.catalogue import ALL
@@ -338,10 +339,13 @@ def measured(what: str):
     return json.loads((DOCS / "results" / "measured.json").read_text())[what]
 
 
+OTHER_SETTINGS = {"robots": RobotSettings(), "paired": PairedSettings()}  # which Settings does not hold
+
+
 def settings() -> str:
     """A table for every stage."""
     groups = {field.name: getattr(DEFAULT, field.name) for field in dataclasses.fields(DEFAULT)}
-    return "\n\n".join(_settings(stage, group) for stage, group in {**groups, "robots": RobotSettings()}.items())
+    return "\n\n".join(_settings(stage, group) for stage, group in {**groups, **OTHER_SETTINGS}.items())
 
 
 def _settings(stage: str, group) -> str:

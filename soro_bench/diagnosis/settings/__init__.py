@@ -1,0 +1,96 @@
+"""Every number that the diagnosis method was given, with its unit and its reason.
+
+There is one frozen dataclass per stage, and ``Settings`` holds one of each. A problem carries the settings of its
+diagnosis (``Problem.settings``). Functions without a problem take the settings of their stage as an argument.
+
+``benchmarks/diagnosis_settings.py`` halves and doubles each value in turn. It writes docs/reference/settings.md.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from soro_bench.diagnosis.settings.data import (
+    DataQualitySettings,
+    ResponseSettings,
+    SignalSettings,
+    UnitCheckSettings,
+)
+from soro_bench.diagnosis.settings.estimation import (
+    AgreementSettings,
+    CovarianceSettings,
+    DescentSettings,
+    DiscretisationSettings,
+    FitSettings,
+    LikelihoodSettings,
+    PriorSettings,
+    RobotSettings,
+)
+from soro_bench.diagnosis.settings.search import (
+    ExperimentDesignSettings,
+    LimitSettings,
+    LocalisationSettings,
+    ProbabilitySettings,
+    ReportSettings,
+    ScreeningSettings,
+    SelectionSettings,
+)
+from soro_bench.diagnosis.settings.setting import listed, setting
+
+__all__ = [
+    "DEFAULT",
+    "AgreementSettings",
+    "CovarianceSettings",
+    "DataQualitySettings",
+    "DescentSettings",
+    "DiscretisationSettings",
+    "ExperimentDesignSettings",
+    "FitSettings",
+    "LikelihoodSettings",
+    "LimitSettings",
+    "LocalisationSettings",
+    "PriorSettings",
+    "ProbabilitySettings",
+    "ReportSettings",
+    "ResponseSettings",
+    "RobotSettings",
+    "ScreeningSettings",
+    "SelectionSettings",
+    "Settings",
+    "SignalSettings",
+    "UnitCheckSettings",
+    "listed",
+    "setting",
+]
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The settings of a diagnosis, one group per stage."""
+
+    data_quality: DataQualitySettings = field(default_factory=DataQualitySettings)
+    signals: SignalSettings = field(default_factory=SignalSettings)
+    responses: ResponseSettings = field(default_factory=ResponseSettings)
+    unit_check: UnitCheckSettings = field(default_factory=UnitCheckSettings)
+    discretisation: DiscretisationSettings = field(default_factory=DiscretisationSettings)
+    likelihood: LikelihoodSettings = field(default_factory=LikelihoodSettings)
+    priors: PriorSettings = field(default_factory=PriorSettings)
+    fit: FitSettings = field(default_factory=FitSettings)
+    descent: DescentSettings = field(default_factory=DescentSettings)
+    covariance: CovarianceSettings = field(default_factory=CovarianceSettings)
+    screening: ScreeningSettings = field(default_factory=ScreeningSettings)
+    selection: SelectionSettings = field(default_factory=SelectionSettings)
+    probabilities: ProbabilitySettings = field(default_factory=ProbabilitySettings)
+    localisation: LocalisationSettings = field(default_factory=LocalisationSettings)
+    agreement: AgreementSettings = field(default_factory=AgreementSettings)
+    experiment_design: ExperimentDesignSettings = field(default_factory=ExperimentDesignSettings)
+    limits: LimitSettings = field(default_factory=LimitSettings)
+    report: ReportSettings = field(default_factory=ReportSettings)
+
+    def listed(self) -> Iterator[tuple[str, str, Any, str, str]]:
+        """Stage, name, value, unit and reason of every setting."""
+        for stage in fields(self):
+            yield from listed(stage.name, getattr(self, stage.name))
+
+
+DEFAULT = Settings()

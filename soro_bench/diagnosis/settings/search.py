@@ -1,0 +1,171 @@
+"""Which laws are tried, how probable they are, where an unknown one acts, and what is told at the end."""
+
+from dataclasses import dataclass
+
+from soro_bench.diagnosis.settings.setting import setting
+
+
+@dataclass(frozen=True)
+class ScreeningSettings:
+    """What each candidate term would gain, to first order."""
+
+    largest_step: float = setting(1.0, "prior deviations", "of a parameter beside added terms; linear only so far")
+    paired: int = setting(20, "candidate terms", "that gain most alone; each is paired with every other one")
+
+
+@dataclass(frozen=True)
+class SelectionSettings:
+    """Forward selection of terms, and the moves that refine hypotheses on the way."""
+
+    # the fit without a term; its discretisation error is computed as far from the fit as its samples go
+    nominal_radius: float = setting(0.7, "prior deviations", "of the first samples; parameters may be anywhere there")
+    nominal_radius_second: float = setting(0.3, "prior deviations", "of the next samples; cables fall slack nearby")
+    nominal_radius_near: float = setting(0.15, "prior deviations", "of samples once most of the motion is explained")
+    nominal_radius_last: float = setting(0.05, "prior deviations", "of the last samples; narrower ones see jumps only")
+    nominal_replays: int = setting(3, "replays", "of each refined robot, before anything is known of the parameters")
+    nominal_reach: float = setting(2.0, "prior deviations", "farthest of such a replay near a fit")
+    # which terms are tried
+    candidates: int = setting(6, "screened candidates", "that are fitted in a round; the right one was among them")
+    candidates_per_law: int = setting(2, "screened candidates", "of the same laws, so that other laws are tried too")
+    spread_laws: int = setting(2, "laws", "at each element of a kind that are fitted in a round beside the others")
+    least_share_of_gain: float = setting(0.3, "1", "share of the best predicted gain below which none is tried")
+    unchecked_terms: int = setting(3, "terms", "before each must lower held-out error; recordings of 30 s show so many")
+    least_gain: float = setting(400.0, "nats", "predicted gain that is worth a fit; 40 healthy cases reach 85, but one")
+    least_gain_of_misfit: float = setting(0.05, "1", "share of the misfit, likewise; small shares come of unknown laws")
+    least_gain_of_explained: float = setting(0.005, "1", "share of what is explained, likewise; no law is quite right")
+    beyond_chance: float = setting(2.0, "standard errors", "by which held-out error has to fall for another term")
+    restarts: int = setting(5, "restarts", "from better parameters, where a term only led out of a local minimum")
+    # fits
+    fit_radius: float = setting(0.15, "prior deviations", "of the samples that fit a new term")
+    fit_radius_last: float = setting(0.07, "prior deviations", "of the samples of the last fit of a hypothesis")
+    move_radius: float = setting(0.3, "prior deviations", "of the first samples after a move of a hypothesis")
+    move_radius_second: float = setting(0.1, "prior deviations", "of the next samples after a move")
+    fitted: int = setting(4, "laws", "of the tried ones that are fitted, after a replay of each")
+    kept: int = setting(3, "laws", "of the fitted ones that are kept")
+    smaller_start: float = setting(0.5, "1", "share of estimated magnitudes from which a fit may begin too")
+    smallest_start: float = setting(0.1, "1", "likewise, where a term is taken away; Jacobians vanish without any")
+    simplified_starts: tuple[float, ...] = setting(
+        (0.1, 0.3, 1.0, 3.0, 10.0), "typical magnitudes", "from which fits of simpler laws may begin"
+    )
+    # refinement of hypotheses
+    discretisations: int = setting(2, "hypotheses", "of a round whose discretisation error is computed")
+    refinements: int = setting(4, "fits", "of a hypothesis and its discretisation error in turns, at most")
+    refinement_gain: float = setting(0.1, "1", "share of the misfit that a refinement has to remove for another one")
+    healthy_misfit: float = setting(1000.0, "nats", "below which no hypothesis is refined; healthy cases leave as much")
+    rival_misfit: float = setting(2.0, "1", "times the best misfit, below which a hypothesis is a rival of the best")
+    discrepant_misfit: float = setting(10_000.0, "nats", "that parameters hardly cause; then terms come before fits")
+    discrepant_misfit_per_sample: float = setting(0.26, "nats", "likewise, of a sample of a long recording")
+    convergence_fits: int = setting(5, "fits", "in a row at most, where the misfit dominates")
+    convergence_gain: float = setting(0.1, "1", "share of the cost that such a fit has to gain for another one")
+
+
+@dataclass(frozen=True)
+class ProbabilitySettings:
+    """How probable hypotheses are, from development cases and from opened blind benchmarks."""
+
+    gumbel_location: float = setting(60.0, "nats", "of predicted gains of healthy cases; 39 of 40 reach 85 at most")
+    gumbel_scale: float = setting(60.0, "nats", "of that Gumbel distribution, with some to spare")
+    gain_of_term: float = setting(100.0, "nats", "that a fit gains by chance from one more term")
+    gain_of_unknown: float = setting(50.0, "nats", "that a fit gains by chance from each unknown of a term")
+    law_error: float = setting(0.006, "1", "share of the explained misfit that each unknown takes up of wrong laws")
+    temperature: float = setting(100.0, "nats", "least, by which log evidence is divided (power posterior)")
+    temperature_of_misfit: float = setting(0.1, "1", "share of the best misfit that adds to it; models are as wrong")
+    unknown_share: float = setting(
+        0.25, "1", "share of the misfit that is left where a catalogue law is as likely as not"
+    )
+    unknown_share_width: float = setting(0.06, "1", "of that share, of the logistic function")
+    healthy_misfit_per_sample: float = setting(0.066, "nats", "left of fitted samples; 158 of 160 healthy cases: 0.06")
+    unknown_gain: float = setting(
+        500.0, "nats", "predicted for one more term, where a catalogue law is as likely as not"
+    )
+    unknown_gain_of_explained: float = setting(0.006, "1", "share of the explained misfit that adds to it")
+    unknown_gain_width: float = setting(0.2, "1", "of the logarithm of that gain; right laws leave two thirds of it")
+    wrong_when_certain: float = setting(0.03, "1", "share of answers that seemed certain and were wrong: 5 of 111")
+    slow_variance: float = setting(
+        0.12, "1", "of the residual, slow over fast, where a discrepancy is as likely as not"
+    )
+    slow_deviations: float = setting(5.0, "deviations", "the same from few pairs of samples")
+    slow_power: float = setting(5.0, "1", "with which larger slow variances of healthy cases get rarer")
+    slow_lag: float = setting(0.15, "s", "after which white noise is forgotten and motion is not")
+    largest_sample: float = setting(4.0, "noise deviations", "that a sample counts as; outliers may be left")
+    compared: int = setting(6, "hypotheses", "with terms that are simulated on held-out recordings")
+
+
+@dataclass(frozen=True)
+class LocalisationSettings:
+    """Where an unknown input acts, and when a hypothesis explains more than another one."""
+
+    # test inputs
+    weight_share: float = setting(0.02, "1", "of a robot's weight, first size of a force on a body")
+    sensor_offset: float = setting(2.0, "noise deviations", "of a measured point")
+    reach: float = setting(4.0, "noise deviations", "rms motion under a unit input; large enough to be seen")
+    # input models
+    node_spacing: float = setting(0.1, "s", "of piecewise linear inputs; a base may rock at 2 Hz")
+    memory: float = setting(0.9, "s", "after which a trunk is where it would be without a pulse")
+    most_values: int = setting(
+        1000, "values", "of an input at one location; nodes of long recordings are farther apart"
+    )
+    correlation_times: tuple[float, ...] = setting(
+        (0.2, 0.6, 2.0), "s", "of a free input, Matern 3/2; the best one counts"
+    )
+    shapes: int = setting(8, "principal components", "of the signal, in which an input may be linear")
+    # screening of locations
+    window: float = setting(0.15, "s", "in which an input is constant, times its directions")
+    located: int = setting(6, "locations", "with the largest predicted gain, that are looked at")
+    located_per_kind: int = setting(2, "locations", "of every kind at least, as the prediction is linear")
+    least_scale: float = setting(0.03, "unit inputs", "smallest prior deviation of an input")
+    screened_scale: float = setting(30.0, "unit inputs", "largest prior deviation of a screened input")
+    screened_scales: int = setting(13, "1", "prior deviations that are screened")
+    # unknown-input estimation
+    estimated_scale: float = setting(1000.0, "unit inputs", "largest prior deviation of an estimated input")
+    estimated_scales: int = setting(14, "1", "prior deviations that are tried")
+    finalists: int = setting(8, "locations", "that go on after the first round")
+    rounds: int = setting(8, "rounds", "of Gauss-Newton steps at most")
+    steps: int = setting(4, "steps", "of a round with the same Jacobian, at most")
+    step_shares: tuple[float, ...] = setting((0.1, 0.4, 1.0), "1", "of a step that are replayed; cables fall slack")
+    smaller_inputs: float = setting(16.0, "1", "times smaller than predicted inputs are tried too")
+    together: int = setting(8, "locations", "that are replayed side by side")
+    pulse: float = setting(0.5, "unit inputs", "of a pulse, for a column of the Jacobian")
+    parameter_difference: float = setting(0.05, "prior deviations", "of a parameter, for a column of the Jacobian")
+    least_gain: float = setting(1.0, "nats", "of a round or a step that is worth another one")
+    # maps of the residual
+    map_window: float = setting(1.0, "s", "of maps over time; short beside a recording")
+    shown_share: float = setting(0.8, "1", "of the improvement that lies in the intervals that are named")
+    after_reversal: float = setting(0.25, "s", "after a command reverses; play and friction act then")
+    rest_rate: float = setting(1e-3, "1", "share of the fastest command below which a command rests")
+    fast_rate: float = setting(0.5, "1", "share of the fastest command above which motion is fast")
+
+
+@dataclass(frozen=True)
+class ExperimentDesignSettings:
+    """Which recording to make next."""
+
+    duration: float = setting(10.0, "s", "of the recording that is proposed")
+    hold: float = setting(4.0, "s", "of each position of a staircase; creep and leaks show then")
+    least_probability: float = setting(0.05, "1", "of an answer that is still to be told apart")
+    rivals: int = setting(3, "answers", "that are told apart, at most")
+    finalists: int = setting(2, "motions", "that are simulated again with other values of the unknowns")
+    directions: int = setting(2, "directions", "of the posterior, the widest, for those values")
+    separating_odds: float = setting(20.0, "1", "tempered odds that tell two answers apart")
+    rest: float = setting(0.05, "1", "share of the duration, at rest before and after a motion")
+    stroke: int = setting(3, "control steps", "at full rate, of a fast triangle")
+    slow: int = setting(10, "1", "times slower than that, of slow triangles")
+    slow_loops: int = setting(4, "1", "times slower than full rate, of nested loops")
+
+
+@dataclass(frozen=True)
+class LimitSettings:
+    """Which limits that a simulated robot reaches are told."""
+
+    least_share: float = setting(0.05, "1", "of the time at a limit; a peak now and then says little")
+    tolerance: float = setting(1e-3, "1", "share of a range within which a value is at its end; solvers round")
+
+
+@dataclass(frozen=True)
+class ReportSettings:
+    """What is accepted, and which hypotheses and locations are worth more work at the end."""
+
+    most_numbers: int = setting(300_000, "numbers", "four minutes of a trunk; every candidate term adds as many")
+    least_probability: float = setting(0.05, "1", "of a hypothesis whose intervals are computed by replays")
+    same_error: float = setting(0.01, "1", "share; a replay that is further from the printed error is noted")
+    least_unknown: float = setting(0.1, "1", "probability of an unknown law, above which its location is searched")
