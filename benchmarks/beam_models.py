@@ -31,6 +31,7 @@ from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import FITTED
 from soro_bench.diagnosis.selection.forward_selection import nominal_fit
+from soro_bench.files import read_toml
 from soro_bench.models import silicone_beam as beam
 from soro_bench.recording.importers import import_recording
 
@@ -125,6 +126,7 @@ def models() -> None:
 # --- recordings ---
 
 FREQUENCY = {"gravity": 7.7, "load52": 4.4}  # Hz, about
+LOADS = {"gravity": "0", "load52": "1"}  # on a string
 WINDOWS, FROM = 5, 0.3  # from 0.3 s after the hand lets go: its fingers and the slack string are out of the way
 
 
@@ -149,7 +151,8 @@ def recorded(options: argparse.Namespace) -> None:
     kind, model = options.kind, mjcf_path("real/silicone_beam.xml")
     found = baseline(options.report) if options.report else None
     robot = ModelRobot(model, model.with_suffix(".toml"), baseline=found).shortened(FITTED)
-    mapping, folder = mjcf_path(f"real/silicone_beam_{kind}_import.toml"), options.data / "silicone_beam_arm"
+    mapping, folder = read_toml(mjcf_path("real/silicone_beam_import.toml")), options.data / "silicone_beam_arm"
+    mapping["metadata"]["load"] = LOADS[kind]
     measured = [robot.measured(import_recording(folder / f"beam_{kind}_V2_{run}.csv", mapping)) for run in "ab"]
     x = np.zeros(len(robot.priors))
     if not found:

@@ -11,8 +11,7 @@ import pytest
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.candidates import term, terms
 from soro_bench.diagnosis.data_quality.responses import answered
-from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, fitted
-from soro_bench.diagnosis.estimation.gauss_newton import descended
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, descended, fitted
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.selection.forward_selection import explained
 from soro_bench.diagnosis.selection.moves import (

@@ -8,16 +8,14 @@ from scipy.stats import multivariate_normal
 
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
-from soro_bench.diagnosis.estimation.fit import Hypothesis
-from soro_bench.diagnosis.estimation.gauss_newton import descended
-from soro_bench.diagnosis.estimation.posterior_covariance import with_covariance
+from soro_bench.diagnosis.estimation.fit import Hypothesis, descended, with_covariance
 from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.inference import rf_dropo
 from soro_bench.inference.continuation import refine
 from soro_bench.inference.identifiability import combinations
-from soro_bench.inference.likelihood import horizon, log_likelihood, sample_factor
 from soro_bench.inference.methods import uncertainty
+from soro_bench.inference.rf_dropo import horizon, log_likelihood, sample_factor
 from soro_bench.inference.search import EvaluationLog, cma_search
 from soro_bench.inference.statistical_linearisation import LowRank, linearised, sample_around
 from soro_bench.parameters import FRICTION, TRUNK_MASS, WALL_OFFSET, YOUNG_MODULUS

@@ -110,7 +110,7 @@ def test_an_unknown_study_and_missing_recordings_are_named(tmp_path):
 
 
 def test_a_part_has_its_recordings_to_explain_to_hold_out_and_never_to_see(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "_recordings", lambda folder, usual, entries: tuple(e["files"] for e in entries))
+    monkeypatch.setattr(module, "_recordings", lambda folder, name, entries: tuple(e["files"] for e in entries))
     (part,) = load_study("bam_servo", tmp_path).parts
     assert [len(files) for files in (part.train, part.heldout, part.unseen)] == [2, 2, 2]
     assert "kp200_sin_sin" in part.unseen[0] and "kp200_lift" in part.heldout[0] and "kp100" in part.train[0]

@@ -13,7 +13,7 @@ from soro_bench.diagnosis.assembly.limits import limits_of
 from soro_bench.diagnosis.commands import Diagnose
 from soro_bench.diagnosis.estimation.agreement import difference, fitted_alone
 from soro_bench.diagnosis.estimation.fit import Guess, fitted
-from soro_bench.diagnosis.render.files import posterior
+from soro_bench.diagnosis.render import posterior
 from soro_bench.diagnosis.render.html import html
 from soro_bench.diagnosis.render.summary import summary
 from soro_bench.diagnosis.render.words import parameter

@@ -21,9 +21,8 @@ from soro_bench.diagnosis.data_quality.signals import (
     qualities_of,
 )
 from soro_bench.diagnosis.estimation.discretisation import differences, discretisation_and_residuals
-from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.estimation.fit import Hypothesis, with_covariance
 from soro_bench.diagnosis.estimation.model_form import largest_model_form_error
-from soro_bench.diagnosis.estimation.posterior_covariance import with_covariance
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.estimation.unit_check import check_unit_and_sign
 from soro_bench.diagnosis.localisation.ranking import RankedLocation, ranked_locations

@@ -81,11 +81,10 @@ def load_study(name: str, data: str | Path) -> Study:
     return Study(name, asset_path(f"mjcf/{table['model']}"), asset_path(f"mjcf/{table['map']}"), parts)
 
 
-def _recordings(folder: Path, usual: str, entries: Sequence[dict]) -> tuple[Recording, ...]:
-    """Of each entry the files, imported by its mapping or the usual one, with the sections that the entry changes."""
-    found = []
+def _recordings(folder: Path, name: str, entries: Sequence[dict]) -> tuple[Recording, ...]:
+    """Of each entry the files, imported by the mapping with the sections that the entry changes."""
+    found, mapping = [], read_toml(asset_path(f"mjcf/{name}"))
     for entry in entries:
-        mapping = read_toml(asset_path(f"mjcf/{entry.get('import', usual)}"))
         changes = {key: value for key, value in entry.items() if isinstance(value, dict)}
         sections = {key: {**mapping.get(key, {}), **value} for key, value in changes.items()}
         if not (paths := sorted(folder.glob(entry["files"]))):

@@ -24,7 +24,7 @@ from soro_bench.arrays import Floats
 from soro_bench.assets import mjcf_path
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.simulation import FieldWrite
-from soro_bench.models.trunk_skin import add_skin
+from soro_bench.models.trunk_geometry import add_skin
 
 PARAMETERS = (
     prm.TRUNK_MASS,

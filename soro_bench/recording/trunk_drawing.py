@@ -9,7 +9,7 @@ import numpy as np
 from soro_bench.envs.episode import Episode
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
-from soro_bench.models.trunk_skin import build_skin
+from soro_bench.models.trunk_geometry import build_skin
 from soro_bench.recording.drawing import Box, Drawing, Line, Mesh, Plot, Pose, flat_shaded
 from soro_bench.registration import task_type
 from soro_bench.rotation import rotate_by_quaternion

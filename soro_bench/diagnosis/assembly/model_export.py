@@ -20,6 +20,8 @@ from soro_bench.effects.elements import without_unused_springs
 
 _ROUNDING = 1e-9  # of a field's largest value; what differs by more may be why models move apart
 _MENTIONED = 5  # fields, in a message
+_FREE, _TRUE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtAlignFree.mjALIGNFREE_TRUE
+_UNALIGNED = mujoco.mjtAlignFree.mjALIGNFREE_FALSE
 
 
 class PatchError(ValueError):
@@ -142,12 +144,16 @@ def listed(effects: Sequence[Effect]) -> str:
     return ", ".join(f"{effect.name} at {effect.location}" for effect in effects)
 
 
-_FREE, _TRUE = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtAlignFree.mjALIGNFREE_TRUE
-_UNALIGNED = mujoco.mjtAlignFree.mjALIGNFREE_FALSE
+# --- explicit values: what a compiler would derive from other masses, positions and ranges ---
 
 
 def make_explicit(spec: mujoco.MjSpec, model: mujoco.MjModel) -> None:
-    """Give a spec the values that its compiler derived for ``model``, which was compiled from it just now."""
+    """Give a spec the values that its compiler derived for ``model``, which was compiled from it just now.
+
+    A patched model has other masses, positions or ranges than the model that it comes from. What a compiler derives
+    from them (inertia from geoms, damping from a ratio, ranges from those of joints) would change too, but a simulation
+    whose fields change keeps it. So it is written as it was compiled, and MuJoCo need not derive it again.
+    """
     infers = any(_derives_mass(body.compiler) for body in spec.bodies)
     for body in spec.bodies[1:]:
         if (infers or not body.explicitinertial) and not _aligned(body):

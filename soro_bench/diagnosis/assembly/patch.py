@@ -15,8 +15,7 @@ from soro_bench.diagnosis.assembly.errors import plain, rms_as_it_is
 from soro_bench.diagnosis.assembly.model_export import ExportedModel, PatchError, exported
 from soro_bench.diagnosis.assembly.native_laws import LAWS
 from soro_bench.diagnosis.candidates import Term, slices, term
-from soro_bench.diagnosis.estimation.fit import Hypothesis
-from soro_bench.diagnosis.estimation.gauss_newton import descended
+from soro_bench.diagnosis.estimation.fit import Hypothesis, descended
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.result_parts import ReplayError

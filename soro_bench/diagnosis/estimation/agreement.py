@@ -13,9 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from soro_bench.arrays import Floats
-from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, fitted
-from soro_bench.diagnosis.estimation.gauss_newton import descended
-from soro_bench.diagnosis.estimation.posterior_covariance import with_covariance
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, descended, fitted, with_covariance
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.inference.statistical_linearisation import LowRank
 

@@ -26,18 +26,19 @@ from soro_bench.diagnosis.selection.moves import (
     swap_delays,
     without_one,
 )
-from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate, evidence, pairs, responses, singles
-from soro_bench.diagnosis.selection.spreading import at_each_element, generalised
-from soro_bench.diagnosis.selection.stopping import is_better, simplest, without_a_term
-from soro_bench.diagnosis.selection.turns import (
+from soro_bench.diagnosis.selection.rounds import (
+    at_each_element,
     cheapest,
     compatible,
+    generalised,
     guesses_of,
     refined_in_turns,
     under_present_error,
     with_own_discretisation,
     worth,
 )
+from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate, evidence, pairs, responses, singles
+from soro_bench.diagnosis.selection.stopping import is_better, simplest, without_a_term
 
 SEEDS = 10_000  # of samples, for each seed of a diagnosis
 _FIRST_SEED, _SEED_STEP = 10, 10  # after those of the nominal fit, and between those of two calls

@@ -12,8 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from soro_bench.diagnosis.candidates import Term, effects_at, late, slices
-from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, fitted
-from soro_bench.diagnosis.estimation.gauss_newton import descended
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, descended, fitted
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate

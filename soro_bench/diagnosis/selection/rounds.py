@@ -1,0 +1,220 @@
+"""What a round of forward selection is made of: which candidates are fitted, and fits in turns with their errors.
+
+A law at several elements at once is one candidate: in place of one term more, or of the single terms found so far. Its
+responses are those of its elements together, so that it is screened without a replay.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from soro_bench.arrays import Floats
+from soro_bench.diagnosis.candidates import Term, effects_at, slices, typical
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, fitted_under_discretisation
+from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.selection.moves import Laws, distinct, indistinguishable, laws, move_radii, refine, unique
+from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate
+from soro_bench.diagnosis.spread_terms import SpreadTerm, alike, is_single, law_of, spread
+from soro_bench.effects.catalogue import CATEGORIES
+from soro_bench.effects.effect import Location
+
+
+def at_each_element(problem: Problem, screened: Evidence, offered: Sequence[ScreenedCandidate]) -> list[Guess]:
+    """Where to begin fits of laws at several elements that are predicted to gain clearly more than any single term.
+
+    Args:
+        offered: the single terms, the largest predicted gain first.
+    """
+    least = offered[0].gain + problem.settings.selection.least_gain
+    found = [screened.at_each(spread(members)) for members in alike(screened.candidates)]
+    better = [each for each in found if _beyond_chance(problem, each) > least and _accepted(problem, each)]
+    better.sort(key=lambda each: -each.gain)
+    return [screened.guess(each) for each in better[: problem.settings.selection.spread_laws]]
+
+
+def generalised(problem: Problem, screened: Evidence, candidates: Sequence[Term], worth: float) -> list[Guess]:
+    """Where to begin fits of laws at all their elements, in place of the single terms that the hypothesis has of them.
+
+    They are tried where the other elements together are predicted to gain as much as is worth a fit. With each come
+    simpler laws of its class, as one element may not tell them apart.
+
+    Args:
+        candidates: all of them, those too that the robot cannot have beside the hypothesis.
+    """
+    found, single = [], [each for each in screened.base.terms if is_single(each)]
+    for law in sorted({law_of(each) for each in single}):
+        own = [each for each in single if law_of(each) == law]
+        taken = {each.location for each in own}
+        same = [each for each in screened.candidates if is_single(each) and law_of(each) == law]
+        others = {each.location: each for each in reversed(same) if each.location not in taken}  # without variants
+        if not others:
+            continue
+        guess = _generalised(problem, screened, own, list(others.values())[::-1], worth)
+        found += [guess, *_simpler(problem, guess, candidates)] if guess else []
+    return [each for each in found if problem.robot.accepts(effects_at(each.x[problem.parameters :], each.terms))]
+
+
+def _generalised(
+    problem: Problem, screened: Evidence, own: Sequence[Term], others: Sequence[Term], worth: float
+) -> Guess | None:
+    """The hypothesis with a law at each element in place of its own terms of that law; None if it is not worth a fit.
+
+    Args:
+        own: terms of the hypothesis. others: candidates of the same law.
+    """
+    base, d = screened.base, problem.parameters
+    rest = screened.at_each(spread(others))
+    if _beyond_chance(problem, rest) < worth:
+        return None
+    parts = dict(zip(base.terms, slices(base.terms, d), strict=True))
+    added = rest.terms[-1].parts(rest.x[len(base.x) :])
+    magnitudes = [base.x[parts[each]][0] for each in own] + [x[0] for _, x in added]
+    kept = np.ones(len(base.x), bool)
+    for each in own:
+        kept[parts[each]] = False
+    whole = spread([*own, *others])
+    x = whole.coordinates_of(magnitudes, base.x[parts[own[0]]][1:])
+    responses = [base.jacobian[parts[each]][:1] for each in own] + [screened.response(each) for each in others]
+    return Guess(
+        np.concatenate([rest.x[: len(base.x)][kept], x]),
+        (*(each for each in base.terms if each not in own), whole),
+        np.concatenate([base.jacobian[kept], _rows(whole, whole.mixing @ np.concatenate(responses))]),
+    )
+
+
+def _simpler(problem: Problem, guess: Guess, candidates: Sequence[Term]) -> list[Guess]:
+    """The guess with laws of fewer quantities, of the same class at the same elements, in place of its last one."""
+    *others, last = guess.terms
+    if not isinstance(last, SpreadTerm) or guess.jacobian is None:
+        return []
+    first, found = len(guess.x) - last.size, []
+    for group in alike(candidates):
+        members = {each.location: each for each in group}
+        same = CATEGORIES[group[0].name] == CATEGORIES[last.name] and group[0].size < last.members[0].size
+        if same and not group[0].removable and all(each.location in members for each in last.members):
+            whole = spread([members[each.location] for each in last.members])
+            ratio = np.array([
+                a.deviations[0] / b.deviations[0] for a, b in zip(last.members, whole.members, strict=True)
+            ])
+            magnitudes = guess.x[first : first + len(last.mixing)] @ last.mixing
+            x = whole.coordinates_of(magnitudes * ratio, np.zeros(whole.size))
+            rows = guess.jacobian[first : first + len(whole.mixing)]  # but for the ratio, where a search begins only
+            jacobian = np.concatenate([guess.jacobian[:first], _rows(whole, rows)])
+            found.append(Guess(np.concatenate([guess.x[:first], x]), (*others, whole), jacobian))
+    return found
+
+
+def _rows(term: Term, responses: Floats) -> Floats:
+    """(size, M) of a Jacobian: responses (k, M) of the magnitudes, and nothing known of the rest."""
+    found = np.zeros((term.size, responses.shape[1]))
+    found[: len(responses)] = responses
+    return found
+
+
+def _beyond_chance(problem: Problem, candidate: ScreenedCandidate) -> float:
+    """The predicted gain, less what further unknowns than one gain by chance [nats]."""
+    if problem.misfit_dominated:  # then the whole residual counts as noise, and all gains are small
+        return candidate.gain
+    return candidate.gain - problem.settings.probabilities.gain_of_unknown * (candidate.terms[-1].size - 1)
+
+
+def _accepted(problem: Problem, candidate: ScreenedCandidate) -> bool:
+    return problem.robot.accepts(candidate.effects)
+
+
+# --- fits ---
+
+
+def cheapest(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Those with the same terms once: at the position of the first, as the one with the least cost."""
+    best: dict[Laws, Hypothesis] = {}
+    for h in sorted(hypotheses, key=lambda h: h.cost):
+        best.setdefault(laws(h), h)
+    return [best[laws(h)] for h in unique(hypotheses)]
+
+
+def refined_in_turns(
+    problem: Problem, refined: Sequence[Robot], hypotheses: list[Hypothesis], seeds: Iterator[int]
+) -> tuple[Problem, list[Hypothesis]]:
+    """Fit and discretisation error in turns, as long as the misfit is larger than that of healthy cases and falls.
+
+    The best hypothesis comes first. The first turn is of its rivals too, which may only have farther to go. It samples
+    as widely as the nominal fit, as parameters that have absorbed an effect may be far from where they belong.
+    """
+    settings = problem.settings.selection
+    for turn in range(settings.refinements):
+        before = problem.misfit(hypotheses[0].residual)
+        if before < settings.healthy_misfit:
+            break
+        count, radii = 1, move_radii(settings)
+        wide = turn == 0 and len(hypotheses[0].terms) > 0
+        if wide:
+            limit = settings.rival_misfit * before
+            count = sum(problem.misfit(h.residual) < limit for h in hypotheses[: settings.discretisations])
+            radii = settings.nominal_radius, settings.nominal_radius_near
+        better = refine(problem, hypotheses[:count], radii, next(seeds))
+        problem, better = with_own_discretisation(problem, refined, better, next(seeds))
+        rest = [under_present_error(problem, h) for h in hypotheses[count:]]
+        hypotheses = sorted([*better, *rest], key=lambda h: -h.log_evidence(problem))
+        if not wide and problem.misfit(hypotheses[0].residual) > (1.0 - settings.refinement_gain) * before:
+            break
+    return problem, hypotheses
+
+
+def compatible(robot: Robot, hypothesis: Hypothesis, candidates: Sequence[Term]) -> list[Term]:
+    """The candidates that the robot can have beside the effects of a hypothesis."""
+    effects = hypothesis.effects(len(robot.priors))
+    return [term for term in candidates if robot.accepts([*effects, typical(term)])]
+
+
+def guesses_of(problem: Problem, screened: Evidence, offered: Sequence[ScreenedCandidate]) -> list[Guess]:
+    """Where to begin the fits of the best candidates, and of those that look like the very best.
+
+    Predicted gains are linear: one law may be predicted to gain more than another one that fits better.
+    """
+    settings = problem.settings.selection
+    limit = settings.least_share_of_gain * offered[0].gain if offered else 0.0
+    best = [candidate for candidate in distinct(offered, problem.robot, settings) if candidate.gain > limit]
+    taken = {candidate.chosen for candidate in best}
+    others = [
+        candidate
+        for candidate in offered
+        if best and indistinguishable(problem.robot, candidate, best[0]) and candidate.chosen not in taken
+    ]
+    best += [candidate for candidate in others if problem.robot.accepts(candidate.effects)]
+    return [screened.guess(candidate) for candidate in best]
+
+
+def worth(problem: Problem, nominal: Hypothesis, best: Hypothesis) -> float:
+    """The least predicted gain of one more term beside the best hypothesis that is worth a fit [nats]."""
+    settings = problem.settings.selection
+    remaining, of_nominal = (problem.misfit(h.residual) for h in (best, nominal))
+    of_explained = settings.least_gain_of_explained * (of_nominal - remaining)
+    if problem.misfit_dominated:  # then the whole residual counts as noise
+        return max(settings.least_gain_of_misfit * 0.5 * float(problem.weight.sum()), of_explained)
+    return max(settings.least_gain, settings.least_gain_of_misfit * remaining, of_explained)
+
+
+def with_own_discretisation(
+    problem: Problem, refined: Sequence[Robot], hypotheses: Sequence[Hypothesis], seed: int
+) -> tuple[Problem, list[Hypothesis]]:
+    """The problem with the discretisation error of the hypotheses too, and these fitted once more under it.
+
+    Laws of one class at one location have the same error.
+    """
+    settings = problem.settings.selection
+    points: dict[tuple[tuple[str, Location], ...], tuple[np.ndarray, tuple[Term, ...]]] = {}
+    for h in hypotheses:
+        points.setdefault(tuple((CATEGORIES[term.name], term.location) for term in h.terms), (h.x, h.terms))
+    chosen = list(points.values())[: settings.discretisations]
+    guesses = [Guess(h.x, h.terms, h.jacobian) for h in hypotheses]
+    problem, again = fitted_under_discretisation(problem, refined, chosen, guesses, (settings.fit_radius_last,), seed)
+    before = [under_present_error(problem, h) for h in hypotheses]
+    return problem, [min(pair, key=lambda h: h.cost) for pair in zip(before, again, strict=True)]
+
+
+def under_present_error(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+    """The hypothesis with its cost under the discretisation error that the problem has now."""
+    return replace(hypothesis, cost=problem.cost(hypothesis.residual, hypothesis.x))
