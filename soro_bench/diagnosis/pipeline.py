@@ -9,8 +9,9 @@ from functools import partial
 import numpy as np
 
 from soro_bench.diagnosis.candidates import terms
-from soro_bench.diagnosis.data_quality.inspection import Inspected, compressed, far_off, inspected
-from soro_bench.diagnosis.data_quality.noise import DataQuality, noise
+from soro_bench.diagnosis.data_quality.inspection import Inspected, inspected
+from soro_bench.diagnosis.data_quality.noise import DataQuality, compressed, noise
+from soro_bench.diagnosis.data_quality.samples import far_off
 from soro_bench.diagnosis.data_quality.signals import (
     answers_of,
     explaining,

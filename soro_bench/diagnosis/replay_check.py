@@ -16,7 +16,8 @@ import mujoco
 import numpy as np
 
 from soro_bench.arrays import Bools, Floats
-from soro_bench.diagnosis.data_quality.inspection import far_off, inspected
+from soro_bench.diagnosis.data_quality.inspection import inspected
+from soro_bench.diagnosis.data_quality.samples import far_off
 from soro_bench.diagnosis.result import Result, plain_json
 from soro_bench.diagnosis.result_parts import ReplayedRobot, SignalQuality
 from soro_bench.diagnosis.robots.measured import Measured, ObservedSignal

@@ -281,3 +281,30 @@ def _names(model: mujoco.MjModel, kind: mujoco.mjtObj, count: int) -> list[str]:
 def _width(span: Floats, limited: bool, otherwise: float) -> float:
     width = float(np.abs(span).max())
     return width if limited and width > 0 else otherwise
+
+
+def length_unit(model: mujoco.MjModel, actuator: int) -> str:
+    """ "rad" for an actuator that turns a hinge, directly or by a tendon round joints, else "m"."""
+    hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
+    of_joint = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    target, transmission = model.actuator_trnid[actuator, 0], model.actuator_trntype[actuator]
+    if transmission in of_joint:
+        return "m" if model.jnt_type[target] == int(mujoco.mjtJoint.mjJNT_SLIDE) else "rad"
+    if transmission == int(mujoco.mjtTrn.mjTRN_TENDON):
+        path = slice(model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target])
+        joints = model.wrap_objid[path][model.wrap_type[path] == int(mujoco.mjtWrap.mjWRAP_JOINT)]
+        return "rad" if len(joints) and (model.jnt_type[joints] == hinge).all() else "m"
+    return "m"
+
+
+def setpoint_unit(model: mujoco.MjModel, actuator: int) -> str:
+    """The unit of an actuator's setpoint: a length or angle for servos of positions, and its rate for those of
+    velocities; a force where the control is one; else "1", as for the inflation of a chamber."""
+    length = length_unit(model, actuator)
+    if model.actuator_biastype[actuator] == int(mujoco.mjtBias.mjBIAS_AFFINE):
+        # a model may get its stiffness at run time: both are 0 then
+        of_position, of_velocity = model.actuator_biasprm[actuator, 1:3]
+        return f"{length}/s" if of_position == 0 and of_velocity != 0 else length
+    direct = model.actuator_gaintype[actuator] == int(mujoco.mjtGain.mjGAIN_FIXED)
+    direct = direct and model.actuator_gainprm[actuator, 0] * abs(model.actuator_gear[actuator, 0]) == 1.0
+    return {"m": "N", "rad": "N m"}[length] if direct else "1"

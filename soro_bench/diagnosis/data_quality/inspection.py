@@ -8,14 +8,15 @@ import numpy as np
 from soro_bench.arrays import Bools, Floats
 from soro_bench.diagnosis.data_quality import samples
 from soro_bench.diagnosis.data_quality.lattice import is_lattice, lattice_step
-from soro_bench.diagnosis.data_quality.noise import noise, outliers
+from soro_bench.diagnosis.data_quality.noise import noise_or_zero
+from soro_bench.diagnosis.data_quality.retiming import RecordedSignal
 from soro_bench.diagnosis.data_quality.samples import Channel
-from soro_bench.diagnosis.data_quality.stamps import Stamps, interpolated, stamps
+from soro_bench.diagnosis.data_quality.stamps import Stamps, stamps
 from soro_bench.diagnosis.data_quality.texts import text
 from soro_bench.diagnosis.result_parts import DataFinding
 from soro_bench.diagnosis.robots.measured import Measured, ObservedSignal
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.settings import DEFAULT, DataQualitySettings, Settings, SignalSettings
+from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 
 SEARCHED = 8  # channels, those that move most, in which steps between levels are looked for
@@ -114,6 +115,7 @@ class _Inspection:
     ):
         self.recording, self.number, self.robot, self.signal = recording, number, robot, signal
         self.observed = observed
+        self.recorded = RecordedSignal(recording, robot, observed, signal, settings.signals)
         self.settings, self.quality = settings.signals, settings.data_quality
         self.values = signal.values.reshape(len(signal.time), -1).copy()
         self.points, self.coordinates = observed.shape
@@ -137,9 +139,12 @@ class _Inspection:
         found = stamps(self.signal.time[rows], self.values[rows], self.settings, late=held)
         recording, error, rate = self.recording, 0.0, 0.0
         if found is not None or held:
-            recording, error, rate = self._retimed(rows, found, held, spacing)
+            self._note_stamps(found, held)
+            recording, error, rate = self.recorded.retimed(
+                self.values, rows, found, spacing if held else None, self.noise
+            )
         elif turned or self.findings:
-            recording = self._with(self.signal.time, self.values)
+            recording = self.recorded.with_samples(self.signal.time, self.values)
         lost = found.missing * self.values.shape[1] if found and not held else 0
         if lost or missing:
             self._note("missing_samples", lost + missing, lost)
@@ -174,14 +179,19 @@ class _Inspection:
         said = text(name, self.observed.name, self.observed.unit, share, values)
         self.findings.append(DataFinding(name, self.observed.name, self.number, int(count), float(share), said))
 
+    def _note_stamps(self, found: Stamps | None, held: bool) -> None:
+        """Tell what is wrong with the time stamps; gaps are told as missing samples."""
+        if found is None or held:  # which rounds stamps to rows
+            return
+        for name, count in zip(found.kinds, found.affected, strict=True):
+            if name != "gaps":
+                self._note(name, count * self.values.shape[1], late=found.size)
+
     def _noise(self) -> float:
         """Standard deviation of the noise of samples that do not repeat the ones before."""
         fresh = self.values.copy()
         fresh[1:][np.diff(self.values, axis=0) == 0] = np.nan
-        try:
-            return noise(compressed(fresh), self.quality)
-        except (RecordingError, ValueError):  # too few of them
-            return 0.0
+        return noise_or_zero(fresh, self.quality)
 
     def _channels(self, steps: Floats) -> Iterator[tuple[int, Channel]]:
         for i in range(self.values.shape[1]):
@@ -209,7 +219,7 @@ class _Inspection:
         if self.observed.name != self.robot.signal or not len(seen):
             return
         try:
-            drive = self.robot.measured(self._with(self.signal.time, self.values)).drive
+            drive = self.robot.measured(self.recorded.with_samples(self.signal.time, self.values)).drive
         except RecordingError:  # which is told where it is measured
             return
         begin = replace(
@@ -238,7 +248,7 @@ class _Inspection:
         """(C,) steps between the levels of quantised channels; 0 for the others."""
         steps = np.zeros(self.values.shape[1])
         reach = np.nanmax(self.values, axis=0) - np.nanmin(self.values, axis=0)
-        noisy = min(self.noise, _noise_or_zero(self.values, self.quality))
+        noisy = min(self.noise, noise_or_zero(self.values, self.quality))
         least = max(self.settings.least_step * noisy, self.quality.least_noise * float(reach.max()))
         for i in np.argsort(-reach, kind="stable")[:SEARCHED]:
             steps[i] = lattice_step(self.values[:, i], least, self.settings)
@@ -304,96 +314,6 @@ class _Inspection:
             self.size = float(np.sqrt(np.mean(squares)))
             self._note("spikes", self.spikes * self.coordinates, size=self.size)
 
-    def _retimed(self, rows: Bools, found: Stamps | None, held: bool, spacing: float) -> tuple[Recording, float, float]:
-        """The recording at control steps, from rebuilt time stamps; standard deviations of what may be wrong with
-        these: a constant error [s], and the rate of the clock."""
-        time, error, rate = self.signal.time[rows], 0.0, 0.0
-        recording = self.recording
-        if found is not None:
-            for name, count in zip(found.kinds, found.affected, strict=True):
-                if name != "gaps" and not held:  # which rounds stamps to rows
-                    self._note(name, count * self.values.shape[1], late=found.size)
-            rebuilt = not {"gaps", "irregular"} >= set(found.kinds)
-            time = found.time
-            if rebuilt and held:
-                # all are older than this by the same time, and none is as old as the row before its own; the first one
-                # may be from before the recording
-                width = max(spacing - float((self.signal.time[rows] - time)[1:].max()), 0.0)
-                time, error, rate = time - 0.5 * width, width / np.sqrt(12), self.settings.clock_rate
-            elif rebuilt:
-                error, rate = found.error, self.settings.clock_rate
-                given, time = self.signal.time[rows], self._snapped(found)
-                recording = _with_commands(recording, given, time, self.settings)
-        if held and not rate:  # a fresh value may be as old as the interval between two rows
-            error = spacing / np.sqrt(3)
-        return self._on_steps(recording, time, self.values[rows]), error, rate
-
-    def _snapped(self, found: Stamps) -> Floats:
-        """Rebuilt time stamps, moved onto control steps where they are as near as their error allows."""
-        step, time = self.robot.control_timestep, found.time
-        ratio = max(found.period / step, step / found.period)
-        whole = round(ratio)
-        exact = step * whole if found.period >= step else step / whole
-        number = np.round((time - time[0]) / found.period)
-        drift = number * (exact - found.period)
-        if abs(ratio / whole - 1.0) > self.settings.snapped or abs(drift[-1]) > 0.5 * min(step, found.period):
-            return time
-        begin = self.robot.begins(self.recording)
-        offset = time.mean() - (exact * number).mean()
-        nearest = begin + round((offset - begin) / min(exact, step)) * min(exact, step)
-        near = abs(offset - nearest) <= max(found.error, self.settings.snapped * step)
-        return (nearest if near else offset) + exact * number
-
-    def _on_steps(self, recording: Recording, time: Floats, values: Floats) -> Recording:
-        """The recording with the signal (T, C) at the ends of control steps, its first sample before them."""
-        before = max(int((time < 0.0).sum()) - 1, 0)  # all that was sampled before the recording, but for the last one
-        time, values = np.maximum(time[before:], 0.0), values[before:]
-        step, begin = self.robot.control_timestep, self.robot.begins(recording)
-        count = max(int(np.ceil((time[-1] - begin) / step - 1e-6)), 1)
-        wanted = np.asarray(begin + step * np.arange(1, count + 1), float)
-        columns = [interpolated(time, column, wanted, step, self.noise, self.settings) for column in values.T]
-        wanted = np.concatenate([[min(time[0], begin)], wanted])
-        return replace(recording, signals={**recording.signals, self.observed.name: self._signal(
-            wanted, np.vstack([values[:1], np.stack(columns, axis=1)]))})  # fmt: skip
-
-    def _with(self, time: Floats, values: Floats) -> Recording:
-        """The recording with other samples (T, C)."""
-        return replace(
-            self.recording, signals={**self.recording.signals, self.observed.name: self._signal(time, values)}
-        )
-
-    def _signal(self, time: Floats, values: Floats) -> Signal:
-        shape = self.signal.values.shape[1:]
-        return Signal(time, values.reshape(len(time), *shape), self.signal.unit, self.signal.frame)
-
-
-def far_off(residual: Floats, spoilt: bool, settings: Settings = DEFAULT) -> Bools:
-    """(T, P) whether a point is alone and far off; one of two, where the recording was ``spoilt``.
-
-    Args:
-        residual: (T, P, D) measured less simulated, in standard deviations of the noise; NaN where missing.
-    """
-    far = outliers(residual, settings.data_quality)
-    if spoilt:
-        columns = (residual[:, p] for p in range(residual.shape[1]))
-        far |= np.stack([samples.spikes(column, 1.0, settings.signals) for column in columns], axis=1)
-    return far
-
-
-def compressed(values: Floats) -> Floats:
-    """(T, ...) with the present samples of each number first, in their order: it may miss others than its neighbours
-    do."""
-    columns = values.reshape(len(values), -1)
-    order = np.argsort(np.isnan(columns), axis=0, kind="stable")
-    return np.take_along_axis(columns, order, axis=0).reshape(values.shape)
-
-
-def _noise_or_zero(values: Floats, settings: DataQualitySettings) -> float:
-    try:
-        return noise(compressed(values), settings)
-    except (RecordingError, ValueError):
-        return 0.0
-
 
 def _distances(point: Floats, at: Bools) -> list[float]:
     """Squares of the distances of samples of a point (T, D) from the line through those around them."""
@@ -404,17 +324,3 @@ def _distances(point: Floats, at: Bools) -> list[float]:
         for i in range(point.shape[1])
         for each in (point[at, i] - np.interp(rows, good, point[good, i])) ** 2
     ]
-
-
-def _with_commands(recording: Recording, given: Floats, rebuilt: Floats, settings: SignalSettings) -> Recording:
-    """The recording with the commands that have the same time stamps at the rebuilt ones."""
-    commands = {}
-    for name, command in recording.commands.items():
-        shared = np.isin(command.time, given).mean() > settings.mostly
-        commands[name] = command
-        if shared:
-            late = np.interp(command.time, given, rebuilt - given)
-            time = np.maximum(command.time + late, 0.0)
-            if (np.diff(time) > 0).all():
-                commands[name] = replace(command, time=time)
-    return replace(recording, commands=commands)

@@ -117,3 +117,19 @@ def outliers(residual: Floats, settings: DataQualitySettings = _DEFAULT) -> Bool
     peak = np.maximum(np.roll(jump, 1, axis=0), np.roll(jump, -1, axis=0))
     least = np.maximum(settings.outlier_deviations, settings.outlier_times_usual * np.maximum(usual, beside))
     return (jump > least) & (jump > peak) & (moved < settings.outlier_return * jump)
+
+
+def compressed(values: Floats) -> Floats:
+    """(T, ...) with the present samples of each number first, in their order: it may miss others than its neighbours
+    do."""
+    columns = values.reshape(len(values), -1)
+    order = np.argsort(np.isnan(columns), axis=0, kind="stable")
+    return np.take_along_axis(columns, order, axis=0).reshape(values.shape)
+
+
+def noise_or_zero(values: Floats, settings: DataQualitySettings) -> float:
+    """Standard deviation of the noise of the present samples (T, C); 0 where there are too few."""
+    try:
+        return noise(compressed(values), settings)
+    except (RecordingError, ValueError):
+        return 0.0

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from soro_bench.arrays import Bools, Floats, Ints
-from soro_bench.diagnosis.settings import SignalSettings
+from soro_bench.diagnosis.data_quality.noise import outliers
+from soro_bench.diagnosis.settings import DEFAULT, Settings, SignalSettings
 
 _TURNS = (2.0 * np.pi, np.pi)  # rad, after which angles wrap
 
@@ -265,3 +266,16 @@ def repeats(values: Floats) -> Bools:
         found[present[first : first + length]] = True
         found[present[first + length // 2]] = False
     return found
+
+
+def far_off(residual: Floats, spoilt: bool, settings: Settings = DEFAULT) -> Bools:
+    """(T, P) whether a point is alone and far off; one of two, where the recording was ``spoilt``.
+
+    Args:
+        residual: (T, P, D) measured less simulated, in standard deviations of the noise; NaN where missing.
+    """
+    far = outliers(residual, settings.data_quality)
+    if spoilt:
+        columns = (residual[:, p] for p in range(residual.shape[1]))
+        far |= np.stack([spikes(column, 1.0, settings.signals) for column in columns], axis=1)
+    return far

@@ -9,8 +9,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from soro_bench.diagnosis.data_quality.inspection import Inspected, compressed
-from soro_bench.diagnosis.data_quality.noise import DataQuality, data_quality
+from soro_bench.diagnosis.data_quality.inspection import Inspected
+from soro_bench.diagnosis.data_quality.noise import DataQuality, compressed, data_quality
 from soro_bench.diagnosis.data_quality.responses import answered
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.result_parts import DataFinding

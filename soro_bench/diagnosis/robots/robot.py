@@ -19,7 +19,7 @@ from soro_bench.diagnosis.robots.variants import Variant
 from soro_bench.diagnosis.settings import DiscretisationSettings
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import EACH, EVERY, Effect, Location
-from soro_bench.effects.elements import Elements
+from soro_bench.effects.elements import Elements, length_unit, setpoint_unit
 from soro_bench.files import brief
 from soro_bench.recording.known import Known
 from soro_bench.recording.recording import Recording, RecordingError, Signal
@@ -232,7 +232,7 @@ class Robot(Replays):
     def force_units(self) -> list[str]:
         """The unit of each actuator's force."""
         model = self.elements.model
-        return [{"m": "N", "rad": "N m"}[_length_unit(model, i)] for i in range(model.nu)]
+        return [{"m": "N", "rad": "N m"}[length_unit(model, i)] for i in range(model.nu)]
 
     @property
     def setpoint_unit(self) -> str:
@@ -246,17 +246,8 @@ class Robot(Replays):
         return self._setpoint_unit(self.elements.id(location)) if named else self.setpoint_unit
 
     def _setpoint_unit(self, actuator: int) -> str:
-        """The unit of an actuator's setpoint: a length or angle for servos of positions, and its rate for those of
-        velocities; a force where the control is one; else "1", as for the inflation of a chamber."""
-        model = self.elements.model
-        length = _length_unit(model, actuator)
-        if model.actuator_biastype[actuator] == int(mujoco.mjtBias.mjBIAS_AFFINE):
-            # a model may get its stiffness at run time: both are 0 then
-            of_position, of_velocity = model.actuator_biasprm[actuator, 1:3]
-            return f"{length}/s" if of_position == 0 and of_velocity != 0 else length
-        direct = model.actuator_gaintype[actuator] == int(mujoco.mjtGain.mjGAIN_FIXED)
-        direct = direct and model.actuator_gainprm[actuator, 0] * abs(model.actuator_gear[actuator, 0]) == 1.0
-        return {"m": "N", "rad": "N m"}[length] if direct else "1"
+        """The unit of an actuator's setpoint."""
+        return setpoint_unit(self.elements.model, actuator)
 
     def unit_at(self, unit: str, location: Location) -> str:
         """The unit of a law's quantity at a location.
@@ -387,17 +378,3 @@ class Robot(Replays):
         if signal in self.others:
             return np.full(signal.shape, np.nan), np.full((len(times), *signal.shape), np.nan)
         raise RecordingError(f"the recording has no signal {signal.name!r}; it has {', '.join(recording.names)}")
-
-
-def _length_unit(model: mujoco.MjModel, actuator: int) -> str:
-    """ "rad" for an actuator that turns a hinge, directly or by a tendon round joints, else "m"."""
-    hinge = int(mujoco.mjtJoint.mjJNT_HINGE)
-    of_joint = int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-    target, transmission = model.actuator_trnid[actuator, 0], model.actuator_trntype[actuator]
-    if transmission in of_joint:
-        return "m" if model.jnt_type[target] == int(mujoco.mjtJoint.mjJNT_SLIDE) else "rad"
-    if transmission == int(mujoco.mjtTrn.mjTRN_TENDON):
-        path = slice(model.tendon_adr[target], model.tendon_adr[target] + model.tendon_num[target])
-        joints = model.wrap_objid[path][model.wrap_type[path] == int(mujoco.mjtWrap.mjWRAP_JOINT)]
-        return "rad" if len(joints) and (model.jnt_type[joints] == hinge).all() else "m"
-    return "m"
