@@ -19,7 +19,7 @@ pytest.importorskip("rerun", reason="needs the train extra")
 
 from soro_bench.commands.recording import _describe
 from soro_bench.diagnosis.assembly.errors import worse_replays
-from soro_bench.diagnosis.render import render, words
+from soro_bench.diagnosis.render import render, sentences, words
 from soro_bench.diagnosis.render.html import html
 from soro_bench.diagnosis.render.rerun import rmse
 from soro_bench.diagnosis.render.summary import WIDTH, summary
@@ -201,7 +201,7 @@ def test_notes_on_model_and_recordings_are_on_the_console_and_in_the_report() ->
 
 
 def test_p_value_is_never_smaller_than_can_be_known() -> None:
-    assert words.p_value(RESULTS["trunk friction"]()) == "p < 0.001"
+    assert sentences.p_value(RESULTS["trunk friction"]()) == "p < 0.001"
 
 
 def test_a_patch_that_makes_it_worse_says_so_with_both_errors() -> None:
@@ -217,10 +217,10 @@ def test_plain_replay_errors_stand_first(name: str) -> None:
     lines, page = summary(result).splitlines(), text_of(html(result))
     assert lines[1].split() == ["plain", "replay", "RMSE", "fitted", "to", *["held", "out"] * bool(result.heldout)]
     assert page.splitlines()[3].startswith("plain replay, RMSE")
-    shown = [each for each in result.robots if each.name in words.ROBOTS]
+    shown = [each for each in result.robots if each.name in sentences.ROBOTS]
     for i, each in enumerate(shown):
         errors = [each.train] if each.heldout is None else [each.train, each.heldout]
-        row = " ".join([words.ROBOTS[each.name], *(words.number(error, result.robot.unit) for error in errors)])
+        row = " ".join([sentences.ROBOTS[each.name], *(words.number(error, result.robot.unit) for error in errors)])
         assert row.split() == lines[2 + i].split()
         assert row.replace(words.NO_BREAK, " ") in page
 
@@ -239,7 +239,7 @@ def test_parameters_that_replay_worse_than_the_model_as_built_raise_a_warning() 
     """With both errors and the recordings, in the verdict of console and report; from 1 % on, and if they diverge."""
     result = RESULTS["adequate"]()
     built, fitted = (replace(each, train=0.004, heldout=0.004) for each in result.robots)
-    assert words.worse(result) == "" and worse_replays(result.robots, 0.01) == ()
+    assert sentences.worse(result) == "" and worse_replays(result.robots, 0.01) == ()
     assert worse_replays((built, replace(fitted, train=0.00403)), 0.01) == ()
     fitted = replace(fitted, train=0.0044, heldout=math.nan)
     found = worse_replays((built, fitted, replace(fitted, name="alternative")), 0.01)
@@ -266,7 +266,7 @@ def test_every_error_and_magnitude_has_a_unit(name: str) -> None:
     result = RESULTS[name]()
     unit = words.shown_unit(result.robot.unit)[1]
     text = " ".join(summary(result).split())
-    cells = [cell for row in words.replays(result) for cell in row[1:] if cell not in ("", "no effects")]
+    cells = [cell for row in sentences.replays(result) for cell in row[1:] if cell not in ("", "no effects")]
     assert len(cells) >= 2 and {cell.split(words.NO_BREAK)[1] for cell in cells} == {unit}
     assert re.search(rf"noise {NUMBER} {unit}", text)
     for each in [e for f in result.findings for e in f.estimates if e.unit != "1"]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from soro_bench.diagnosis.render import words
+from soro_bench.diagnosis.render import sentences, words
 from soro_bench.diagnosis.result import Result, Shape
 from soro_bench.effects.effect import EACH, EVERY, Location
 from soro_bench.plotting import pyplot
@@ -36,7 +36,7 @@ def places(result: Result) -> list[Location]:
     """The locations to highlight in the robot's picture."""
     if result.verdict == "outside_catalogue":
         return [each.location for each in result.locations[:1]]
-    return [each.location for each in words.best_findings(result) if each.location is not None]
+    return [each.location for each in sentences.best_findings(result) if each.location is not None]
 
 
 def is_at(shape: Shape, locations: list[Location]) -> bool:

@@ -7,7 +7,7 @@ from jinja2 import Environment, PackageLoader, select_autoescape
 from latex2mathml.converter import convert
 from markupsafe import Markup, escape
 
-from soro_bench.diagnosis.render import figures, words
+from soro_bench.diagnosis.render import figures, sentences, words
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.result_parts import Finding
 from soro_bench.effects.equations import EQUATIONS
@@ -49,9 +49,10 @@ def html(result: Result) -> str:
     """The report as HTML."""
     return TEMPLATES.get_template("report.html").render(
         result=result,
+        sentences=sentences,
         words=words,
-        tone="good" if words.headline(result).startswith("Adequate") else "bad",
-        laws=[(each, equation(each.name)) for each in words.best_findings(result)],
+        tone="good" if sentences.headline(result).startswith("Adequate") else "bad",
+        laws=[(each, equation(each.name)) for each in sentences.best_findings(result)],
         picture=figures.robot(result),
         marked=figures.marked(result),
         points=any(each.kind == "sensor" for shape in result.shapes for each in shape.locations),

@@ -80,11 +80,6 @@ def measure(found: Estimate) -> str:
     return words.estimate(found)
 
 
-def p_value(value: float) -> str:
-    """A p-value, never smaller than can be known."""
-    return "p < 0.001" if value < words.TINY else f"p = {value:.2g}"
-
-
 def summary(result: PairedResult) -> str:
     """The answer first, then the commands, the measured difference, and what explains it."""
     lines = [headline(result) + "."]
@@ -116,9 +111,8 @@ def _commands(result: PairedResult) -> str:
 def _difference(found: SignalDifference) -> str:
     noise = words.number(found.noise, found.unit, 2)
     runs = " (between runs of the same robot)" if found.run_to_run and found.run_to_run >= found.noise else ""
-    return (
-        f"{words.number(found.rms, found.unit)} rms of a coordinate, {noise} by noise{runs}; {p_value(found.p_value)}"
-    )
+    rms, chance = words.number(found.rms, found.unit), words.chance(found.p_value)
+    return f"{rms} rms of a coordinate, {noise} by noise{runs}; {chance}"
 
 
 def _points(found: SignalDifference) -> str:

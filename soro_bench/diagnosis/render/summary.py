@@ -2,7 +2,7 @@
 
 import textwrap
 
-from soro_bench.diagnosis.render import words
+from soro_bench.diagnosis.render import sentences, words
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.result_parts import Finding
 from soro_bench.files import shown
@@ -20,30 +20,30 @@ _NAME, _CELL = 22, 16  # columns of the table of errors
 def summary(result: Result) -> str:
     """The answer first, then errors, law, location, magnitude, what else it may be, and what to record next."""
     unit = result.robot.unit
-    lines = [words.headline(result) + _confidence(result), *_replays(result)]
+    lines = [sentences.headline(result) + _confidence(result), *_replays(result)]
     if result.outliers.share:
         share, size = 100 * result.outliers.share, words.number(result.outliers.size, unit)
         lines.append(line("outliers", f"{share:.2g} % of the points are {size} off (rms); left out"))
-    lines += [line("data", each) for each in words.data(result)]
-    for each in words.best_findings(result):
+    lines += [line("data", each) for each in sentences.data(result)]
+    for each in sentences.best_findings(result):
         lines += _finding(each, nearest=result.verdict == "outside_catalogue")
     if result.verdict == "outside_catalogue":
-        lines.append(line("location", words.where(result)))
-        if unconstrained := words.unconstrained(result):
+        lines.append(line("location", sentences.where(result)))
+        if unconstrained := sentences.unconstrained(result):
             lines.append(line("", unconstrained))
-    lines += [line("" if i else "recordings", each) for i, each in enumerate(words.disagreement(result))]
-    if known := words.known(result):
+    lines += [line("" if i else "recordings", each) for i, each in enumerate(sentences.disagreement(result))]
+    if known := sentences.known(result):
         lines.append(line("known", known))
     if not result.best.effects and result.verdict != "outside_catalogue":
         lines += _detectable(result)
-    if also := words.alternatives(result):
+    if also := sentences.alternatives(result):
         lines.append(line("or", "; ".join(also)))
-    if kind := words.kind(result):
+    if kind := sentences.kind(result):
         lines.append(line("kind", kind))
-    lines += [line("model", each) for each in words.patched_model(result)]
-    lines += [line("" if i else "limits", each) for i, each in enumerate(words.limits(result))]
-    lines += [line("note", each) for each in words.warnings(result)]
-    if then := words.next_recording(result):
+    lines += [line("model", each) for each in sentences.patched_model(result)]
+    lines += [line("" if i else "limits", each) for i, each in enumerate(sentences.limits(result))]
+    lines += [line("note", each) for each in sentences.warnings(result)]
+    if then := sentences.next_recording(result):
         lines.append(line("record next", then))
     return "\n".join(lines)
 
@@ -52,22 +52,22 @@ def _replays(result: Result) -> list[str]:
     """A table of plain replay errors, and what they rest on."""
     head = ("RMSE", "fitted to", *(["held out"] if result.heldout else []))
     lines = []
-    for i, (name, *cells) in enumerate([head, *words.replays(result)]):
+    for i, (name, *cells) in enumerate([head, *sentences.replays(result)]):
         row = "".join(f"{cell.replace(words.NO_BREAK, ' '):>{_CELL}}" for cell in cells)
         lines.append(f"  {'' if i else 'plain replay':<{_LABEL}}{name:<{_NAME}}{row}".rstrip())
-    if worse := words.worse(result):
+    if worse := sentences.worse(result):
         lines.append(line("warning", worse))
     lines.append(line("noise", words.number(result.train.noise, result.robot.unit)))
-    lines += [line("" if i else "signals", each) for i, each in enumerate(words.signals(result))]
-    return lines + ([line("", said)] if (said := words.explained(result)) else [])
+    lines += [line("" if i else "signals", each) for i, each in enumerate(sentences.signals(result))]
+    return lines + ([line("", said)] if (said := sentences.explained(result)) else [])
 
 
 def _confidence(result: Result) -> str:
     if result.verdict == "adequate":
-        return f" ({words.p_value(result)})." if result.p_value is not None else "."
+        return f" ({sentences.p_value(result)})." if result.p_value is not None else "."
     if result.verdict == "outside_catalogue":
         return f" (probability {words.probability(result.unknown)})."
-    found = words.best_findings(result)
+    found = sentences.best_findings(result)
     return f" (probability {words.probability(found[0].probability)})." if found else "."
 
 

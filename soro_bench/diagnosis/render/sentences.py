@@ -1,0 +1,313 @@
+"""A result in sentences, the same on the console and in the report."""
+
+import math
+
+from soro_bench.diagnosis.render.words import (
+    NO_BREAK,
+    Rows,
+    category,
+    chance,
+    change,
+    each_recording,
+    error,
+    law,
+    listed,
+    located,
+    number,
+    parameter,
+    plain,
+    probability,
+    quantity,
+    terms,
+)
+from soro_bench.diagnosis.result import Result
+from soro_bench.diagnosis.result_parts import Errors, Finding, ReachedLimit
+
+LIKELY = 0.05  # probability from which another hypothesis is mentioned
+VISIBLE = 0.3  # noise deviations from which an error of the model's form is told
+CORRECTED = 1.3  # ratio of plain to corrected errors from which the report warns
+FAR = 3.0  # standard deviations of the prior from which a parameter is called far off
+NEAR = 0.9  # of the best location's gain, from which another one explains nearly as much
+CLEAR = 0.7  # probability from which a kind of fault is clear
+AHEAD = 0.05  # by which a kind has to be more probable than the law
+ROBOTS = {  # whose plain replays are shown
+    "nominal": "model as built",
+    "fitted": "fitted parameters",
+    "patched": "with effects",
+    "best": "best hypothesis",
+}
+BEYOND = "the variance beyond noise and discretisation error"
+LIMITS = {
+    "force_limit": "At a limit of force",
+    "control_limit": "At a limit of control",
+    "slack": "Slack",
+    "stop": "At a stop",
+    "contact": "In contact",
+}
+SHOWN_LIMITS = 4  # elements of a kind that are named
+ANSWERS = {
+    "discrepancy": "Not adequate: the simulation lacks physics",
+    "outside_catalogue": "Not adequate: a discrepancy outside the catalogue",
+    "recordings_disagree": "Not adequate: parameters change from recording to recording",
+    "measurement_fault": "Sensor fault: the measurement differs, not the robot",
+}
+
+
+def limits(result: Result) -> list[str]:
+    """What the fitted robot reaches in its replay, a sentence for each kind of limit; the largest shares first."""
+    found = []
+    for name, said in LIMITS.items():
+        reached = [each for each in result.limits if each.name == name]
+        if reached:
+            more = len(reached) - SHOWN_LIMITS
+            shares = listed([*map(_share, reached[:SHOWN_LIMITS]), *([f"{more} more"] if more > 0 else [])])
+            found.append(f"{said}: {shares} of the time.")
+    return found
+
+
+def _share(found: ReachedLimit) -> str:
+    """An element, its limit and the share of the time."""
+    value = "" if found.value is None else f" ({number(found.value, found.unit)})"
+    return f"{found.element}{value} {100 * found.share:.0f}{NO_BREAK}%"
+
+
+def disagreement(result: Result) -> list[str]:
+    """Which quantities change from recording to recording, in sentences; none where the recordings agree."""
+    found = [each for each in result.agreement if each.changes]
+    if not found:
+        return []
+    said = ["Parameters change from recording to recording: the structure of the model is wrong."]
+    return said + [f"{quantity(each)}: {each_recording(each)} ({chance(each.p_value)})." for each in found]
+
+
+def known(result: Result) -> str:
+    """The parameters that were known, with their values; empty where all were fitted."""
+    return ", ".join(f"{law(each.estimate.name)} {parameter(each)}" for each in result.parameters if each.known)
+
+
+def p_value(result: Result) -> str:
+    """The p-value, never smaller than can be known."""
+    if result.p_value is None:
+        return ""
+    return chance(result.p_value)
+
+
+def best_findings(result: Result) -> list[Finding]:
+    """The effects of the hypothesis that the report is about."""
+    return [each for each in result.findings if each.is_best]
+
+
+def headline(result: Result) -> str:
+    """The verdict in one line."""
+    if result.verdict == "measurement_fault" and not best_findings(result):
+        return "Adequate but for outliers"
+    if result.verdict == "adequate":
+        return f"Adequate within {number(_plain_error(result), result.robot.unit)}: no discrepancy detected"
+    return ANSWERS[result.verdict]
+
+
+def _plain_error(result: Result) -> float:
+    """Of a plain replay with fitted parameters, of held-out recordings where there are any."""
+    for each in result.robots:
+        if each.name == "fitted":
+            return each.train if each.heldout is None else each.heldout
+    return (result.heldout or result.train).before  # results before replays were part of them
+
+
+def model_form(result: Result) -> str:
+    """What another simulator of the robot may differ by, where that much is left; else ""."""
+    form, unit = result.model_form, result.robot.unit
+    if form is None or not form.possible or form.left < VISIBLE * result.train.noise:
+        return ""
+    left, largest = number(form.left, unit, 2), number(form.largest, unit, 2)
+    return (f"Beyond noise and discretisation error {left} is left. Another simulator of this robot may differ by "
+            f"{largest}, so a law outside the catalogue of that size would look the same.")  # fmt: skip
+
+
+def where(result: Result) -> str:
+    """The location of a discrepancy outside the catalogue, and of others that explain nearly as much."""
+    if not result.locations:
+        return "no single location"
+    first, *others = result.locations
+    near = [str(each.location) for each in others if each.gain >= NEAR * first.gain]
+    if not near:
+        return str(first.location)
+    more = f" and {len(near) - 3} more" if len(near) > 3 else ""
+    return f"{first.location}; nearly as well {', '.join(near[:3])}{more}"
+
+
+def data(result: Result) -> list[str]:
+    """What sensors and loggers did to the recordings, in a sentence each."""
+    count, found = result.trained_on, []
+    for each in result.data:
+        held = each.recording >= count
+        number = each.recording - count if held else each.recording
+        several = (len(result.recordings) - count if held else count) > 1
+        which = " of ".join(part for part in (f"recording {number + 1}" * several, "the held-out data" * held) if part)
+        found.append(f"{which}: {each.text}." if which else f"{each.text}.")
+    return found
+
+
+def alternatives(result: Result) -> list[str]:
+    """What else it may be, with probabilities; the most probable first."""
+    found = [
+        f"{terms(each.effects) or 'no discrepancy'} ({probability(each.probability)})"
+        for each in result.hypotheses[1:]
+        if each.probability >= LIKELY
+    ][:3]
+    if result.verdict != "outside_catalogue" and result.unknown >= LIKELY:
+        found.append(f"outside the catalogue ({probability(result.unknown)})")
+    return found
+
+
+def kind(result: Result) -> str:
+    """That the kind of fault is clearer than the law, in a sentence; empty where it is not."""
+    found = best_findings(result)
+    if len(found) != 1 or result.verdict == "outside_catalogue":
+        return ""
+    chance = result.categories.get(found[0].category, 0.0)
+    if chance < max(CLEAR, found[0].probability + AHEAD):
+        return ""
+    return f"The kind of fault is clear ({category(found[0].category)}, {probability(chance)}); the exact law is not."
+
+
+def unconstrained(result: Result) -> str:
+    """What an input without a law would explain, in a sentence; empty where none was estimated or nothing is left."""
+    found, errors = result.unknown_input, result.train
+    if found is None or not errors.corrected_before > errors.noise:
+        return ""
+    left = max(found.rmse_after**2 - errors.noise**2, 0.0) / (errors.corrected_before**2 - errors.noise**2)
+    return f"To first order, an unconstrained input there explains {100 * max(1.0 - left, 0.0):.0f} % of {BEYOND}."
+
+
+def replays(result: Result) -> Rows:
+    """Errors of plain replays on the recordings fitted to and on held-out ones, a row for each robot; then what the
+    covariance of discretisation error takes off the last one."""
+    unit, both = result.robot.unit, [result.train, *([result.heldout] if result.heldout else [])]
+    rows: Rows = []
+    for each in filter(lambda robot: robot.name in ROBOTS, result.robots):
+        name = "fitted, known effects" if each.name == "fitted" and each.effects else ROBOTS[each.name]
+        values = [math.nan if value is None else value for value in (each.train, each.heldout)][: len(both)]
+        rows.append((name, *(error(value, unit) for value in values)))
+    if rows and not result.best.effects:
+        rows.append((ROBOTS["patched"], "no effects", *[""] * (len(both) - 1)))
+    elif not rows:  # of an older version
+        rows.append((ROBOTS["fitted"], *(error(each.before, unit) for each in both)))
+        if result.best.effects:
+            rows.append((ROBOTS["best"], *(error(each.after, unit) for each in both)))
+    return [*rows, ("may be discretisation", *(_taken_off(each, unit) for each in both))]
+
+
+def signals(result: Result) -> list[str]:
+    """Errors of plain replays of every signal, where there are several, a sentence each."""
+    found = []
+    for each in result.signals:
+        said = f"{each.name}: RMSE {change(each.before, each.after, each.unit)}"
+        if each.heldout_before is not None and each.heldout_after is not None:
+            said += f", held out {change(each.heldout_before, each.heldout_after, each.unit)}"
+        found.append(f"{said}; noise {number(each.noise, each.unit)}")
+    return found
+
+
+def _taken_off(found: Errors, unit: str) -> str:
+    """What the covariance of discretisation error takes off an error."""
+    square = found.after**2 - found.corrected_after**2
+    return number(math.sqrt(max(square, 0.0)), unit) if math.isfinite(square) else ""
+
+
+def explained(result: Result) -> str:
+    """What the effects explain beyond noise and discretisation error, in a sentence; empty without effects."""
+    found, which = (result.heldout, "held-out") if result.heldout else (result.train, "fitted")
+    if not result.best.effects or math.isnan(found.explained):
+        return ""
+    do = "add to" if found.is_worse else f"explain {100 * found.explained:.0f} % of"
+    return f"On {which} recordings the effects {do} {BEYOND}."
+
+
+def _of_errors(result: Result) -> list[str]:
+    """Where plain errors are not what the verdict is about, and where the effects make replays worse."""
+    said, heldout, far = [], result.heldout, []
+    if not result.robots:
+        said.append("Of an older version: replays had half the model's time step, unlike those of soro-bench check.")
+    for name, each in (("fitted", result.train), ("held-out", heldout)):
+        pairs = ((each.before, each.corrected_before), (each.after, each.corrected_after)) if each else ()
+        ratio = max((plain / max(left, 1e-300) for plain, left in pairs if plain > 0), default=0.0)
+        far += [f"{ratio:.1f} times on {name} recordings"] if CORRECTED < ratio < math.inf else []
+    if far:
+        said.append(f"Plain errors are larger than what the verdict is about, {listed(far)}: the rest may be "
+                    "discretisation error, and stays in every replay.")  # fmt: skip
+    worse = heldout is None or heldout.after > heldout.before
+    if result.patch.state == "rejected":
+        off = "" if worse else ", discretisation error taken off"
+        said.append(f"The patch is rejected: it makes held-out recordings worse{off}.")
+    elif heldout and worse and result.best.effects:
+        said.append("A plain replay of held-out recordings is worse with the effects than without them.")
+    return said
+
+
+def worse(result: Result) -> str:
+    """That replays are worse than those of the model as built, in a sentence; empty where none is."""
+    found, unit = [], result.robot.unit
+    for name in dict.fromkeys(each.robot for each in result.worse_replays):
+        some = [each for each in result.worse_replays if each.robot == name]
+        pairs = (f"{change(each.built, each.found, unit)} on {each.recordings} recordings" for each in some)
+        found.append(f"{ROBOTS.get(name, name)} {listed(pairs)}")
+    return f"Plain replays are worse than those of the model as built: {'; '.join(found)}." if found else ""
+
+
+def warnings(result: Result) -> list[str]:
+    """What a reader must know before using the numbers."""
+    said = _of_errors(result)
+    if form := model_form(result):
+        said.append(form)
+    if result.patch.state == "untested" and result.best.effects:
+        said.append("No recording was held out: nothing tests the patch on another motion.")
+    far = [
+        f"{law(each.estimate.name)} {number(each.nominal, each.estimate.unit)} -> "
+        f"{number(each.estimate.value, each.estimate.unit)} ({each.prior_deviations:+.1f} sd)"
+        for each in result.parameters
+        if abs(each.prior_deviations) > FAR
+    ]
+    if far:
+        origin = "the baseline diagnosis" if result.robot.has_baseline else "their nominal values"
+        said.append(f"Parameters far from {origin}: {', '.join(far)}. Either they are wrong there, or the discrepancy "
+                    "looks like them.")  # fmt: skip
+    for finding in best_findings(result):
+        if finding.indistinguishable_from:
+            name = law(finding.name).capitalize()
+            said.append(f"{name} and {plain(finding.indistinguishable_from)} leave the same trace; only clocks or "
+                        "motion without a command tell them apart.")  # fmt: skip
+    return said + [f"{each[:1].upper()}{each[1:]}." for each in result.notes]
+
+
+def patched_model(result: Result) -> list[str]:
+    """What patched_model.xml is not, in sentences; none where it is as found and has everything."""
+    found, said = result.patch, []
+    if found.model is None:
+        said.append(f"patched_model.xml is not written: {found.obstacle or 'MJCF cannot hold it'}.")
+    elif found.model_state == "refitted":
+        said.append(f"patched_model.xml has parameters of its own: with those found, {found.obstacle}.")
+    if found.model is not None and found.remaining:
+        names = (f"{each.get('name')} at {located(each.get('location'))}" for each in found.remaining)
+        said.append(f"Not in the patched model: {listed(names)}; effects.json has them.")
+    return said
+
+
+def alone(result: Result) -> str:
+    """Errors of replays of the patched model alone, on the recordings fitted to and on held-out ones."""
+    pairs = zip(("fitted", "held-out"), result.patch.replays, strict=False)
+    return ", ".join(f"{change(each.built, each.patched, result.robot.unit)} on {name}" for name, each in pairs)
+
+
+def next_recording(result: Result) -> str:
+    """What to record next, and what for; empty if nothing is left to tell apart."""
+    found = result.next_recording
+    if found is None:
+        return ""
+    said = f"next_actions.csv: {found.motion}, {found.duration_s:g} s"
+    if not found.separates:
+        if len(found.rivals) < 2:
+            return f"{said}; shows more of the discrepancy."
+        return f"{said}; no motion that was tried separates {plain(listed(found.rivals))}, this one comes nearest."
+    pairs = [plain(f"{a} from {b}") for a, b in found.separates]
+    return f"{said}; would tell {listed(pairs)}."
