@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from soro_bench.blind_benchmark.score import CRITERIA
-from soro_bench.diagnosis.result import LawCurve, Replay, Result, Shape
+from soro_bench.diagnosis.result import LawCurve, Result
 from soro_bench.diagnosis.result_parts import (
     Detectable,
     Errors,
@@ -25,17 +25,13 @@ from soro_bench.diagnosis.result_parts import (
     HypothesisSummary,
     NamedLocation,
     NextRecording,
-    Outliers,
     ParameterEstimate,
-    Patch,
     RankedLocation,
-    ReplayedRobot,
-    RobotSummary,
     ScreenedTerm,
     SelectionRound,
-    SignalQuality,
     UnknownInput,
 )
+from soro_bench.diagnosis.result_robot import Outliers, Patch, Replay, ReplayedRobot, RobotSummary, Shape, SignalQuality
 from soro_bench.effects.effect import Location
 from soro_bench.files import write_json
 from soro_bench.leaderboard.boards import BOARDS, Condition

@@ -19,7 +19,7 @@ from soro_bench.diagnosis.render.html import html
 from soro_bench.diagnosis.render.summary import summary
 from soro_bench.diagnosis.replay_check import FITTED, HELD_OUT, NEW, check_replays, checked_model, robot_of
 from soro_bench.diagnosis.result import Result
-from soro_bench.diagnosis.result_parts import Patch, ReplayedRobot, RobotSummary, SignalQuality
+from soro_bench.diagnosis.result_robot import Patch, ReplayedRobot, RobotSummary, SignalQuality
 from soro_bench.diagnosis.robots.model_file import ModelError
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot

@@ -27,7 +27,7 @@ from soro_bench.diagnosis.estimation.model_form import largest_model_form_error
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.estimation.unit_check import check_unit_and_sign
 from soro_bench.diagnosis.localisation.ranking import RankedLocation, ranked_locations
-from soro_bench.diagnosis.result_parts import DataFinding
+from soro_bench.diagnosis.result_robot import DataFinding
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.experiment_design import Proposal, proposed

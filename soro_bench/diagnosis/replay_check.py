@@ -19,7 +19,7 @@ from soro_bench.arrays import Bools, Floats
 from soro_bench.diagnosis.data_quality.inspection import inspected
 from soro_bench.diagnosis.data_quality.samples import far_off
 from soro_bench.diagnosis.result import Result, plain_json
-from soro_bench.diagnosis.result_parts import ReplayedRobot, SignalQuality
+from soro_bench.diagnosis.result_robot import ReplayedRobot, SignalQuality
 from soro_bench.diagnosis.robots.measured import Measured, ObservedSignal
 from soro_bench.diagnosis.robots.model_file import ModelError, in_one_line, source_files
 from soro_bench.diagnosis.robots.model_robot import ModelRobot

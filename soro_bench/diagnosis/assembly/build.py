@@ -15,7 +15,7 @@ from soro_bench.diagnosis.assembly.shapes import shapes
 from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.localisation.residual_maps import explained_over_time
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.result import LawCurve, Replay, Result
+from soro_bench.diagnosis.result import LawCurve, Result
 from soro_bench.diagnosis.result_parts import (
     Agreement,
     Detectable,
@@ -26,17 +26,13 @@ from soro_bench.diagnosis.result_parts import (
     ModelForm,
     NamedLocation,
     NextRecording,
-    Outliers,
     ParameterEstimate,
-    Patch,
     RankedLocation,
-    RobotSummary,
     ScreenedTerm,
     SelectionRound,
-    SignalErrors,
-    SignalQuality,
     UnknownInput,
 )
+from soro_bench.diagnosis.result_robot import Outliers, Patch, Replay, RobotSummary, SignalErrors, SignalQuality
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.selection.forward_selection import Round
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, alpha

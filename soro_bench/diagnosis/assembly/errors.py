@@ -15,7 +15,8 @@ from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Points, Problem
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.result_parts import Errors, ReplayedRobot, SignalErrors, WorseReplay
+from soro_bench.diagnosis.result_parts import Errors
+from soro_bench.diagnosis.result_robot import ReplayedRobot, SignalErrors, WorseReplay
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer
 from soro_bench.inference.statistical_linearisation import LowRank

@@ -18,7 +18,7 @@ from soro_bench.diagnosis.candidates import Term, slices, term
 from soro_bench.diagnosis.estimation.fit import Hypothesis, descended
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.result_parts import ReplayError
+from soro_bench.diagnosis.result_robot import ReplayError
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer
 from soro_bench.effects.catalogue import CATEGORIES

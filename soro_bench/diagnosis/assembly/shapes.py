@@ -7,7 +7,7 @@ import numpy as np
 
 from soro_bench.diagnosis.assembly.patch import kept
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.result import Shape
+from soro_bench.diagnosis.result_robot import Shape
 from soro_bench.effects.effect import Location
 
 THIN = 0.02  # of the robot's extent: radius of what has none

@@ -13,7 +13,7 @@ from soro_bench.diagnosis.data_quality.retiming import RecordedSignal
 from soro_bench.diagnosis.data_quality.samples import Channel
 from soro_bench.diagnosis.data_quality.stamps import Stamps, stamps
 from soro_bench.diagnosis.data_quality.texts import text
-from soro_bench.diagnosis.result_parts import DataFinding
+from soro_bench.diagnosis.result_robot import DataFinding
 from soro_bench.diagnosis.robots.measured import Measured, ObservedSignal
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import DEFAULT, Settings

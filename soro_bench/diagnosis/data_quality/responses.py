@@ -17,7 +17,7 @@ import numpy as np
 
 from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.diagnosis.data_quality.texts import text
-from soro_bench.diagnosis.result_parts import DataFinding
+from soro_bench.diagnosis.result_robot import DataFinding
 from soro_bench.diagnosis.robots.measured import Drive, Measured
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import DEFAULT, ResponseSettings

@@ -13,7 +13,7 @@ from soro_bench.diagnosis.data_quality.inspection import Inspected
 from soro_bench.diagnosis.data_quality.noise import DataQuality, compressed, data_quality
 from soro_bench.diagnosis.data_quality.responses import answered
 from soro_bench.diagnosis.estimation.problem import Problem
-from soro_bench.diagnosis.result_parts import DataFinding
+from soro_bench.diagnosis.result_robot import DataFinding
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import Settings

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soro_bench.diagnosis.render import sentences, words
-from soro_bench.diagnosis.result import Result, Shape
+from soro_bench.diagnosis.result import Result
+from soro_bench.diagnosis.result_robot import Shape
 from soro_bench.effects.effect import EACH, EVERY, Location
 from soro_bench.plotting import pyplot
 

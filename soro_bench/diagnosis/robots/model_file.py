@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import MODEL_FIELDS
 
-from soro_bench.diagnosis.result_parts import SourceFile
+from soro_bench.diagnosis.result_robot import SourceFile
 from soro_bench.effects.elements import AUXILIARY, instrument
 
 _TIMESTEPS = 1e-6, 1.0  # s, least and longest of a model

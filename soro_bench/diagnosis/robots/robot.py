@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from soro_bench.arrays import Bools, Floats
-from soro_bench.diagnosis.result_parts import SourceFile
+from soro_bench.diagnosis.result_robot import SourceFile
 from soro_bench.diagnosis.robots.measured import Measured, ObservedSignal, samples_at
 from soro_bench.diagnosis.robots.priors import Baseline, CannotHave, FixedParameter, Prior
 from soro_bench.diagnosis.robots.replays import Replays
