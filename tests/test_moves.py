@@ -3,6 +3,7 @@
 Signals that stand still, and commands that nothing follows: told from physics by replays of the nominal robot.
 """
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -258,11 +259,11 @@ def two_links(tmp_path):
     return ModelRobot(tmp_path / "two.xml", tmp_path / "two.toml", threads=1)
 
 
-def measured(two_links, arrived=lambda goals: goals):
+def measured(two_links, arrived=lambda goals: goals, goals=None, truth=(1.3,)):
     """Noisy angles of a robot with more damping, whose motors get what arrives of the recorded goals."""
     rng = np.random.default_rng(1)
-    goals = np.repeat(rng.uniform(-0.5, 0.5, (12, 2)), 12, axis=0)
-    (values,) = two_links.simulate(arrived(goals), np.array([[1.3]]), [()])
+    goals = np.repeat(rng.uniform(-0.5, 0.5, (12, 2)), 12, axis=0) if goals is None else goals
+    (values,) = two_links.simulate(arrived(goals), np.array([truth]), [()])
     values = np.concatenate([np.zeros((1, 2, 1)), values]) + NOISE * rng.standard_normal((len(goals) + 1, 2, 1))
     times = 0.02 * np.arange(len(values))
     signals = {"angles": Signal(times, values, "rad")}
@@ -302,6 +303,34 @@ def test_a_command_that_never_arrives_is_held(two_links):
 @pytest.mark.parametrize("arrived", [lambda goals: goals * [0.6, 1.0], lambda goals: goals[:, ::-1]])
 def test_a_weak_motor_or_swapped_commands_are_none_that_never_arrive(two_links, arrived):
     assert answered(measured(two_links, arrived), 0, two_links).findings == ()
+
+
+@pytest.mark.parametrize("seed", [8, 37, 48])
+def test_loose_links_that_swing_through_answer_to_every_command(tmp_path, seed):
+    """A replay of other parameters swings elsewhere, whatever its slopes say; fitted ones follow the robot."""
+    text = TWO.replace('damping="0.05"', 'damping="0.005"').replace("position", "motor")
+    (tmp_path / "two.xml").write_text(text.replace('kp="4"', 'gear="0.4"').replace('kp="2"', 'gear="0.12"'))
+    masses = '[parameters.mass]\nfields = ["body_mass:*", "body_inertia:*"]\ndeviation = 0.2\n'
+    (tmp_path / "two.toml").write_text(OF_TWO + masses)
+    robot, rng = ModelRobot(tmp_path / "two.xml", tmp_path / "two.toml", threads=1), np.random.default_rng(seed)
+    goals = np.repeat(rng.uniform(-1, 1, (12, 2)), 12, axis=0)
+    truth = np.exp([0.3, 0.2] * rng.uniform(-1, 1, 2))
+    assert answered(measured(robot, goals=goals, truth=truth), 0, robot).findings == ()
+
+
+def test_a_point_that_stands_still_like_its_command_tells_nothing(tmp_path):
+    """Nothing else moves with it. So its sensor may have failed, and stands elsewhere than the robot does."""
+    apart = LINK.format("upper", 0, "") + LINK.format("fore", 0.5, "")
+    (tmp_path / "two.xml").write_text(re.sub("<body.*</body>", apart, TWO, flags=re.DOTALL))
+    (tmp_path / "two.toml").write_text(OF_TWO)
+    robot = ModelRobot(tmp_path / "two.xml", tmp_path / "two.toml", threads=1)
+    whole = measured(robot)
+    still = whole.values.copy()
+    still[:, 1, 0] = 2 * NOISE + NOISE * np.random.default_rng(2).standard_normal(len(still))
+    found = answered(replace(whole, values=still), 0, robot)
+    assert {each.name for each in found.findings} == {"unanswered_command", "unmoved"}
+    assert np.isnan(found.measured.values[:, 1]).all()
+    assert np.array_equal(found.measured.values[:, 0], whole.values[:, 0])
 
 
 def test_a_command_that_never_changes_is_said(two_links):

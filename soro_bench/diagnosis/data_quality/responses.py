@@ -10,8 +10,9 @@ the response to each command (columns H, the replay without the command less the
 h is 0 for a command that arrives and 1 for one that never does. A motor with a wrong gain lies between.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -21,10 +22,12 @@ from soro_bench.diagnosis.result_robot import DataFinding
 from soro_bench.diagnosis.robots.measured import Drive, Measured
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import DEFAULT, ResponseSettings
+from soro_bench.inference.statistical_linearisation import LENGTHS
 from soro_bench.recording.recording import RecordingError
 
 _MOST_NAMES = 5  # in a sentence
 _EMPTY = 1e-6  # of a whole response, that is seen in what lacks of a command without any; it is then not known
+_SMALLEST = 1e-300  # sum of squares, of which there is a logarithm
 
 
 @dataclass(frozen=True)
@@ -69,8 +72,8 @@ class _Comparison:
             return Answered(self.measured, tuple(self.findings))
         self._leave_out_still(expected, noisy=False)
         if self._is_left:
-            expected = self._without_unanswered(expected)
-            self._leave_out_still(expected, noisy=True)
+            for replay in self._replays_as_arrived(expected):
+                self._leave_out_still(replay, noisy=True)
         if not self._is_left:
             raise RecordingError("; ".join(each.text for each in self.findings if each.name != "constant_command"))
         return Answered(self.measured, tuple(self.findings))
@@ -147,6 +150,14 @@ class _Comparison:
         white = abs(correlation) < settings.still_correlation / np.sqrt(len(x))
         return bool(x.std() < (settings.still_noise if white else settings.still_motion) * motion)
 
+    def _replays_as_arrived(self, expected: Floats) -> Iterator[Floats]:
+        """Hold commands that nothing follows. The replay (T, P, D) then, and the one of all commands if it differs: a
+        point that either moves and that stands still tells nothing, as its sensor may have failed instead."""
+        arrived = self._without_unanswered(expected)
+        yield arrived
+        if arrived is not expected:
+            yield expected
+
     def _without_unanswered(self, expected: Floats) -> Floats:
         """Hold commands that nothing follows; the replay (T, P, D) then."""
         seen = np.isfinite(self.measured.values)
@@ -173,13 +184,40 @@ class _Comparison:
         actions = self.measured.actions.copy()
         actions[:, self.moving[chosen]] = goals[chosen]
         held = replace(self.measured, actions=actions)
-        after = self._replay(held.drive)
-        left = _left((self.measured.values - after)[seen], slopes)
-        if not left < self.settings.unanswered_left * _left(misfit, slopes):
+        # slopes mislead where the robot touches something: the parameters are fitted to tell
+        if not self._least_misfit(held) < self.settings.unanswered_left * self._least_misfit(self.measured):
             return expected
         self.measured = held
         self._note_commands("unanswered_command", self.moving[chosen])
-        return after
+        return self._replay(held.drive)
+
+    def _least_misfit(self, measured: Measured) -> float:
+        """Sum of the squares that the signal less its replay has under the most probable parameters.
+
+        Its mean square counts as the variance of the noise, which is not known yet.
+        """
+        settings, misfits = self.settings, partial(self._misfits, measured)
+        low, high = np.array([prior.reach(settings.parameter_limit) for prior in self.robot.priors]).reshape(-1, 2).T
+        x, best = self.nominal, misfits(self.nominal[None])[0]
+        for _ in range(settings.parameter_fits if len(x) and np.isfinite(best).all() else 0):
+            step = np.where(x + settings.parameter_step <= high, settings.parameter_step, -settings.parameter_step)
+            slopes = (misfits(x + np.diag(step)) - best) / step[:, None]
+            level = float(np.sqrt(np.mean(best**2)))
+            columns = np.vstack([np.where(np.isfinite(slopes), slopes, 0.0).T, level * np.eye(len(x))])
+            change = np.linalg.lstsq(columns, -np.r_[best, level * x], rcond=None)[0]
+            points = np.clip(x + np.outer(LENGTHS, change), low, high)
+            tried = misfits(points)
+            cost, before = _costs(points, tried), _costs(x[None], best[None])[0]
+            if not cost.min() < before - settings.parameter_gain:
+                break
+            x, best = points[cost.argmin()], tried[cost.argmin()]
+        return float((best**2).sum())
+
+    def _misfits(self, measured: Measured, points: Floats) -> Floats:
+        """(n, M) signal less replays with parameters (n, d) in prior deviations; infinite where one diverges."""
+        seen = np.isfinite(measured.values)
+        found = measured.values[seen] - self._replays([measured.drive], points)[:, seen]
+        return np.where(np.isfinite(found), found, np.inf)
 
     def _unanswered(self, misfit: Floats, slopes: Floats, lacking: Floats) -> tuple[Bools, Bools]:
         """(A,) whether nothing follows each command, and whether something surely does; see :func:`_shares`."""
@@ -223,12 +261,10 @@ def _shares(misfit: Floats, slopes: Floats, lacking: Floats) -> tuple[Floats, Fl
     return found[d:] / size, np.sqrt(np.diag(covariance)[d:]) / size
 
 
-def _left(misfit: Floats, slopes: Floats) -> float:
-    """Sum of the squares of a misfit (M,) that no parameters, with slopes (M, d), explain."""
-    level = float(np.sqrt(np.mean(misfit**2)))
-    columns = np.vstack([slopes, level * np.eye(slopes.shape[1])])
-    found = np.linalg.lstsq(columns, np.r_[misfit, np.zeros(slopes.shape[1])], rcond=None)[0]
-    return float(((misfit - slopes @ found) ** 2).sum())
+def _costs(points: Floats, misfits: Floats) -> Floats:
+    """(n,) minus twice the log posterior of parameters (n, d) that leave misfits (n, M), up to a constant."""
+    squares = np.maximum((misfits**2).sum(axis=1), _SMALLEST)
+    return np.asarray(misfits.shape[1] * np.log(squares) + (points**2).sum(axis=1))
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -113,6 +113,9 @@ class ResponseSettings:
     still_noise: float = setting(0.3, "1", "the same share of white noise, which is no motion")
     still_correlation: float = setting(3.0, "deviations", "of successive samples; motion correlates nearly all of them")
     parameter_step: float = setting(0.5, "prior deviations", "of the differences that say what parameters change")
+    parameter_limit: float = setting(4.0, "prior deviations", "farthest that they go to tell whether commands arrived")
+    parameter_fits: int = setting(8, "steps", "of such a fit at most")
+    parameter_gain: float = setting(0.5, "nats", "twice what a step of such a fit has to gain for another one")
     unanswered: float = setting(0.3, "1", "by which the missing share of a response may differ from all of it")
     unanswered_deviation: float = setting(0.1, "1", "standard deviation of that share, above which nothing is known")
     unanswered_left: float = setting(
