@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from soro_bench.arrays import Floats
-from soro_bench.diagnosis.pipeline import run_diagnosis
+from soro_bench.diagnosis.pipeline import Run, run_diagnosis
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import DEFAULT, Settings
@@ -125,7 +125,7 @@ def answer(best: Any) -> str:
 
 def diagnosed(robot: ModelRobot, train: Any, heldout: Any, settings: Settings) -> Any:
     """The diagnosis with some settings."""
-    return run_diagnosis(robot, [train], [heldout], settings=settings)
+    return run_diagnosis(robot, [train], [heldout], Run(settings=settings))
 
 
 def changed(paths: tuple[Path, Path], case: str, settings: Settings, usual: dict[str, Any]) -> str:

@@ -10,7 +10,8 @@ from gymnasium import spaces
 from soro_bench.diagnosis.candidates import Term, term
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.estimation.problem import Problem
-from soro_bench.diagnosis.pipeline import Diagnosis, Outliers
+from soro_bench.diagnosis.pipeline import Diagnosis
+from soro_bench.diagnosis.result_robot import Outliers
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.selection.experiment_design import (
     competing,

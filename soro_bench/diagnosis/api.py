@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 
 from soro_bench.diagnosis.assembly.build import build_result
-from soro_bench.diagnosis.pipeline import run_diagnosis
+from soro_bench.diagnosis.pipeline import Run, run_diagnosis
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import DEFAULT, Settings
@@ -45,4 +45,4 @@ def diagnose(
     names = [*(prior.name for prior in robot.priors), *(each.name for each in robot.fixed)]
     if (found := known_parameters(known, [*recordings, *heldout], names)).values:
         robot = robot.knowing(found)
-    return build_result(run_diagnosis(robot, recordings, heldout, seed, progress, settings), seed)
+    return build_result(run_diagnosis(robot, recordings, heldout, Run(seed, progress, settings)))

@@ -10,8 +10,7 @@ import numpy as np
 
 from soro_bench.diagnosis.candidates import terms
 from soro_bench.diagnosis.data_quality.inspection import Inspected, inspected
-from soro_bench.diagnosis.data_quality.noise import DataQuality, compressed, noise
-from soro_bench.diagnosis.data_quality.samples import far_off
+from soro_bench.diagnosis.data_quality.noise import DataQuality
 from soro_bench.diagnosis.data_quality.signals import (
     answers_of,
     explaining,
@@ -27,7 +26,8 @@ from soro_bench.diagnosis.estimation.model_form import largest_model_form_error
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.estimation.unit_check import check_unit_and_sign
 from soro_bench.diagnosis.localisation.ranking import RankedLocation, ranked_locations
-from soro_bench.diagnosis.result_robot import DataFinding
+from soro_bench.diagnosis.outliers import far_points, fitted_again, masked, of_samples
+from soro_bench.diagnosis.result_robot import DataFinding, Outliers
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.experiment_design import Proposal, proposed
@@ -41,23 +41,15 @@ from soro_bench.recording.recording import Recording, RecordingError
 
 
 @dataclass(frozen=True)
-class Outliers:
-    """Samples left out because they are alone and far off: share of all points that there are, and the rms distance of
-    a coordinate [unit]."""
+class Run:
+    """How a diagnosis runs.
 
-    share: float
-    size: float
+    seed: of the random numbers. progress: is called with the name of every stage. settings: numbers of the method.
+    """
 
-    def with_more(self, problem: Problem, nominal: Hypothesis, far: np.ndarray, weight: np.ndarray) -> "Outliers":
-        """These, and those that a fit found in the first signal: (M,) ``far``, of samples with a weight (M,)."""
-        far, weight = (np.concatenate([part.ravel() for part in problem.split(each)]) for each in (far, weight))
-        if not far.any():
-            return self
-        parts = problem.split(problem.discretisation.without(nominal.residual))
-        left = problem.sigma * np.concatenate([part.ravel() for part in parts])[far]
-        share = float(far.sum() / weight.sum())
-        square = (self.share * self.size**2 + share * float((left**2).mean())) / (self.share + share)
-        return Outliers(self.share + share, float(np.sqrt(square)))
+    seed: int = 0
+    progress: Callable[[str], None] = lambda _: None
+    settings: Settings = DEFAULT
 
 
 @dataclass(frozen=True)
@@ -68,7 +60,7 @@ class Diagnosis:
     proposal: what to record next; None where nothing is left to be told apart.
     data: what sensors and loggers did to the recordings.
     tested: the problem of the held-out recordings.
-    digests: of all recordings, those to explain first.
+    digests: of all recordings, those to explain first. seed: of the random numbers.
     """
 
     robot: Robot
@@ -82,6 +74,7 @@ class Diagnosis:
     tested: Problem | None = None
     data: tuple[DataFinding, ...] = ()
     digests: tuple[str, ...] = ()
+    seed: int = 0
 
     @property
     def detected(self) -> bool:
@@ -107,22 +100,16 @@ class Diagnosis:
 @one_blas_thread
 @quiet()
 def run_diagnosis(
-    robot: Robot,
-    recordings: Sequence[Recording],
-    heldout: Sequence[Recording] = (),
-    seed: int = 0,
-    progress: Callable[[str], None] = lambda _: None,
-    settings: Settings = DEFAULT,
+    robot: Robot, recordings: Sequence[Recording], heldout: Sequence[Recording] = (), run: Run = Run()
 ) -> Diagnosis:
-    """Find out what a simulated robot gets wrong in recordings; the arguments are those of
-    :func:`soro_bench.diagnosis.api.diagnose`.
+    """The stages of :func:`soro_bench.diagnosis.api.diagnose`.
 
     Raises:
         RecordingError: a recording lacks something; says what.
         SimulationError: the simulation diverges.
     """
-    start = time.perf_counter()
-    progress("data quality")
+    start, seed, settings = time.perf_counter(), run.seed, run.settings
+    run.progress("data quality")
     inspections = _inspected(robot, recordings, heldout, settings)
     robot, inspections = explaining(robot, inspections, settings)
     fitted = robot.shortened(settings.discretisation.fitted_refinement)
@@ -144,26 +131,18 @@ def run_diagnosis(
     check_unit_and_sign(unexplained(robot, measured, sigma, settings, others))
     untouched = unexplained(fitted, measured, sigma, settings, others)
     untouched = replace(untouched, variants=robot.variants())
-    problem, nominal = nominal_fit(untouched, refined, seed, progress)
+    problem, nominal = nominal_fit(untouched, refined, seed, run.progress)
     for each in (robot, fitted):
         problem.check_finite(each, problem.simulated(each, [(nominal.x, ())]))
-    found_outliers = _of_samples(looked_at[: len(measured)], untouched)
-    problem, nominal, found_outliers = _fitted_again(
-        problem,
-        nominal,
-        untouched,
-        refined,
-        found_outliers,
-        least,
-        spoilt,
-        seed,
-        progress,
+    known_outliers = of_samples(looked_at[: len(measured)], untouched)
+    problem, nominal, found_outliers = fitted_again(
+        problem, nominal, untouched, refined, known_outliers, least, spoilt, seed, run.progress
     )
     problem = replace(problem, model_form=largest_model_form_error(problem, nominal))
     unfitted = unexplained(fitted, tested, sigma, settings, others) if tested else None
     candidates = terms(robot, settings.priors)
-    explanation = explained(problem, nominal, robot, refined, candidates, seed, progress, unfitted)
-    progress("comparison")
+    explanation = explained(problem, nominal, robot, refined, candidates, seed, run.progress, unfitted)
+    run.progress("comparison")
     hypotheses = shortlist(explanation)
     trial = tried_on(explanation, tested, refined, hypotheses)
     comparison = compared(explanation, trial)
@@ -172,14 +151,14 @@ def run_diagnosis(
         robot, data_qualities, found_outliers, explanation, comparison, (), None, 0.0,
         tested=trial[0] if trial else None,
         data=(*imported((*recordings, *heldout)), *_findings(looked_at), *answers, *left_out(untouched, problem)),
-        digests=tuple(each.digest() for each in (*recordings, *heldout)),
+        digests=tuple(each.digest() for each in (*recordings, *heldout)), seed=seed,
     )  # fmt: skip
     if comparison.detected and comparison.unknown > settings.report.least_unknown:
-        progress("localisation")
+        run.progress("localisation")
         found = replace(
             found, ranked_locations=tuple(ranked_locations(explanation.problem, robot, explanation.nominal, refined))
         )
-    progress("next recording")
+    run.progress("next recording")
     proposal = _proposal(found, seed)
     return replace(found, proposal=proposal, seconds=time.perf_counter() - start)
 
@@ -295,108 +274,12 @@ def tried_on(
     tested = unexplained(problem.robot, measured, problem.sigma, problem.settings, problem.sigmas[1:])
     tested = replace(tested, noise=problem.noise, others=problem.others,
                      model_form=problem.model_form, variants=problem.variants)  # fmt: skip
-    tested = _masked(tested, _outliers(tested, tested.residuals([(found.nominal.x, ())])[0]))
+    tested = masked(tested, far_points(tested, tested.residuals([(found.nominal.x, ())])[0]))
     points = [(h.x, h.terms) for h in hypotheses]
     discretisation, residuals = discretisation_and_residuals(tested, refined, points, points)
     others = differences(tested, [found.nominal.x])
     return tested.with_discretisation(np.concatenate([discretisation, others])), residuals
 
 
-def _outliers(problem: Problem, residual: np.ndarray, spoilt: bool = False) -> np.ndarray:
-    """(M,) whether a sample belongs to a point that is alone and far off; one of two, where others were ``spoilt``."""
-    left = np.where(problem.weight > 0, problem.discretisation.without(residual), np.nan)
-    found: list[list[np.ndarray]] = []
-    for which in range(len(problem.robot.signals)):
-        far = ((far_off(part, spoilt, problem.settings), part) for part in problem.split(left, which))
-        found.append([np.repeat(each[:, :, None], part.shape[2], axis=2) for each, part in far])
-    return problem.joined(found)
-
-
-def _fitted_again(
-    problem: Problem,
-    nominal: Hypothesis,
-    untouched: Problem,
-    refined: Sequence[Robot],
-    found: Outliers,
-    least: Sequence[float],
-    spoilt: bool,
-    seed: int,
-    progress: Callable[[str], None],
-) -> tuple[Problem, Hypothesis, Outliers]:
-    """The problem without outliers and with the noise that the nominal fit leaves, and that fit.
-
-    It is made anew without the outliers of the fit before, and where sparse samples first seemed far noisier.
-
-    Args:
-        untouched: the problem before any fit.
-        found: outliers so far.
-        least: noise of each signal [its unit].
-        spoilt: whether samples were left out before any fit.
-    """
-    settings = problem.settings.data_quality
-    for again in range(settings.refits + 1):
-        far = _outliers(problem, nominal.residual, spoilt) & (problem.weight > 0)
-        quiet = problem, nominal
-        if not problem.misfit_dominated:
-            quiet = _with_noise(problem, nominal, least, spoilt)
-        sigmas = zip(quiet[0].sigmas, untouched.sigmas, strict=True)
-        noisier = spoilt and any(now < settings.refit_noise * before for now, before in sigmas)
-        if again == settings.refits or not (far.any() or noisier):
-            break
-        if far.any():
-            found = found.with_more(problem, nominal, far, untouched.weight)
-            untouched = _masked(untouched, far)
-        if noisier:
-            basis = LowRank(untouched.discretisation.basis * untouched.factor_to(quiet[0]))
-            untouched = replace(untouched, sigma=quiet[0].sigma, others=quiet[0].others, discretisation=basis)
-        problem, nominal = nominal_fit(untouched, refined, seed, progress)
-    if far.any():  # of the last fit
-        found, problem = found.with_more(problem, nominal, far, untouched.weight), _masked(problem, far)
-        nominal = nominal.scaled(problem, np.where(far, 0.0, 1.0))
-        quiet = (problem, nominal) if problem.misfit_dominated else _with_noise(problem, nominal, least, spoilt)
-    return *quiet, found
-
-
-def _of_samples(found: Sequence[Inspected], problem: Problem) -> Outliers:
-    """The spikes that were found before anything was fitted, beside the points that are left."""
-    count = sum(each.spikes for each in found)
-    if not count:
-        return Outliers(0.0, 0.0)
-    square = sum(each.spikes * each.size**2 for each in found) / count
-    points = sum(float(part.sum()) for part in problem.split(problem.weight)) / problem.robot.shape[1]
-    return Outliers(count / (points + count), float(np.sqrt(square)))
-
-
 def _findings(found: Sequence[Inspected]) -> tuple[DataFinding, ...]:
     return tuple(finding for each in found for finding in each.all_findings)
-
-
-def _masked(problem: Problem, far: np.ndarray) -> Problem:
-    return replace(problem, weight=problem.weight * ~far, discretisation=LowRank(problem.discretisation.basis * ~far))
-
-
-def _with_noise(
-    problem: Problem, nominal: Hypothesis, least: Sequence[float], spoilt: bool
-) -> tuple[Problem, Hypothesis]:
-    """The same with the noise of what the nominal fit leaves: little of the motion is in it, so it shows better.
-
-    Args:
-        least: noise of each signal [its unit]. spoilt: whether samples were left out, so that few windows are complete.
-    """
-    rest = np.where(problem.weight > 0, problem.discretisation.without(nominal.residual), np.nan)
-    factors = []
-    for which, (sigma, low) in enumerate(zip(problem.sigmas, least, strict=True)):
-        left = problem.split(rest, which)
-        left = [part for part in left if not which or np.isfinite(part).any()]  # recordings may lack other signals
-        left = [compressed(part) for part in left] if spoilt else left
-        found = max(noise(part.reshape(len(part), -1), problem.settings.data_quality) for part in left)
-        factors.append(1.0 / min(1.0, max(low / sigma, found)))
-    sigma, *others = (sigma / factor for sigma, factor in zip(problem.sigmas, factors, strict=True))
-    factor = problem.of_samples(problem.of_columns(factors)) if others else factors[0]
-    problem = replace(
-        problem,
-        sigma=sigma,
-        others=tuple((each, 0.0) for each in others),
-        discretisation=LowRank(problem.discretisation.basis * factor),
-    )
-    return problem, nominal.scaled(problem, factor)

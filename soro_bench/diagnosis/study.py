@@ -16,7 +16,7 @@ from soro_bench.assets import asset_path
 from soro_bench.diagnosis.assembly.build import build_result
 from soro_bench.diagnosis.baseline import baseline
 from soro_bench.diagnosis.estimation.fit import Hypothesis
-from soro_bench.diagnosis.pipeline import Diagnosis, run_diagnosis, unexplained
+from soro_bench.diagnosis.pipeline import Diagnosis, Run, run_diagnosis, unexplained
 from soro_bench.diagnosis.render import FILES, render
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
@@ -110,8 +110,8 @@ def run_study(
         if not (folder / SUMMARY).exists():
             known = baseline(Path(out) / part.after) if part.after else None
             robot = ModelRobot(study.model, study.map, threads, baseline=known)
-            found = run_diagnosis(robot, part.train, part.heldout, seed, _prefixed(progress, part.name))
-            text = render(build_result(found, seed), folder)
+            found = run_diagnosis(robot, part.train, part.heldout, Run(seed, _prefixed(progress, part.name)))
+            text = render(build_result(found), folder)
             summary = _summary(study, part, found, text, seed)
             summary["known"] = [effect.to_json() for effect in known.effects] if known else []
             write_json(folder / SUMMARY, summary)

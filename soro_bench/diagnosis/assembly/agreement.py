@@ -19,7 +19,7 @@ from soro_bench.diagnosis.spread_terms import SpreadTerm
 Ends = tuple[Floats, Floats, Floats]  # (n,) unknowns: at the lower end of the interval, as fitted, at the upper end
 
 
-def agreement(diagnosis: Diagnosis, seed: int) -> tuple[Agreement, ...]:
+def agreement(diagnosis: Diagnosis) -> tuple[Agreement, ...]:
     """Parameters, then magnitudes of effects, each with its estimates from every recording; none for one recording.
 
     Intervals are those of any result: under tempered evidence, as a model that is wrong knows less than it seems.
@@ -27,7 +27,7 @@ def agreement(diagnosis: Diagnosis, seed: int) -> tuple[Agreement, ...]:
     problem, joint = diagnosis.explanation.problem, kept(diagnosis)
     if len(problem.recordings) < 2 or not len(joint.x):
         return ()
-    found = fitted_alone(problem, joint, seed)
+    found = fitted_alone(problem, joint, diagnosis.seed)
     spreads = [np.sqrt(np.diag(tempered_by(each.problem, each.hypothesis))) for each in found]
     differences = together(found, spreads)
     ends = [_ends(each, spread) for each, spread in zip(found, spreads, strict=True)]

@@ -32,7 +32,7 @@ from soro_bench.diagnosis.result_parts import (
     SelectionRound,
     UnknownInput,
 )
-from soro_bench.diagnosis.result_robot import Outliers, Patch, Replay, RobotSummary, SignalErrors, SignalQuality
+from soro_bench.diagnosis.result_robot import Patch, Replay, RobotSummary, SignalErrors, SignalQuality
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.selection.forward_selection import Round
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, alpha
@@ -47,14 +47,14 @@ SHOWN_LOCATIONS = 10
 Rows = tuple[tuple[float, ...], ...]
 
 
-def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
+def build_result(diagnosis: Diagnosis) -> Result:
     """The result that renderers show. Replays all hypotheses at the time step of the model, and the law of the best one
     once more."""
     comparison, explanation = diagnosis.comparison, diagnosis.explanation
     replays = plain_replays(diagnosis)
     train, heldout = replays.errors(diagnosis, diagnosis.best)
     found = _all_findings(diagnosis, replays)
-    alone = agreement(diagnosis, seed)
+    alone = agreement(diagnosis)
     robots, settings = replayed_robots(diagnosis, replays, bool(patch(diagnosis))), explanation.problem.settings
     return Result(
         robot=_robot(diagnosis),
@@ -67,7 +67,7 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
         remaining_gain=float(explanation.remaining_gain),
         recordings=_recordings(diagnosis, replays),
         trained_on=len(explanation.problem.recordings),
-        outliers=Outliers(diagnosis.outliers.share, diagnosis.outliers.size),
+        outliers=diagnosis.outliers,
         findings=found,
         categories=_categories(diagnosis, found),
         hypotheses=tuple(_hypothesis(diagnosis, replays, answer) for answer in comparison.ranked),
@@ -89,7 +89,7 @@ def build_result(diagnosis: Diagnosis, seed: int = 0) -> Result:
         curve=_curve(diagnosis),
         replay=_replay(diagnosis, replays),
         shapes=shapes(diagnosis),
-        seed=seed,
+        seed=diagnosis.seed,
         seconds=round(diagnosis.seconds, 1),
         settings=_changed(settings),
         notes=_notes(diagnosis),

@@ -1,0 +1,125 @@
+"""The nominal fit without outliers: points that are alone and far off are left out, and the noise is what it leaves."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from soro_bench.diagnosis.data_quality.inspection import Inspected
+from soro_bench.diagnosis.data_quality.noise import compressed, noise
+from soro_bench.diagnosis.data_quality.samples import far_off
+from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.result_robot import Outliers
+from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.selection.forward_selection import nominal_fit
+from soro_bench.inference.statistical_linearisation import LowRank
+
+
+def of_samples(found: Sequence[Inspected], problem: Problem) -> Outliers:
+    """The spikes that were found before anything was fitted, beside the points that are left."""
+    count = sum(each.spikes for each in found)
+    if not count:
+        return Outliers(0.0, 0.0)
+    square = sum(each.spikes * each.size**2 for each in found) / count
+    points = sum(float(part.sum()) for part in problem.split(problem.weight)) / problem.robot.shape[1]
+    return Outliers(count / (points + count), float(np.sqrt(square)))
+
+
+def far_points(problem: Problem, residual: np.ndarray, spoilt: bool = False) -> np.ndarray:
+    """(M,) whether a sample belongs to a point that is alone and far off; one of two, where others were ``spoilt``."""
+    left = np.where(problem.weight > 0, problem.discretisation.without(residual), np.nan)
+    found: list[list[np.ndarray]] = []
+    for which in range(len(problem.robot.signals)):
+        far = ((far_off(part, spoilt, problem.settings), part) for part in problem.split(left, which))
+        found.append([np.repeat(each[:, :, None], part.shape[2], axis=2) for each, part in far])
+    return problem.joined(found)
+
+
+def masked(problem: Problem, far: np.ndarray) -> Problem:
+    """The problem without some samples (M,)."""
+    return replace(problem, weight=problem.weight * ~far, discretisation=LowRank(problem.discretisation.basis * ~far))
+
+
+def fitted_again(
+    problem: Problem,
+    nominal: Hypothesis,
+    untouched: Problem,
+    refined: Sequence[Robot],
+    found: Outliers,
+    least: Sequence[float],
+    spoilt: bool,
+    seed: int,
+    progress: Callable[[str], None],
+) -> tuple[Problem, Hypothesis, Outliers]:
+    """The problem without outliers and with the noise that the nominal fit leaves, and that fit.
+
+    It is made anew without the outliers of the fit before, and where sparse samples first seemed far noisier.
+
+    Args:
+        untouched: the problem before any fit.
+        found: outliers so far.
+        least: noise of each signal [its unit].
+        spoilt: whether samples were left out before any fit.
+    """
+    settings = problem.settings.data_quality
+    for again in range(settings.refits + 1):
+        far = far_points(problem, nominal.residual, spoilt) & (problem.weight > 0)
+        quiet = problem, nominal
+        if not problem.misfit_dominated:
+            quiet = _with_noise(problem, nominal, least, spoilt)
+        sigmas = zip(quiet[0].sigmas, untouched.sigmas, strict=True)
+        noisier = spoilt and any(now < settings.refit_noise * before for now, before in sigmas)
+        if again == settings.refits or not (far.any() or noisier):
+            break
+        if far.any():
+            found = _with_more(found, problem, nominal, far, untouched.weight)
+            untouched = masked(untouched, far)
+        if noisier:
+            basis = LowRank(untouched.discretisation.basis * untouched.factor_to(quiet[0]))
+            untouched = replace(untouched, sigma=quiet[0].sigma, others=quiet[0].others, discretisation=basis)
+        problem, nominal = nominal_fit(untouched, refined, seed, progress)
+    if far.any():  # of the last fit
+        found, problem = _with_more(found, problem, nominal, far, untouched.weight), masked(problem, far)
+        nominal = nominal.scaled(problem, np.where(far, 0.0, 1.0))
+        quiet = (problem, nominal) if problem.misfit_dominated else _with_noise(problem, nominal, least, spoilt)
+    return *quiet, found
+
+
+def _with_noise(
+    problem: Problem, nominal: Hypothesis, least: Sequence[float], spoilt: bool
+) -> tuple[Problem, Hypothesis]:
+    """The same with the noise of what the nominal fit leaves: little of the motion is in it, so it shows better.
+
+    Args:
+        least: noise of each signal [its unit]. spoilt: whether samples were left out, so that few windows are complete.
+    """
+    rest = np.where(problem.weight > 0, problem.discretisation.without(nominal.residual), np.nan)
+    factors = []
+    for which, (sigma, low) in enumerate(zip(problem.sigmas, least, strict=True)):
+        left = problem.split(rest, which)
+        left = [part for part in left if not which or np.isfinite(part).any()]  # recordings may lack other signals
+        left = [compressed(part) for part in left] if spoilt else left
+        found = max(noise(part.reshape(len(part), -1), problem.settings.data_quality) for part in left)
+        factors.append(1.0 / min(1.0, max(low / sigma, found)))
+    sigma, *others = (sigma / factor for sigma, factor in zip(problem.sigmas, factors, strict=True))
+    factor = problem.of_samples(problem.of_columns(factors)) if others else factors[0]
+    problem = replace(
+        problem,
+        sigma=sigma,
+        others=tuple((each, 0.0) for each in others),
+        discretisation=LowRank(problem.discretisation.basis * factor),
+    )
+    return problem, nominal.scaled(problem, factor)
+
+
+def _with_more(found: Outliers, problem: Problem, nominal: Hypothesis, far: np.ndarray, weight: np.ndarray) -> Outliers:
+    """Outliers, and those that a fit found in the first signal: (M,) ``far``, of samples with a weight (M,)."""
+    far, weight = (np.concatenate([part.ravel() for part in problem.split(each)]) for each in (far, weight))
+    if not far.any():
+        return found
+    parts = problem.split(problem.discretisation.without(nominal.residual))
+    left = problem.sigma * np.concatenate([part.ravel() for part in parts])[far]
+    share = float(far.sum() / weight.sum())
+    square = (found.share * found.size**2 + share * float((left**2).mean())) / (found.share + share)
+    return Outliers(found.share + share, float(np.sqrt(square)))
