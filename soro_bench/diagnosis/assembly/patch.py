@@ -25,7 +25,6 @@ from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import Effect
 
 KEPT = 0.5  # of the share of the variance that is explained
-_SAME = 1e-3  # share of the cost; fits that differ by less are one
 _NOISE = 9.0  # of squared errors over that of the sensor: three standard deviations, once, make no model worse
 _OF_FRICTION = ("coulomb_friction", "viscous_friction")  # what MJCF has of friction, whatever its law
 _REFITTED = "Its parameters were fitted without what is not in this model: do not add that."
@@ -100,13 +99,13 @@ def model_patch(diagnosis: Diagnosis, built: Sequence[float]) -> ModelPatch:
         obstacle = "replayed alone, it is worse than with parameters that were fitted without effects"
     else:
         obstacle = "replayed alone, it is worse than the model as built"
-    tried = [(each, _errors(built, rms_as_it_is(robot.as_built(each.xml), problems))) for each in _refitted(diagnosis)]
-    if not (good := [(each, errors) for each, errors in tried if not _worse(errors, problems)]):
-        obstacle += ", and so is every one with parameters that were fitted to it alone"
-        return ModelPatch("not_written", None, (), effects, obstacle, first)
-    other, errors = min(good, key=lambda pair: pair[1][-1].patched)  # of held-out recordings, if there are any
-    remaining = tuple(effect for effect in effects if effect.name not in [one.name for one in other.effects])
-    return ModelPatch("refitted", other.xml, other.effects, remaining, obstacle, errors)
+    for other in _refitted(diagnosis):
+        errors = _errors(built, rms_as_it_is(robot.as_built(other.xml), problems))
+        if not _worse(errors, problems):
+            remaining = tuple(effect for effect in effects if effect.name not in [one.name for one in other.effects])
+            return ModelPatch("refitted", other.xml, other.effects, remaining, obstacle, errors)
+    obstacle += ", and so is every one with parameters that were fitted to it alone"
+    return ModelPatch("not_written", None, (), effects, obstacle, first)
 
 
 def _with_parameters_only(diagnosis: Diagnosis) -> ExportedModel | None:
@@ -129,10 +128,11 @@ def _worse(errors: Sequence[ReplayError], problems: Sequence[Problem]) -> bool:
 
 
 def _refitted(diagnosis: Diagnosis) -> Iterator[ExportedModel]:
-    """Models with parameters, and laws of MJCF in the place of the patch's, that were fitted by least squares; the last
-    one with fitted parameters only."""
+    """Models with parameters, and laws of MJCF in the place of the patch's, that were fitted by least squares, from one
+    start after the other; the last one with fitted parameters only."""
     robot, problem = diagnosis.robot, plain(diagnosis.explanation.problem, diagnosis.robot)
-    for each in _distinct(descended(problem, _begun(diagnosis, problem))):
+    for start in _begun(diagnosis, problem):
+        (each,) = descended(problem, [start])
         effects = (*robot.known, *each.effects(problem.parameters))
         try:
             yield exported(robot, robot.parameters(each.x), effects, _REFITTED)
@@ -140,15 +140,6 @@ def _refitted(diagnosis: Diagnosis) -> Iterator[ExportedModel]:
             continue
     if simple := _with_parameters_only(diagnosis):
         yield simple
-
-
-def _distinct(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
-    """One hypothesis of those that have ended at the same cost."""
-    found: list[Hypothesis] = []
-    for each in hypotheses:
-        if not any(np.isclose(each.cost, one.cost, rtol=_SAME) for one in found):
-            found.append(each)
-    return found
 
 
 def _begun(diagnosis: Diagnosis, problem: Problem) -> list[Hypothesis]:
@@ -165,6 +156,7 @@ def _begun(diagnosis: Diagnosis, problem: Problem) -> list[Hypothesis]:
         np.concatenate([diagnosis.explanation.nominal.x[:d], *still]),
         np.concatenate([np.zeros(d), *still]),
     ]
+    points = [x for i, x in enumerate(points) if not any(np.array_equal(x, other) for other in points[:i])]
     rows = problem.residuals([(x, terms) for x in points])
     return [_hypothesis(problem, terms, x, row) for x, row in zip(points, rows, strict=True)]
 

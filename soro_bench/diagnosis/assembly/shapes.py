@@ -111,6 +111,6 @@ def _flexes(model: mujoco.MjModel, data: mujoco.MjData, thin: float) -> Iterator
     for f in range(model.nflex):
         start, count = int(model.flex_vertadr[f]), int(model.flex_vertnum[f])
         step = max(1, count // MOST_VERTICES)
-        location = Location("flex", model.flex(f).name)
+        location = Location("flex", mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, f))
         for point in data.flexvert_xpos[start : start + count : step]:
             yield Shape((_point(point),), 0.5 * thin, (location,))

@@ -34,6 +34,7 @@ class Problem:
     others: of each other signal what ``sigma`` is of the first, and what ``noise`` is [its unit].
     model_form: largest rms [signal's unit] of a model-form error beside the discretisation error (model_form.py).
     variants: other simulations of the robot, of which nobody knows that they are more accurate.
+    correction: (M,) added to what the robot simulates [first signal's unit]; see ``with_longer_steps``.
     """
 
     robot: Robot
@@ -46,6 +47,7 @@ class Problem:
     others: tuple[tuple[float, float], ...] = ()
     model_form: float = 0.0
     variants: tuple[Variant, ...] = ()
+    correction: Floats | float = 0.0
 
     @property
     def sensor(self) -> float:
@@ -153,7 +155,18 @@ class Problem:
 
     def residuals(self, points: Points) -> Floats:
         """(N, M) measured less simulated at N points, in units of sigma."""
-        return self.residuals_of(self.simulated(self.robot, points))
+        return self.residuals_of(self.simulated(self.robot, points) + self.correction)
+
+    def with_longer_steps(self, robot: Robot, x: Floats, terms: Sequence[Term], residual: Floats) -> "Problem":
+        """The same problem, simulated by a robot with longer time steps that agrees with its own one at a point.
+
+        The difference that the time step makes changes little nearby, so fits of many candidates cost less.
+
+        Args:
+            x, terms: the point. residual: (M,) there, in units of sigma.
+        """
+        (there,) = self.residuals_of(self.simulated(robot, [(x, terms)]))
+        return replace(self, robot=robot, correction=(there - residual) * self.sigma)
 
     def residuals_of(self, simulated: Floats) -> Floats:
         """(N, M) measured less simulated (N, M) [signal's unit], in units of sigma."""

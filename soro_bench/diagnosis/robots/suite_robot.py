@@ -142,8 +142,11 @@ class SuiteRobot(Robot):
         return self._alike(other) if same else None
 
     def variants(self) -> tuple[Variant, ...]:
-        """By another integrator, by the accurate model with longer time steps, and as chains of other links."""
-        found = [plain(with_other_integrator(self.shortened(self.shorter)))]
+        """By another integrator where a flex does not need its own, by the accurate model with longer time steps, and
+        as chains of other links."""
+        found = []
+        if not self.simulation.model.nflex:
+            found.append(plain(with_other_integrator(self.shortened(self.shorter))))
         if isinstance(coarse := self.accurate(), SuiteRobot):
             coarse._task.refine(_LONGER)
             found.append(plain(coarse))

@@ -33,6 +33,7 @@ from soro_bench.diagnosis.selection.rounds import (
     generalised,
     guesses_of,
     refined_in_turns,
+    replayed_anew,
     under_present_error,
     with_own_discretisation,
     worth,
@@ -334,7 +335,9 @@ class _Search:
         guesses += generalised(self.problem, self.screened, self.candidates, self.worth)
         if len(self.rounds) == 1 and not self.problem.misfit_dominated:
             guesses += guesses_of(self.problem, self.first, pairs(self.first))
-        new = refitted(self.problem, guesses, self.screened, next(self.seeds))
+        best = self.best
+        rough = self.problem.with_longer_steps(self.robot, best.x, best.terms, best.residual)
+        new = replayed_anew(self.problem, refitted(rough, guesses, self.screened, next(self.seeds)))
         if self.rounds:
             new += revisit_rivals(self.problem, new[0], self.tried, next(self.seeds))
         if self.problem.misfit_dominated:

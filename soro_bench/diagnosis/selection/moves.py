@@ -71,13 +71,16 @@ def move_radii(settings: SelectionSettings) -> tuple[float, float]:
     return settings.move_radius, settings.move_radius_second
 
 
-def refine(problem: Problem, hypotheses: Sequence[Hypothesis], radii: Sequence[float], seed: int) -> list[Hypothesis]:
-    """The hypotheses, each fitted further with a Jacobian of its own; never worse.
+def refine(
+    problem: Problem, hypotheses: Sequence[Hypothesis], radii: Sequence[float], seed: int, anew: bool = True
+) -> list[Hypothesis]:
+    """The hypotheses, each fitted further; never worse.
 
     Args:
         radii: of the samples, in prior deviations.
+        anew: whether Jacobians are computed from nothing; else from those that the hypotheses have.
     """
-    better = fitted(problem, [Guess(h.x, h.terms) for h in hypotheses], radii, seed)
+    better = fitted(problem, [Guess(h.x, h.terms, None if anew else h.jacobian) for h in hypotheses], radii, seed)
     return [min(pair, key=lambda h: h.cost) for pair in zip(hypotheses, better, strict=True)]
 
 

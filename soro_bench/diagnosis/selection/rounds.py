@@ -154,7 +154,7 @@ def refined_in_turns(
             limit = settings.rival_misfit * before
             count = sum(problem.misfit(h.residual) < limit for h in hypotheses[: settings.discretisations])
             radii = settings.nominal_radius, settings.nominal_radius_near
-        better = refine(problem, hypotheses[:count], radii, next(seeds))
+        better = refine(problem, hypotheses[:count], radii, next(seeds), anew=turn == 0)
         problem, better = with_own_discretisation(problem, refined, better, next(seeds))
         rest = [under_present_error(problem, h) for h in hypotheses[count:]]
         hypotheses = sorted([*better, *rest], key=lambda h: -h.log_evidence(problem))
@@ -213,6 +213,13 @@ def with_own_discretisation(
     problem, again = fitted_under_discretisation(problem, refined, chosen, guesses, (settings.fit_radius_last,), seed)
     before = [under_present_error(problem, h) for h in hypotheses]
     return problem, [min(pair, key=lambda h: h.cost) for pair in zip(before, again, strict=True)]
+
+
+def replayed_anew(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Hypotheses that were fitted with longer time steps, with their residuals and costs in the problem."""
+    rows = problem.residuals([(h.x, h.terms) for h in hypotheses])
+    pairs = zip(hypotheses, rows, strict=True)
+    return [replace(h, residual=row, cost=problem.cost(row, h.x)) for h, row in pairs]
 
 
 def under_present_error(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
