@@ -10,7 +10,9 @@ import pytest
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
 
+from soro_bench.diagnosis.assembly.shapes import of_model
 from soro_bench.diagnosis.candidates import terms, typical
+from soro_bench.diagnosis.robots.measured import Drive
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
@@ -318,6 +320,23 @@ def test_every_kind_of_effect_that_it_can_have_is_suspected(robot):
 def test_it_has_a_more_accurate_model_where_that_has_the_same_signal(robot):
     finer = robot.accurate()
     assert (finer is None) if robot.pneumatic else finer.model_name == "flex"
+
+
+def test_other_simulations_of_it_move_like_it(robot):
+    drive = Drive(np.zeros((2, *robot.actions(record(robot.env_id, "random", robot.model_name, steps=1)).shape[1:])))
+    nominal = np.array([[prior.nominal for prior in robot.priors]])
+    own = robot.simulate(drive.actions, nominal, [()])
+    for variant in robot.variants():
+        (values,) = variant([drive], nominal)
+        first = values[:, :, : robot.signals[0].size].reshape(own.shape)
+        np.testing.assert_allclose(first, own, atol=5e-3)  # m, of a trunk of 0.2 m
+
+
+def test_every_element_of_it_is_drawn(robot):
+    parameters = {prior.name: prior.nominal for prior in robot.priors}
+    drawn = {location for shape in of_model(robot.model(parameters, [])) for location in shape.locations}
+    kinds = ("flex",) if robot.pneumatic else ("body", "tendon", "actuator")
+    assert {each for kind in kinds for each in robot.locations(kind)} <= drawn
 
 
 def test_a_number_of_an_action_may_move_several_actuators():

@@ -24,15 +24,7 @@ def shapes(diagnosis: Diagnosis) -> tuple[Shape, ...]:
     """Of the fitted robot in its initial configuration: geoms, tendons, joints, flexes and measured points."""
     robot = diagnosis.robot
     model = robot.model(robot.parameters(kept(diagnosis).x), [])
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    thin = THIN * float(model.stat.extent)
-    found = [
-        *_geoms(model, data, thin),
-        *_joints(model, data, thin),
-        *_tendons(model, data),
-        *_flexes(model, data, thin),
-    ]
+    thin, found = THIN * float(model.stat.extent), of_model(model)
     first = diagnosis.explanation.problem.recordings[0].values[0]
     if first.shape[1] == 3 and robot.unit == "m":
         found += [
@@ -41,6 +33,19 @@ def shapes(diagnosis: Diagnosis) -> tuple[Shape, ...]:
             if np.isfinite(row).all()
         ]
     return tuple(found)
+
+
+def of_model(model: mujoco.MjModel) -> list[Shape]:
+    """Of a model in its initial configuration: geoms, tendons, joints and flexes."""
+    data = mujoco.MjData(model)
+    mujoco.mj_fwdPosition(model, data)
+    thin = THIN * float(model.stat.extent)
+    return [
+        *_geoms(model, data, thin),
+        *_joints(model, data, thin),
+        *_tendons(model, data),
+        *_flexes(model, data, thin),
+    ]
 
 
 def _point(values: np.ndarray) -> tuple[float, float, float]:
@@ -111,6 +116,6 @@ def _flexes(model: mujoco.MjModel, data: mujoco.MjData, thin: float) -> Iterator
     for f in range(model.nflex):
         start, count = int(model.flex_vertadr[f]), int(model.flex_vertnum[f])
         step = max(1, count // MOST_VERTICES)
-        location = Location("flex", mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, f))
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, f)
         for point in data.flexvert_xpos[start : start + count : step]:
-            yield Shape((_point(point),), 0.5 * thin, (location,))
+            yield Shape((_point(point),), 0.5 * thin, (Location("flex", name),) if name else ())
