@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from hidden_effects import CONTROL, DEVIATION, commands, hidden_robot, mapping, recorded
 from scipy.interpolate import CubicSpline
 
+from benchmarks.hidden_effects import CONTROL, DEVIATION, commands, hidden_robot, mapping, recorded
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.robots.model_file import load_model
 from soro_bench.diagnosis.robots.model_robot import ModelRobot

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from model_zoo import ZooModel, zoo
 
+from benchmarks.model_zoo import ZooModel, zoo
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.robots.model_file import load_model
 from soro_bench.diagnosis.robots.model_robot import ModelRobot

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from model_zoo import ZooModel, zoo
 from rich.progress import track
 
+from benchmarks.model_zoo import ZooModel, zoo
 from soro_bench.diagnosis.assembly.model_export import PatchError, exported
 from soro_bench.diagnosis.assembly.motion import ALIKE, motion_difference
 from soro_bench.diagnosis.robots.model_file import ModelError, load_model

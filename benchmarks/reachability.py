@@ -16,8 +16,8 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from reach_planner import ReachPlan, ReachPlanner
 
+from benchmarks.reach_planner import ReachPlan, ReachPlanner
 from soro_bench.envs.trunk_reach import EVALUATION_GOALS, TrunkReachTask
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.markdown import table

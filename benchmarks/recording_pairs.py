@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.interval_coverage import ARM as SERVO
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.result import Result
@@ -29,10 +30,6 @@ from soro_bench.markdown import table
 from soro_bench.recording.recording import Recording, Signal
 from tests.arm import ARM, MAP
 
-SERVO = """<mujoco model="servo"><option timestep="0.005" integrator="discrete"/>
-<worldbody><body name="arm"><joint name="hinge" axis="0 1 0" damping="0.02" armature="0.002"/>
-<geom type="capsule" size="0.01" fromto="0 0 0 0 0 -0.2" mass="0.2" contype="0" conaffinity="0"/></body></worldbody>
-<actuator><position name="motor" joint="hinge" kp="1.5" kv="0.05" ctrlrange="-1.2 1.2"/></actuator></mujoco>"""
 SERVO_MAP = (
     MAP.split("[parameters", maxsplit=1)[0]
     + """

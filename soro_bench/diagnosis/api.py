@@ -1,11 +1,12 @@
 """Diagnose a robot: from recordings to a result."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from soro_bench.diagnosis.assembly.build import build_result
 from soro_bench.diagnosis.pipeline import Run, run_diagnosis
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.selection.forward_selection import Progress, silent
 from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
@@ -20,7 +21,7 @@ def diagnose(
     recordings: Sequence[Recording],
     heldout: Sequence[Recording] = (),
     seed: int = 0,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Progress = silent,
     settings: Settings = DEFAULT,
     known: Told = (),
 ) -> Result:

@@ -1,6 +1,6 @@
 """The nominal fit without outliers: points that are alone and far off are left out, and the noise is what it leaves."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.result_robot import Outliers
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.selection.forward_selection import nominal_fit
+from soro_bench.diagnosis.selection.forward_selection import Progress, nominal_fit
 from soro_bench.inference.statistical_linearisation import LowRank
 
 
@@ -50,7 +50,7 @@ def fitted_again(
     least: Sequence[float],
     spoilt: bool,
     seed: int,
-    progress: Callable[[str], None],
+    progress: Progress,
 ) -> tuple[Problem, Hypothesis, Outliers]:
     """The problem without outliers and with the noise that the nominal fit leaves, and that fit.
 

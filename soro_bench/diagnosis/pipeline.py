@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -31,7 +31,7 @@ from soro_bench.diagnosis.result_robot import DataFinding, Outliers
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.experiment_design import Proposal, proposed
-from soro_bench.diagnosis.selection.forward_selection import Explanation, explained, nominal_fit
+from soro_bench.diagnosis.selection.forward_selection import Explanation, Progress, explained, nominal_fit, silent
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, compared, shortlist
 from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.inference.statistical_linearisation import LowRank
@@ -48,7 +48,7 @@ class Run:
     """
 
     seed: int = 0
-    progress: Callable[[str], None] = lambda _: None
+    progress: Progress = silent
     settings: Settings = DEFAULT
 
 

@@ -21,7 +21,7 @@ from soro_bench.diagnosis.data_quality.samples import far_off
 from soro_bench.diagnosis.result import Result, plain_json
 from soro_bench.diagnosis.result_robot import ReplayedRobot, SignalQuality
 from soro_bench.diagnosis.robots.measured import Measured, ObservedSignal
-from soro_bench.diagnosis.robots.model_file import ModelError, in_one_line, source_files
+from soro_bench.diagnosis.robots.model_file import ModelError, source_files, with_advice
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
@@ -368,7 +368,7 @@ def checked_model(xml: str, robot: Robot) -> str:
     try:
         model = mujoco.MjModel.from_xml_string(xml)
     except ValueError as error:
-        raise ModelError(f"it is no MuJoCo model: {in_one_line(error)}") from error
+        raise ModelError(f"it is no MuJoCo model: {with_advice(error)}") from error
     for name in _SIZES:
         if getattr(model, name) != getattr(own, name):
             raise ModelError(f"it has {name} {getattr(model, name)}, the model of the robot {getattr(own, name)}")

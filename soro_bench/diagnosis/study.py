@@ -21,6 +21,7 @@ from soro_bench.diagnosis.render import FILES, render
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.selection.forward_selection import Progress, silent
 from soro_bench.diagnosis.selection.model_probabilities import Answer
 from soro_bench.files import check_folder, read_json, read_toml, write_json
 from soro_bench.markdown import table
@@ -94,7 +95,7 @@ def _recordings(folder: Path, name: str, entries: Sequence[dict]) -> tuple[Recor
 
 
 def run_study(
-    study: Study, out: str | Path, seed: int = 0, threads: int = 0, progress: Callable[[str], None] = lambda _: None
+    study: Study, out: str | Path, seed: int = 0, threads: int = 0, progress: Progress = silent
 ) -> list[dict]:
     """Diagnose the parts that have no summary in the folder ``out`` yet; the summaries of all of them.
 
@@ -118,7 +119,7 @@ def run_study(
     return [read_json(Path(out) / part.name / SUMMARY) for part in study.parts]
 
 
-def _prefixed(progress: Callable[[str], None], name: str) -> Callable[[str], None]:
+def _prefixed(progress: Progress, name: str) -> Callable[[str], None]:
     """Report stages with the name of a part before them."""
 
     def report(stage: str) -> None:

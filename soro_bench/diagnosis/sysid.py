@@ -4,7 +4,7 @@ mujoco.sysid fits parameters of a model to measured sequences. What no parameter
 diagnosis says which law it is, and where.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -15,6 +15,7 @@ from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.robots.model_file import ModelError
 from soro_bench.diagnosis.robots.sysid_robot import COMMAND, SIGNAL, STATE, SysidRobot, free, names_of
+from soro_bench.diagnosis.selection.forward_selection import Progress, silent
 from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 
@@ -47,7 +48,7 @@ def diagnose_sequences(
     units: Mapping[str, str] | None = None,
     threads: int = 0,
     seed: int = 0,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Progress = silent,
     settings: Settings = DEFAULT,
 ) -> Result:
     """Say which physics a model lacks, from the parameters and sequences that mujoco.sysid fits it to.

@@ -13,7 +13,7 @@ from mujoco.batch import MODEL_FIELDS
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.assembly.motion import motion_difference
 from soro_bench.diagnosis.assembly.native_laws import write_law
-from soro_bench.diagnosis.robots.model_file import in_one_line
+from soro_bench.diagnosis.robots.model_file import with_advice
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.effects.effect import Effect
 from soro_bench.effects.elements import without_unused_springs
@@ -77,7 +77,7 @@ def patched_spec(robot: Robot, parameters: Mapping[str, float], effects: Sequenc
         spec.copy_back(model)
         spec.compile()
     except ValueError as error:
-        raise PatchError(f"MJCF cannot hold the fitted model: {in_one_line(error)}") from error
+        raise PatchError(f"MJCF cannot hold the fitted model: {with_advice(error)}") from error
     return without_unused_springs(spec)
 
 
@@ -90,7 +90,7 @@ def checked(xml: str, model: mujoco.MjModel) -> mujoco.MjModel:
     try:
         again = mujoco.MjModel.from_xml_string(xml)
     except ValueError as error:
-        raise PatchError(f"the fitted model cannot be read again from MJCF: {in_one_line(error)}") from error
+        raise PatchError(f"the fitted model cannot be read again from MJCF: {with_advice(error)}") from error
     found = motion_difference(model, again)
     if not found.alike:
         lost = _differing(model, again)

@@ -1,7 +1,7 @@
 """Compare recordings of one robot before and after a change: from recordings to a result."""
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from soro_bench.diagnosis.paired.alignment import Pair, aligned
 from soro_bench.diagnosis.paired.difference import Difference, difference, measured
@@ -9,6 +9,7 @@ from soro_bench.diagnosis.paired.explanation import explained
 from soro_bench.diagnosis.paired.result import CommandDifference, PairedResult, SignalDifference
 from soro_bench.diagnosis.paired.settings import DEFAULT, PairedSettings
 from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.selection.forward_selection import Progress, silent
 from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
 from soro_bench.recording.known import Told, known_parameters
@@ -22,7 +23,7 @@ def compare(
     after: Sequence[Recording],
     robot: Robot | None = None,
     seed: int = 0,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Progress = silent,
     settings: PairedSettings = DEFAULT,
     known: Told = (),
 ) -> PairedResult:

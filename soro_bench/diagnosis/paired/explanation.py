@@ -1,6 +1,6 @@
 """Which change between two recordings explains their difference, and how large it is."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +27,7 @@ from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.result_parts import Estimate
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.selection.forward_selection import nominal_fit
+from soro_bench.diagnosis.selection.forward_selection import Progress, nominal_fit
 from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.effect import Location
 
@@ -38,7 +38,7 @@ def explained(
     robot: Robot,
     pairs: Sequence[Pair],
     seed: int,
-    progress: Callable[[str], None],
+    progress: Progress,
     settings: PairedSettings,
 ) -> result.Explanation:
     """The change that explains the difference of pairs of recordings.
@@ -135,7 +135,7 @@ class _Search:
         noise: float,
         seed: int,
         settings: PairedSettings,
-        progress: Callable[[str], None],
+        progress: Progress,
     ):
         self.base, self.changes, self.noise, self.settings, self.progress = base, changes, noise, settings, progress
         self.rng = np.random.default_rng(seed)

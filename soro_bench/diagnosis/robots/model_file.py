@@ -13,6 +13,7 @@ from mujoco.batch import MODEL_FIELDS
 
 from soro_bench.diagnosis.result_robot import SourceFile
 from soro_bench.effects.elements import AUXILIARY, instrument
+from soro_bench.errors import one_line
 
 _TIMESTEPS = 1e-6, 1.0  # s, least and longest of a model
 _MOST_NAMES = 20  # in a message
@@ -73,7 +74,7 @@ def _read(model: Model) -> tuple[mujoco.MjSpec, Path]:
     try:
         return mujoco.MjSpec.from_file(str(model)), Path(model).resolve().parent
     except (ValueError, mujoco.FatalError) as error:
-        raise ModelError(f"{model} is no MuJoCo model: {in_one_line(error)}") from error
+        raise ModelError(f"{model} is no MuJoCo model: {with_advice(error)}") from error
 
 
 def load_model(model: Model, shorter: int = 1) -> mujoco.MjModel:
@@ -93,7 +94,7 @@ def load_model(model: Model, shorter: int = 1) -> mujoco.MjModel:
             warnings.simplefilter("ignore")
             compiled = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        raise ModelError(f"{path} is no MuJoCo model: {in_one_line(error)}") from error
+        raise ModelError(f"{path} is no MuJoCo model: {with_advice(error)}") from error
     for field in MODEL_FIELDS:
         if np.isnan(attrgetter(field)(compiled)).any():  # MuJoCo only warns
             raise ModelError(f"{path}: {field} is not a number somewhere")
@@ -105,9 +106,9 @@ def load_model(model: Model, shorter: int = 1) -> mujoco.MjModel:
     return compiled
 
 
-def in_one_line(error: Exception) -> str:
+def with_advice(error: Exception) -> str:
     """What MuJoCo says, in one line, with what to do about it where that is known."""
-    text = " ".join(str(error).split())
+    text = one_line(error)
     text = text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
     advice = next((each for word, each in _ADVICE.items() if word in text.lower()), None)
     return f"{text}; {advice}" if advice else text

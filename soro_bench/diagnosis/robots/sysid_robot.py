@@ -12,7 +12,7 @@ from mujoco.batch import MODEL_FIELDS
 
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.robots.map_parameters import Entry
-from soro_bench.diagnosis.robots.model_file import ModelError, in_one_line, load_spec
+from soro_bench.diagnosis.robots.model_file import ModelError, load_spec, with_advice
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.model_state import InitialState, Part
 from soro_bench.diagnosis.robots.priors import Baseline, Prior
@@ -220,12 +220,12 @@ class ModifiedFields:
             try:
                 parameter.apply_modifier(spec)
             except Exception as error:  # the user's own code
-                raise ModelError(f"the modifier of {parameter.name!r} fails: {in_one_line(error)}") from error
+                raise ModelError(f"the modifier of {parameter.name!r} fails: {with_advice(error)}") from error
         try:
             return load_spec(spec).compile()
         except (ValueError, mujoco.FatalError) as error:
             said = ", ".join(f"{name} {value:g}" for name, value in zip(self._names, row, strict=True))
-            raise ModelError(f"no model with {said}: {in_one_line(error)}") from error
+            raise ModelError(f"no model with {said}: {with_advice(error)}") from error
 
     def _of(self, row: Floats) -> dict[str, Floats]:
         """The changed fields with one value of every parameter."""

@@ -47,7 +47,7 @@ _FIRST_SEED, _SEED_STEP = 10, 10  # after those of the nominal fit, and between 
 Progress = Callable[[str], None]  # is told the name of each stage
 
 
-def _silent(stage: str) -> None:
+def silent(stage: str) -> None:
     """Progress that nobody looks at."""
 
 
@@ -94,7 +94,7 @@ class Explanation:
 
 
 def nominal_fit(
-    problem: Problem, refined: Sequence[Robot], seed: int, progress: Progress = _silent
+    problem: Problem, refined: Sequence[Robot], seed: int, progress: Progress = silent
 ) -> tuple[Problem, Hypothesis]:
     """The problem with its discretisation error, and the nominal robot fitted to it, in turns.
 
@@ -132,7 +132,7 @@ def explained(
     refined: Sequence[Robot],
     candidates: Sequence[Term],
     seed: int,
-    progress: Progress = _silent,
+    progress: Progress = silent,
     heldout: Problem | None = None,
 ) -> Explanation:
     """One term further as long as a candidate's predicted gain is worth a fit.
