@@ -13,8 +13,9 @@ from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.candidates import term, terms
 from soro_bench.diagnosis.data_quality.responses import answered
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, descended, fitted
+from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
-from soro_bench.diagnosis.selection.forward_selection import explained
+from soro_bench.diagnosis.selection.forward_selection import explained, nominal_fit
 from soro_bench.diagnosis.selection.moves import (
     distinct,
     indistinguishable,
@@ -25,6 +26,7 @@ from soro_bench.diagnosis.selection.moves import (
     unique,
     without_one,
 )
+from soro_bench.diagnosis.selection.rounds import fitted_in_growing_parts
 from soro_bench.diagnosis.selection.screening import ScreenedCandidate, evidence, responses
 from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.effect import EVERY, Effect, Location
@@ -305,17 +307,38 @@ def test_a_weak_motor_or_swapped_commands_are_none_that_never_arrive(two_links, 
     assert answered(measured(two_links, arrived), 0, two_links).findings == ()
 
 
+def swinging(folder, seed, first, second):
+    """Loose links with motors that are strong enough to swing them through, a recording, and its two parameters."""
+    text = TWO.replace('damping="0.05"', 'damping="0.005"').replace("position", "motor")
+    (folder / "two.xml").write_text(text.replace('kp="4"', f'gear="{first}"').replace('kp="2"', f'gear="{second}"'))
+    masses = '[parameters.mass]\nfields = ["body_mass:*", "body_inertia:*"]\ndeviation = 0.2\n'
+    (folder / "two.toml").write_text(OF_TWO + masses)
+    robot, rng = ModelRobot(folder / "two.xml", folder / "two.toml", threads=1), np.random.default_rng(seed)
+    goals = np.repeat(rng.uniform(-1, 1, (12, 2)), 12, axis=0)
+    truth = np.exp([0.3, 0.2] * rng.uniform(-1, 1, 2))
+    return robot, measured(robot, goals=goals, truth=truth), truth
+
+
 @pytest.mark.parametrize("seed", [8, 37, 48])
 def test_loose_links_that_swing_through_answer_to_every_command(tmp_path, seed):
     """A replay of other parameters swings elsewhere, whatever its slopes say; fitted ones follow the robot."""
-    text = TWO.replace('damping="0.05"', 'damping="0.005"').replace("position", "motor")
-    (tmp_path / "two.xml").write_text(text.replace('kp="4"', 'gear="0.4"').replace('kp="2"', 'gear="0.12"'))
-    masses = '[parameters.mass]\nfields = ["body_mass:*", "body_inertia:*"]\ndeviation = 0.2\n'
-    (tmp_path / "two.toml").write_text(OF_TWO + masses)
-    robot, rng = ModelRobot(tmp_path / "two.xml", tmp_path / "two.toml", threads=1), np.random.default_rng(seed)
-    goals = np.repeat(rng.uniform(-1, 1, (12, 2)), 12, axis=0)
-    truth = np.exp([0.3, 0.2] * rng.uniform(-1, 1, 2))
-    assert answered(measured(robot, goals=goals, truth=truth), 0, robot).findings == ()
+    robot, whole, _ = swinging(tmp_path, seed, 0.4, 0.12)
+    assert answered(whole, 0, robot).findings == ()
+
+
+def test_parameters_of_chaotic_motion_are_found_from_its_beginning_on(tmp_path):
+    """Along the whole recording the misfit has a local minimum everywhere."""
+    robot, whole, truth = swinging(tmp_path, 17, 0.7, 0.25)
+    problem, fit = nominal_fit(unexplained(robot, (whole,), NOISE), [], 0)
+    assert problem.left(fit.residual) < 1.2 * NOISE
+    assert list(robot.parameters(fit.x).values()) == pytest.approx(truth, rel=1e-3)
+
+
+def test_parameters_that_do_not_explain_a_part_are_not_taken_further(paths):
+    healthy, rubbing = arm.problem(paths), arm.problem(paths, [FRICTION])
+    (_, fit) = fitted_in_growing_parts(healthy, [], 0)
+    assert list(healthy.robot.parameters(fit.x).values()) == pytest.approx(arm.TRUTH[0], rel=0.05)
+    assert fitted_in_growing_parts(rubbing, [], 0) is None
 
 
 def test_a_point_that_stands_still_like_its_command_tells_nothing(tmp_path):

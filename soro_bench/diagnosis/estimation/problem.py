@@ -174,6 +174,17 @@ class Problem:
         diverged = self.settings.likelihood.diverged
         return np.nan_to_num(residual, nan=diverged, posinf=diverged, neginf=-diverged) * self.weight
 
+    def first(self, steps: Sequence[int]) -> "Problem":
+        """The same problem of the first control steps of each recording."""
+        rows = [
+            np.arange(len(each.time)).repeat(self.robot.columns) < count
+            for each, count in zip(self.recordings, steps, strict=True)
+        ]
+        kept = np.concatenate(rows)
+        parts = tuple(each.first(count) for each, count in zip(self.recordings, steps, strict=True))
+        basis = LowRank(self.discretisation.basis[:, kept])
+        return replace(self, recordings=parts, weight=self.weight[kept], discretisation=basis)
+
     def with_discretisation(self, columns: Floats) -> "Problem":
         """The same problem with more discretisation errors: differences (F, M) [signal's unit]."""
         return self._with_basis(np.concatenate([self.discretisation.basis, columns / self.sigma * self.weight]))

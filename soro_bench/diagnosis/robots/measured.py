@@ -87,6 +87,19 @@ class Measured:
         values = (self.values, *self.others)[which]
         return replace(self, values=values, signal=signal.name, unit=signal.unit, late=None, others=())
 
+    def first(self, steps: int) -> "Measured":
+        """The same of the first control steps only."""
+        settings, late = self.settings, self.late
+        return replace(
+            self,
+            actions=self.actions[:steps],
+            time=self.time[:steps],
+            values=self.values[:steps],
+            settings=None if settings is None else settings[:steps],
+            late=None if late is None else late[:, :steps],
+            others=tuple(each[:steps] for each in self.others),
+        )
+
     @property
     def drive(self) -> Drive:
         """The input of the robot."""

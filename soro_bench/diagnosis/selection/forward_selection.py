@@ -30,8 +30,10 @@ from soro_bench.diagnosis.selection.rounds import (
     at_each_element,
     cheapest,
     compatible,
+    fitted_in_growing_parts,
     generalised,
     guesses_of,
+    is_discrepant,
     refined_in_turns,
     replayed_anew,
     under_present_error,
@@ -96,14 +98,15 @@ class Explanation:
 def nominal_fit(
     problem: Problem, refined: Sequence[Robot], seed: int, progress: Progress = silent
 ) -> tuple[Problem, Hypothesis]:
-    """The problem with its discretisation error, and the nominal robot fitted to it, in turns.
+    """The problem with its discretisation error, and the nominal robot fitted to it, in turns; from the beginning of
+    the recordings on, where that explains much more.
 
     Args:
         refined: the robot simulated more accurately.
         seed: of the samples around the fit.
         progress: is told the name of each stage.
     """
-    settings, rng, d = problem.settings.selection, np.random.default_rng(seed), problem.parameters
+    settings, rng, d, given = problem.settings.selection, np.random.default_rng(seed), problem.parameters, problem
     draws = settings.nominal_radius * rng.standard_normal((settings.nominal_replays, d))
     draws[0] = 0.0
     guess = Guess(np.zeros(d))
@@ -122,6 +125,10 @@ def nominal_fit(
     if problem.misfit_dominated:
         (fit,) = iterate_to_convergence(problem, [fit], SEEDS * seed + len(stages))
         problem, (fit,) = allowing(problem, fit, [fit])
+    if problem.misfit_dominated or is_discrepant(problem, fit):
+        other = fitted_in_growing_parts(given, refined, SEEDS * seed + len(stages))
+        if other and other[0].left(other[1].residual) < problem.left(fit.residual):
+            return other
     return problem, fit
 
 
@@ -207,9 +214,7 @@ class _Search:
 
     def begin(self) -> None:
         """The nominal robot, fitted and screened."""
-        settings, samples = self.problem.settings.selection, self.problem.weight.sum()
-        limit = max(settings.discrepant_misfit, settings.discrepant_misfit_per_sample * samples)
-        discrepant = self.problem.misfit(self.nominal.residual) >= limit
+        discrepant = is_discrepant(self.problem, self.nominal)
         self._start(refining=not self.problem.misfit_dominated and not discrepant)
         # parameters may cause so large a misfit after all, if no term is predicted to explain it
         if not self.problem.misfit_dominated and discrepant and self.remaining_gain < self.worth:

@@ -4,6 +4,7 @@ A law at several elements at once is one candidate: in place of one term more, o
 responses are those of its elements together, so that it is screened without a replay.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -11,8 +12,9 @@ import numpy as np
 
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.candidates import Term, effects_at, slices, typical
-from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, fitted_under_discretisation
-from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.estimation.discretisation import differences, discretisation_and_residuals
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, descended, fitted, fitted_under_discretisation
+from soro_bench.diagnosis.estimation.problem import Problem, SimulationError
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.moves import Laws, distinct, indistinguishable, laws, move_radii, refine, unique
 from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate
@@ -161,6 +163,60 @@ def refined_in_turns(
         if not wide and problem.misfit(hypotheses[0].residual) > (1.0 - settings.refinement_gain) * before:
             break
     return problem, hypotheses
+
+
+def fitted_in_growing_parts(problem: Problem, refined: Sequence[Robot], seed: int) -> tuple[Problem, Hypothesis] | None:
+    """The nominal robot fitted to the beginning of recordings, then from there to longer and longer parts.
+
+    The misfit of a whole recording may have many local minima where motion is chaotic, as of links that swing through.
+    That of a short part has few, and each part ends near the minimum of the next one.
+
+    Args:
+        problem: without any discretisation error of the robot.
+        seed: of the samples around the first fit.
+
+    Returns:
+        The problem with its discretisation error and the fit; None where parameters do not explain some part.
+    """
+    settings, d = problem.settings.selection, problem.parameters
+    radii = settings.nominal_radius, settings.nominal_radius_second, settings.nominal_radius_near
+    part, fit, x = problem, None, np.zeros(d)
+    for steps in _growing(problem) if d else ():
+        part = problem.first(steps)
+        try:
+            errors, rows = discretisation_and_residuals(part, refined, [(x, ())], [(x, ())])
+        except SimulationError:
+            return None
+        part = part.with_discretisation(np.concatenate([errors, differences(part, [x])]))
+        most = settings.part_left * part.sensor
+        if fit is None and part.left(rows[0]) <= most:
+            continue
+        guess = Hypothesis((), x, rows[0], part.cost(rows[0], x), np.zeros((d, rows[0].size)), rows[:0])
+        (fit,) = [guess] if fit else fitted(part, [Guess(x)], radii, seed)
+        (fit,) = descended(part, [fit])
+        x = fit.x
+        if part.left(fit.residual) > most:
+            return None
+    return None if fit is None else (part, fit)
+
+
+def _growing(problem: Problem) -> Iterator[list[int]]:
+    """Control steps of each recording that belong to parts, up to all."""
+    settings = problem.settings.selection
+    share, before = settings.smallest_part, [0]
+    whole = [len(each.time) for each in problem.recordings]
+    while before != whole:
+        steps = [min(max(math.ceil(share * count), settings.least_part), count) for count in whole]
+        if steps != before:
+            yield steps
+        share, before = share * settings.part_growth, steps
+
+
+def is_discrepant(problem: Problem, nominal: Hypothesis) -> bool:
+    """Whether the nominal robot leaves so much that parameters hardly cause it."""
+    settings, samples = problem.settings.selection, problem.weight.sum()
+    limit = max(settings.discrepant_misfit, settings.discrepant_misfit_per_sample * samples)
+    return bool(problem.misfit(nominal.residual) >= limit)
 
 
 def compatible(robot: Robot, hypothesis: Hypothesis, candidates: Sequence[Term]) -> list[Term]:

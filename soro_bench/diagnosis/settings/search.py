@@ -24,6 +24,10 @@ class SelectionSettings:
     nominal_radius_last: float = setting(0.05, "prior deviations", "of the last samples; narrower ones see jumps only")
     nominal_replays: int = setting(3, "replays", "of each refined robot, before anything is known of the parameters")
     nominal_reach: float = setting(2.0, "prior deviations", "farthest of such a replay near a fit")
+    smallest_part: float = setting(1 / 64, "1", "share of recordings that parameters have to explain alone at first")
+    least_part: int = setting(20, "control steps", "of such a part at least")
+    part_growth: float = setting(2**0.5, "1", "by which parts grow; where motion is chaotic, a fit leads no further")
+    part_left: float = setting(2.0, "noise deviations", "rms misfit of a part at most; more is no error of parameters")
     # which terms are tried
     candidates: int = setting(6, "screened candidates", "that are fitted in a round; the right one was among them")
     candidates_per_law: int = setting(2, "screened candidates", "of the same laws, so that other laws are tried too")
