@@ -204,7 +204,7 @@ def test_labels_are_opened_only_when_every_case_has_its_report(tmp_path, monkeyp
     """And a case that has one is not diagnosed again."""
     done = []
 
-    def write_cases(folder, *_):
+    def write_cases(folder, *_, **__):
         for i in (0, 1):
             (folder / f"case_{i:03d}").mkdir(parents=True, exist_ok=True)
 

@@ -21,7 +21,7 @@ from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 
 pytest.importorskip("pyarrow")
-from soro_bench.blind_benchmark import cases, draw
+from soro_bench.blind_benchmark import cases, draw, sealed
 from soro_bench.recording.parquet import load
 from soro_bench.recording.simulated import replay
 
@@ -132,10 +132,10 @@ def test_what_a_capstan_acts_on_has_the_laws_that_came_after_it():
 
 
 def test_the_seed_of_a_proof_is_drawn_once(tmp_path):
-    first = cases.sealed_seed(tmp_path)
-    assert 0 <= first < 10**18 and first != cases.sealed_seed(tmp_path)
+    first = sealed.sealed_seed(tmp_path)
+    assert 0 <= first < 10**18 and first != sealed.sealed_seed(tmp_path)
     write_json(tmp_path / "sealed" / "plan.json", {"seed": first})
-    assert cases.sealed_seed(tmp_path) == first
+    assert sealed.sealed_seed(tmp_path) == first
 
 
 def test_what_explodes_is_refused(tmp_path, monkeypatch):
@@ -222,24 +222,26 @@ def files(folder):
 
 def test_written_cases(tmp_path, short):
     first, second, told = tmp_path / "first", tmp_path / "second", []
-    cases.write_cases(first, 2, seed=5, healthy=1, durations=DURATIONS, progress=lambda *done: told.append(done))
-    cases.write_cases(second, 2, seed=5, healthy=1, durations=DURATIONS)
+    sealed.write_cases(
+        first, 2, seed=5, healthy=1, durations=DURATIONS, others=0, progress=lambda *done: told.append(done)
+    )
+    sealed.write_cases(second, 2, seed=5, healthy=1, durations=DURATIONS, others=0)
     written = files(first)
     assert told == [(1, 2), (2, 2)]
     assert files(second) == written
 
     # goes on where it stopped, and mixes nothing
     (first / "case_001" / "train.parquet").unlink()
-    cases.write_cases(first, 2, seed=5, healthy=1, durations=DURATIONS)
+    sealed.write_cases(first, 2, seed=5, healthy=1, durations=DURATIONS, others=0)
     assert files(first) == written
     with pytest.raises(ValueError, match="has the cases of"):
-        cases.write_cases(first, 2, seed=6, healthy=1, durations=DURATIONS)
+        sealed.write_cases(first, 2, seed=6, healthy=1, durations=DURATIONS, others=0)
 
     # and what has been committed to stays
     path = second / "case_000" / "train.parquet"
     path.write_bytes((second / "case_001" / "train.parquet").read_bytes())
     with pytest.raises(ValueError, match="its label says"):
-        cases.write_cases(second, 2, seed=5, healthy=1, durations=DURATIONS)
+        sealed.write_cases(second, 2, seed=5, healthy=1, durations=DURATIONS, others=0)
 
     labels = json.loads(written["sealed/labels.json"])
     assert written["commitment.txt"].decode().strip() == hashlib.sha256(written["sealed/labels.json"]).hexdigest()

@@ -305,7 +305,7 @@ def build(seed: int, durations: Mapping[str, float] = DURATIONS) -> tuple[dict[s
         pulls = displacements(actions, TIMESTEP, every)
         points = Arm(parameters, hidden.laws()).run(pulls, every) + hidden.offset
         recordings[role] = recording(actions, points, noise)
-        if role == "train":
+        if role != "heldout":
             changes[role] = change(points, Arm(parameters).run(pulls, every))
     effect = {
         "name": hidden.names[0],

@@ -92,12 +92,14 @@ def build(kind: str, seed: int, durations: Mapping[str, float] = DURATIONS) -> t
 def drawn_actions(
     seed: int, durations: Mapping[str, float] = DURATIONS
 ) -> dict[str, tuple[np.ndarray, np.random.Generator]]:
-    """By role (T, 8) actions, and what draws the noise of their recording."""
+    """By role, of those with a duration, (T, 8) actions, and what draws the noise of their recording."""
     space = spaces.Box(-1.0, 1.0, (len(geo.CABLE_NAMES),), np.float32)
     actions = {
         "train": excitation(space, CONTROL_TIMESTEP, durations["train"], seed),
         "heldout": manoeuvre(durations["heldout"], [seed, 1]),
     }
+    if "task" in durations:
+        actions["task"] = manoeuvre(durations["task"], [seed, 4])
     return {role: (rows, np.random.default_rng([seed, 2, i])) for i, (role, rows) in enumerate(actions.items())}
 
 

@@ -6,12 +6,14 @@ from itertools import product
 from pathlib import Path
 
 from soro_bench.blind_benchmark.ablations import ABLATIONS, ENV_ID, ablated
-from soro_bench.blind_benchmark.cases import sealed_seed, write_cases
+from soro_bench.blind_benchmark.others import MAP, MODEL
 from soro_bench.blind_benchmark.report import report_of, unseen
 from soro_bench.blind_benchmark.score import opened_labels, scored
 from soro_bench.blind_benchmark.scorecard import ablation_rows, as_tables, markdown
+from soro_bench.blind_benchmark.sealed import sealed_seed, write_cases
 from soro_bench.diagnosis.assembly.build import build_result
 from soro_bench.diagnosis.pipeline import run_diagnosis
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.files import read_json, replacing, write_json
 from soro_bench.parallel import HERE, Workers, each, processors
@@ -25,7 +27,8 @@ Progress = Callable[[str, int, int], None]
 
 def run_blind_benchmark(
     folder: str | Path, count: int, seed: int | None = None, healthy: int | None = None, ablations: int = 0,
-    workers: Workers = HERE, progress: Progress = lambda *_: None,
+    workers: Workers = HERE, progress: Progress = lambda *_: None, others: int | None = None,
+    sorosim: str | Path | None = None,
 ) -> str:  # fmt: skip
     """Write what is missing of cases, reports and scorecard in a folder; returns the scorecard, Markdown.
 
@@ -34,8 +37,11 @@ def run_blind_benchmark(
 
     Args:
         seed: of the cases; that of those in the folder by default, or a new one that nobody can guess.
-        ablations: how many of the cases, the first ones, are also diagnosed without each part of the method.
+        ablations: how many of the cases, the first ones of the suite's robots, are also diagnosed without each part
+            of the method.
         workers: what computes the cases; those of a cluster see the same folder.
+        others: how many cases are of other simulators; half by default.
+        sorosim: folder with SoroSim's releases.csv, for its rods among them.
     """
     if not 0 <= ablations <= count:
         raise ValueError(f"ablations {ablations}: 0 to {count}, as many as there are cases, can be asked for")
@@ -43,14 +49,16 @@ def run_blind_benchmark(
     cases, reports = folder / "cases", folder / "reports"
     claim(reports / METHOD, method_version())
     seed = sealed_seed(cases) if seed is None else seed
-    write_cases(cases, count, seed, healthy, workers, lambda done, total: progress("cases written", done, total))
+    told = partial(progress, "cases written")
+    write_cases(cases, count, seed, healthy, workers, told, others=others, sorosim=sorosim)
     names = sorted(path.name for path in cases.glob("case_*"))
     wanted = [(cases / name, reports / f"{name}.json") for name in names]
     _carry_out(diagnosed, wanted, workers, partial(progress, "cases diagnosed"))
     text = _scorecard(folder)
+    suite = [name for name in names if not (cases / name / MODEL).exists()]
     without = [
         (ablation, cases / name, folder / ablation / f"{name}.json")
-        for ablation, name in product(ABLATIONS if ablations else (), names[:ablations])
+        for ablation, name in product(ABLATIONS if ablations else (), suite[:ablations])
     ]
     _carry_out(ablated, without, workers, partial(progress, "ablations"))
     return _scorecard(folder) if ablations else text
@@ -83,7 +91,12 @@ def _read_all(folder: Path) -> dict[str, dict]:
 
 
 def diagnosed(case: Path, path: Path) -> None:
-    """Write the report of a case, and how it does on motion that it has not seen."""
+    """Write the report of a case, and how it does on motion that it has not seen, if there is any."""
+    if (case / MODEL).exists():
+        result = build_result(run_diagnosis(ModelRobot(case / MODEL, case / MAP, threads=processors()),
+                                            [load(case / "train.parquet")]))  # fmt: skip
+        write_json(path, report_of(result) | {"unseen": None})
+        return
     robot = SuiteRobot(ENV_ID, threads=processors())
     found = run_diagnosis(robot, [load(case / "train.parquet")], [load(case / "heldout.parquet")])
     write_json(path, report_of(build_result(found)) | {"unseen": unseen(found, load(case / "task.parquet"))})

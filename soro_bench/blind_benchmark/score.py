@@ -97,12 +97,14 @@ def scored(labels: Sequence[dict], reports: dict[str, dict], seed: int = 0) -> d
 
     Returns:
         {"cases": a row per case, "gates": a row per criterion, "confusion": (truth, said, count), "calibration": bins}.
+        Criteria about other simulators stand last, where a set has cases of them.
     """
     rows = [case_row(label, reports[label["id"]]) for label in labels if label["id"] in reports]
     rng = np.random.default_rng(seed)
+    criteria = (*CRITERIA, *(OF_OTHERS if any(row["kind"] for row in rows) else ()))
     return {
         "cases": rows,
-        "gates": [_criterion(rows, *criterion, rng) for criterion in CRITERIA],
+        "gates": [_criterion(rows, *criterion, rng) for criterion in criteria],
         "confusion": _confusion(rows),
         "calibration": _calibration(rows),
     }
@@ -115,7 +117,8 @@ def case_row(label: dict, report: dict) -> dict:
     if not 0.0 <= first["probability"] <= 1.0:
         raise ValueError(f"the probability of {first['name']} is {first['probability']}; allowed: 0 to 1")
     truth, all_of_them = [e["name"] for e in label["effects"]], report["hypotheses"][0]["names"]
-    named = next((e for e in label["effects"] if e["name"] == first["name"]), label["effects"][0] if truth else None)
+    right = [name for e in label["effects"] for name in _names(e)] or ["none"]
+    named = next((e for e in label["effects"] if first["name"] in _names(e)), label["effects"][0] if truth else None)
     absorbed_share = None
     if label["group"] in ("one", "two"):
         left = max(report["fit"]["parameters_only"] ** 2 - label["noise"]["value"] ** 2, 0.0)
@@ -125,18 +128,19 @@ def case_row(label: dict, report: dict) -> dict:
         "id": label["id"],
         "group": label["group"],
         "robot": label["robot"],
+        "kind": label.get("kind", ""),
         "truth": truth,
         "said": said,
         "verdict": report["verdict"],
         "probability": first["probability"],
         "alarm": report["verdict"] != "none_detected",
-        "first": first["name"] in (truth or ["none"]),
-        "first_three": bool(set(said) & set(truth)),
+        "first": first["name"] in right,
+        "first_three": bool(set(said) & set(right)),
         "exact": report["verdict"] != "unknown_physics" and sorted(all_of_them) == sorted(truth),
         "right_class": report["classes"][0]["class"] in [e["class"] for e in label["effects"]],
         "place": named is not None and same_location(named["where"], first["where"]),
         "part": named and _part(named["where"]),
-        "covered": bool(set(report["credible_set"]) & set(truth or ["none"])),
+        "covered": bool(set(report["credible_set"]) & set(right)),
         "abstained": report["verdict"] == "unknown_physics",
         "confused": (first["class"] == "measurement") != (label["group"] == "measurement"),
         "answered": first["name"] not in ("none", "unknown"),
@@ -149,6 +153,11 @@ def case_row(label: dict, report: dict) -> dict:
         "absorbed": absorbed_share,
         "seconds": report["seconds"],
     }
+
+
+def _names(effect: dict) -> list[str]:
+    """Names of the catalogue that are right for an effect of a label; there may be some for another simulator's."""
+    return effect.get("names", [effect["name"]])
 
 
 def _first(report: dict) -> dict:
@@ -308,6 +317,28 @@ CRITERIA: tuple[tuple[str, Chosen, Statistic, float | None, bool], ...] = (
     ("two effects: both named, and no other", _group("two"), Share("exact"), None, False),
     ("magnitude of what is named rightly: error, median", _measured, _median("magnitude_error"), None, True),
     ("magnitude of what is named rightly: in its 90 % interval", _measured, Share("magnitude_inside"), None, False),
+)
+
+
+def _of_kind(kind: str, healthy: bool) -> Chosen:
+    return lambda row: row["kind"] == kind and (row["group"] == "none") is healthy
+
+
+# of sets with cases of other simulators, after the others: entries that were written before have none of them
+OF_OTHERS: tuple[tuple[str, Chosen, Statistic, float | None, bool], ...] = (
+    ("other simulators: false alarms", lambda row: row["kind"] and row["group"] == "none", Share("alarm"), 0.02, True),
+    *(
+        (f"other simulators, {kind}: false alarms", _of_kind(kind, True), Share("alarm"), None, True)
+        for kind in ("cable", "flex", "links", "pyelastica", "sorosim")
+    ),
+    ("other simulators: first answer right", _of_kind("hidden", False), Share("first"), 0.80, False),
+    (
+        "other simulators: of right names, place right",
+        lambda row: row["kind"] == "hidden" and row["first"],
+        Share("place"),
+        0.90,
+        False,
+    ),
 )
 
 

@@ -22,7 +22,11 @@ class BlindBenchmark:
     """Of the cases; drawn by default, and kept with the labels. Small seeds can be guessed from the commands, and
     cases that were used to develop the method say nothing about it."""
     healthy: Annotated[int | None, tyro.conf.arg(aliases=["--nulls"])] = None
-    """Healthy (fault-free) cases; a fifth of all by default."""
+    """Healthy (fault-free) cases; by default a fifth of the suite's robots and half of the other simulators'."""
+    others: int | None = None
+    """Cases of other simulators, half of all by default: healthy robots of four kinds, and laws in PyElastica's rod."""
+    sorosim: Path | None = None
+    """Folder with releases.csv of SoroSim, whose steel rods are a fifth kind then."""
     ablations: int = 0
     """Of so many cases, what each part of the method is worth: five more diagnoses each."""
     workers: Parallel = HERE
@@ -37,7 +41,10 @@ class BlindBenchmark:
         require_jsonschema()  # before the work, not after it
         check_folder(self.out, ["scorecard.json", "scorecard.md", "entry.json"])
         with StageBars() as bar:
-            text = run_blind_benchmark(self.out, self.count, self.seed, self.healthy, self.ablations, self.workers, bar)
+            text = run_blind_benchmark(
+                self.out, self.count, self.seed, self.healthy, self.ablations, self.workers, bar, self.others,
+                self.sorosim,
+            )  # fmt: skip
         card = read_json(self.out / "scorecard.json")
         write_entry(self.out / "entry.json", "soro_bench", "soro-bench diagnose", self.out / "cases", card)
         console.print(text, soft_wrap=True)

@@ -171,7 +171,12 @@ class Robot(Replays):
         return [self.shortened(refinement), *([finer] if finer else [])]
 
     def variants(self) -> tuple[Variant, ...]:
-        """Other simulations of the same robot; nobody knows any of a model of one's own."""
+        """Other simulations of the same robot; none of a model of one's own.
+
+        Another integrator would be one. It was tried, no farther off than half of what the time step changes: arms that
+        MuJoCo's Euler integrator moves became adequate. But it also took 5 to 25 % of the evidence of the smallest
+        frictions, and of one that was just found (413 nats, where 400 are needed) 98.
+        """
         return ()
 
     @abstractmethod
