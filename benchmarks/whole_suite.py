@@ -34,7 +34,7 @@ HIDDEN = {
     ),
 }
 STEPS = {"MultiGait-v0": (50, 30)}  # control steps of the recording to explain and of the held-out one
-TRUNK_STEPS = (400, 240)
+TRUNK_STEPS = (400, 400)
 # A mass on a body whose mass is a parameter moves as one that the parameter has: either name is right.
 SAME = {("TrunkPush-v0", "payload"): "cube_mass"}
 LEAST_MOVED = 2.0  # prior standard deviations, from which a parameter counts as named

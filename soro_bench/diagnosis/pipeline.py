@@ -140,6 +140,8 @@ def run_diagnosis(
     )
     problem = replace(problem, model_form=largest_model_form_error(problem, nominal))
     unfitted = unexplained(fitted, tested, sigma, settings, others) if tested else None
+    if unfitted:
+        unfitted = replace(unfitted, model_form=problem.model_form, variants=problem.variants)
     candidates = terms(robot, settings.priors)
     explanation = explained(problem, nominal, robot, refined, candidates, seed, run.progress, unfitted)
     run.progress("comparison")

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from soro_bench.diagnosis.candidates import Term
-from soro_bench.diagnosis.estimation.discretisation import differences
+from soro_bench.diagnosis.estimation.discretisation import differences, discretisation_and_residuals
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, fitted_under_discretisation
 from soro_bench.diagnosis.estimation.model_form import UnderModelForm
 from soro_bench.diagnosis.estimation.problem import Problem
@@ -326,12 +326,25 @@ class _Search:
         offered = singles(self.screened)[: self.problem.settings.screening.paired]
         predicted = [self.screened.predicted_residual(each) for each in offered]
         form = UnderModelForm.of(problem, [self.best.residual, *predicted])
-        if not form.possible[0]:
+        if not form.possible[0] or not self._may_be_model_form_elsewhere():
             return True
         fitted = UnderModelForm.of(problem, [self.nominal.residual, *(h.residual for h in self.tried)])
         if self.rounds and fitted.possible[0] and not fitted.explain(settings.model_form_left).any():
             return False
         return bool(form.explain(settings.model_form_predicted).any())
+
+    def _may_be_model_form_elsewhere(self) -> bool:
+        """Whether what the best hypothesis leaves of all recordings may be model-form error, held-out ones included.
+
+        The differences between simulations may take up a discrepancy in the motion that parameters are fitted to.
+        """
+        if self.heldout is None:
+            return True
+        points = [(self.best.x, self.best.terms)]
+        error, residuals = discretisation_and_residuals(self.heldout, self.refined, points, points)
+        unfitted = self.heldout.with_discretisation(np.concatenate([error, differences(self.heldout, [self.best.x])]))
+        fitted = UnderModelForm.of(self.problem, [self.best.residual])
+        return bool(fitted.beside(UnderModelForm.of(unfitted, residuals)).possible[0])
 
     def _fitted(self, offered: Sequence[ScreenedCandidate]) -> list[Hypothesis]:
         """Hypotheses of the best candidates, the most probable first."""
