@@ -33,7 +33,7 @@ HIDDEN = {
         Effect("pressure_leak", Location("actuator", "front_left"), {"rate": 0.2}),
     ),
 }
-STEPS = {"MultiGait-v0": (50, 30)}  # control steps of the recording to explain and of the held-out one
+STEPS = {"MultiGait-v0": (216, 216)}  # control steps of the recording to explain and of the held-out one; the fewest
 TRUNK_STEPS = (400, 400)
 # A mass on a body whose mass is a parameter moves as one that the parameter has: either name is right.
 SAME = {("TrunkPush-v0", "payload"): "cube_mass"}

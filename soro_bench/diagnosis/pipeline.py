@@ -52,6 +52,9 @@ class Run:
     settings: Settings = DEFAULT
 
 
+_WITH_VARIANTS = 2  # hypotheses, the nominal robot and the best one, that other simulations are compared at
+
+
 @dataclass(frozen=True)
 class Diagnosis:
     """What was found; times are in seconds, everything else in the units of the robot and its signal.
@@ -279,7 +282,7 @@ def tried_on(
     tested = masked(tested, far_points(tested, tested.residuals([(found.nominal.x, ())])[0]))
     points = [(h.x, h.terms) for h in hypotheses]
     discretisation, residuals = discretisation_and_residuals(tested, refined, points, points)
-    others = differences(tested, [found.nominal.x])
+    others = differences(tested, [h.x for h in hypotheses[:_WITH_VARIANTS]])
     return tested.with_discretisation(np.concatenate([discretisation, others])), residuals
 
 

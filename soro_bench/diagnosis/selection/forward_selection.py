@@ -363,6 +363,10 @@ class _Search:
             best = min(new, key=lambda h: h.cost)
             new += simplify(self.problem, best, new, self.possible, next(self.seeds))
         self.problem, new = with_own_discretisation(self.problem, self.refined, new, next(self.seeds))
+        # its parameters may be far from the nominal ones, and other simulations of it differ there by something else
+        best = min(new, key=lambda h: h.cost)
+        self.problem = self.problem.with_discretisation(differences(self.problem, [best.x]))
+        new = [under_present_error(self.problem, h) for h in new]
         return sorted(new, key=lambda h: -h.log_evidence(self.problem))
 
     def _keep(self, new: list[Hypothesis]) -> None:
