@@ -359,13 +359,16 @@ def _settings(stage: str, group) -> str:
     return f"## {title}\n\n{summary}\n\n{table(('setting', 'value', 'unit', 'reason', 'halved', 'doubled'), rows)}"
 
 
-def _changes(measured: dict[str, dict[str, str]], of_robot: bool) -> Iterator[str]:
-    """What changes when a setting is halved, and doubled, in the cases of benchmarks/diagnosis_settings.py."""
+def _changes(measured: dict[str, dict[str, str] | str], of_robot: bool) -> Iterator[str]:
+    """What changes when a setting is halved, and doubled, in the cases of benchmarks/diagnosis_settings.py; or that no
+    case reads it."""
     for factor in ("halved", "doubled"):
         if factor not in measured:
             yield "not a part of a diagnosis" if of_robot else "not measured"
+        elif isinstance(found := measured[factor], str):
+            yield found
         else:
-            yield "; ".join(f"{case}: {text}" for case, text in measured[factor].items()) or "no change"
+            yield "; ".join(f"{case}: {text}" for case, text in found.items()) or "no change"
 
 
 # --- result.json ---
