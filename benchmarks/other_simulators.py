@@ -68,6 +68,7 @@ def diagnosed(folder: Path) -> dict:
     return {
         "verdict": result.verdict, "name": first.name, "location": place, "probability": first.probability,
         "seconds": result.seconds, "cpu_seconds": time.process_time() - begin,
+        "hypotheses": [[list(each.names), each.evidence, each.misfit_total] for each in result.hypotheses],
     }  # fmt: skip
 
 
