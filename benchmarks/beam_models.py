@@ -61,7 +61,7 @@ def flex(count: int, timestep: float) -> mujoco.MjSpec:
     return spec
 
 
-def _add_cell(spec, k, near, far):
+def _add_cell(spec: mujoco.MjSpec, k: int, near: mujoco.MjsBody, far: mujoco.MjsBody) -> None:
     half = beam.SIDE / 2
     corners = [(x, y, z) for x in (-half, half) for y in (-half, half) for z in (0, 1)]
     nodes = np.array([(x, y, 0.0) for x, y, _ in corners]).ravel()
@@ -137,7 +137,7 @@ def decay(time: np.ndarray, height: np.ndarray, frequency: float) -> np.ndarray:
         chosen = (time >= 2 * k / frequency) & (time < 2 * (k + 1) / frequency)
         t, h = time[chosen] - time[chosen][0], 1e3 * height[chosen]
 
-        def left(q, t=t, h=h):
+        def left(q: np.ndarray, t: np.ndarray = t, h: np.ndarray = h) -> np.ndarray:
             return q[0] * np.exp(-q[1] * t) * np.cos(2 * np.pi * q[2] * t + q[3]) + q[4] + q[5] * t - h
 
         starts = [[np.ptp(h) / 2, 2.0, frequency, phase, h.mean(), 0.0] for phase in (0, 1.5, 3, 4.5)]
@@ -170,7 +170,8 @@ def _compare(problem: Problem, x: np.ndarray, label: str, frequency: float) -> N
     (measured,) = problem.recordings
     simulated = problem.simulated(problem.robot, [(x, ())])[0].reshape(measured.values.shape)
     left = 1e3 * np.sqrt(np.nanmean((measured.values - simulated) ** 2))
-    since = measured.time - measured.time[np.flatnonzero(measured.settings[:, 0] == 0)[0]] - FROM
+    held = np.asarray(measured.settings)[:, 0]
+    since = measured.time - measured.time[np.flatnonzero(held == 0)[0]] - FROM
     seen = np.isfinite(measured.values[:, 0, 0])  # not every step of the simulation was recorded
     rows = [decay(since[seen], each[seen, 0, 0], frequency) for each in (measured.values, simulated)]
     print(f"{label}: {left:.3f} mm rms of a coordinate; recorded | simulated amplitude mm, Hz, decrement")

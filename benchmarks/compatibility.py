@@ -19,13 +19,14 @@ import time
 import venv
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 from soro_bench.files import read_json, write_json
 
 CHECKOUT = Path(__file__).parents[1]
 CLEANRL = "https://github.com/vwxyzjn/cleanrl"
 LIMIT = 1800  # s for a row
-TORCH = re.search(r"(?m)^torch==.*$", (CHECKOUT / "constraints.txt").read_text())[0]
+(TORCH,) = re.findall(r"(?m)^torch==.*$", (CHECKOUT / "constraints.txt").read_text())
 SHOWN = ("gymnasium", "torch", "numpy", "mujoco")  # versions that every row records
 
 
@@ -106,7 +107,7 @@ def prepared(row: Row, folder: Path) -> Path:
     python = home / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     if not python.exists():
         venv.create(home, with_pip=True)
-    command = [python, "-m", "pip", "install", "--quiet", *row.packages, "-e", CHECKOUT]
+    command: list[str | Path] = [python, "-m", "pip", "install", "--quiet", *row.packages, "-e", CHECKOUT]
     subprocess.run(command, check=True, timeout=LIMIT)
     return python
 
@@ -124,14 +125,15 @@ def command_of(row: Row, python: Path, cleanrl: Path | None, folder: Path) -> li
 
 def cleanrl_script(name: str, given: Path | None, folder: Path) -> Path:
     """A script of CleanRL, from the folder given or a clone; SystemExit says what to do if neither has it."""
-    if given is None and not (given := folder / "cleanrl-source").exists():
-        clone = subprocess.run(["git", "clone", "--quiet", "--depth", "1", CLEANRL, given])
+    scripts = given or folder / "cleanrl-source"
+    if given is None and not scripts.exists():
+        clone = subprocess.run(["git", "clone", "--quiet", "--depth", "1", CLEANRL, scripts])
         if clone.returncode:
             raise SystemExit(f"{CLEANRL} cannot be cloned here; give its scripts with --cleanrl FOLDER")
-    for path in (given / name, given / "cleanrl" / name):
+    for path in (scripts / name, scripts / "cleanrl" / name):
         if path.is_file():
             return path
-    raise SystemExit(f"{given} has no {name}; --cleanrl FOLDER names a folder with CleanRL's scripts")
+    raise SystemExit(f"{scripts} has no {name}; --cleanrl FOLDER names a folder with CleanRL's scripts")
 
 
 def run(row: Row, folder: Path, cleanrl: Path | None) -> Result:
@@ -152,7 +154,7 @@ def run(row: Row, folder: Path, cleanrl: Path | None) -> Result:
         timeout=LIMIT,
     )  # fmt: skip
     (work / "output.txt").write_text(done.stdout + done.stderr)
-    found = outcome(row, done.stdout) if done.returncode == 0 else {"did": [], "steps": 0}
+    found: dict[str, Any] = outcome(row, done.stdout) if done.returncode == 0 else {"did": [], "steps": 0}
     details = {key: found[key] for key in ("left_out", "warnings") if found.get(key)}
     if row in CLEANRL_ROWS:
         script = cleanrl_script(row.script, cleanrl, folder).read_bytes()

@@ -13,6 +13,7 @@ import zlib
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -263,8 +264,8 @@ def arm(folder: Path) -> Subject:
 
 def servo(folder: Path) -> Subject:
     """The bench of the real studies, healthy."""
-    paths = [ROOT / "assets" / "mjcf" / "real" / f"bam_servo.{kind}" for kind in ("xml", "toml")]
-    finer = ModelRobot(*paths, threads=1, shorter=2)
+    model, mapped = (ROOT / "assets" / "mjcf" / "real" / f"bam_servo.{kind}" for kind in ("xml", "toml"))
+    finer = ModelRobot(model, mapped, threads=1, shorter=2)
 
     def record(rng: np.random.Generator, lost: bool) -> Recording:
         many = round(DURATION / finer.control_timestep)
@@ -275,7 +276,7 @@ def servo(folder: Path) -> Subject:
         sent = {"goal": goals, "enabled": on}
         return _recording(finer, sent, np.concatenate([start[None], values]), firmware_gain="200")
 
-    return Subject(ModelRobot(*paths, threads=1), record)
+    return Subject(ModelRobot(model, mapped, threads=1), record)
 
 
 def trunk(folder: Path) -> Subject:
@@ -314,11 +315,9 @@ def public(folder: Path, path: Path) -> Subject:
 
 def subjects(folder: Path, models: Path | None) -> dict[str, Callable[[], Subject]]:
     """Robots by name, built when they are needed."""
-    found: dict[str, Callable[[], Subject]] = {
-        each.__name__: lambda each=each: each(folder) for each in (arm, servo, trunk)
-    }
+    found: dict[str, Callable[[], Subject]] = {each.__name__: partial(each, folder) for each in (arm, servo, trunk)}
     for name in PUBLIC if models else ():
-        found[name.split("/")[-1]] = lambda path=models / f"{name}.xml": public(folder, path)
+        found[name.split("/")[-1]] = partial(public, folder, Path(models or "") / f"{name}.xml")
     return found
 
 

@@ -13,9 +13,10 @@ import shutil
 import tempfile
 import time
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -102,7 +103,9 @@ def write_npz(folder: Path) -> Path:
     (folder / "map.toml").write_text(NPZ)
     rng = np.random.default_rng(0)
     arrays = {"t": np.arange(20) / 20, "a": rng.normal(size=(20, 3)), "b": rng.normal(size=(20, 2)).astype("float32")}
-    np.savez_compressed(folder / "log.npz", u=np.arange(19), t_u=np.arange(19) / 20, **arrays)
+    more = {"u": np.arange(19), "t_u": np.arange(19) / 20}
+    savez: Callable[..., None] = np.savez_compressed
+    savez(folder / "log.npz", **more, **arrays)
     return folder / "log.npz"
 
 
@@ -115,7 +118,7 @@ def import_array(array: Path, archive: Path) -> Recording:
     return import_recording(whole, archive.with_name("map.toml"))
 
 
-def write_mcap(folder: Path, compression=CompressionType.ZSTD) -> Path:
+def write_mcap(folder: Path, compression: CompressionType = CompressionType.ZSTD) -> Path:
     """Two topics in several chunks, and their mapping."""
     (folder / "map.toml").write_text(MCAP)
     path = folder / "log.mcap"
@@ -157,7 +160,13 @@ def write_lerobot(folder: Path) -> Path:
     return data
 
 
-def write_c3d(path, points, names=("tip", "base"), channels=None, units="mm"):
+def write_c3d(
+    path: Path,
+    points: np.ndarray,
+    names: Sequence[str] = ("tip", "base"),
+    channels: np.ndarray | None = None,
+    units: str = "mm",
+) -> Path:
     """A C3D file of (T, n, 3) points, where NaN is a marker that no camera saw, and of channels at twice the rate."""
     import c3d
 
@@ -177,12 +186,12 @@ def write_c3d(path, points, names=("tip", "base"), channels=None, units="mm"):
     return path
 
 
-def write_v73(path, arrays):
+def write_v73(path: Path, arrays: dict[str, Any]) -> Path:
     """As MATLAB 7.3 does: HDF5 behind a header of its own, axes reversed, the class of each array beside it."""
 
     import h5py
 
-    def write(group, name, value):
+    def write(group: h5py.Group, name: str, value: Any) -> None:
         if isinstance(value, dict):
             below = group.create_group(name)
             below.attrs["MATLAB_class"] = np.bytes_("struct")
@@ -200,6 +209,7 @@ def write_v73(path, arrays):
     data = bytearray(path.read_bytes())
     data[:19] = b"MATLAB 7.3 MAT-file"
     path.write_bytes(data)
+    return path
 
 
 def readers(folder: Path) -> dict[str, tuple[Path, Callable[[], Recording]]]:

@@ -41,7 +41,7 @@ def rendering() -> None:
         env.render()  # the first one makes the context
         start = time.perf_counter()
         for _ in range(FRAMES):
-            frame = env.render()
+            frame = np.asarray(env.render())
         rate = FRAMES / (time.perf_counter() - start)
         drawn_by = GL.glGetString(GL.GL_RENDERER).decode()
         rows.append((env_id, f"{frame.shape[1]}x{frame.shape[0]}", f"{rate:.0f}", drawn_by))
@@ -58,14 +58,15 @@ def updates() -> None:
     for device in devices:
         agents[device] = make_agent(config, make_env(config), device)
         agents[device].learn(config.num_envs * config.rollout_steps)
-    found = {device: [] for device in devices}
+    found: dict[str, list[tuple[float, float]]] = {device: [] for device in devices}
     for _ in range(REPEATS):
         for device, agent in agents.items():
             start = time.perf_counter()
             agent.train()  # ends with losses as numbers, so CUDA has caught up
-            updated = time.perf_counter()
+            observations, updated = agent._last_obs, time.perf_counter()
+            assert observations is not None  # it has learned
             for _ in range(config.rollout_steps):
-                agent.predict(agent._last_obs)
+                agent.predict(observations)
             found[device].append((updated - start, (time.perf_counter() - updated) / config.rollout_steps))
     rows = [(device, *(f"{1e3 * np.median(column):.2f}" for column in zip(*seconds, strict=True)))
             for device, seconds in found.items()]  # fmt: skip
@@ -100,9 +101,9 @@ def threads() -> None:
             count: gymnasium.make_vec(ENV_ID, num_envs=NUM_ENVS, num_threads=count, model=model, action="continuous")
             for count in counts
         }
-        shape = STEPS, *next(iter(envs.values())).action_space.shape
-        actions = rng.uniform(-1, 1, shape).astype(np.float32)
-        rates = {count: [] for count in counts}
+        shape = next(iter(envs.values())).action_space.shape or ()
+        actions = rng.uniform(-1, 1, (STEPS, *shape)).astype(np.float32)
+        rates: dict[int, list[float]] = {count: [] for count in counts}
         for _ in range(REPEATS):
             for count, vector in envs.items():
                 vector.reset(seed=0)

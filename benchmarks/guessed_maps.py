@@ -10,6 +10,7 @@ if the root mean square of the residuals is that of the noise within a tenth.
 import argparse
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import mujoco
@@ -65,7 +66,7 @@ def simulated(path: Path, rng: np.random.Generator) -> tuple[Recording, float]:
     return Recording(commands, {name: Signal(time, noisy, unit, frame)}), sigma
 
 
-def source(model: mujoco.MjModel):
+def source(model: mujoco.MjModel) -> tuple[str, str, Callable[[mujoco.MjData], np.ndarray]]:
     """Name, unit and reader of the signal."""
     driven = model.actuator_trnid[model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT), 0].tolist()
     for joints in (list(dict.fromkeys(driven)), range(model.njnt)):

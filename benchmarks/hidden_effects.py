@@ -78,7 +78,9 @@ class Late:
     """What the input was a while ago."""
 
     def __init__(self, delay: float):
-        self.delay, self.times, self.values = delay, [], []
+        self.delay = delay
+        self.times: list[float] = []
+        self.values: list[float] = []
 
     def __call__(self, value: float, time: float) -> float:
         self.times.append(time)

@@ -16,6 +16,7 @@ p-values; small ones mean no calibration.
 import argparse
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from soro_bench.markdown import header, table
 from soro_bench.markdown import row as markdown_row
 from soro_bench.parameters import ALL_PARAMETERS
 from soro_bench.recording.parquet import load
+from soro_bench.recording.recording import Recording
 from soro_bench.recording.simulated import record
 from soro_bench.registration import task_type
 from soro_bench.sources import SIMULATION, claim, version_of
@@ -40,7 +42,7 @@ E_WRONG = {"young_modulus": 0.8 * ALL_PARAMETERS["young_modulus"].nominal}
 CHECK_SAMPLES = 500  # of the posterior, for each simulation that it is checked on
 SAMPLED = {"optimizer": "sampled", "iterations": 100, "samples": 20}
 # name: environment, method, what differs
-CASES = {
+CASES: dict[str, tuple[str, str, dict[str, Any]]] = {
     "reach": (REACH, "rf-dropo", {}),
     "push": (PUSH, "rf-dropo", {}),
     "push_unmodelled": (PUSH, "rf-dropo", {"known": E_WRONG}),
@@ -66,7 +68,7 @@ RUNS = ((0, 0), (1, 0), (2, 0))  # recording, seed of the inference
 MORE_SEEDS = ((0, 1), (0, 2))  # of the two main cases
 
 
-def recording_of(env_id: str, number: int, noise: float, model: str):
+def recording_of(env_id: str, number: int, noise: float, model: str) -> Recording:
     """The recording of that number, with its full state."""
     if env_id == REACH:
         return record(env_id, "random", model, "discrete", seed=number, noise=noise, full_state=True)
@@ -96,11 +98,11 @@ def row(case: str, results: list[dict]) -> dict:
     """Errors of the runs of one case."""
     estimates = [{**r["known"], **r["estimate"]} for r in results]
 
-    def ratio(a, b):
+    def ratio(a: str, b: str) -> list[float]:
         nominal = ALL_PARAMETERS[a].nominal / ALL_PARAMETERS[b].nominal
         return [e[a] / e[b] / nominal - 1 for e in estimates]
 
-    def difference(a):
+    def difference(a: str) -> list[float]:
         return [e[a] - ALL_PARAMETERS[a].nominal for e in estimates]
 
     errors = {"mass_over_E": ratio("trunk_mass", "young_modulus"), "poisson_ratio": difference("poisson_ratio")}
@@ -164,7 +166,7 @@ def check_calibration(model: str, simulations: int = 1000, checks: int = 100) ->
         low, high = np.array([p.search for p in replay.parameters]).T
         points = np.random.default_rng(0).random((simulations + checks, len(low)))
         signals = replay.simulate(low + points * (high - low))
-        sane = np.isfinite(signals).all(axis=(1, 2))
+        sane = np.asarray(np.isfinite(signals).all(axis=(1, 2)))
         summaries = bayes_sim.summarise(signals[sane], replay.actions)
         points, train = points[sane], sane[:simulations].sum()
         for features in bayes_sim.FEATURES:

@@ -13,12 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from soro_bench.diagnosis.candidates import terms
+from soro_bench.diagnosis.candidates import Term, terms
 from soro_bench.diagnosis.data_quality.noise import data_quality
-from soro_bench.diagnosis.estimation.fit import Guess, fitted
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, fitted
+from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.pipeline import unexplained
+from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
-from soro_bench.diagnosis.robots.robot import FITTED
+from soro_bench.diagnosis.robots.robot import FITTED, Robot
 from soro_bench.diagnosis.selection.forward_selection import nominal_fit
 from soro_bench.diagnosis.selection.moves import iterate_to_convergence
 from soro_bench.diagnosis.study import STUDIES, errors_of, load_study
@@ -42,7 +44,7 @@ def main() -> None:
         parser.error(f"no part {options.part!r} in {study.name}; there are {', '.join(parts)}")
     part = parts[options.part]
     robot = ModelRobot(study.model, study.map, options.threads)
-    fits = [[_suspect(parser, robot, text) for text in texts] for texts in options.fit]
+    fits = [[_term(parser, robot, text) for text in texts] for texts in options.fit]
     sets = {key: tuple(map(robot.measured, getattr(part, key))) for key in SETS if getattr(part, key)}
     sigma = min(data_quality(each).sigma for each in sets["train"])
     cells = [f"{key}: {error}" for key in sets for error in ("mean absolute", "rms")]
@@ -58,13 +60,13 @@ def main() -> None:
             _print_row(problem, sets, min(found, key=lambda h: h.cost), seed)
 
 
-def _starts(term) -> list[np.ndarray]:
+def _starts(term: Term) -> list[np.ndarray]:
     """Typical magnitudes, and their opposites where the law has such: softer as well as stiffer."""
     return [x for x in (term.simulated, -term.simulated) if (x >= term.bounds[0]).all()]
 
 
-def _suspect(parser, robot, text):
-    known = {}
+def _term(parser: argparse.ArgumentParser, robot: Robot, text: str) -> Term:
+    known: dict[tuple[str, ...], Term] = {}
     for one in terms(robot):  # the first of the signatures that a law may have there
         if one.location.index is None:
             known.setdefault((one.name, one.location.kind, one.location.name), one)
@@ -77,7 +79,7 @@ def _suspect(parser, robot, text):
     )
 
 
-def _print_row(problem, sets, hypothesis, seed):
+def _print_row(problem: Problem, sets: dict[str, tuple[Measured, ...]], hypothesis: Hypothesis, seed: int) -> None:
     errors = errors_of(problem.robot, sets, hypothesis)
     cells = [f"{errors[key][error]:.4g}" for key in sets for error in ("mean_absolute", "rms")]
     laws = " + ".join(f"{s.name} at {s.location.name}" for s in hypothesis.terms) or "parameters alone"

@@ -10,6 +10,9 @@ import re
 import sys
 import tempfile
 import warnings
+from collections.abc import Callable, Mapping, Sequence
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium
 import numpy as np
@@ -18,12 +21,18 @@ from gymnasium.wrappers import vector
 
 import soro_bench  # registers the environments
 
+if TYPE_CHECKING:
+    import torch
+
+Report = dict[str, Any]  # what ran (did), environment steps, what was left_out, warnings
+Wrap = Callable[[Any], Any]  # of one environment, or of a vector
 DISCRETE, CONTINUOUS = "TrunkReach-v0", "TrunkReachContinuous-v0"
-CHEAP = {"model": "cable"}
+CHEAP: dict[str, Any] = {"model": "cable"}
 STEPS = 256
+RANGE: tuple[Any, Any] = (np.float32(0.1), np.float32(0.7))  # of actions; Gymnasium's types know no such scalars
 
 
-def checkers():
+def checkers() -> Report:
     """Gymnasium's and Stable-Baselines3's checkers of all ids; warnings count as errors."""
     from gymnasium.utils.env_checker import check_env as gymnasium_check
     from stable_baselines3.common.env_checker import check_env as sb3_check
@@ -38,13 +47,14 @@ def checkers():
     return {"did": [f"gymnasium's check_env of {len(ids)} ids", f"Stable-Baselines3's of {len(ids)}"], "steps": 0}
 
 
-def stable_baselines3():
+def stable_baselines3() -> Report:
     """PPO, SAC and DQN on what make_vec_env makes; PPO and a video through the adapter."""
     from stable_baselines3 import DQN, PPO, SAC
     from stable_baselines3.common.env_util import make_vec_env
     from stable_baselines3.common.vec_env import SubprocVecEnv, VecNormalize, VecVideoRecorder
 
     from soro_bench.envs.sb3 import SB3VecEnv
+    from soro_bench.envs.vector import SoftRobotVectorEnv
 
     single = make_vec_env(CONTINUOUS, n_envs=2, env_kwargs=CHEAP)
     PPO("MlpPolicy", single, n_steps=STEPS // 2, device="cpu").learn(STEPS)
@@ -54,14 +64,16 @@ def stable_baselines3():
     processes.close()
     envs = gymnasium.make_vec(DISCRETE, num_envs=4, autoreset_mode="SameStep", render_mode="rgb_array", **CHEAP)
     with tempfile.TemporaryDirectory() as folder:
-        seen = VecVideoRecorder(SB3VecEnv(envs), folder, lambda step: step == 0, video_length=20)
+        seen = VecVideoRecorder(
+            SB3VecEnv(cast(SoftRobotVectorEnv, envs)), folder, lambda step: step == 0, video_length=20
+        )
         PPO("MlpPolicy", VecNormalize(seen), n_steps=STEPS // 4, device="cpu").learn(STEPS)
         seen.close()
     did = ["PPO and SAC on DummyVecEnv", "DQN on SubprocVecEnv", "PPO, VecNormalize and VecVideoRecorder on SB3VecEnv"]
     return {"did": did, "steps": 4 * STEPS}
 
 
-def torchrl():
+def torchrl() -> Report:
     """PPO on GymEnv; rollouts in the vector modes, each after TorchRL's check of its specs."""
     import torch
     from torchrl.collectors import Collector
@@ -71,7 +83,7 @@ def torchrl():
     from torchrl.objectives import ClipPPOLoss
     from torchrl.objectives.value import GAE
 
-    def native(mode):
+    def native(mode: str) -> GymWrapper:
         return GymWrapper(gymnasium.make_vec(CONTINUOUS, num_envs=3, autoreset_mode=mode, flat_info=True, **CHEAP))
 
     modes = {
@@ -120,13 +132,13 @@ def torchrl():
     return {"did": ["PPO on GymEnv", *modes], "steps": steps + 2 * STEPS}
 
 
-def tianshou():
+def tianshou() -> Report:
     """PPO on continuous and DQN on discrete actions, by the high-level interface."""
     from tianshou.highlevel.config import OffPolicyTrainingConfig, OnPolicyTrainingConfig
     from tianshou.highlevel.env import EnvFactoryRegistered, VectorEnvType
     from tianshou.highlevel.experiment import DQNExperimentBuilder, ExperimentConfig, PPOExperimentBuilder
 
-    def factory(env_id, kind):
+    def factory(env_id: str, kind: VectorEnvType) -> EnvFactoryRegistered:
         return EnvFactoryRegistered(task=env_id, venv_type=kind, **CHEAP)
 
     sizes = {"max_epochs": 1, "epoch_num_steps": STEPS, "num_training_envs": 2, "num_test_envs": 1}
@@ -142,13 +154,13 @@ def tianshou():
     return {"did": ["PPO on SubprocVectorEnv", "DQN on DummyVectorEnv"], "steps": 2 * STEPS}
 
 
-def rllib():
+def rllib() -> Report:
     """Two iterations of PPO, on an id and on a function that makes environments."""
     import ray
     from ray.rllib.algorithms.ppo import PPOConfig
     from ray.tune.registry import register_env
 
-    def train(env, runners):
+    def train(env: str, runners: int) -> int:
         config = PPOConfig().environment(env, env_config=CHEAP).framework("torch")
         config.env_runners(num_env_runners=runners, num_envs_per_env_runner=2, rollout_fragment_length=STEPS // 2)
         config.training(train_batch_size=STEPS, minibatch_size=64, num_epochs=2)
@@ -187,7 +199,7 @@ NOT_VECTOR = {
 }
 
 
-def numpy_and_torch():
+def numpy_and_torch() -> dict[str, ModuleType]:
     """What ArrayConversion converts between."""
     import array_api_compat.numpy
     import array_api_compat.torch
@@ -195,12 +207,12 @@ def numpy_and_torch():
     return {"env_xp": array_api_compat.numpy, "target_xp": array_api_compat.torch}
 
 
-def seen(env):
+def seen(env: gymnasium.Env) -> gymnasium.Env:
     """The environment with pictures as observations."""
     return wrappers.ResizeObservation(wrappers.AddRenderObservation(env), PIXELS)
 
 
-def single_wrappers(folder):
+def single_wrappers(folder: str) -> dict[str, Wrap]:
     """What to wrap an environment in, by the wrapper's name."""
     return {
         "AddRenderObservation": wrappers.AddRenderObservation,
@@ -231,7 +243,9 @@ def single_wrappers(folder):
         "RecordVideo": lambda env: wrappers.RecordVideo(env, f"{folder}/single"),
         "RenderCollection": wrappers.RenderCollection,
         "RepeatAction": lambda env: wrappers.RepeatAction(env, 2),
-        "RescaleAction": lambda env: wrappers.RescaleAction(env, np.float32(0.1), np.float32(0.7)),
+        "RescaleAction": lambda env: wrappers.RescaleAction(
+            env, np.full(8, 0.1, np.float32), np.full(8, 0.7, np.float32)
+        ),
         "RescaleObservation": lambda env: wrappers.RescaleObservation(env, np.float64(0.0), np.float64(2.0)),
         "ReshapeObservation": lambda env: wrappers.ReshapeObservation(env, (22, 3)),
         "ResizeObservation": seen,
@@ -240,11 +254,11 @@ def single_wrappers(folder):
         "TimeLimit": lambda env: wrappers.TimeLimit(env, 10),
         "TransformAction": lambda env: wrappers.TransformAction(env, lambda action: -action, env.action_space),
         "TransformObservation": lambda env: wrappers.TransformObservation(env, np.negative, BOX),
-        "TransformReward": lambda env: wrappers.TransformReward(env, lambda reward: 2 * reward),
+        "TransformReward": lambda env: wrappers.TransformReward(env, lambda reward: 2 * float(reward)),
     }
 
 
-def vector_wrappers(folder):
+def vector_wrappers(folder: str) -> dict[str, Wrap]:
     """The same for vector environments."""
     return {
         "ArrayConversion": lambda envs: vector.ArrayConversion(envs, **numpy_and_torch()),
@@ -259,7 +273,7 @@ def vector_wrappers(folder):
         "NumpyToTorch": vector.NumpyToTorch,
         "RecordEpisodeStatistics": vector.RecordEpisodeStatistics,
         "RecordVideo": lambda envs: vector.RecordVideo(envs, f"{folder}/vector"),
-        "RescaleAction": lambda envs: vector.RescaleAction(envs, np.float32(0.1), np.float32(0.7)),
+        "RescaleAction": lambda envs: vector.RescaleAction(envs, *RANGE),
         "RescaleObservation": lambda envs: vector.RescaleObservation(envs, np.float64(0.0), np.float64(2.0)),
         "ReshapeObservation": lambda envs: vector.ReshapeObservation(envs, (22, 3)),
         "TransformAction": lambda envs: vector.TransformAction(envs, np.negative),
@@ -277,7 +291,7 @@ def vector_wrappers(folder):
     }
 
 
-def run_single(wrap, steps, episode):
+def run_single(wrap: Wrap, steps: int, episode: int) -> None:
     """Some episodes of one environment; ValueError if an observation leaves the space."""
     env = wrap(gymnasium.make(CONTINUOUS, render_mode="rgb_array", max_episode_steps=episode, **CHEAP))
     env.action_space.seed(0)
@@ -291,7 +305,7 @@ def run_single(wrap, steps, episode):
     env.close()
 
 
-def run_vector(wrap, steps, episode):
+def run_vector(wrap: Wrap, steps: int, episode: int) -> None:
     """Some episodes of two simulations."""
     envs = wrap(gymnasium.make_vec(
         CONTINUOUS, num_envs=2, render_mode="rgb_array", max_episode_steps=episode, **CHEAP
@@ -305,19 +319,19 @@ def run_vector(wrap, steps, episode):
     envs.close()
 
 
-def is_torch(observation):
+def is_torch(observation: object) -> bool:
     """Whether an observation is a tensor."""
     return type(observation).__module__ == "torch"
 
 
-def as_torch(action):
+def as_torch(action: Any) -> "torch.Tensor":
     """An action as such an environment takes it."""
     import torch
 
     return torch.as_tensor(action)
 
 
-def check(observation, space):
+def check(observation: Any, space: gymnasium.Space) -> None:
     """ValueError if an observation is outside its space."""
     if is_torch(observation):
         observation = observation.numpy()
@@ -325,7 +339,12 @@ def check(observation, space):
         raise ValueError(f"an observation of the shape {np.shape(observation)} is not in {space}")
 
 
-def run_all(names, wrap, not_applying, run):
+def run_all(
+    names: Sequence[str],
+    wrap: Mapping[str, Wrap],
+    not_applying: Mapping[str, str],
+    run: Callable[[Wrap, int, int], None],
+) -> tuple[list[str], list[str]]:
     """The names of the wrappers that ran, and warnings that they gave."""
     if unknown := set(names) - set(wrap) - set(not_applying):
         raise NotImplementedError(f"wrappers that are not tried here: {', '.join(sorted(unknown))}")
@@ -340,7 +359,7 @@ def run_all(names, wrap, not_applying, run):
     return ran, warned
 
 
-def all_wrappers():
+def all_wrappers() -> Report:
     """Every wrapper, single and vector, for some episodes each; NotImplementedError if one is not listed above."""
     with tempfile.TemporaryDirectory() as folder:
         names = [name for name in wrappers.__all__ if name != "vector"]

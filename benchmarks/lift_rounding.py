@@ -29,7 +29,7 @@ def copies(sequence: dict, count: int) -> np.ndarray:
     return np.array([_replayed(env, sequence, 1e-12 * k) for k in range(count)])
 
 
-def _replayed(env, sequence, lighter):
+def _replayed(env: gymnasium.Env, sequence: dict, lighter: float) -> list[float]:
     mass = sequence["params"]["cube_mass"] * (1 - lighter)
     env.reset(seed=0, options={"params": {**sequence["params"], "cube_mass": mass}})
     infos = [env.step(np.array(action, np.float32))[-1] for action in sequence["actions"]]

@@ -21,13 +21,17 @@ Whole results are in docs/results/measured.json.
 
 import argparse
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import gymnasium
 import mujoco
 import numpy as np
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from soro_bench.envs.multigait import MultiGaitTask
 from soro_bench.files import read_json, replacing, write_json
@@ -36,7 +40,7 @@ from soro_bench.models.walker_mesh import RESOLUTIONS
 from soro_bench.policies.policy import OBSERVATION_CLIP
 from soro_bench.randomization import search_box
 from soro_bench.sources import SIMULATION, claim, version_of
-from soro_bench.training.ppo import default_config, make_agent
+from soro_bench.training.ppo import PPOConfig, default_config, make_agent
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results" / "measured.json"
@@ -71,12 +75,12 @@ class Tree:
         for field in STATE:
             self._task.sim.batch.bind(field)
 
-    def root(self):
+    def root(self) -> tuple[np.ndarray, np.ndarray]:
         """State and way of the empty sequence."""
         self._task.reset(self._ids, [np.random.default_rng(0)] * SIMULATIONS, [{}] * SIMULATIONS)
         return self._states()[:1], np.zeros((1, 1))
 
-    def grow(self, states, way, level: int):
+    def grow(self, states: np.ndarray, way: np.ndarray, level: int) -> tuple[np.ndarray, np.ndarray]:
         """States and ways of the sequences that are one action longer; goes on from the level's file."""
         path = self._folder / f"level{level}.npz"
         count = ACTIONS * len(states)
@@ -105,7 +109,7 @@ class Tree:
                 print(f"level {level}: {done} of {count} sequences, {left:.0f} min left", flush=True)
         return new_states, new_way
 
-    def observations(self, states) -> np.ndarray:
+    def observations(self, states: np.ndarray) -> np.ndarray:
         """(n, 8) what is observed in states."""
         parts = []
         for first in range(0, len(states), SIMULATIONS):
@@ -114,11 +118,11 @@ class Tree:
             parts.append(self._task._observe(self._ids[: len(part)]))
         return np.concatenate(parts)
 
-    def _states(self):
+    def _states(self) -> np.ndarray:
         batch = self._task.sim.batch
         return np.concatenate([np.reshape(getattr(batch, f), (SIMULATIONS, -1)) for f in STATE], axis=1)
 
-    def _load(self, ids, states):
+    def _load(self, ids: np.ndarray, states: np.ndarray) -> None:
         batch, first = self._task.sim.batch, 0
         for field in STATE:
             array = getattr(batch, field)
@@ -133,7 +137,7 @@ def digits(i: int) -> list[int]:
     return [i // ACTIONS**k % ACTIONS for k in reversed(range(STEPS))]
 
 
-def displacement_mm(sequences, mesh: str, threads: int) -> list[float]:
+def displacement_mm(sequences: np.ndarray, mesh: str, threads: int) -> list[float]:
     """mm, the displacement after each of the sequences."""
     ids = np.arange(len(sequences))
     task = MultiGaitTask(len(ids), threads, mesh=mesh)
@@ -154,7 +158,7 @@ def gaits(options: argparse.Namespace) -> None:
     final = way[:, -1]
     clipped = np.maximum(np.diff(way, axis=1), 0).sum(axis=1)
     best, best_clipped = int(final.argmax()), int(clipped.argmax())
-    result = {
+    result: dict[str, Any] = {
         "sequences": len(final),
         "quantiles_mm": {str(q): round(float(np.quantile(final, q)), 3) for q in (0, 0.05, 0.25, 0.5, 0.75, 0.95, 1)},
         "best": [{"actions": digits(int(i)), "displacement_mm": round(float(final[i]), 3)}
@@ -175,7 +179,7 @@ def gaits(options: argparse.Namespace) -> None:
 
 # --- ppo ---
 
-VARIANTS = {
+VARIANTS: dict[str, dict[str, Any]] = {
     "discount 0.99, bootstrapped after the last step": {"discount": 0.99, "finite_horizon": False},
     "no discount, bootstrapped": {"finite_horizon": False},
     "discount 0.99, nothing after the last step": {"discount": 0.99},
@@ -187,18 +191,20 @@ VARIANTS = {
 class Table(VecEnv):
     """Episodes looked up in the table: ``observations[k]`` (6^k, 8) and ``way[k]`` (6^k,) mm after k actions."""
 
-    def __init__(self, observations, way, num_envs, finite_horizon):
+    def __init__(
+        self, observations: Sequence[np.ndarray], way: Sequence[np.ndarray], num_envs: int, finite_horizon: bool
+    ):
         super().__init__(num_envs, spaces.Box(-1.0, 2.0, (8,), np.float64), spaces.Discrete(ACTIONS))
         self._observations, self._way, self._finite_horizon = observations, way, finite_horizon
 
-    def reset(self):
+    def reset(self) -> np.ndarray:
         self._length, self._place = 0, np.zeros(self.num_envs, int)
         return self._observations[0][self._place]
 
-    def step_async(self, actions):
+    def step_async(self, actions: np.ndarray) -> None:
         self._actions = actions
 
-    def step_wait(self):
+    def step_wait(self) -> VecEnvStepReturn:
         place, before = ACTIONS * self._place + self._actions, self._way[self._length][self._place]
         self._length, self._place = self._length + 1, place
         reward = (self._way[self._length][place] - before).astype(np.float32)
@@ -209,23 +215,23 @@ class Table(VecEnv):
         infos = [{"terminal_observation": one, "TimeLimit.truncated": not self._finite_horizon} for one in last]
         return self.reset(), reward, np.ones(self.num_envs, bool), infos
 
-    def close(self):
+    def close(self) -> None:
         pass
 
-    def get_attr(self, attr_name, indices=None):
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         return [None] * self.num_envs
 
-    def set_attr(self, attr_name, value, indices=None):
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         pass
 
-    def env_method(self, method_name, *args, indices=None, **kwargs):
-        pass
+    def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
+        return [None] * self.num_envs
 
-    def env_is_wrapped(self, wrapper_class, indices=None):
+    def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
         return [False] * self.num_envs
 
 
-def table():
+def table() -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Observations and ways, from the files of the gaits."""
     tree = Tree(ROOT / "runs" / "multigait_gaits", threads=0)
     states, way = tree.root()
@@ -238,7 +244,7 @@ def table():
     return observations, [1e3 * way for way in ways]
 
 
-def displacement(observations, way, config) -> float:
+def displacement(observations: Sequence[np.ndarray], way: Sequence[np.ndarray], config: PPOConfig) -> float:
     """What the trained policy walks [mm], without exploration."""
     env = Table(observations, way, config.num_envs, config.finite_horizon)
     floor = config.observation_floor**2
@@ -275,7 +281,7 @@ def run_batch(number: int, threads: int) -> dict:
     task.randomize(search_box(walker.PARAMETERS))
     floor = task.model.geom("floor").pos[2]
     ids, rng = np.arange(BATCH), np.random.default_rng(number)
-    task.reset(ids, [np.random.default_rng([number, i]) for i in ids], [{}] * BATCH)
+    task.reset(ids, [np.random.default_rng([number, i]) for i in range(BATCH)], [{}] * BATCH)
     rest = task.signals(ids)["vertices"]
     diverged = np.zeros(BATCH, bool)
     lowest, airborne, tilt = 0.0, 0.0, 0.0
@@ -299,7 +305,7 @@ def run_batch(number: int, threads: int) -> dict:
     }
 
 
-def tilt_of(now, rest) -> float:
+def tilt_of(now: np.ndarray, rest: np.ndarray) -> float:
     """Angle [rad] by which the middle of the body leans, from the best rigid fit (Kabsch)."""
     middle = np.abs(rest[:, 0]) < 0.02  # m
     a, b = now[middle] - now[middle].mean(axis=0), rest[middle] - rest[middle].mean(axis=0)

@@ -24,6 +24,7 @@ from soro_bench.blind_benchmark import healthy, sorosim
 from soro_bench.blind_benchmark.score import same_location
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.files import read_json, write_json
 from soro_bench.markdown import table
@@ -39,6 +40,8 @@ def write_case(kind: str, seed: int, folder: Path, data: Path | None) -> None:
         return
     folder.mkdir(parents=True, exist_ok=True)
     if kind == SOROSIM:
+        if data is None:
+            raise ValueError("recordings of SoroSim are in a folder that --sorosim names")
         model, robot_map, recording, label = sorosim.build(data, seed)
         (folder / MODEL).write_text(model, encoding="utf-8")
         (folder / MAP).write_text(robot_map, encoding="utf-8")
@@ -57,6 +60,7 @@ def write_case(kind: str, seed: int, folder: Path, data: Path | None) -> None:
 def diagnosed(folder: Path) -> dict:
     """What a diagnosis of a case says."""
     begin = time.process_time()
+    robot: Robot
     if (folder / MODEL).exists():
         robot = ModelRobot(folder / MODEL, folder / MAP, threads=1)
     else:

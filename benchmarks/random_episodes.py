@@ -19,7 +19,7 @@ import numpy as np
 import soro_bench
 from soro_bench.files import read_json, write_json
 from soro_bench.randomization import search_box
-from soro_bench.registration import task_type
+from soro_bench.registration import make_task
 from soro_bench.sources import SIMULATION, claim, version_of
 
 TRUNK_IDS = [env_id for env_id in soro_bench.ENV_IDS if env_id.startswith("Trunk")]
@@ -32,11 +32,11 @@ WARNINGS = [mujoco.mjtWarning(i).name for i in range(int(mujoco.mjtWarning.mjNWA
 def run_batch(env_id: str, model: str, number: int, threads: int) -> dict:
     """Counts over one batch of episodes; ``number`` seeds it."""
     action = ("discrete", "continuous")[number % 2]
-    task = task_type(env_id)(BATCH, threads, model=model, action=action)
+    task = make_task(env_id, BATCH, threads, model, action=action)
     everyone = np.arange(BATCH)
     rng = np.random.default_rng([number, len(env_id)])
     task.randomize(search_box(task.randomized))
-    observation, _ = task.reset(everyone, [np.random.default_rng([number, i]) for i in everyone], [{}] * BATCH)
+    observation, _ = task.reset(everyone, [np.random.default_rng([number, i]) for i in range(BATCH)], [{}] * BATCH)
     diverged = np.zeros(BATCH, bool)
     low, high = task.single_observation_space.low, task.single_observation_space.high
     finite, inside, fastest = True, True, 0.0

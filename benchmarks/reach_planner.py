@@ -33,6 +33,13 @@ class ReachPlan:
     rollouts: int = 0  # of the search for this goal
 
     @property
+    def found(self) -> np.ndarray:
+        """The knots; ValueError before any plan was tried."""
+        if self.knots is None:
+            raise ValueError("no plan was tried yet")
+        return self.knots
+
+    @property
     def solved(self) -> bool:
         return self.final <= SUCCESS_DISTANCE
 
@@ -54,10 +61,10 @@ class ReachPlanner:
     seed: int = 0
     plans: list[ReachPlan] = field(init=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         self.plans = [ReachPlan(goal) for goal in self.goals]
         self._rng = np.random.default_rng(self.seed)
-        self._searches = [None] * len(self.plans)
+        self._searches: list[KnotSearch | None] = [None] * len(self.plans)
         self._starts = [0] * len(self.plans)
 
     def try_random(self, count: int) -> None:
@@ -80,7 +87,7 @@ class ReachPlanner:
             rounds: one rollout per goal each.
         """
         steps = {
-            g: QuasiNewton(plan.goal, plan.knots, plan.due, cheap)
+            g: QuasiNewton(plan.goal, plan.found, plan.due, cheap)
             for g, plan in enumerate(self.plans)
             if not plan.solved
         }
@@ -113,16 +120,17 @@ class ReachPlanner:
                     self.plans[g].rollouts += self.popsize
             yield len([g for g in unsolved if not self.plans[g].solved])
 
-    def _search(self, g) -> "KnotSearch":
-        if self._searches[g] is None or self._searches[g].exhausted:
+    def _search(self, g: int) -> "KnotSearch":
+        search = self._searches[g]
+        if search is None or search.exhausted:
             plan, start = self.plans[g], self._starts[g]
             due = HOLD if start % 2 == 0 and len(plan.due) == len(HOLD) else SWING
             seed = 1 + self.seed + 1000 * g + start
-            self._searches[g] = KnotSearch(resample(plan.knots, plan.due, due), due, self.popsize, seed)
+            search = self._searches[g] = KnotSearch(resample(plan.found, plan.due, due), due, self.popsize, seed)
             self._starts[g] += 1
-        return self._searches[g]
+        return search
 
-    def _evaluate(self, knots, due) -> tuple[np.ndarray, np.ndarray]:
+    def _evaluate(self, knots: np.ndarray, due: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """(n, g) final distances [m] of plans (n, k, 8) [m] to every goal, and (n, t, 3) tips [m] on the way.
 
         Better plans replace the goals' plans.
@@ -171,7 +179,7 @@ class QuasiNewton:
         tips = play_tips(cheap, start + self.DIFFERENCE * np.concatenate([moves, 0 * moves[:1]]), due)[:, -1]
         self._moves = moves
         self._jacobian = (tips[:-1] - tips[-1]).T / self.DIFFERENCE  # (3, free * 8)
-        self._tip = None
+        self._tip: np.ndarray | None = None
         self._change = np.zeros(len(moves))
 
     def ask(self) -> np.ndarray:

@@ -42,12 +42,12 @@ def save_plan(path: Path, plan: ReachPlan) -> None:
         "closest_mm": 1e3 * plan.closest,
         "rollouts": plan.rollouts,
         "due_steps": list(plan.due),
-        "knots_m": plan.knots.tolist(),
+        "knots_m": plan.found.tolist(),
     }
     write_json(path, data)
 
 
-def load_knots(path: Path):
+def load_knots(path: Path) -> tuple[np.ndarray, tuple[int, ...], int] | None:
     """The knots (k, 8) [m] of a plan, their steps and the rollouts spent, or None."""
     if not path.exists():
         return None
@@ -70,15 +70,15 @@ def start(planner: ReachPlanner, goals: Sequence[int], model: str, work: Path) -
         planner.try_random(max(RANDOM_MOVES[model], 64))
 
 
-def search(options) -> None:
+def search(options: argparse.Namespace) -> None:
     goals = options.goals
     task = TrunkReachTask(num_envs=SIMULATIONS, num_threads=1, model=options.model, action="continuous")
     planner = ReachPlanner(task, EVALUATION_GOALS[goals], POPSIZE[options.model], options.seed)
     begin = time.time()
     start(planner, goals, options.model, options.work)
-    saved = {}
+    saved: dict[int, tuple[float, int]] = {}
 
-    def save():
+    def save() -> None:
         for g, plan in zip(goals, planner.plans, strict=True):
             if saved.get(g) != (plan.final, plan.rollouts):
                 saved[g] = plan.final, plan.rollouts
@@ -95,7 +95,7 @@ def search(options) -> None:
             break
 
 
-def collect(options) -> dict:
+def collect(options: argparse.Namespace) -> dict:
     """The plans of all goals in one dict."""
     plans = [read_json(path) for path in sorted((options.work / options.model).glob("goal*.json"))]
     final = np.array([plan["final_mm"] for plan in plans])

@@ -14,6 +14,7 @@ import argparse
 import re
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -83,7 +84,7 @@ def main() -> None:
     found, failed = [], []
     for study, folder, seed in runs:
         try:
-            found += run_study(study, folder, seed, options.threads, lambda s, f=folder.name: print(f, s, flush=True))
+            found += run_study(study, folder, seed, options.threads, partial(print, folder.name, flush=True))
         except (ValueError, OSError) as error:  # what a recording, a model or a folder lacks
             failed.append(f"{folder.name}: {error}")
         write_results(found)

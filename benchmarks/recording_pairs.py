@@ -19,7 +19,7 @@ import numpy as np
 from benchmarks.interval_coverage import ARM as SERVO
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.api import diagnose
-from soro_bench.diagnosis.result import Result
+from soro_bench.diagnosis.result_parts import Agreement
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
@@ -123,8 +123,9 @@ def recordings(kind: Kind, robot: Robot, hidden: bool, rng: np.random.Generator)
         (values,) = finer.simulate(actions, truth, [[kind.hidden] if hidden else []], start[0])
         first = finer.simulate(actions[:1] * 0.0, truth, [[]], start[0])[0, :1] if robot.shape[0] > 1 else start
         values = np.concatenate([first, values])
-        values = values + kind.noise * rng.standard_normal(values.shape)
-        found.append(kind.recording(robot.control_timestep * np.arange(len(values)), actions, values))
+        values = np.asarray(values + kind.noise * rng.standard_normal(values.shape), float)
+        stamps = np.asarray(robot.control_timestep * np.arange(len(values)), float)
+        found.append(kind.recording(stamps, actions, values))
     return found, truth
 
 
@@ -157,7 +158,7 @@ def case(name: str, condition: str, seed: int, folder: Path) -> dict:
     }
 
 
-def _quantity(found: Result, true: dict[str, float]) -> dict:
+def _quantity(found: Agreement, true: dict[str, float]) -> dict:
     values = [[each.value, each.low, each.high] for each in found.estimates]
     return {"name": found.name, "law": found.law, "truth": None if found.law else true[found.name],
             "estimates": values, "p_value": found.p_value, "overlap": found.overlap}  # fmt: skip

@@ -139,7 +139,7 @@ def content(result: Result) -> dict[str, Any]:
 
 
 def _errors(errors: Errors | None) -> list[float] | None:
-    return errors and [errors.corrected_before, errors.corrected_after, errors.noise]
+    return None if errors is None else [errors.corrected_before, errors.corrected_after, errors.noise]
 
 
 def _location(location: Location | None) -> str:
@@ -237,7 +237,7 @@ def content_of_schema_1(report: dict[str, Any]) -> dict[str, Any]:
 
 
 def _old_errors(fit: dict[str, float] | None) -> list[float] | None:
-    return fit and [fit["rmse_before"], fit["rmse_after"], fit["noise_floor"]]
+    return None if fit is None else [fit["rmse_before"], fit["rmse_after"], fit["noise_floor"]]
 
 
 def _old_named(effect: dict[str, Any]) -> str:

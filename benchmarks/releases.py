@@ -137,7 +137,7 @@ def accurate(folder: Path) -> None:
             continue
         for model, robot in robots.items():
             pairs[model].append(errors(robot, report, load(folder / "cases" / path.stem / "task.parquet")))
-    rows = []
+    rows: list[tuple[str | float, ...]] = []
     for model, both in pairs.items():
         before, after = 1e3 * np.array(both).T
         medians = (f"{np.median(values):.2f}" for values in (before, after, after / before))

@@ -24,8 +24,10 @@ effects: what each costs on a trunk, as a ratio to the simulation without effect
 import argparse
 import tempfile
 import time
-from collections import Counter
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import gymnasium
 import mujoco
@@ -35,8 +37,10 @@ from stable_baselines3 import PPO
 import soro_bench
 from soro_bench.diagnosis.candidates import terms, typical
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
+from soro_bench.effects.effect import Effect
 from soro_bench.envs.multigait import MultiGaitTask
 from soro_bench.envs.sb3 import SB3VecEnv
+from soro_bench.envs.task import Task
 from soro_bench.markdown import header, row, table
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.walker_mesh import RESOLUTIONS
@@ -49,13 +53,16 @@ NUM_ENVS = 16
 TRUNK_IDS = [env_id for env_id in soro_bench.ENV_IDS if env_id.startswith("Trunk")]
 
 
-def bare_loop(task, controls):
+Measurement = Callable[[], float]
+
+
+def bare_loop(task: Task, controls: np.ndarray) -> tuple[Measurement, Callable[[], object]]:
     """CPU-seconds of a plain loop of mj_step over NUM_ENVS MjData, per environment step."""
     model = task.sim.batch.get_model(0)
     substeps = round(task.control_timestep / model.opt.timestep)
     datas = [mujoco.MjData(model) for _ in range(NUM_ENVS)]
 
-    def run():
+    def run() -> float:
         start = time.process_time()
         for control in controls:
             for data, u in zip(datas, control, strict=True):
@@ -63,19 +70,21 @@ def bare_loop(task, controls):
                 mujoco.mj_step(model, data, nstep=substeps)
         return (time.process_time() - start) / (len(controls) * NUM_ENVS)
 
-    def reset():
+    def reset() -> None:
         for data in datas:
             mujoco.mj_resetData(model, data)
 
     return run, reset
 
 
-def vector_env(env_id, model, threads, actions, clock):
+def vector_env(
+    env_id: str, model: str, threads: int, actions: np.ndarray, clock: Callable[[], float]
+) -> tuple[Measurement, Callable[[], object]]:
     """Seconds by ``clock`` of the vector environment, per environment step."""
     envs = gymnasium.make_vec(env_id, num_envs=NUM_ENVS, num_threads=threads, model=model, action="continuous")
     envs.reset(seed=0)
 
-    def run():
+    def run() -> float:
         start = clock()
         for action in actions:
             envs.step(action)
@@ -84,12 +93,12 @@ def vector_env(env_id, model, threads, actions, clock):
     return run, lambda: envs.reset(seed=0)
 
 
-def parameter_reset(env_id, model):
+def parameter_reset(env_id: str, model: str) -> Measurement:
     """Seconds to give one simulation new parameters."""
-    task = task_type(env_id)(1, model=model)
+    task = make_task(env_id, 1, 1, model)
     only, nominal = np.arange(1), task.parameters.nominal[None]
 
-    def run():
+    def run() -> float:
         start = time.perf_counter()
         for _ in range(20):
             task.sim.set_params(only, nominal)
@@ -106,7 +115,7 @@ def trunk(options: argparse.Namespace) -> None:
         for model in ("cable", "flex"):
             rng = np.random.default_rng(0)
             actions = rng.uniform(-1, 1, (options.steps, NUM_ENVS, len(geo.CABLE_NAMES))).astype(np.float32)
-            task = task_type(env_id)(1, model=model)
+            task = make_task(env_id, 1, 1, model)
             bare, reset_bare = bare_loop(task, geo.CABLE_RATE * actions.astype(float))
             one, reset_one = vector_env(env_id, model, 1, actions, time.process_time)
             wall_one, reset_wall_one = vector_env(env_id, model, 1, actions, time.perf_counter)
@@ -132,7 +141,7 @@ WALKERS = {"coarse": 16, "fine": 4, "finest": 2}
 EPISODE = 6
 
 
-def episode(task, rng, clock) -> float:
+def episode(task: Task, rng: np.random.Generator, clock: Callable[[], float]) -> float:
     """Seconds per environment step."""
     ids = np.arange(task.num_envs)
     task.reset(ids, [np.random.default_rng(i) for i in ids], [{}] * len(ids))
@@ -146,7 +155,8 @@ def walker(options: argparse.Namespace) -> None:
     """MultiGait."""
     one = {mesh: MultiGaitTask(WALKERS[mesh], 1, mesh=mesh) for mesh in RESOLUTIONS}
     everything = MultiGaitTask(WALKERS["coarse"], 0, mesh="coarse")
-    cpu, wall = {mesh: [] for mesh in RESOLUTIONS}, []
+    cpu: dict[str, list[float]] = {mesh: [] for mesh in RESOLUTIONS}
+    wall = []
     for repeat in range(options.repeats):
         for mesh, task in one.items():
             cpu[mesh].append(episode(task, np.random.default_rng(repeat), time.process_time))
@@ -170,11 +180,11 @@ BARE_STEPS = 2_000  # of the environment
 
 
 @contextmanager
-def timed(spent: Counter, owner: type, method: str):
+def timed(spent: dict[str, float], owner: type, method: str) -> Iterator[None]:
     """Adds the seconds inside a method to ``spent``, by its name."""
     original = getattr(owner, method)
 
-    def wrapper(*args, **kwargs):
+    def wrapper(*args: Any, **kwargs: Any) -> Any:
         start = time.perf_counter()
         try:
             return original(*args, **kwargs)
@@ -205,7 +215,8 @@ def bare_rate(env_id: str, model: str) -> float:
 
 def trained(env_id: str, model: str, steps: int, threads: int) -> dict:
     """Seconds of a training, and of its parts."""
-    config, spent = default_config(env_id, steps, model=model, num_threads=threads), Counter()
+    config = default_config(env_id, steps, model=model, num_threads=threads)
+    spent: dict[str, float] = defaultdict(float)
     with tempfile.TemporaryDirectory() as folder, timed(spent, SB3VecEnv, "step_wait"), timed(spent, PPO, "train"):
         wall, cpu = time.perf_counter(), time.process_time()
         train(config, folder)
@@ -219,13 +230,13 @@ def trained(env_id: str, model: str, steps: int, threads: int) -> dict:
 def training(options: argparse.Namespace) -> None:
     """PPO."""
     model = options.model or task_type(options.env).cheap
-    measured = {threads: [] for threads in (1, 2)}
-    bare = []
+    measured: dict[int, list[dict[str, float]]] = {threads: [] for threads in (1, 2)}
+    bare: list[float] = []
     for _ in range(options.repeats):
         bare.append(bare_rate(options.env, model))
         for threads, found in measured.items():
             found.append(trained(options.env, model, options.steps, threads))
-    rows = []
+    rows: list[tuple[str | float, ...]] = []
     for threads, found in measured.items():
         m = {name: float(np.median([row[name] for row in found])) for name in found[0]}
         shares = (f"{m[name]:.0%}" for name in ("simulation", "rest", "update"))
@@ -241,7 +252,7 @@ def training(options: argparse.Namespace) -> None:
 SIMULATIONS, CONTROLS = 32, 60
 
 
-def seconds(task, effects, actions) -> float:
+def seconds(task: Task, effects: Sequence[Effect], actions: np.ndarray) -> float:
     """CPU-seconds per simulated second."""
     ids = np.arange(SIMULATIONS)
     task.sim.assign_effects([effects] * SIMULATIONS)
@@ -265,7 +276,7 @@ def effects(options: argparse.Namespace) -> None:
         effect = typical(first[name])
         pairs = [(seconds(task, (effect,), actions), seconds(task, (), actions)) for _ in range(options.repeats)]
         ratio, more = np.median([(a / b, 1e6 * timestep * (a - b)) for a, b in pairs], axis=0)
-        print(row((name, effect.location, f"{ratio:.2f}", f"{more:.0f}")), flush=True)
+        print(row((name, str(effect.location), f"{ratio:.2f}", f"{more:.0f}")), flush=True)
 
 
 def main() -> None:

@@ -56,7 +56,7 @@ def flex_stiffness(model: mujoco.MjModel, motion: str, size: float | None = None
     ])
 
 
-def _flex_force(model, data, k, coordinate, size):
+def _flex_force(model: mujoco.MjModel, data: mujoco.MjData, k: int, coordinate: int, size: float) -> np.ndarray:
     """Force or torque on vertebra ``k`` along ``coordinate``, the trunk beyond neck k moved by ``size`` along it."""
     mujoco.mj_resetData(model, data)
     pivot = data.qpos[7 * k : 7 * k + 3].copy()  # the vertebra's frame, at the neck's middle
@@ -165,10 +165,12 @@ def tip_deflection(name: str, cable: str, poisson_ratio: float) -> float:
     mujoco.mj_step(model, data, round(SETTLING_TIME / model.opt.timestep))
     mujoco.mj_kinematics(model, data)
     tip = data.site("keypoint20").xpos
-    return 1e3 * np.linalg.norm(tip - [0, 0, geo.KEYPOINT_Z[-1]]) / LOAD
+    return float(1e3 * np.linalg.norm(tip - [0, 0, geo.KEYPOINT_Z[-1]]) / LOAD)
 
 
-def parametrised(name, params, timestep=None, integrator=None) -> mujoco.MjModel:
+def parametrised(
+    name: str, params: dict[str, float], timestep: float | None = None, integrator: int | None = None
+) -> mujoco.MjModel:
     """The model with its parameters written, as an environment uses it."""
     spec = trunk.build_spec("reach.xml", name)
     if timestep is not None:
@@ -179,7 +181,7 @@ def parametrised(name, params, timestep=None, integrator=None) -> mujoco.MjModel
     return sim.batch.get_model(0)
 
 
-def print_tips(label: str, tips: dict[int, np.ndarray]):
+def print_tips(label: str, tips: dict[int, np.ndarray]) -> None:
     """One row per action: tip, difference from the reference, its length."""
     for action, tip in tips.items():
         difference = tip - REFERENCE_TIPS[action]

@@ -10,7 +10,10 @@ docs/images/walker_shapes.png.
 """
 
 import argparse
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +31,9 @@ LEG = CHAMBERS.index("front_left")
 SCENE = "multigait.xml"
 
 
+Growth = tuple[float, float]  # of the centre, and of a leg
+
+
 class FreeBody:
     """The walker without gravity and floor."""
 
@@ -40,7 +46,7 @@ class FreeBody:
         maps = [walker.WalkerParameters(self._model, SCENE, mesh)]
         self._sim = Simulation(self._model, ParameterSet(*walker.PARAMETERS), maps, 1)
 
-    def nodes(self, chamber: int, growth: tuple[float, float], inflation: float = 1.0) -> np.ndarray:
+    def nodes(self, chamber: int, growth: Growth, inflation: float = 1.0) -> np.ndarray:
         """(N, 3) m, the nodes at rest with one chamber inflated."""
         inflation_of = walker.Inflation(self._model, self._mesh, growth)
         batch, ids = self._sim.batch, np.arange(1)
@@ -54,7 +60,7 @@ class FreeBody:
             batch.step(ids)
         return self._rest + batch.qpos[0].reshape(-1, 3)
 
-    def curl(self, growth, inflation=1.0) -> float:
+    def curl(self, growth: Growth, inflation: float = 1.0) -> float:
         """m, how far the tip of one inflated leg has come down, seen from the rear half."""
         now = self.nodes(LEG, growth, inflation)
         rear = self._rest[:, 0] < -1e-6
@@ -62,21 +68,21 @@ class FreeBody:
         tip = _tips(self._rest) & (self._rest[:, 0] > 0) & (self._rest[:, 1] > 0)
         return float((self._rest[tip, 2] - seen[tip, 2]).mean())
 
-    def arch(self, growth, inflation=1.0) -> float:
+    def arch(self, growth: Growth, inflation: float = 1.0) -> float:
         """m, height of the middle above the leg tips with the centre inflated."""
         now = self.nodes(CHAMBERS.index("centre"), growth, inflation)
         middle, tips = np.abs(self._rest[:, 0]) < 1e-6, _tips(self._rest)
         return float(now[middle, 2].mean() - now[tips, 2].mean())
 
 
-def _tips(rest) -> np.ndarray:
+def _tips(rest: np.ndarray) -> np.ndarray:
     """Nodes on the end of a leg."""
     along = (TIP_OUTER - TIP_INNER) / np.linalg.norm(TIP_OUTER - TIP_INNER)
     offset = np.abs(rest[:, :2]) - TIP_INNER
     return np.abs(offset[:, 0] * along[1] - offset[:, 1] * along[0]) < 1e-6
 
 
-def _in_frame_of(now, rest, chosen) -> np.ndarray:
+def _in_frame_of(now: np.ndarray, rest: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """The nodes turned and moved so that the chosen ones lie as near their rest as can be (Kabsch)."""
     a, b = now[chosen].mean(axis=0), rest[chosen].mean(axis=0)
     u, _, vt = np.linalg.svd((now[chosen] - a).T @ (rest[chosen] - b))
@@ -84,7 +90,15 @@ def _in_frame_of(now, rest, chosen) -> np.ndarray:
     return (now - a) @ turn + b
 
 
-def calibrate(height, target: float, start: float) -> float:
+def _arch(body: FreeBody, centre: float) -> float:
+    return body.arch((centre, 0.0))
+
+
+def _curl(body: FreeBody, leg: float) -> float:
+    return body.curl((0.0, leg))
+
+
+def calibrate(height: Callable[[float], float], target: float, start: float) -> float:
     """The growth at which height(growth) = target, by the secant method to 0.05 mm."""
     a, b = start, 1.1 * start
     fa, fb = height(a) - target, height(b) - target
@@ -104,8 +118,8 @@ def main() -> None:
     bodies = {"coarse": reference}
     for mesh in ("fine", "finest"):
         body = bodies[mesh] = FreeBody(mesh)
-        centre = calibrate(lambda g, body=body: body.arch((g, 0.0)), arch, walker.GROWTH[mesh][0])
-        leg = calibrate(lambda g, body=body: body.curl((0.0, g)), curl, walker.GROWTH[mesh][1])
+        centre = calibrate(partial(_arch, body), arch, walker.GROWTH[mesh][0])
+        leg = calibrate(partial(_curl, body), curl, walker.GROWTH[mesh][1])
         growth[mesh] = (round(centre, 4), round(leg, 4))
         print(f"{mesh}: growth {growth[mesh]}", flush=True)
     shapes = {}
@@ -122,7 +136,7 @@ def main() -> None:
     plot(shapes)
 
 
-def plot(shapes) -> None:
+def plot(shapes: dict[str, dict[str, Any]]) -> None:
     plt = pyplot()
     figure, axes = plt.subplots(1, 2, figsize=(8, 3.4), layout="constrained", sharex=True)
     for ax, what in zip(axes, ("arch", "curl"), strict=True):
