@@ -121,6 +121,11 @@ def test_the_command_asks_for_both_sides_and_writes_what_report_shows_again(
     save(recording(1, late=0.02), after)
     with pytest.raises(SystemExit, match="--after"):
         call("diagnose", "--before", before, "--out", tmp_path / "none")
+    for same in (before, tmp_path / "copy.parquet"):
+        same.write_bytes(before.read_bytes())
+        with pytest.raises(SystemExit, match="recording 1 before the change and recording 1 after the change are the"):
+            call("diagnose", "--before", before, "--after", same, "--out", tmp_path / "none")
+    assert not (tmp_path / "none").exists()
     shown = call("diagnose", "--before", before, "--after", after, "--out", tmp_path / "out")
     assert shown.startswith("Changed") or "\nChanged" in shown
     assert "Changed" in call("report", tmp_path / "out/paired.json", "--out", tmp_path / "again")

@@ -197,9 +197,10 @@ def _measured(robot: Robot, most_numbers: int, *groups: Sequence[Inspected]) -> 
     """What the diagnosis sees of the recordings to explain, and of held-out ones."""
     names = iter(labels(*groups))
     found = [tuple(named(next(names), robot.measured, each.recording) for each in group) for group in groups]
-    for i, j in itertools.combinations([each.recording for group in groups for each in group], 2):
-        if _same(robot, i, j):
-            raise RecordingError("two of the recordings are the same; what is explained twice is no more certain, and "
+    recorded = zip(labels(*groups), (each.recording for group in groups for each in group), strict=True)
+    for (first, one), (second, other) in itertools.combinations(recorded, 2):
+        if _same(robot, one, other):
+            raise RecordingError(f"{first} and {second} are the same; what is explained twice is no more certain, and "
                                  "held-out recordings have to be others than those that are explained")  # fmt: skip
     if (size := sum(each.columns.size for group in found for each in group)) > most_numbers:
         raise RecordingError(f"{size} numbers to explain; at most {most_numbers}, so cut the recordings")

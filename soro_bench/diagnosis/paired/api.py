@@ -66,12 +66,27 @@ def compare(
     )
 
 
+def _check_distinct(before: Sequence[Recording], after: Sequence[Recording]) -> None:
+    """Refuse recordings that are given twice: they differ by nothing, and are no runs of their own.
+
+    Raises:
+        RecordingError: two are the same.
+    """
+    known: dict[str, str] = {}
+    for side, recordings in (("before", before), ("after", after)):
+        for number, each in enumerate(recordings, 1):
+            label = f"recording {number} {side} the change"
+            if (first := known.setdefault(each.digest(), label)) != label:
+                raise RecordingError(f"{first} and {label} are the same; give another one for one of them")
+
+
 def _paired(
     before: Sequence[Recording], after: Sequence[Recording], settings: PairedSettings
 ) -> tuple[list[Pair], list[Pair]]:
     """Pairs of the same commands; and pairs of runs of one robot, from both sides."""
     if not before or not after:
         raise RecordingError("one recording before and one after the change are needed at least")
+    _check_distinct(before, after)
     pairs: list[Pair] = []
     used: set[int] = set()
     for number, each in enumerate(after):
