@@ -133,6 +133,14 @@ def test_clipping_of_a_slow_coarse_signal_is_found_and_its_rest_is_not():
     assert not samples.clipped(Channel(levels, 0.0, step), SETTINGS).any()
 
 
+@pytest.mark.parametrize("rows", [1.06, 1.1, 1.27])
+def test_a_sensor_a_little_slower_than_its_logger_is_held_on_levels_too(rows):
+    sampled = np.floor(np.arange(400) / rows) * rows
+    levels = 0.002 * np.round(np.interp(sampled, np.arange(400), motion()) / 0.002)
+    found, kind = samples.stale(Channel(levels, 0.0, 0.002), SETTINGS)
+    assert kind == "held" and found[1:][np.diff(sampled) == 0].mean() > 0.9
+
+
 @pytest.mark.parametrize("rows", [2, 5])
 def test_a_held_sensor_leaves_the_first_of_equal_samples(rows):
     found, kind = samples.stale(Channel(noisy()[np.arange(400) // rows * rows], NOISE), SETTINGS)
@@ -149,12 +157,13 @@ def test_a_sensor_that_stands_still_for_a_while_is_frozen():
     assert (kind, np.flatnonzero(found).tolist()) == ("frozen", list(range(204, 215)))
 
 
-def _bursts(rng, time):
-    return np.maximum.accumulate(time + np.where(rng.random(len(time)) < 0.2, rng.uniform(0.02, 0.07, len(time)), 0.0))
+def _bursts(rng, time, share=0.2):
+    late = np.where(rng.random(len(time)) < share, rng.uniform(0.02, 0.07, len(time)), 0.0)
+    return np.maximum.accumulate(time + late) + 1e-7 * np.arange(len(time))
 
 
 STAMPS = {
-    "bursts": lambda rng, time: _bursts(rng, time) + 1e-7 * np.arange(len(time)),
+    "bursts": _bursts,
     "coarse_clock": lambda rng, time: np.round(time / 0.007) * 0.007,
     "jitter": lambda rng, time: time + rng.uniform(0, 0.008, len(time)),
     "clock_step": lambda rng, time: time + np.where(time > 3.9, 0.33, 0.0),
@@ -170,6 +179,14 @@ def test_regular_stamps_come_back(kind):
     assert found is not None and kind in found.kinds
     assert np.ptp(found.time - time) < 0.002
     assert stamps(time, noisy()[:, None], SETTINGS) is None
+
+
+@pytest.mark.parametrize("share", [0.1, 0.4])
+def test_stamps_of_receipt_are_late_in_bursts_however_many_are(share):
+    time = 0.02 * np.arange(400)
+    found = stamps(_bursts(np.random.default_rng(5), time, share), noisy()[:, None], SETTINGS)
+    assert found is not None and found.kinds == ("bursts",)
+    assert np.abs(found.time - time).max() < 0.002
 
 
 def test_lost_rows_are_counted_and_leave_the_stamps_alone():

@@ -74,26 +74,29 @@ def _irregular(time: Floats, values: Floats, settings: SignalSettings, lagging: 
     steps, jumps = _level_steps(np.diff(time) - period, late, period, settings)
     number, level, missing, clock = np.arange(count), np.zeros(count), 0, 0
     for at, jump in zip(steps, jumps, strict=True):
-        lost = round(jump / period)
+        lost = max(round(jump / period), 0)
         whole = lost >= 1 and abs(jump - lost * period) < settings.whole_gap * period
         if _moved_on(time, values, at, period, jump) or (whole and not _stood(values, at, settings)):
             number[at:] += lost
             level[at:] += jump - lost * period
-            missing += max(lost, 0)
+            missing += lost
         else:
             level[at:] += jump
             clock += 1
     rest = np.asarray(time - level, float)
     period, offset = _line(number, rest)
+    early, at_first = _lower_line(number, rest, window)
+    coarse = _coarse(time, period, settings)
     one_sided = _one_sided(rest - offset - period * number, settings)
+    one_sided |= not coarse and _many_at_once(rest - at_first - early * number, settings)
     if one_sided or lagging:
-        period, offset = _lower_line(number, rest, window)
+        period, offset = early, at_first
     fitted = np.asarray(offset + period * number, float)
     left = rest - fitted
     kinds, affected = [], []
     far = np.abs(left) > settings.regular * period
     if far.any():
-        kinds.append("bursts" if one_sided else ("coarse_clock" if _coarse(time, period, settings) else "jitter"))
+        kinds.append("bursts" if one_sided else "coarse_clock" if coarse else "jitter")
         affected.append(int(far.sum()))
     if clock:
         kinds.append("clock_step")
@@ -129,6 +132,16 @@ def _one_sided(late: Floats, settings: SignalSettings) -> bool:
     return bool(high - middle > settings.one_sided * (middle - low))
 
 
+def _many_at_once(late: Floats, settings: SignalSettings) -> bool:
+    """Whether many samples are received at once, and the others any time later.
+
+    Args:
+        late: (T,) s, less the line along the earliest stamps.
+    """
+    at_once = np.abs(late) < settings.at_once_spread * np.quantile(late, 0.98)
+    return bool(at_once.mean() > settings.at_once)
+
+
 def _coarse(time: Floats, period: float, settings: SignalSettings) -> bool:
     """Whether intervals are multiples of one tick, at least a share of the period."""
     intervals = np.unique(np.round(np.diff(time), 9))
@@ -156,7 +169,28 @@ def _level_steps(extra: Floats, late: Floats, period: float, settings: SignalSet
         if agrees and (not steps or i + 1 - steps[-1] > 1):
             steps.append(int(i) + 1)
             sizes.append(float(after[i] - before[i]))
-    return steps, np.array(sizes)
+    if (np.abs(extra) <= settings.regular * period).mean() > 0.5:  # so few are late that each step is one
+        return steps, np.array(sizes)
+    return _lasting(steps, late, window, least, settings)
+
+
+def _lasting(
+    steps: list[int], late: Floats, window: int, least: float, settings: SignalSettings
+) -> tuple[list[int], Floats]:
+    """The steps after which stamps stay later or earlier than before; a burst of late ones begins and ends."""
+    while True:
+        edges = [0, *steps, len(late)]
+        beside = [
+            (late[max(first, at - settings.level_windows * window) : at],
+             late[at : min(last, at + settings.level_windows * window)])
+            for first, at, last in zip(edges, edges[1:], edges[2:], strict=False)
+        ]  # fmt: skip
+        sizes = np.array([after.min() - before.min() for before, after in beside])
+        short = [min(len(before), len(after)) < window for before, after in beside]
+        weak = np.where(short, 0.0, np.abs(sizes))
+        if not steps or weak.min() > least:
+            return steps, sizes
+        steps = [step for i, step in enumerate(steps) if i != int(weak.argmin())]
 
 
 def _moved_on(time: Floats, values: Floats, at: int, period: float, jump: float) -> bool:

@@ -75,7 +75,7 @@ class SignalSettings:
     least_frozen: int = setting(4, "samples", "of one value; noise hardly repeats itself so often")
     least_held: int = setting(5, "runs", "of equal values between jumps; fewer are no evidence of a slow sensor")
     held_share: float = setting(0.03, "1", "share of the samples; rounding to six digits repeats 0.1 % by chance")
-    held_jumps: float = setting(0.15, "1", "share of the jumps beside equal values, where these may be rest or levels")
+    held_jumps: float = setting(0.05, "1", "share of the jumps beside equal values, where these may be rest or levels")
     held_steps: float = setting(2.5, "steps", "of a jump; slow motion takes one level after the other")
     held_reach: float = setting(
         1e-4, "1", "share of the range of a jump; a robot that comes to rest makes smaller ones"
@@ -89,10 +89,13 @@ class SignalSettings:
     least_even: int = setting(8, "gaps", "that a coarse clock makes evenly; lost rows come at random")
     even_ticks: float = setting(0.6, "ticks", "that stamps are off even spacing at most; rounding leaves half a tick")
     one_sided: float = setting(2.0, "1", "times as far as stamps are early, that they are late in bursts")
+    at_once: float = setting(0.12, "1", "share of stamps received at once, likewise; many are, of few that are late")
+    at_once_spread: float = setting(0.05, "1", "share of the spread of stamps that such ones are late at most")
     least_tick: float = setting(0.02, "1", "share of the period that a clock rounds to")
     whole_tick: float = setting(0.05, "1", "share of a tick by which intervals may differ from whole ticks")
     mostly: float = setting(0.9, "1", "share of the samples for which a rule has to hold")
     level_step: float = setting(0.3, "1", "share of the period that a clock is set by, at least")
+    level_windows: int = setting(3, "windows", "beside a step in which it lasts; bursts of late stamps end before")
     level_times_usual: float = setting(6.0, "1", "times the usual change of the earliest stamps nearby, likewise")
     smoother: float = setting(0.8, "1", "times as rough as with regular stamps, below which given stamps are right")
     same_time: float = setting(1e-3, "1", "share of a control step by which a sample may be early or late")
