@@ -11,6 +11,7 @@ pytest.importorskip("pyarrow")
 
 from soro_bench.blind_benchmark.draw import Case, draw_cases
 from soro_bench.blind_benchmark.others import HIDDEN, KINDS, LAWS, SOROSIM, OtherCase, build_other, draw_set
+from soro_bench.blind_benchmark.report import released
 from soro_bench.blind_benchmark.score import CRITERIA, OF_OTHERS, opened_labels, scored
 from soro_bench.blind_benchmark.sealed import write_cases
 from soro_bench.files import write_json
@@ -18,6 +19,7 @@ from soro_bench.leaderboard.diagnosis_entry import opened, read_entry, rescored,
 from soro_bench.recording.parquet import load
 from tests.test_blind_benchmark_score import label, report
 
+DRY = released("friction")
 SHORT = {"train": 18.5, "heldout": 1.0, "task": 1.0}  # s; an excitation is no shorter
 SEED = 15  # whose only case of another simulator is of the lumped model, with long time steps
 
@@ -70,7 +72,7 @@ def test_laws_are_those_that_the_rod_can_have():
     case = OtherCase("case_000", HIDDEN, LAWS.index("friction"), (1, 1))
     recordings, files, found = build_other(case, SHORT)
     (effect,) = found["effects"]
-    assert (found["group"], effect["class"], effect["law"]) == ("one", "dry_loss", "friction") and not files
+    assert (found["group"], effect["class"], effect["law"]) == ("one", DRY, "friction") and not files
     assert set(recordings) == set(SHORT) and found["change_mm"]["task"] > 0
     assert set(effect["names"]) == {"coulomb_friction", "stribeck_friction", "load_friction"}
 
@@ -141,9 +143,9 @@ def test_a_rod_has_a_model_of_its_own_and_no_motion_that_is_unseen(tmp_path):
 
 def test_criteria_about_other_simulators_come_last_and_take_any_right_name():
     """Sets without them have the criteria of earlier releases, and the same figures."""
-    hidden = label(0, "one", "coulomb_friction", "dry_loss", "tendon", "L2")
+    hidden = label(0, "one", "coulomb_friction", DRY, "tendon", "L2")
     hidden["effects"][0]["names"] = ["coulomb_friction", "load_friction"]
-    said = {"case_000": report("load_friction", "dry_loss", "tendon", "L2")}
+    said = {"case_000": report("load_friction", DRY, "tendon", "L2")}
     gates, earlier = (scored([each], said)["gates"] for each in (hidden | {"kind": HIDDEN}, hidden))
     assert earlier == gates[: len(CRITERIA)]
     assert [gate["gate"] for gate in earlier] == [name for name, *_ in CRITERIA]
