@@ -19,9 +19,8 @@ from rich.progress import Progress, TaskID
 
 from soro_bench.blind_benchmark import body_laws, cable_laws
 from soro_bench.blind_benchmark.cases import recording
-from soro_bench.blind_benchmark.closed_loop import final_distances
 from soro_bench.blind_benchmark.draw import manoeuvre
-from soro_bench.blind_benchmark.robot import CONTROL_TIMESTEP, Law, Robot
+from soro_bench.blind_benchmark.robot import CONTROL_TIMESTEP, Law, Robot, final_distances
 from soro_bench.cli import plain_errors
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.render import render

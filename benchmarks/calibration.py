@@ -58,8 +58,8 @@ class Answers:
 
     def only(self, chosen: Bools) -> "Answers":
         """Some of them."""
-        parts = (self.source, self.stated, self.right, self.kind, self.margin)
-        return Answers(*(part[chosen] for part in parts))
+        source, stated, right, kind, margin = (self.source, self.stated, self.right, self.kind, self.margin)
+        return Answers(source[chosen], stated[chosen], right[chosen], kind[chosen], margin[chosen])
 
 
 Map = Callable[[Answers], Floats]
@@ -263,7 +263,7 @@ def needed(p: Floats, stated: Floats, right: Bools) -> float:
 
 def summary(answers: Answers, by_source: bool = False) -> str:
     """Markdown: how good the maps are, and the one by answer and margin."""
-    groups = answers.source if by_source else np.arange(answers.stated.size)
+    groups = answers.source if by_source else np.arange(answers.stated.size, dtype=float)
     rows = []
     for name, fit in MAPS.items():
         p = left_out(fit, answers, groups)

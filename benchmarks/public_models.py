@@ -18,8 +18,7 @@ import numpy as np
 from rich.progress import track
 
 from benchmarks.model_zoo import ZooModel, zoo
-from soro_bench.diagnosis.assembly.model_export import PatchError, exported
-from soro_bench.diagnosis.assembly.motion import ALIKE, motion_difference
+from soro_bench.diagnosis.assembly.model_export import ALIKE, PatchError, exported, motion_difference
 from soro_bench.diagnosis.robots.model_file import ModelError, load_model
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.files import read_json, write_json

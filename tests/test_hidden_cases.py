@@ -9,7 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from soro_bench.blind_benchmark import body_laws, cable_laws, closed_loop
+from soro_bench.blind_benchmark import body_laws, cable_laws
+from soro_bench.blind_benchmark import robot as robot_module
 from soro_bench.blind_benchmark.draw import manoeuvre
 from soro_bench.blind_benchmark.hidden import ALL, MEASUREMENT, PHYSICS, UNKNOWN
 from soro_bench.blind_benchmark.robot import CONTROL_TIMESTEP, Diverged, Robot, simulate
@@ -292,15 +293,15 @@ def test_both_sides_mean_the_same_classes():
 
 
 def test_a_policy_sees_on_a_concealed_robot_what_the_environment_shows(monkeypatch):
-    monkeypatch.setattr(closed_loop, "EVALUATION_GOALS", [np.array([0.0, -0.015, 0.12])])
-    monkeypatch.setattr(closed_loop, "STEPS", 3)
+    monkeypatch.setattr(robot_module, "EVALUATION_GOALS", [np.array([0.0, -0.015, 0.12])])
+    monkeypatch.setattr(robot_module, "STEPS", 3)
     env, seen = gymnasium.make("soro_bench:TrunkReach-v0", model="cable", action="continuous"), []
 
     def act(observation):
         seen.append(observation[0])
         return np.full((1, 8), 0.5)
 
-    (distance,) = closed_loop.final_distances(act, Robot("fine", NOMINAL))
+    (distance,) = robot_module.final_distances(act, Robot("fine", NOMINAL))
     shown, _ = env.reset(options={"goal": [0.0, -0.015, 0.12]})
     assert np.array_equal(seen[0], shown)
     for one in seen:
@@ -327,8 +328,8 @@ def test_an_episode_that_diverges_counts_as_one_without_motion(monkeypatch):
         def check(self, points):
             raise Diverged("the simulation diverged")
 
-    monkeypatch.setattr(closed_loop, "EVALUATION_GOALS", [np.array([0.0, 0.0, 0.12])])
-    assert closed_loop.final_distances(lambda observations: np.zeros((1, 8)), Wild()) == pytest.approx([0.12])
+    monkeypatch.setattr(robot_module, "EVALUATION_GOALS", [np.array([0.0, 0.0, 0.12])])
+    assert robot_module.final_distances(lambda observations: np.zeros((1, 8)), Wild()) == pytest.approx([0.12])
 
 
 def test_only_its_own_physics_explains_the_recordings_of_the_hidden_robot(tmp_path):

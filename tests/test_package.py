@@ -68,6 +68,7 @@ READERS = {  # of old formats and names, and of tables that call an absent numbe
     "soro_bench/effects/effect.py",
     "soro_bench/recording/parquet.py",
     "tests/test_blind_benchmark_score.py",
+    "tests/test_blind_set.py",
     "tests/test_leaderboard_diagnosis.py",
     "tests/test_recording.py",
     "tests/test_package.py",

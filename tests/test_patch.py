@@ -11,8 +11,14 @@ import pytest
 
 from soro_bench.assets import mjcf_path
 from soro_bench.diagnosis.assembly.errors import rms_as_it_is
-from soro_bench.diagnosis.assembly.model_export import PatchError, exported, patched_spec
-from soro_bench.diagnosis.assembly.motion import LONG, SHORT, motion_difference
+from soro_bench.diagnosis.assembly.model_export import (
+    LONG,
+    SHORT,
+    PatchError,
+    exported,
+    motion_difference,
+    patched_spec,
+)
 from soro_bench.diagnosis.assembly.patch import kept, model_patch, patch
 from soro_bench.diagnosis.candidates import term
 from soro_bench.diagnosis.estimation.fit import Hypothesis

@@ -13,8 +13,8 @@ from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.inference import rf_dropo
 from soro_bench.inference.continuation import refine
-from soro_bench.inference.identifiability import combinations
 from soro_bench.inference.methods import uncertainty
+from soro_bench.inference.posterior import combinations
 from soro_bench.inference.rf_dropo import horizon, log_likelihood, sample_factor
 from soro_bench.inference.search import EvaluationLog, cma_search
 from soro_bench.inference.statistical_linearisation import LowRank, linearised, sample_around

@@ -15,8 +15,7 @@ from soro_bench.arrays import Floats
 from soro_bench.inference import rf_dropo
 from soro_bench.inference.continuation import EXPLAINED
 from soro_bench.inference.guard import Guard, guarded, rms
-from soro_bench.inference.identifiability import combinations, fisher
-from soro_bench.inference.posterior import Posterior
+from soro_bench.inference.posterior import Posterior, combinations, fisher
 from soro_bench.inference.replay import SIMULATIONS, Replay
 from soro_bench.inference.search import EvaluationLog, Progress, cma_search
 from soro_bench.parallel import HERE, Workers, each, one_blas_thread
@@ -132,7 +131,7 @@ def uncertainty(jacobian: Floats, deviation: Floats) -> Floats:
     """(d, d) covariance with which means are known, in shares of the box; its own where a recording says nothing.
 
     Args:
-        jacobian, deviation: see :func:`soro_bench.inference.identifiability.fisher`.
+        jacobian, deviation: see :func:`soro_bench.inference.posterior.fisher`.
     """
     prior = np.eye(jacobian.shape[-1]) / rf_dropo.LARGEST_STD**2
     return np.asarray(np.linalg.inv(fisher(jacobian, deviation) + prior), float)

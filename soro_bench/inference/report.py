@@ -10,8 +10,7 @@ import numpy as np
 from soro_bench.arrays import Floats
 from soro_bench.files import replacing
 from soro_bench.inference.guard import noise_of, rms
-from soro_bench.inference.identifiability import scales
-from soro_bench.inference.posterior import Posterior
+from soro_bench.inference.posterior import Posterior, scales
 from soro_bench.inference.replay import Replay
 from soro_bench.markdown import table
 from soro_bench.plotting import pyplot
