@@ -107,6 +107,20 @@ def largest_model_form_error(problem: Problem, nominal: Hypothesis) -> float:
     return problem.settings.discretisation.model_form_share * problem.sigma * float(size)
 
 
+def stands_out(problem: Problem, gain: float, misfit: float, samples: float) -> bool:
+    """Whether a law gains more than laws do by chance where all that is left is model-form error.
+
+    Such an error looks a little like many laws. One that is there explains a larger share of what is left, and that
+    share counts where it is large beside the largest error that is possible.
+
+    Args:
+        gain: in log evidence, or less misfit [nats]. misfit: without the law, of so many samples [nats].
+    """
+    settings = problem.settings.discretisation
+    largest = 0.5 * samples * (problem.model_form / problem.sigma) ** 2
+    return gain >= max(settings.model_form_gain * misfit, settings.model_form_gain_of_largest * largest)
+
+
 def _modes(measured: Floats) -> Floats:
     """(C, C) orthonormal directions of the numbers of a sample (T, C), those that move most first."""
     seen = np.isfinite(measured)

@@ -14,7 +14,7 @@ import numpy as np
 from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.estimation.discretisation import differences, discretisation_and_residuals
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, fitted_under_discretisation
-from soro_bench.diagnosis.estimation.model_form import UnderModelForm
+from soro_bench.diagnosis.estimation.model_form import UnderModelForm, stands_out
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.moves import (
@@ -327,6 +327,8 @@ class _Search:
         predicted = [self.screened.predicted_residual(each) for each in offered]
         form = UnderModelForm.of(problem, [self.best.residual, *predicted])
         if not form.possible[0] or not self._may_be_model_form_elsewhere():
+            return True
+        if stands_out(problem, self.remaining_gain, problem.misfit(self.best.residual), float(problem.weight.sum())):
             return True
         fitted = UnderModelForm.of(problem, [self.nominal.residual, *(h.residual for h in self.tried)])
         if self.rounds and fitted.possible[0] and not fitted.explain(settings.model_form_left).any():
