@@ -282,9 +282,14 @@ def test_noise_has_no_excess_and_an_error_has_its_own(given, white, slow):
 
 
 def test_a_law_that_explains_a_part_of_a_possible_error_is_no_discrepancy(given, white, slow):
-    left, less = white + slow, white + 0.9 * slow
+    left, less = white + slow, white + 0.97 * slow
     assert healthy(given, 2.0 * ERROR, left, less) > 0.9
     assert healthy(given, 0.0, left, less) < 0.1
+
+
+@pytest.mark.parametrize(("bound", "is_healthy"), [(1.5, False), (10.0, True)])
+def test_a_law_stands_out_by_its_share_of_the_largest_error(given, white, slow, bound, is_healthy):
+    assert (healthy(given, bound * ERROR, white + slow, white + 0.8 * slow) > 0.5) == is_healthy
 
 
 def test_a_law_that_explains_all_of_a_possible_error_is_a_discrepancy(given, white, slow):
