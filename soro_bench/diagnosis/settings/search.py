@@ -62,6 +62,15 @@ class SelectionSettings:
     convergence_fits: int = setting(5, "fits", "in a row at most, where the misfit dominates")
     convergence_gain: float = setting(0.1, "1", "share of the cost that such a fit has to gain for another one")
 
+    def __post_init__(self) -> None:
+        """Refuse parts that do not grow.
+
+        Raises:
+            ValueError: no part would ever be the whole recording.
+        """
+        if self.part_growth <= 1.0:
+            raise ValueError(f"parts that grow by {self.part_growth:.3g} never reach the whole; more than 1 is needed")
+
 
 @dataclass(frozen=True)
 class ProbabilitySettings:
