@@ -12,6 +12,7 @@ pytest.importorskip("pyarrow")
 from soro_bench.blind_benchmark.draw import Case, draw_cases
 from soro_bench.blind_benchmark.others import HIDDEN, KINDS, LAWS, SOROSIM, OtherCase, build_other, draw_set
 from soro_bench.blind_benchmark.report import released
+from soro_bench.blind_benchmark.run import run_blind_benchmark
 from soro_bench.blind_benchmark.score import CRITERIA, OF_OTHERS, opened_labels, scored
 from soro_bench.blind_benchmark.sealed import write_cases
 from soro_bench.files import write_json
@@ -75,6 +76,14 @@ def test_laws_are_those_that_the_rod_can_have():
     assert (found["group"], effect["class"], effect["law"]) == ("one", DRY, "friction") and not files
     assert set(recordings) == set(SHORT) and found["change_mm"]["task"] > 0
     assert set(effect["names"]) == {"coulomb_friction", "stribeck_friction", "load_friction"}
+
+
+def test_a_set_that_cannot_be_had_leaves_nothing_behind(tmp_path):
+    with pytest.raises(ValueError, match="others 9: 0 to 4"):
+        run_blind_benchmark(tmp_path / "set", 4, others=9)
+    with pytest.raises(FileNotFoundError):
+        run_blind_benchmark(tmp_path / "set", 4, others=0, sorosim=tmp_path)
+    assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.skipif(importlib.util.find_spec("elastica") is not None, reason="PyElastica is there")

@@ -300,6 +300,16 @@ def test_an_error_that_is_larger_than_possible_is_a_discrepancy(given, white, sl
     assert healthy(given, 0.5 * ERROR, white + slow, white + 0.9 * slow) < 0.1
 
 
+def test_a_robot_with_longer_steps_agrees_at_its_point(robot, given):
+    x = np.zeros(given.parameters)
+    finer = replace(given, robot=robot.shortened(2))
+    (there,) = finer.residuals([(x, ())])
+    (rough,) = finer.with_longer_steps(robot, x, (), there).residuals([(x, ())])
+    (uncorrected,) = replace(finer, robot=robot).residuals([(x, ())])
+    np.testing.assert_allclose(rough, there, atol=1e-9)
+    assert np.abs(uncorrected - there).max() > 0.01  # noise deviations
+
+
 def test_the_bound_is_what_parameters_cannot_change(given, slow):
     share = given.settings.discretisation.model_form_share
     apart = replace(given, discretisation=LowRank(slow[None]))

@@ -326,7 +326,9 @@ def test_other_simulations_of_it_move_like_it(robot):
     drive = Drive(np.zeros((2, *robot.actions(record(robot.env_id, "random", robot.model_name, steps=1)).shape[1:])))
     nominal = np.array([[prior.nominal for prior in robot.priors]])
     own = robot.simulate(drive.actions, nominal, [()])
-    for variant in robot.variants():
+    variants = robot.variants()
+    assert variants or robot.pneumatic  # whose flex has one integrator, and whose other mesh has other vertices
+    for variant in variants:
         (values,) = variant([drive], nominal)
         first = values[:, :, : robot.signals[0].size].reshape(own.shape)
         np.testing.assert_allclose(first, own, atol=5e-3)  # m, of a trunk of 0.2 m

@@ -10,7 +10,7 @@ from soro_bench.blind_benchmark.others import MAP, MODEL
 from soro_bench.blind_benchmark.report import report_of, unseen
 from soro_bench.blind_benchmark.score import opened_labels, scored
 from soro_bench.blind_benchmark.scorecard import ablation_rows, as_tables, markdown
-from soro_bench.blind_benchmark.sealed import sealed_seed, write_cases
+from soro_bench.blind_benchmark.sealed import drawn_cases, sealed_seed, write_cases
 from soro_bench.diagnosis.assembly.build import build_result
 from soro_bench.diagnosis.pipeline import run_diagnosis
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
@@ -47,8 +47,9 @@ def run_blind_benchmark(
         raise ValueError(f"ablations {ablations}: 0 to {count}, as many as there are cases, can be asked for")
     folder = Path(folder).resolve()  # workers of a cluster start elsewhere
     cases, reports = folder / "cases", folder / "reports"
-    claim(reports / METHOD, method_version())
     seed = sealed_seed(cases) if seed is None else seed
+    drawn_cases(count, seed, healthy, others, sorosim)  # before anything is written
+    claim(reports / METHOD, method_version())
     told = partial(progress, "cases written")
     write_cases(cases, count, seed, healthy, workers, told, others=others, sorosim=sorosim)
     names = sorted(path.name for path in cases.glob("case_*"))

@@ -48,8 +48,7 @@ def write_cases(
     """
     folder = Path(folder).resolve()  # workers of a cluster start elsewhere
     data = None if sorosim is None else Path(sorosim).resolve()
-    cases = draw_set(count, seed, healthy, others, data is not None)
-    _check_simulators(cases, data)
+    cases = drawn_cases(count, seed, healthy, others, data)
     plan = {"count": count, "seed": seed, "nulls": healthy, "durations": durations, "others": others}
     _check_plan(folder, plan | {"sorosim": data is not None})
     for i, _ in enumerate(each(_write_case, [(folder, case, durations, data) for case in cases], workers)):
@@ -76,6 +75,19 @@ def sealed_seed(folder: str | Path) -> int:
     """
     path = Path(folder) / "sealed" / "plan.json"
     return read_json(path)["seed"] if path.exists() else secrets.randbits(SEED_BITS)
+
+
+def drawn_cases(
+    count: int, seed: int, healthy: int | None, others: int | None, data: str | Path | None
+) -> list[AnyCase]:
+    """The cases that :func:`write_cases` writes, which nothing has simulated yet; ``data`` is SoroSim's folder.
+
+    Raises:
+        ValueError, FileNotFoundError: some of them cannot be had here.
+    """
+    cases = draw_set(count, seed, healthy, others, data is not None)
+    _check_simulators(cases, None if data is None else Path(data))
+    return cases
 
 
 def _check_simulators(cases: Sequence[AnyCase], data: Path | None) -> None:
