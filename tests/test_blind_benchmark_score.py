@@ -221,15 +221,15 @@ def test_labels_are_opened_only_when_every_case_has_its_report(tmp_path, monkeyp
     monkeypatch.setattr(module, "unseen", lambda found, recording: report()["unseen"])
     monkeypatch.setattr(module, "opened_labels", lambda folder: [label(i) for i in range(len(done))])
     (tmp_path / "reports").mkdir()
-    text = module.run_blind_benchmark(tmp_path, 2, 0)
+    text = module.run_blind_benchmark(tmp_path, 2, 0, others=0)
     assert done == ["case_000", "case_001"]
     assert "| first answer right | 2 | 1 |" in text
     (tmp_path / "reports" / "case_000.json").unlink()
-    module.run_blind_benchmark(tmp_path, 2, 0)
+    module.run_blind_benchmark(tmp_path, 2, 0, others=0)
     assert done == ["case_000", "case_001", "case_000"]
     (tmp_path / "reports" / "method.txt").write_text("of another version\n")
     with pytest.raises(ValueError, match="another version"):
-        module.run_blind_benchmark(tmp_path, 2, 0)
+        module.run_blind_benchmark(tmp_path, 2, 0, others=0)
 
 
 def test_ablations_are_scored_on_the_cases_that_all_have():
