@@ -17,7 +17,6 @@ import soro_bench  # noqa: F401  registers the environments
 from soro_bench.campaign.run import ENTRY
 from soro_bench.leaderboard.entry import load_policy
 from soro_bench.leaderboard.gather import gather_control
-from soro_bench.leaderboard.plots import curves_of
 from soro_bench.leaderboard.strict import read_strict
 from soro_bench.plotting import pyplot
 
@@ -195,30 +194,11 @@ def walker() -> None:
     whole.resize((1080, 193), Image.LANCZOS).save(FOLDER / "walker.png", optimize=True)
 
 
-# --- curves and distances of TrunkReach and TrunkPush ---
+# --- distances of TrunkReach and TrunkPush ---
 
 ON_REACH = ("oracle", "rf_dropo", "bayes_sim", "bayes_sim_variance", "udr", "dr_box", "rf_dropo_cable", "oracle_flex")
 ON_PUSH = ("oracle", "rf_dropo", "bayes_sim", "bayes_sim_variance", "udr", "dr_box", "rf_dropo_cable",
            "rf_dropo_unmodelled", "bayes_sim_unmodelled", "udr_unmodelled")  # fmt: skip
-
-
-def curves(groups):
-    """Thin lines of single trainings, and their medians."""
-    figure, axes = pyplot().subplots(figsize=(6, 3.75), layout="constrained")
-    for i, group in enumerate(groups):
-        own = curves_of(group)
-        for steps, final in own:
-            axes.semilogy(steps, final, color=f"C{i}", alpha=0.3, lw=0.7)
-        grid = max((steps for steps, _ in own), key=len)
-        median = np.median([np.interp(grid, *curve) for curve in own], axis=0)
-        axes.semilogy(grid, median, color=f"C{i}", lw=1.8, label=f"{group.name} ({len(own)} runs)")
-    axes.set(xlabel="environment steps", ylabel="final distance in training [mm]")
-    axes.set_yticks(ticks := (1, 2, 5, 10, 20, 50, 100), [str(tick) for tick in ticks])
-    axes.minorticks_off()
-    axes.xaxis.set_major_formatter("{x:,.0f}")
-    axes.grid(alpha=0.3)
-    axes.legend(frameon=False)
-    return figure
 
 
 def distances(groups):
@@ -250,8 +230,6 @@ def training() -> None:
         for board in ("TrunkReach-v0", "TrunkPush-v0")
     )
     for name, figure in (
-        ("reach_curves", curves([reach["oracle"], reach["udr"]])),
-        ("push_curves", curves([push["oracle"], push["udr"]])),
         ("reach_distances", distances([reach[method] for method in ON_REACH])),
         ("push_distances", distances([push[method] for method in ON_PUSH])),
     ):
