@@ -26,7 +26,8 @@ from scipy.optimize import isotonic_regression, minimize_scalar
 from scipy.special import expit, logit
 
 from soro_bench.arrays import Bools, Floats
-from soro_bench.blind_benchmark.score import BINS, case_row
+from soro_bench.blind_benchmark.criteria import BINS
+from soro_bench.blind_benchmark.score import case_row
 from soro_bench.diagnosis.selection.model_probabilities import temperature
 from soro_bench.files import read_json
 from soro_bench.leaderboard.diagnosis_entry import Release

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from soro_bench.blind_benchmark.score import CRITERIA
+from soro_bench.blind_benchmark.criteria import CRITERIA
 from soro_bench.diagnosis.result import LawCurve, Result
 from soro_bench.diagnosis.result_parts import (
     Detectable,

@@ -9,11 +9,12 @@ import pytest
 
 pytest.importorskip("pyarrow")
 
+from soro_bench.blind_benchmark.criteria import CRITERIA, OF_OTHERS
 from soro_bench.blind_benchmark.draw import Case, draw_cases
 from soro_bench.blind_benchmark.others import HIDDEN, KINDS, LAWS, SOROSIM, OtherCase, build_other, draw_set
 from soro_bench.blind_benchmark.report import released
 from soro_bench.blind_benchmark.run import run_blind_benchmark
-from soro_bench.blind_benchmark.score import CRITERIA, OF_OTHERS, opened_labels, scored
+from soro_bench.blind_benchmark.score import opened_labels, scored
 from soro_bench.blind_benchmark.sealed import write_cases
 from soro_bench.files import write_json
 from soro_bench.leaderboard.diagnosis_entry import opened, read_entry, rescored, write_entry
@@ -151,13 +152,18 @@ def test_a_rod_has_a_model_of_its_own_and_no_motion_that_is_unseen(tmp_path):
 
 
 def test_criteria_about_other_simulators_come_last_and_take_any_right_name():
-    """Sets without them have the criteria of earlier releases, and the same figures."""
+    """Sets without them have the criteria of earlier releases and the same figures; their thresholds are lower."""
     hidden = label(0, "one", "coulomb_friction", DRY, "tendon", "L2")
     hidden["effects"][0]["names"] = ["coulomb_friction", "load_friction"]
     said = {"case_000": report("load_friction", DRY, "tendon", "L2")}
     gates, earlier = (scored([each], said)["gates"] for each in (hidden | {"kind": HIDDEN}, hidden))
-    assert earlier == gates[: len(CRITERIA)]
+    shared = gates[: len(CRITERIA)]
+    assert [(g["gate"], g["value"], g["cases"]) for g in earlier] == [
+        (g["gate"], g["value"], g["cases"]) for g in shared
+    ]
     assert [gate["gate"] for gate in earlier] == [name for name, *_ in CRITERIA]
+    stricter = {g["gate"]: g["bar"] for g, old in zip(shared, earlier, strict=True) if g["bar"] != old["bar"]}
+    assert stricter["false alarms"] == 0.01 and stricter["first answer right"] == 0.92 and len(stricter) == 4
     assert [gate["gate"] for gate in gates[len(CRITERIA) :]] == [name for name, *_ in OF_OTHERS]
     found = {gate["gate"]: gate["value"] for gate in gates}
     assert found["other simulators: first answer right"] == 1.0

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("jsonschema", reason="needs the board extra")
 
-from soro_bench.blind_benchmark import score
+from soro_bench.blind_benchmark import criteria, score
 from soro_bench.commands.blind_benchmark import BlindBenchmark
 from soro_bench.files import write_json
 from soro_bench.leaderboard import diagnosis_entry
@@ -28,7 +28,7 @@ def _set_of_cases(folder, labels):
 
 
 def test_a_diagnosis_is_scored_again_and_what_was_edited_is_found(tmp_path, monkeypatch):
-    monkeypatch.setattr(score, "BOOTSTRAP", 50)
+    monkeypatch.setattr(criteria, "BOOTSTRAP", 50)
     labels = [label(0), label(1), label(2, "none")]
     wrong = report("base_tilt", "static_one_sided", "model", "gravity")
     reports = {"case_000": report(), "case_001": wrong, "case_002": report("none", "none", verdict="none_detected")}
@@ -59,7 +59,7 @@ def test_a_diagnosis_is_scored_again_and_what_was_edited_is_found(tmp_path, monk
 
 
 def test_a_release_in_one_file_is_scored_as_its_reports_are(tmp_path, monkeypatch):
-    monkeypatch.setattr(score, "BOOTSTRAP", 50)
+    monkeypatch.setattr(criteria, "BOOTSTRAP", 50)
     labels = [label(0), label(1)]
     reports = {found["id"]: report() | {"detectable": {"backlash": 1.0}} for found in labels}
     _set_of_cases(tmp_path, labels)
@@ -86,7 +86,7 @@ def test_a_release_has_the_labels_that_were_committed_to(number, tmp_path):
 
 
 def test_the_command_prove_writes_an_entry_that_verifies(tmp_path, monkeypatch):
-    monkeypatch.setattr(score, "BOOTSTRAP", 50)
+    monkeypatch.setattr(criteria, "BOOTSTRAP", 50)
     labels = [label(0), label(1)]
 
     def run(folder, *_):

@@ -5,7 +5,8 @@ from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
-from soro_bench.blind_benchmark.score import absorbed, case_row, shows
+from soro_bench.blind_benchmark.criteria import absorbed, shows
+from soro_bench.blind_benchmark.score import case_row
 from soro_bench.markdown import table
 
 _OF_AN_EFFECT = (

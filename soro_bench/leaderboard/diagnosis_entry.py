@@ -15,12 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from soro_bench import packed
+from soro_bench.blind_benchmark.criteria import criteria, is_met
 from soro_bench.blind_benchmark.score import (
-    CRITERIA,
     LABEL_BYTES,
-    OF_OTHERS,
     case_row,
-    is_met,
     label_digest,
     opened_labels,
     scored,
@@ -118,14 +116,15 @@ def read_entry(path: str | Path) -> dict:
     return entry
 
 
-def _check_criteria(criteria: list[dict], path: str | Path) -> None:
+def _check_criteria(stated: list[dict], path: str | Path) -> None:
     """ValueError unless criteria and thresholds are those of the blind benchmark, and met agrees with the values."""
-    given = [(each["gate"], each["bar"], each["below"]) for each in criteria]
-    known = [(name, threshold, below) for name, _, _, threshold, below in (*CRITERIA, *OF_OTHERS)]
-    if given not in (known, known[: len(CRITERIA)]):
-        odd = next((one for one in given if one not in known), None) or "too few, twice, or in another order"
+    given = [(each["gate"], each["bar"], each["below"]) for each in stated]
+    known = [[(name, bar, below) for name, _, _, bar, below in criteria(others)] for others in (False, True)]
+    if given not in known:
+        odd = next((one for one in given if all(one not in each for each in known)), None)
+        odd = odd or "too few, twice, or in another order"
         raise ValueError(f"{path}: criteria and thresholds are not those of soro-bench blind-benchmark: {brief(odd)}")
-    for each in criteria:
+    for each in stated:
         if each["met"] is not is_met(each["value"], each["bar"], each["below"]):
             raise ValueError(f"{path}: {each['gate']} is {each['value']}, for which met cannot be {each['met']}")
 
