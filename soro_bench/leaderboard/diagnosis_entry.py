@@ -121,7 +121,7 @@ def _check_criteria(stated: list[dict], path: str | Path) -> None:
     given = [(each["gate"], each["bar"], each["below"]) for each in stated]
     known = [[(name, bar, below) for name, _, _, bar, below in criteria(others)] for others in (False, True)]
     if given not in known:
-        odd = next((one for one in given if all(one not in each for each in known)), None)
+        odd: object = next((one for one in given if all(one not in each for each in known)), None)
         odd = odd or "too few, twice, or in another order"
         raise ValueError(f"{path}: criteria and thresholds are not those of soro-bench blind-benchmark: {brief(odd)}")
     for each in stated:
