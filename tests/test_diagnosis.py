@@ -3,6 +3,7 @@
 Model-form error: what a residual may be where simulators of a robot are apart.
 """
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -15,14 +16,14 @@ from soro_bench.diagnosis.estimation.model_form import largest_model_form_error,
 from soro_bench.diagnosis.estimation.problem import SimulationError
 from soro_bench.diagnosis.localisation.residual_maps import windows
 from soro_bench.diagnosis.robots.variants import trunk_chains
-from soro_bench.diagnosis.selection.forward_selection import Explanation
+from soro_bench.diagnosis.selection.forward_selection import Explanation, _Search, silent
 from soro_bench.diagnosis.selection.model_probabilities import compared
 from soro_bench.diagnosis.selection.screening import evidence, pairs, responses, singles
 from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.inference.statistical_linearisation import LowRank
 from soro_bench.models.trunk_geometry import CABLE_NAMES
 from soro_bench.recording.recording import Recording, RecordingError, Signal
-from tests.arm import SIGMA, TRUNK_TRUTH, trunk_problem
+from tests.arm import SIGMA, TRUNK_TRUTH, problem, trunk_problem
 
 
 def numerical_floor(given, refined, points):
@@ -298,6 +299,28 @@ def test_a_law_that_explains_all_of_a_possible_error_is_a_discrepancy(given, whi
 
 def test_an_error_that_is_larger_than_possible_is_a_discrepancy(given, white, slow):
     assert healthy(given, 0.5 * ERROR, white + slow, white + 0.9 * slow) < 0.1
+
+
+def searched(paths, hidden, bound):
+    """A search on a healthy arm that is fitted, beside a held-out recording of one with hidden effects."""
+    fitted_to = replace(problem(paths), model_form=bound * SIGMA)
+    (nominal,) = fitted(fitted_to, [Guess(np.zeros(3))], (0.7, 0.3, 0.1), seed=0)
+    unfitted = None if hidden is None else replace(problem(paths, hidden, seed=1), model_form=bound * SIGMA)
+    search = _Search(fitted_to, nominal, fitted_to.robot, (), (), itertools.count(), silent, unfitted)
+    search.best = nominal
+    return search
+
+
+@pytest.mark.parametrize(("gain", "bound", "possible"), [(1.0, 1.0, True), (0.9, 1.0, False), (0.9, 1e3, True)])
+def test_an_error_is_possible_if_held_out_recordings_have_no_larger_one(paths, gain, bound, possible):
+    hidden = [Effect("actuator_gain", Location("actuator", "motor"), {"gain": gain})]
+    search = searched(paths, hidden, bound)
+    assert spectrum(search.problem, search.best.residual).excess < bound  # of the recording that was fitted to
+    assert search._may_be_model_form_elsewhere() is possible
+
+
+def test_an_error_is_possible_where_nothing_is_held_out(paths):
+    assert searched(paths, None, 0.0)._may_be_model_form_elsewhere() is True
 
 
 def test_a_robot_with_longer_steps_agrees_at_its_point(robot, given):
