@@ -1,7 +1,8 @@
 """A folder of small files as one archive beside it: the files of ``oracle/`` may be in ``oracle.zip`` instead.
 
-A path such as ``oracle/seed0.json`` then stands for the member ``seed0.json`` of ``oracle.zip``. Files in the folder
-come before members of the same name. Archives may be from strangers: they are flat, and their sizes are bounded.
+A path such as ``ppo/oracle/seed0.json`` then stands for the member ``seed0.json`` of ``ppo/oracle.zip``, or for the
+member ``oracle/seed0.json`` of ``ppo.zip``. Files in the folder come before members, and the nearer archive before the
+other. Archives may be from strangers: they are one folder deep at most, and their sizes are bounded.
 """
 
 import errno
@@ -18,7 +19,7 @@ from soro_bench.files import brief, is_temporary, read_bytes, replacing
 
 SUFFIX = ".zip"
 MAX_BYTES = 20_000_000  # of an archive
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,80}")
+_NAME = re.compile(r"([A-Za-z0-9][A-Za-z0-9._-]{0,80}/)?[A-Za-z0-9][A-Za-z0-9._-]{0,80}")
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _BROKEN = (zipfile.BadZipFile, NotImplementedError, RuntimeError, EOFError, LookupError, OverflowError, ValueError,
            struct.error, zlib.error)  # fmt: skip
@@ -37,35 +38,49 @@ def folder_of(archive: str | Path) -> Path:
 
 
 def names(folder: str | Path) -> list[str]:
-    """Names of the files in a folder and in its archive, sorted; ValueError if the archive is none."""
-    folder, archive = Path(folder), archive_of(folder)
+    """Names of the files in a folder and in archives of it, sorted; ValueError if such an archive is none."""
+    folder = Path(folder)
     files = [path for path in folder.iterdir() if not path.is_dir()] if folder.is_dir() else []
     found = {path.name for path in files if not is_temporary(path)}
-    if archive.is_file():
-        found |= set(_members(archive)[1])
+    for archive, prefix in _archives(folder):
+        members = (name.removeprefix(prefix) for name in _members(archive)[1] if name.startswith(prefix))
+        found |= {name for name in members if "/" not in name}
     return sorted(found)
 
 
+def folders(archive: str | Path) -> list[Path]:
+    """The folders whose files are in an archive, sorted: the one it stands for, and those in it."""
+    folder = folder_of(archive)
+    return sorted({(folder / name).parent for name in _members(Path(archive))[1]})
+
+
 def is_there(path: str | Path) -> bool:
-    """Whether a file is in its folder or in the archive of it."""
+    """Whether a file is in its folder or in an archive of it."""
     path = Path(path)
-    return path.exists() or (archive_of(path.parent).is_file() and path.name in names(path.parent))
+    return path.exists() or path.name in names(path.parent)
 
 
 def read(path: str | Path, max_bytes: int) -> bytes:
-    """The content of a regular file, no link, of at most ``max_bytes``, in its folder or in the archive of it.
+    """The content of a regular file, no link, of at most ``max_bytes``, in its folder or in an archive of it.
 
     Raises:
         ValueError: the file, or the archive, is not what is allowed.
         FileNotFoundError: it is in neither of them.
     """
     path = Path(path)
-    archive = archive_of(path.parent)
-    if os.path.lexists(path) or not archive.is_file():
+    archives = _archives(path.parent)
+    if os.path.lexists(path) or not archives:
         return read_bytes(path, max_bytes, links=False)
-    opened, members = _members(archive)
-    if (member := members.get(path.name)) is None:
-        raise FileNotFoundError(errno.ENOENT, f"neither a file nor in {archive}", str(path))
+    for archive, prefix in archives:
+        opened, members = _members(archive)
+        if (member := members.get(prefix + path.name)) is not None:
+            return _content(path, archive, opened, member, max_bytes)
+    said = " nor in ".join(str(archive) for archive, _ in archives)
+    raise FileNotFoundError(errno.ENOENT, f"neither a file nor in {said}", str(path))
+
+
+def _content(path: Path, archive: Path, opened: zipfile.ZipFile, member: zipfile.ZipInfo, max_bytes: int) -> bytes:
+    """The bytes of a member."""
     if member.file_size > max_bytes:
         raise ValueError(f"{path}, in {archive}, has {member.file_size} bytes; at most {max_bytes} are read")
     try:
@@ -79,9 +94,9 @@ def read(path: str | Path, max_bytes: int) -> bytes:
 
 
 def pack(folder: str | Path, chosen: Sequence[str]) -> Path:
-    """Move files of a folder, those with the chosen names, into its archive; returns that.
+    """Move files of a folder, or of folders in it, those with the chosen names, into its archive; returns that.
 
-    Members that the archive has stay there, unless a chosen file has their name. The folder goes if it is empty then.
+    Members that the archive has stay there, unless a chosen file has their name. Folders go if they are empty then.
     """
     folder, archive = Path(folder), archive_of(folder)
     if archive.is_dir():
@@ -99,9 +114,19 @@ def pack(folder: str | Path, chosen: Sequence[str]) -> Path:
             raise ValueError(str(error).replace(str(temporary), str(archive))) from error
     for name in chosen:
         (folder / name).unlink(missing_ok=True)
-    if folder.is_dir() and not any(folder.iterdir()):
-        folder.rmdir()
+    for emptied in sorted({(folder / name).parent for name in chosen} | {folder}, reverse=True):
+        if emptied.is_dir() and not any(emptied.iterdir()):
+            emptied.rmdir()
     return archive
+
+
+def _archives(folder: Path) -> list[tuple[Path, str]]:
+    """The archives that may have files of a folder, the nearer first, and how names of its members begin there."""
+    folder = folder if folder.name else folder.absolute()
+    found = [(archive_of(folder), "")]
+    if folder.parent.name or not folder.is_absolute():
+        found.append((archive_of(folder.parent), f"{folder.name}/"))
+    return [(archive, prefix) for archive, prefix in found if archive.is_file()]
 
 
 def _members(archive: Path) -> tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]:
@@ -115,7 +140,7 @@ def _members(archive: Path) -> tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]
     for member in opened.infolist():
         if not _NAME.fullmatch(member.filename):
             raise ValueError(f"{archive} has the member {brief(member.filename)}; allowed: up to 81 letters, digits "
-                             "and ._-, a letter or digit first")  # fmt: skip
+                             "and ._-, a letter or digit first, in one folder at most")  # fmt: skip
         if member.filename in members:
             raise ValueError(f"{archive} has {member.filename} twice")
         if member.compress_type not in _METHODS or member.flag_bits & 1:

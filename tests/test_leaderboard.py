@@ -281,6 +281,24 @@ def test_packed_entries_are_what_they_were(tmp_path, capsys):
         Pack((first.parents[1] / "udr",)).run()
 
 
+def test_one_archive_has_all_methods_of_an_entry(tmp_path, capsys):
+    """Those in folders and those packed before; paths stay, and what is entered later is packed beside them."""
+    first = true_entry(tmp_path)
+    second = true_entry(tmp_path, given=replace(policy(3), card=replace(CARD, method="udr")))
+    before = gather_control(tmp_path)
+    Pack((first.parent,)).run()
+    Pack((first.parents[1],)).run()
+    assert [path.name for path in (tmp_path / BOARD).iterdir()] == ["ours.zip"] and gather_control(tmp_path) == before
+    capsys.readouterr()
+    Verify((tmp_path / BOARD / "ours.zip",)).run()
+    assert capsys.readouterr().out.splitlines() == [f"{path}: cable: same" for path in (first, second)]
+    true_entry(tmp_path, given=replace(policy(5), card=replace(CARD, method="udr", seed=1)))
+    assert len(gather_control(tmp_path)[BOARD][1].entries) == 2
+    Pack((first.parents[1],)).run()
+    assert [path.name for path in (tmp_path / BOARD).iterdir()] == ["ours.zip"]
+    assert len(gather_control(tmp_path)[BOARD][1].entries) == 2
+
+
 def test_an_archive_with_what_is_no_policy_is_refused(tmp_path):
     path = true_entry(tmp_path)
     Pack((path.parent,)).run()

@@ -181,7 +181,7 @@ def test_a_file_that_could_not_be_read_again_is_not_packed(folder):
     assert archive_of(folder).read_bytes() == before and (folder / "a b.json").exists()
 
 
-@pytest.mark.parametrize("name", ["../outside.json", "/etc/passwd", "sub/seed0.json", ".hidden", "C:\\seed0.json"])
+@pytest.mark.parametrize("name", ["../outside.json", "/etc/passwd", "a/b/seed0.json", ".hidden", "C:\\seed0.json"])
 def test_members_that_are_no_plain_files_of_the_folder_are_refused(tmp_path, name):
     archive(tmp_path / "oracle", (name, "x"))
     with pytest.raises(ValueError, match=says("oracle.zip has the member", "allowed")):

@@ -109,7 +109,7 @@ class Verify:
     """Compute the figures of entries again and compare them exactly; exit status 1 if one differs."""
 
     entries: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """.json files; a folder or .zip of a method stands for all of its seeds. What they hold is never executed."""
+    """.json files; a folder or .zip stands for all in it. What they hold is never executed."""
     labels: tuple[str, ...] = ()
     """Control: which conditions, such as cable; by default all that were entered."""
     cases: Path | None = None
@@ -161,27 +161,29 @@ class Verify:
 
 
 def _entries(given: Path) -> list[Path]:
-    """The entry files that a path stands for: itself, or all of a method's folder or archive."""
+    """The entry files that a path stands for: itself, or all of a folder or archive of a method or an entry."""
     from soro_bench.leaderboard.entry import entries_of
-    from soro_bench.packed import SUFFIX, archive_of, folder_of
+    from soro_bench.packed import SUFFIX, archive_of, folders
 
-    if given.is_dir() or archive_of(given).is_file():
-        folder = given
-    elif given.suffix == SUFFIX:
-        folder = folder_of(given)
-    else:
+    if given.suffix == SUFFIX and given.is_file():
+        chosen = folders(given)
+    elif given.suffix == ".json":
         return [given]
-    if not (found := entries_of(folder)):
+    else:
+        inner = [path for path in given.iterdir() if path.is_dir()] if given.is_dir() else []
+        chosen = [given, *inner, *(folders(archive_of(given)) if archive_of(given).is_file() else ())]
+    if not (found := sorted({path for folder in chosen for path in entries_of(folder)})):
         raise ValueError(f"{given} has no entries")
     return found
 
 
 @dataclass
 class Pack:
-    """Move the files of all seeds of a method into one archive beside its folder; nothing else reads differently."""
+    """Move the files of all seeds of a method, or of all methods of an entry, into one archive beside the folder;
+    nothing else reads differently."""
 
     folders: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Of methods: leaderboard/results/BOARD/ENTRY/METHOD."""
+    """Of methods or entries: leaderboard/results/BOARD/ENTRY/METHOD or leaderboard/results/BOARD/ENTRY."""
 
     def run(self) -> None:
         """Print the archive of each folder."""

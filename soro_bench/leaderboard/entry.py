@@ -1,8 +1,8 @@
 """Entries of the control track: a policy, what it was trained on, and what it did on a board's evaluations.
 
 An entry is <results>/<board>/<entry>/<method>/seed<k>.json (control_entry.schema.json), its policy the file
-seed<k>.safetensors or seed<k>.onnx beside it. The files of all seeds may be in <method>.zip instead
-(:mod:`soro_bench.packed`); their paths stay the same.
+seed<k>.safetensors or seed<k>.onnx beside it. The files of all seeds may be in <method>.zip instead,
+or those of all methods in <entry>.zip (:mod:`soro_bench.packed`); their paths stay the same.
 """
 
 import csv
@@ -116,23 +116,35 @@ def _task(env_id: str, action: str) -> Task:
 
 
 def entries_of(folder: str | Path) -> list[Path]:
-    """Files of the entries in a method's folder and in its archive, by name."""
+    """Files of the entries in a method's folder and in its archives, by name."""
     return [Path(folder) / name for name in packed.names(folder) if name.endswith(".json")]
 
 
 def pack_entries(folder: str | Path) -> Path:
-    """Move the entries in a method's folder, with their policies, into its archive; returns that.
+    """Move the entries in a method's folder, or in those of all methods in it, with their policies, into its archive;
+    returns that.
 
     Raises:
         ValueError: there is no entry, or one is invalid; nothing has been moved.
     """
-    chosen = []
-    for path in entries_of(folder):
-        policy_of(path, entry := read_entry(path))
-        chosen += [path.name, entry["policy"]["file"]]
+    folder, chosen = Path(folder), []
+    inner = [path for path in folder.iterdir() if path.is_dir()] if folder.is_dir() else []
+    nearer = [path for path in (folder.iterdir() if folder.is_dir() else ()) if path.suffix == packed.SUFFIX]
+    for method in sorted({folder, *inner, *map(packed.folder_of, nearer)}):
+        for path in entries_of(method):
+            policy_of(path, entry := read_entry(path))
+            chosen += [
+                path.relative_to(folder).as_posix(),
+                (method / entry["policy"]["file"]).relative_to(folder).as_posix(),
+            ]
     if not chosen:
         raise ValueError(f"{folder} has no entries to pack")
-    return packed.pack(folder, chosen)
+    archive = packed.pack(folder, chosen)
+    for path in nearer:
+        path.unlink()
+    if nearer and not any(folder.iterdir()):
+        folder.rmdir()
+    return archive
 
 
 def write_entry(

@@ -10,7 +10,7 @@ import numpy as np
 from soro_bench.leaderboard import diagnosis_entry
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.entry import entries_of, policy_of, read_entry
-from soro_bench.packed import SUFFIX, archive_of, folder_of, names
+from soro_bench.packed import SUFFIX, archive_of, folders, names
 
 DIAGNOSIS = "diagnosis"  # folder of that track, beside those of the boards
 OLD = " (old)"  # what was trained before trainers had numbers
@@ -88,7 +88,7 @@ def _entries(results: Path) -> list[Path]:
     found = {path for path in results.rglob("*.json") if path.parent != results / DIAGNOSIS and not path.is_dir()}
     archives = {path for path in results.rglob(f"?*{SUFFIX}") if not path.is_dir()}  # methods may be called so
     archives.discard(archive_of(results / DIAGNOSIS))
-    return sorted(found.union(*(entries_of(folder_of(archive)) for archive in archives)))
+    return sorted(found.union(*(entries_of(folder) for archive in archives for folder in folders(archive))))
 
 
 def _check_alike(group: Group) -> None:
