@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from soro_bench.effects import bodies, contacts, measurement, setpoints, springs, stiffness
+from soro_bench.effects import bodies, contacts, custom, measurement, setpoints, springs, stiffness
 from soro_bench.effects.effect import Effect, Quantity
 from soro_bench.effects.law import Law
 from soro_bench.effects.measurement import Fault
@@ -43,6 +43,7 @@ PHYSICS: dict[str, type[Law]] = {
         contacts.Adhesion,
     )
 }
+SIMULATED: dict[str, type[Law]] = {**PHYSICS, custom.NAME: custom.Custom}  # and the one that is data
 MEASUREMENT: dict[str, type[Fault]] = {
     fault.name: fault
     for fault in (
@@ -61,5 +62,5 @@ CATEGORIES: dict[str, str] = {name: law.category for name, law in ALL.items()}
 
 def between_steps(effects: Sequence[Effect]) -> int:
     """What there is to be done between two time steps: 0 nothing, 1 setpoints, 2 what laws do that read the state."""
-    laws = [PHYSICS[effect.name] for effect in effects]
+    laws = [SIMULATED[effect.name] for effect in effects]
     return max((2 if law.stepped else int(issubclass(law, setpoints.SetpointLaw)) for law in laws), default=0)

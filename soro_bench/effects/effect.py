@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Protocol
 
+from soro_bench.effects import custom_law
+from soro_bench.effects.custom_law import CustomLaw
+from soro_bench.effects.expression import LawError, number
 from soro_bench.files import brief, read_json, write_json
 
 SCHEMA = "soro-bench/effects/2"
@@ -63,15 +66,17 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Effect:
-    """A law at a location with its parameters (SI units)."""
+    """A law at a location with its parameters (SI units). ``law`` is that of "custom", which no catalogue has."""
 
     name: str
     location: Location
     parameters: Mapping[str, float]
+    law: CustomLaw | None = None
 
     def to_json(self) -> dict[str, Any]:
         """As effects files have it."""
-        return {"name": self.name, "location": self.location.to_json(), "parameters": dict(self.parameters)}
+        found = {"name": self.name, "location": self.location.to_json(), "parameters": dict(self.parameters)}
+        return found if self.law is None else {**found, "law": self.law.to_json()}
 
 
 class Acting(Protocol):
@@ -89,7 +94,8 @@ def effect_from(data: object, laws: Mapping[str, type[Acting]]) -> Effect:
     """The effect that a JSON object describes.
 
     Args:
-        data: {"name", "location": {"kind", "name", "index"?}, "parameters": {name: number}}.
+        data: {"name", "location": {"kind", "name", "index"?}, "parameters": {name: number}}, and "law" if its name is
+            "custom" (see ``custom_law.read_law``).
         laws: by name; classes with ``kinds`` and ``quantities``, such as catalogue.ALL.
 
     Raises:
@@ -97,11 +103,14 @@ def effect_from(data: object, laws: Mapping[str, type[Acting]]) -> Effect:
     """
     if isinstance(data, dict) and "where" in data and "location" not in data:  # as in the old schema
         data = {"location" if key == "where" else key: value for key, value in data.items()}
-    if not isinstance(data, dict) or data.keys() != {"name", "location", "parameters"}:
-        raise EffectError(f"an effect has name, location and parameters; this one is {brief(data)}")
+    custom = isinstance(data, dict) and data.get("name") == custom_law.NAME
+    expected = {"name", "location", "parameters", *(["law"] if custom else [])}
+    if not isinstance(data, dict) or data.keys() != expected:
+        law = " and, as it is custom, a law" if custom else ""
+        raise EffectError(f"an effect has name, location and parameters{law}; this one is {brief(data)}")
     name, location = data["name"], data["location"]
-    if not isinstance(name, str) or name not in laws:
-        raise EffectError(f"unknown effect {brief(name)}; there are {', '.join(sorted(laws))}")
+    if not isinstance(name, str) or not (custom or name in laws):
+        raise EffectError(f"unknown effect {brief(name)}; there are {', '.join(sorted([*laws, custom_law.NAME]))}")
     valid = isinstance(location, dict) and location.keys() - {"index"} == {"kind", "name"} and location["kind"] in KINDS
     valid = valid and isinstance(location["name"], str)
     valid = valid and ((index := location.get("index")) is None or (type(index) is int and index >= 0))
@@ -111,9 +120,22 @@ def effect_from(data: object, laws: Mapping[str, type[Acting]]) -> Effect:
         )
     if location["name"] == EACH:
         raise EffectError(f"{name} is at {EACH!r}, which names no location; give every location an effect of its own")
-    if location["kind"] not in laws[name].kinds:
-        raise EffectError(f"{name} acts on {', '.join(laws[name].kinds)}, not on {brief(location['kind'])}")
+    kinds = custom_law.KINDS if custom else laws[name].kinds
+    if location["kind"] not in kinds:
+        raise EffectError(f"{name} acts on {', '.join(kinds)}, not on {brief(location['kind'])}")
+    if custom:
+        return _custom(Location(**location), data)
     return checked(Effect(name, Location(**location), data["parameters"]), laws[name].quantities)
+
+
+def _custom(location: Location, data: Mapping[str, Any]) -> Effect:
+    """An effect whose law is data."""
+    try:
+        law = custom_law.read_law(data["law"], data["parameters"], location.kind)
+        values = {name: number(value, f"parameter {name}") for name, value in data["parameters"].items()}
+    except LawError as error:
+        raise EffectError(f"custom at {location}: {error}") from error
+    return Effect(custom_law.NAME, location, values, law)
 
 
 def checked(effect: Effect, quantities: Sequence[Quantity]) -> Effect:

@@ -9,7 +9,8 @@ import numpy as np
 from mujoco.batch import DATA_FIELDS, Batch
 
 from soro_bench.arrays import Floats, Ints
-from soro_bench.effects.catalogue import PHYSICS
+from soro_bench.effects.catalogue import PHYSICS, SIMULATED
+from soro_bench.effects.custom import Custom, CustomSetpoint, checked_custom
 from soro_bench.effects.effect import Effect, EffectError, Location, checked
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.law import Law
@@ -40,14 +41,14 @@ class ActiveEffects:
         Raises:
             EffectError: an effect has no place in the model, comes twice at one, or two need the same spring.
         """
-        by_law: dict[tuple[str, bool], list] = {}
+        by_law: dict[tuple[str, bool], list] = {}  # and whether it needs another class there
         seen = set()
         for row, of_row in enumerate(effects):
             for effect in of_row:
-                if effect.name not in PHYSICS:
+                if effect.name not in SIMULATED:
                     raise EffectError(f"{effect.name} is no physics of the robot; there are {', '.join(PHYSICS)}")
-                law = PHYSICS[effect.name]
-                complete = checked(effect, law.quantities)
+                law = SIMULATED[effect.name]
+                complete = checked_custom(effect) if law is Custom else checked(effect, law.quantities)
                 if effect.location.kind not in law.kinds:
                     raise EffectError(f"{effect.name} acts on {', '.join(law.kinds)}, not on {effect.location}")
                 places = self.elements.expand(effect.location, law.elastic, law.welded)
@@ -56,14 +57,16 @@ class ActiveEffects:
                     if (row, law, location) in seen and not law.adds:
                         raise EffectError(f"{effect.name} acts twice at {location}; once is allowed")
                     seen.add((row, law, location))
-                    by_law.setdefault((effect.name, self._on_neck(location)), []).append((row, location, complete))
+                    other = location.kind == "actuator" if law is Custom else self._on_neck(location)
+                    by_law.setdefault((effect.name, other), []).append((row, location, complete))
         refined = self.batch.expanded("opt.timestep")  # the same in all simulations
         self.timestep = float(self._nominal.opt.timestep if refined is None else refined.flat[0])
         self._claimed: dict[tuple[int, int], str] = {}
         self._scaled: dict[str, Scaled] = {}
-        kinds = [(name, on_neck) for name in PHYSICS for on_neck in (False, True) if (name, on_neck) in by_law]
-        self._laws = [(NECKS if on_neck and name in NECKS else PHYSICS)[name](self, by_law[name, on_neck])
-                      for name, on_neck in kinds]  # fmt: skip
+        others: dict[str, type[Law]] = {**NECKS, Custom.name: CustomSetpoint}
+        kinds = [(name, other) for name in SIMULATED for other in (False, True) if (name, other) in by_law]
+        self._laws = [(others if other and name in others else SIMULATED)[name](self, by_law[name, other])
+                      for name, other in kinds]  # fmt: skip
         self._fields |= {field for law in self._laws for field in law.fields}
         self.filters = [law for law in self._laws if isinstance(law, SetpointLaw)]
         self._stepped = [law for law in self._laws if law.stepped]
@@ -72,6 +75,8 @@ class ActiveEffects:
 
     def _check_taken(self, law: type[Law], effect: Effect, locations: Sequence[Location]) -> None:
         """Refuse an effect that takes away what the model has nowhere."""
+        if not law.quantities:
+            return
         first = law.quantities[0]
         value = effect.parameters[first.name]
         if first.takes and value < first.null and not any(law.removable(self.elements, each) for each in locations):

@@ -299,15 +299,16 @@ def _simulated(
     """(N, T, C) signals while acts with factors (T, K) are exerted in each of N simulations."""
     batch = robot.simulation.batch
     before = np.zeros((len(inputs), *batch.xfrc_applied.shape[1:]))
+    turned = np.zeros((len(inputs), batch.qfrc_applied.shape[1]))
 
     def exert(step: int) -> None:
-        wrench, force = np.zeros_like(before), np.zeros((len(inputs), batch.qfrc_applied.shape[1]))
+        wrench, force = np.zeros_like(before), np.zeros_like(turned)
         for row, (acts, factors) in enumerate(inputs):
             for act, factor in zip(acts, factors[step], strict=True):
                 act(row, factor, wrench[row], force[row])
         batch.xfrc_applied[: len(inputs)] += wrench - before  # effects of the robot may act on the same bodies
-        batch.qfrc_applied[: len(inputs)] = force
-        before[:] = wrench
+        batch.qfrc_applied[: len(inputs)] += force - turned
+        before[:], turned[:] = wrench, force
 
     simulated = robot.simulate_all([drive], parameters, effects, exert)[0]
     batch.xfrc_applied[:] = batch.qfrc_applied[:] = 0.0

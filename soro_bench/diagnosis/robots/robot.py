@@ -323,7 +323,7 @@ class Robot(Replays):
         It cannot have a law twice at a location, unless it adds up, nor two laws on the same spring.
         """
         found = [(e.name, e.location) for e in effects]
-        once = [(e.name, e.location) for e in self.known if not getattr(ALL[e.name], "adds", False)]
+        once = [(e.name, e.location) for e in self.known if e.name in ALL and not getattr(ALL[e.name], "adds", False)]
         if len({*once, *found}) < len(once) + len(found):
             return False
         effects = [*self.known, *effects]

@@ -1,0 +1,176 @@
+"""Laws that are data: known answers, the same in every batch, and hostile ones refused or harmless."""
+
+import json
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+
+import soro_bench  # noqa: F401  (registers environments)
+from benchmarks.hostile_laws import hostile, outcome
+from soro_bench.effects.catalogue import ALL
+from soro_bench.effects.effect import Effect, EffectError, Location, effect_from, load_effects, save_effects
+from tests.arm import says
+from tests.test_effects_on_a_hinge import flat, servo, turn
+
+WIDE = [-100.0, 100.0]
+CUBE = {
+    "unit": "N m",
+    "limit": 10.0,
+    "variables": {"q": {"of": "position", "range": WIDE}},
+    "expression": ["multiply", "k", "q", "q", "q"],
+    "units": {"k": "N m/rad^3"},
+}
+
+
+def custom(law, kind="joint", name="hinge", **parameters):
+    data = {"name": "custom", "location": {"kind": kind, "name": name}, "parameters": parameters, "law": law}
+    return effect_from(json.loads(json.dumps(data)), ALL)
+
+
+def law(expression, variables=None, states=None, **more):
+    read = {name: {"range": WIDE, **each} for name, each in (variables or {}).items()}
+    return {"unit": "N m", "limit": 10.0, "variables": read, "states": states or {}, "expression": expression, **more}
+
+
+def test_a_cubic_spring_holds_a_torque():
+    way = turn(flat(servo([custom(CUBE, k=-0.8), damper()])), torque=0.1, steps=8000)
+    assert way[-1] == pytest.approx((0.1 / 0.8) ** (1 / 3), rel=1e-3)
+
+
+def damper():
+    return custom(law(["multiply", -0.02, "v"], {"v": {"of": "velocity"}}))
+
+
+def test_it_is_held_outside_the_range_that_was_seen():
+    held = {**CUBE, "variables": {"q": {"of": "position", "range": [-0.3, 0.3]}}}
+    sim = flat(servo([custom(held, k=-0.8)]))
+    sim.batch.qpos[0] = 2.0
+    assert exerted(sim) == pytest.approx(-0.8 * 0.3**3)
+
+
+def exerted(sim):
+    """The moment of the law in the next time step, the others' taken off."""
+    sim.begin(np.arange(1))
+    sim.step(np.arange(1), 1)
+    return sim.batch.qfrc_applied[0, 0]
+
+
+@pytest.mark.parametrize(
+    ("state", "expected"),
+    [
+        ({"of": "lag", "input": "q", "time": 0.1}, lambda t: t - 0.1 * (1 - np.exp(-t / 0.1))),
+        ({"of": "maxwell", "input": "q", "time": 0.1}, lambda t: 0.1 * (1 - np.exp(-t / 0.1))),
+        ({"of": "play", "input": "q", "width": 0.2}, lambda t: np.maximum(t - 0.1, 0.0)),
+        ({"of": "bouc_wen", "input": "q", "width": 0.2}, lambda t: 1 - np.exp(-t / 0.2)),
+    ],
+)
+def test_what_a_state_remembers_of_a_ramp(state, expected):
+    """The hinge turns by 1 rad/s, as its moment is read and taken away again."""
+    sim = flat(servo([custom(law("z", {"q": {"of": "position"}}, {"z": state}))], timestep=0.0005))
+    ids, batch = np.arange(1), sim.batch
+    batch.reset(ids)
+    sim.begin(ids)
+    found = []
+    for step in range(400):
+        batch.qpos[0], batch.qvel[0] = 0.0005 * step, 0.0
+        sim.step(ids, 1)
+        found.append(batch.qfrc_applied[0, 0])
+    assert np.array(found) == pytest.approx(expected(0.0005 * np.arange(400)), abs=2e-3)
+
+
+def test_a_pull_towards_a_point_falls_with_the_distance():
+    """An arm hangs level where a magnet above its middle carries it: c / d^2 is its weight."""
+    pull = law(
+        ["multiply", "c", ["power", "d", -2]], {"d": {"of": "distance", "point": [0.1, 0.0, 0.2]}},
+        unit="N", direction=[0.1, 0.0, 0.2],
+    )  # fmt: skip
+    sim = servo([custom(pull, "body", "arm", c=9.81 * 0.1 * 0.2**2)])
+    sim.batch.reset(np.arange(1))
+    sim.begin(np.arange(1))
+    sim.step(np.arange(1), 1)
+    assert sim.batch.xfrc_applied[0, 1, :3] == pytest.approx([0.0, 0.0, 0.981], rel=1e-6)
+    assert sim.batch.qvel[0, 0] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_an_acceleration_of_everything_is_gravity():
+    """The arm falls as under other gravity, and no more after many steps."""
+    ways = []
+    for gravity, effects in ((-9.81, [custom(law(4.0, unit="m/s^2", direction="z"), "model", "gravity")]), (-5.81, [])):
+        sim = servo(effects)
+        sim.batch.expand("opt.gravity")[:] = (0.0, 0.0, gravity)
+        ways.append(turn(sim, steps=50))
+    assert ways[0] == pytest.approx(ways[1], rel=1e-9)
+
+
+def test_an_offset_of_a_setpoint_follows_the_time():
+    drift = law(["multiply", "r", "t"], {"t": {"of": "time"}}, unit="rad")
+    sim = flat(servo([custom(drift, "actuator", "servo", r=0.1)]))
+    assert turn(sim, angle=lambda step: 0.0, steps=2000)[-1] == pytest.approx(0.1 * 4.0, rel=0.02)
+
+
+def test_a_file_keeps_it(tmp_path):
+    memory = law("z", {"q": {"of": "position"}}, {"z": {"of": "play", "input": "q", "width": "w"}}, units={"w": "rad"})
+    effects = (custom(CUBE, k=-0.8), custom(memory, w=0.1))
+    save_effects(effects, tmp_path / "effects.json")
+    assert load_effects(tmp_path / "effects.json", ALL) == effects
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_an_environment_has_it_in_each_of_its_copies(count):
+    """A cable that pulls harder the farther its neighbour goes; the copies are the same to the last bit."""
+    pull = law(
+        ["multiply", "k", "x"], {"x": {"of": "position", "location": {"kind": "tendon", "name": "L1"}}}, unit="N"
+    )
+    effect = custom(pull, "tendon", "L0", k=400.0).to_json()
+    one = gymnasium.make("TrunkReach-v0", model="cable", effects=[effect])
+    many = gymnasium.make_vec("TrunkReach-v0", num_envs=count, model="cable", effects=[effect])
+    plain = gymnasium.make("TrunkReach-v0", model="cable", effects=[])
+    one.reset(seed=1), many.reset(seed=[1] * count), plain.reset(seed=1)
+    action = np.asarray(one.action_space.sample())
+    action[...] = 2
+    for _ in range(5):
+        seen, together, without = (
+            one.step(action)[0], many.step(np.stack([action] * count))[0], plain.step(action)[0]
+        )  # fmt: skip
+    assert all(np.array_equal(row, seen) for row in together)
+    assert not np.allclose(seen, without)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"expression": ["system", "q"]}, ("function", "system", "multiply")),
+        ({"expression": "__import__"}, ("name", "__import__")),
+        ({"expression": ["add", *["q"] * 20]}, ("add", "20 arguments")),
+        ({"expression": [["q"]]}, ("function",)),
+        ({"expression": ["multiply", "q", 1e300]}, ("a number", "1e+09 at most")),
+        ({"limit": -1.0}, ("limit is -1", "above 0")),
+        ({"unit": 3}, ("unit", "short text")),
+        ({"variables": {"q": {"of": "position", "range": [1, -1]}}}, ("range of q", "rise")),
+        ({"variables": {"q": {"of": "weather", "range": WIDE}}}, ("weather", "position")),
+        ({"states": {"z": {"of": "play", "input": "q"}}}, ("state z", "width")),
+        ({"code": "x"}, ("unit, limit and expression",)),
+    ],
+)
+def test_a_bad_law_is_refused_in_words(change, message):
+    with pytest.raises(EffectError, match=says("custom at joint hinge", *message)):
+        custom({**CUBE, **change}, k=1.0)
+
+
+def test_an_element_that_is_not_there_is_refused():
+    at = {**CUBE, "variables": {"q": {"of": "position", "range": WIDE, "location": {"kind": "joint", "name": "elbow"}}}}
+    with pytest.raises(EffectError, match="no joint 'elbow'"):
+        servo([custom(at, k=1.0)])
+    with pytest.raises(EffectError, match="has no law"):
+        servo([Effect("custom", Location("joint", "hinge"), {})])
+    with pytest.raises(EffectError, match="lacks its parameter k"):
+        servo([replace(custom(CUBE, k=1.0), parameters={})])
+
+
+def test_hostile_laws_are_refused_or_harmless():
+    """Ten thousand of them by ``python benchmarks/hostile_laws.py 10000``."""
+    rng = np.random.default_rng(0)
+    seen = {outcome(hostile(rng)) for _ in range(150)}
+    assert seen == {"refused", "harmless"}
