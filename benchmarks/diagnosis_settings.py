@@ -27,7 +27,6 @@ import numpy as np
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.assembly.limits import reached_limits
 from soro_bench.diagnosis.paired.api import compare
-from soro_bench.diagnosis.paired.settings import PairedSettings
 from soro_bench.diagnosis.pipeline import Diagnosis, Run, run_diagnosis
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import Robot
@@ -41,7 +40,7 @@ from tests.arm import ARM, MAP, SIGMA, TRUTH
 RESULTS = Path(__file__).parents[1] / "docs" / "results" / "measured.json"
 NOT_READ = "not read in these cases"
 FACTORS = {"halved": 0.5, "doubled": 2.0}
-PAIRED = "paired"  # the group of the comparison of pairs, which Settings does not hold
+PAIRED = "paired"  # the group of the comparison of pairs
 GOALS, HELD, STEP = 8, 15, 0.02  # of the arm, control steps of each, s
 LEVEL, SPIKE, SPIKES = 0.004, 0.5, 4  # rad, rad, samples
 LATE = 0.006  # s, of one sample in five
@@ -141,7 +140,7 @@ def main() -> None:
     parser.add_argument("--stages", nargs="*", help="groups of settings, such as selection; all by default")
     parser.add_argument("--anew", action="store_true", help="forget what was measured of these groups")
     options = parser.parse_args()
-    defaults = {each.name: getattr(DEFAULT, each.name) for each in fields(DEFAULT)} | {PAIRED: PairedSettings()}
+    defaults = {each.name: getattr(DEFAULT, each.name) for each in fields(DEFAULT)}
     if unknown := sorted({*(options.stages or [])} - {*defaults}):
         parser.error(f"no group {unknown[0]}; there are {', '.join(defaults)}")
     groups = options.stages or [*defaults]
@@ -227,11 +226,10 @@ def runner(paths: Paths, case: Case) -> CaseRun:
     robot = RememberingRobot(*paths, threads=1)
     if case.paired:
         before = recording(paths, Case(), 0)
-        return lambda groups, stage: of_pair(robot, before, train, groups[PAIRED], stage)
+        return lambda groups, stage: of_pair(robot, before, train, Settings(**groups), stage)
 
     def run(groups: Groups, stage: Progress) -> Outcome:
-        settings = Settings(**{name: group for name, group in groups.items() if name != PAIRED})
-        found = run_diagnosis(robot, [train], [heldout], Run(progress=stage, settings=settings))
+        found = run_diagnosis(robot, [train], [heldout], Run(progress=stage, settings=Settings(**groups)))
         stage("limits")
         limits = ", ".join(f"{each.name} of {each.element}" for each in reached_limits(found))
         return of_diagnosis(found, limits)
@@ -276,7 +274,7 @@ def of_diagnosis(found: Diagnosis, limits: str) -> Outcome:
     return Outcome(said, best.probability, best.hypothesis.x, np.sqrt(np.diag(covariance)))
 
 
-def of_pair(robot: Robot, before: Recording, after: Recording, settings: PairedSettings, stage: Progress) -> Outcome:
+def of_pair(robot: Robot, before: Recording, after: Recording, settings: Settings, stage: Progress) -> Outcome:
     """What has changed between two recordings."""
     result = compare([before], [after], robot, progress=stage, settings=settings)
     found = result.explanation

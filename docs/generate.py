@@ -22,7 +22,6 @@ import tyro
 
 from docs.environment_pages import BEGIN, DOCS, END, PARAMETER_COLUMNS, REFERENCE, doc_links, environment, parameter_row
 from soro_bench.cli import COMMANDS
-from soro_bench.diagnosis.paired.settings import PairedSettings
 from soro_bench.diagnosis.result import SCHEMA, Result
 from soro_bench.diagnosis.settings import DEFAULT, RobotSettings, listed
 from soro_bench.effects.catalogue import ALL
@@ -156,7 +155,7 @@ def measured(what: str):
     return json.loads((DOCS / "results" / "measured.json").read_text())[what]
 
 
-OTHER_SETTINGS = {"robots": RobotSettings(), "paired": PairedSettings()}  # which Settings does not hold
+OTHER_SETTINGS = {"robots": RobotSettings()}  # which Settings does not hold
 
 
 def settings() -> str:

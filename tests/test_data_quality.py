@@ -19,7 +19,7 @@ from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from tests.arm import ARM, MAP, recording
 
-SETTINGS = DEFAULT.signals
+SETTINGS = DEFAULT.data_quality
 NOISE = 1e-3
 
 

@@ -115,8 +115,8 @@ class _Inspection:
     ):
         self.recording, self.number, self.robot, self.signal = recording, number, robot, signal
         self.observed = observed
-        self.recorded = RecordedSignal(recording, robot, observed, signal, settings.signals)
-        self.settings, self.quality = settings.signals, settings.data_quality
+        self.recorded = RecordedSignal(recording, robot, observed, signal, settings.data_quality)
+        self.settings = settings.data_quality
         self.values = signal.values.reshape(len(signal.time), -1).copy()
         self.points, self.coordinates = observed.shape
         self.findings: list[DataFinding] = []
@@ -156,10 +156,10 @@ class _Inspection:
     def _check_numbers(self) -> None:
         """Refuse what no sensor gives, before it is squared."""
         self._usable()
-        largest = float(np.nanmax(np.abs(self.values)))
-        if largest > self.settings.largest_number:
-            raise RecordingError(f"{self.observed.name} has a number of the size {largest:.3g}; at most "
-                                 f"{self.settings.largest_number:g} is allowed, so the log is corrupt")  # fmt: skip
+        largest, allowed = float(np.nanmax(np.abs(self.values))), float(np.sqrt(np.finfo(float).max / self.values.size))
+        if largest > allowed:
+            raise RecordingError(f"{self.observed.name} has a number of the size {largest:.3g}; at most {allowed:.3g} "
+                                 "is allowed, so the log is corrupt")  # fmt: skip
 
     def _usable(self) -> Bools:
         """(T,) samples with any number.
@@ -191,7 +191,7 @@ class _Inspection:
         """Standard deviation of the noise of samples that do not repeat the ones before."""
         fresh = self.values.copy()
         fresh[1:][np.diff(self.values, axis=0) == 0] = np.nan
-        return noise_or_zero(fresh, self.quality)
+        return noise_or_zero(fresh, self.settings)
 
     def _channels(self, steps: Floats) -> Iterator[tuple[int, Channel]]:
         for i in range(self.values.shape[1]):
@@ -248,8 +248,8 @@ class _Inspection:
         """(C,) steps between the levels of quantised channels; 0 for the others."""
         steps = np.zeros(self.values.shape[1])
         reach = np.nanmax(self.values, axis=0) - np.nanmin(self.values, axis=0)
-        noisy = min(self.noise, noise_or_zero(self.values, self.quality))
-        least = max(self.settings.least_step * noisy, self.quality.least_noise * float(reach.max()))
+        noisy = min(self.noise, noise_or_zero(self.values, self.settings))
+        least = max(self.settings.least_step * noisy, self.settings.least_noise * float(reach.max()))
         for i in np.argsort(-reach, kind="stable")[:SEARCHED]:
             steps[i] = lattice_step(self.values[:, i], least, self.settings)
         if (found := steps[steps > 0]).size:

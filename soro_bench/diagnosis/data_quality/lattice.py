@@ -10,13 +10,13 @@ import math
 import numpy as np
 
 from soro_bench.arrays import Floats
-from soro_bench.diagnosis.settings import SignalSettings
+from soro_bench.diagnosis.settings import DataQualitySettings
 
 _BINS = 8  # of a histogram in a step; its Fourier transform is exact to 3 % then
 _FINE = 41  # frequencies around a peak
 
 
-def lattice_step(samples: Floats, least: float, settings: SignalSettings) -> float:
+def lattice_step(samples: Floats, least: float, settings: DataQualitySettings) -> float:
     """Step between the levels of samples (T,), NaN where missing; 0 if none of at least ``least`` is found.
 
     A robot at rest repeats itself, and even motion takes equal steps. Neither is evidence of levels. So samples count
@@ -25,8 +25,7 @@ def lattice_step(samples: Floats, least: float, settings: SignalSettings) -> flo
     """
     samples = samples[np.isfinite(samples)]
     reach = float(np.ptp(samples)) if len(samples) else 0.0
-    low = max(least, reach / settings.most_levels)
-    high = reach / settings.fewest_levels
+    low, high = least, reach / settings.fewest_levels
     while high > low > 0.0:
         step = _within(samples, max(low, 0.5 * high), high, settings)
         if step and _in_changes(samples, step, settings) and _in_distinct(samples, step, settings):
@@ -35,21 +34,21 @@ def lattice_step(samples: Floats, least: float, settings: SignalSettings) -> flo
     return 0.0
 
 
-def is_lattice(samples: Floats, step: float, settings: SignalSettings) -> bool:
+def is_lattice(samples: Floats, step: float, settings: DataQualitySettings) -> bool:
     """Whether samples (T,) lie on levels that are ``step`` apart."""
     samples = samples[np.isfinite(samples)]
     changes = np.diff(samples) / step
-    if (np.abs(changes - np.round(changes)) < settings.whole_step).all():
+    if (np.abs(changes - np.round(changes)) < settings.whole).all():
         return True
     picked = _picked(samples, 0.5 * step, step)
     sharp = abs(_characteristic(picked, np.array([1.0 / step]))[0]) if len(picked) else 0.0
     return sharp > _limit(len(picked), 1, settings) and _in_changes(samples, step, settings)
 
 
-def _within(samples: Floats, low: float, high: float, settings: SignalSettings) -> float:
+def _within(samples: Floats, low: float, high: float, settings: DataQualitySettings) -> float:
     """A step from low to high on which the samples lie; 0 if there is none."""
     picked = _picked(samples, 0.5 * low, high)
-    if len(picked) < settings.least_levels:
+    if len(picked) < settings.least_samples:
         return 0.0
     width = low / _BINS
     bins = np.floor((picked - picked.min()) / width).astype(int)
@@ -65,34 +64,32 @@ def _within(samples: Floats, low: float, high: float, settings: SignalSettings) 
     return float(1.0 / near[sharp.argmax()]) if sharp.max() > _limit(len(picked), len(tried), settings) else 0.0
 
 
-def _in_distinct(samples: Floats, step: float, settings: SignalSettings) -> bool:
+def _in_distinct(samples: Floats, step: float, settings: DataQualitySettings) -> bool:
     """Whether the same holds of samples without repetitions; True where too few changes are left to tell."""
     distinct = samples[np.r_[True, np.diff(samples) != 0]]
     changes = np.abs(np.diff(distinct, n=2)) > 0.5 * step
     return bool(changes.sum() < settings.least_changes) or _in_changes(distinct, step, settings)
 
 
-def _in_changes(samples: Floats, step: float, settings: SignalSettings) -> bool:
+def _in_changes(samples: Floats, step: float, settings: DataQualitySettings) -> bool:
     """Whether changes of the increment of samples (T,) are multiples of a step."""
     changes = np.diff(samples, n=2)
     changes = changes[np.abs(changes) > 0.5 * step]
     if len(changes) < settings.least_changes:
         return False
-    least = np.clip(
-        settings.change_deviations / math.sqrt(len(changes)), settings.least_sharpness, settings.most_sharpness
-    )
+    least = max(settings.by_chance / math.sqrt(len(changes)), settings.least_sharpness)
     return bool(np.cos(2 * np.pi * changes / step).mean() > least)
 
 
-def _widened(samples: Floats, step: float, settings: SignalSettings) -> float:
+def _widened(samples: Floats, step: float, settings: DataQualitySettings) -> float:
     """The step, or a multiple of it on which the samples lie too: too few of them may be further apart."""
     for many in range(settings.fewest_levels, 1, -1):
-        if abs(_characteristic(np.unique(samples), np.array([1.0 / (many * step)]))[0]) > settings.surely_levels:
+        if abs(_characteristic(np.unique(samples), np.array([1.0 / (many * step)]))[0]) > settings.mostly:
             return many * step
     return step
 
 
-def _limit(count: int, tried: int, settings: SignalSettings) -> float:
+def _limit(count: int, tried: int, settings: DataQualitySettings) -> float:
     """Absolute value that the characteristic function of samples without levels hardly exceeds at any frequency."""
     chance = math.sqrt((math.log(tried) + settings.level_evidence) / max(count, 1))
     return max(settings.level_sharpness, chance)

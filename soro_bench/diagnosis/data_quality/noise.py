@@ -33,12 +33,12 @@ def data_quality(measured: Measured, settings: DataQualitySettings = _DEFAULT) -
         RecordingError: there are too few samples, or they are not those of a moving robot.
     """
     values = _rows(measured.values.reshape(len(measured.values), -1))
-    enough = np.isfinite(values).sum(axis=0) >= settings.least_present * len(values)
-    if len(values) < settings.least_samples or not enough.any():
+    enough = np.isfinite(values).sum(axis=0) >= settings.least_samples
+    if not enough.any():
         share = np.isfinite(measured.values).mean()
         raise RecordingError(
-            f"too few samples: {len(values)}, {share:.0%} of all present; {settings.least_samples} are needed, and "
-            f"{settings.least_present:.0%} of some point's"
+            f"too few samples: {len(values)}, {share:.0%} of all present; {settings.least_samples} of some point's "
+            "coordinate are needed"
         )
     present = values[:, enough]
     low, high = np.nanmin(present, axis=0), np.nanmax(present, axis=0)
@@ -109,7 +109,7 @@ def outliers(residual: Floats, settings: DataQualitySettings = _DEFAULT) -> Bool
     jump = np.nan_to_num(jump) / np.sqrt(1.5 * residual.shape[2])
     moved = np.full(jump.shape, np.inf)
     moved[1:-1] = np.linalg.norm(residual[2:] - residual[:-2], axis=2) / np.sqrt(1.5 * residual.shape[2])
-    around = settings.outlier_neighbours
+    around = settings.least_samples // 2
     padded = np.pad(jump, ((around, around), (0, 0)), mode="reflect" if len(jump) > around else "edge")
     usual = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * around + 1, axis=0), axis=2)
     beside = np.pad(jump, ((0, 0), (1, 1)))

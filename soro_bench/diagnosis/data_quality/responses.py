@@ -21,7 +21,7 @@ from soro_bench.diagnosis.data_quality.texts import text
 from soro_bench.diagnosis.result_robot import DataFinding
 from soro_bench.diagnosis.robots.measured import Drive, Measured
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.settings import DEFAULT, ResponseSettings
+from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.inference.statistical_linearisation import LENGTHS
 from soro_bench.recording.recording import RecordingError
 
@@ -41,7 +41,7 @@ class Answered:
     findings: tuple[DataFinding, ...] = ()
 
 
-def answered(measured: Measured, number: int, robot: Robot, settings: ResponseSettings = DEFAULT.responses) -> Answered:
+def answered(measured: Measured, number: int, robot: Robot, settings: Settings = DEFAULT) -> Answered:
     """A recording whose first signal was compared with its commands.
 
     Args:
@@ -56,8 +56,9 @@ def answered(measured: Measured, number: int, robot: Robot, settings: ResponseSe
 class _Comparison:
     """One recording on its way through the checks; ``measured`` loses what says nothing of the robot."""
 
-    def __init__(self, measured: Measured, number: int, robot: Robot, settings: ResponseSettings):
-        self.measured, self.number, self.robot, self.settings = measured, number, robot, settings
+    def __init__(self, measured: Measured, number: int, robot: Robot, settings: Settings):
+        self.measured, self.number, self.robot = measured, number, robot
+        self.method, self.settings = settings, settings.data_quality
         self.nominal = np.zeros(len(robot.priors))
         self.findings: list[DataFinding] = []
         moved = np.ptp(measured.actions, axis=0) > 0
@@ -147,7 +148,7 @@ class _Comparison:
             return bool(np.ptp(x) == 0)
         about = x - x.mean()
         correlation = float(about[1:] @ about[:-1] / (about @ about))  # of white noise 0, deviation 1 / root T
-        white = abs(correlation) < settings.still_correlation / np.sqrt(len(x))
+        white = abs(correlation) < settings.by_chance / np.sqrt(len(x))
         return bool(x.std() < (settings.still_noise if white else settings.still_motion) * motion)
 
     def _replays_as_arrived(self, expected: Floats) -> Iterator[Floats]:
@@ -164,7 +165,7 @@ class _Comparison:
         misfit = (self.measured.values - expected)[seen]
         if not misfit.any():
             return expected
-        step = self.settings.parameter_step
+        step = self.method.covariance.parameter_width
         slopes = np.zeros((0, *expected.shape))
         if len(self.nominal):
             slopes = (self._replays([self.measured.drive], step * np.eye(len(self.nominal))) - expected) / step
@@ -185,7 +186,7 @@ class _Comparison:
         actions[:, self.moving[chosen]] = goals[chosen]
         held = replace(self.measured, actions=actions)
         # slopes mislead where the robot touches something: the parameters are fitted to tell
-        if not self._least_misfit(held) < self.settings.unanswered_left * self._least_misfit(self.measured):
+        if not self._least_misfit(held) < self.settings.unanswered * self._least_misfit(self.measured):
             return expected
         self.measured = held
         self._note_commands("unanswered_command", self.moving[chosen])
@@ -196,11 +197,11 @@ class _Comparison:
 
         Its mean square counts as the variance of the noise, which is not known yet.
         """
-        settings, misfits = self.settings, partial(self._misfits, measured)
-        low, high = np.array([prior.reach(settings.parameter_limit) for prior in self.robot.priors]).reshape(-1, 2).T
-        x, best = self.nominal, misfits(self.nominal[None])[0]
-        for _ in range(settings.parameter_fits if len(x) and np.isfinite(best).all() else 0):
-            step = np.where(x + settings.parameter_step <= high, settings.parameter_step, -settings.parameter_step)
+        settings, misfits = self.method, partial(self._misfits, measured)
+        low, high = np.array([prior.reach(settings.priors.limit) for prior in self.robot.priors]).reshape(-1, 2).T
+        x, best, width = self.nominal, misfits(self.nominal[None])[0], settings.covariance.parameter_width
+        for _ in range(settings.descent.steps if len(x) and np.isfinite(best).all() else 0):
+            step = np.where(x + width <= high, width, -width)
             slopes = (misfits(x + np.diag(step)) - best) / step[:, None]
             level = float(np.sqrt(np.mean(best**2)))
             columns = np.vstack([np.where(np.isfinite(slopes), slopes, 0.0).T, level * np.eye(len(x))])
@@ -208,7 +209,7 @@ class _Comparison:
             points = np.clip(x + np.outer(LENGTHS, change), low, high)
             tried = misfits(points)
             cost, before = _costs(points, tried), _costs(x[None], best[None])[0]
-            if not cost.min() < before - settings.parameter_gain:
+            if not cost.min() < before:
                 break
             x, best = points[cost.argmin()], tried[cost.argmin()]
         return float((best**2).sum())

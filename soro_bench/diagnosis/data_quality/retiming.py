@@ -8,7 +8,7 @@ from soro_bench.arrays import Bools, Floats
 from soro_bench.diagnosis.data_quality.stamps import Stamps, interpolated
 from soro_bench.diagnosis.robots.measured import ObservedSignal
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.settings import SignalSettings
+from soro_bench.diagnosis.settings import DataQualitySettings
 from soro_bench.recording.recording import Recording, Signal
 
 
@@ -20,7 +20,7 @@ class RecordedSignal:
     robot: Robot
     observed: ObservedSignal
     signal: Signal
-    settings: SignalSettings
+    settings: DataQualitySettings
 
     def retimed(
         self, values: Floats, rows: Bools, found: Stamps | None, spacing: float | None, noise: float
@@ -63,12 +63,12 @@ class RecordedSignal:
         exact = step * whole if found.period >= step else step / whole
         number = np.round((time - time[0]) / found.period)
         drift = number * (exact - found.period)
-        if abs(ratio / whole - 1.0) > self.settings.snapped or abs(drift[-1]) > 0.5 * min(step, found.period):
+        if abs(ratio / whole - 1.0) > self.settings.same_time or abs(drift[-1]) > 0.5 * min(step, found.period):
             return time
         begin = self.robot.begins(self.recording)
         offset = time.mean() - (exact * number).mean()
         nearest = begin + round((offset - begin) / min(exact, step)) * min(exact, step)
-        near = abs(offset - nearest) <= max(found.error, self.settings.snapped * step)
+        near = abs(offset - nearest) <= max(found.error, self.settings.same_time * step)
         return (nearest if near else offset) + exact * number
 
     def _on_steps(self, recording: Recording, time: Floats, values: Floats, noise: float) -> Recording:
@@ -94,7 +94,7 @@ class RecordedSignal:
         return Signal(time, values.reshape(len(time), *shape), self.signal.unit, self.signal.frame)
 
 
-def _with_commands(recording: Recording, given: Floats, rebuilt: Floats, settings: SignalSettings) -> Recording:
+def _with_commands(recording: Recording, given: Floats, rebuilt: Floats, settings: DataQualitySettings) -> Recording:
     """The recording with the commands that have the same time stamps at the rebuilt ones."""
     commands = {}
     for name, command in recording.commands.items():

@@ -6,7 +6,7 @@ import numpy as np
 
 from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.diagnosis.data_quality.noise import outliers
-from soro_bench.diagnosis.settings import DEFAULT, Settings, SignalSettings
+from soro_bench.diagnosis.settings import DEFAULT, DataQualitySettings, Settings
 
 _TURNS = (2.0 * np.pi, np.pi)  # rad, after which angles wrap
 
@@ -30,7 +30,7 @@ class Channel:
         return float(np.ptp(present)) if len(present) else 0.0
 
 
-def placeholder(point: Floats, noise: float, settings: SignalSettings) -> tuple[Bools, float]:
+def placeholder(point: Floats, noise: float, settings: DataQualitySettings) -> tuple[Bools, float]:
     """(T,) where a value stands for a missing sample of a point (T, D), and that value; zero, or the least or the
     largest one. All coordinates have it.
 
@@ -43,19 +43,19 @@ def placeholder(point: Floats, noise: float, settings: SignalSettings) -> tuple[
     for value in dict.fromkeys((0.0, float(np.nanmin(point)), float(np.nanmax(point)))):
         has = (point[present] == value).all(axis=1)
         here, others = present[has], present[~has]
-        if len(here) < settings.least_placeholders or len(others) < settings.least_samples:
+        if len(here) < settings.least_repeats or len(others) < settings.least_samples:
             continue
         x = point[others]
         far = np.maximum(
             settings.spike_changes * _changes_beside(x, np.searchsorted(others, here)),
-            max(settings.spike_noise * noise, settings.spike_reach * float(np.ptp(x, axis=0).max())),
+            max(settings.outlier_deviations * noise, settings.spike_reach * float(np.ptp(x, axis=0).max())),
         )
         before, after = _around(others, here)
         off = np.minimum(*(np.linalg.norm(point[each] - value, axis=1) for each in (before, after))) > far
         runs = 1 + int((np.diff(here) > 1).sum())
-        if value and runs < settings.least_placeholders:  # a turning point that is held may be the least value too
+        if value and runs < settings.least_repeats:  # a turning point that is held may be the least value too
             off &= np.linalg.norm(point[before] - value, axis=1) > 0.5 * np.ptp(x, axis=0).max()
-        if off.sum() >= settings.least_placeholders:
+        if off.sum() >= settings.least_repeats:
             found = none.copy()
             # noise never has it, nor have several coordinates at once; some lie where the motion is near that value
             never = point.shape[1] > 1 or _is_random(Channel(point[:, 0], noise), settings)
@@ -81,7 +81,7 @@ def _changes_beside(values: Floats, after: Ints) -> Floats:
     return np.maximum(changes[before], changes[following[np.minimum(after + 1, len(values))]])
 
 
-def spikes(point: Floats, noise: float, settings: SignalSettings) -> Bools:
+def spikes(point: Floats, noise: float, settings: DataQualitySettings) -> Bools:
     """(T,) where one or two samples of a point (T, D) are far off and the next ones go on where it was before.
 
     A cubic through the two samples on either side says where they should be. Motion in and out again, as of a bounce,
@@ -93,13 +93,13 @@ def spikes(point: Floats, noise: float, settings: SignalSettings) -> Bools:
     if len(x) < settings.least_samples or not np.ptp(x, axis=0).any():
         return found
     changes = np.linalg.norm(np.diff(x, axis=0), axis=1)
-    usual = float(np.quantile(changes, settings.usual_change))
+    usual = float(np.quantile(changes, settings.mostly))
     for length in (1, 2):
         count = len(x) - length - 3
         first, second = x[:count], x[1 : 1 + count]
         third, fourth = x[2 + length : 2 + length + count], x[3 + length : 3 + length + count]
         nearby = np.stack([changes[:count], np.linalg.norm(third - second, axis=1), changes[2 + length :][:count]])
-        least = np.maximum(settings.spike_changes * nearby.max(axis=0), settings.spike_noise * noise)
+        least = np.maximum(settings.spike_changes * nearby.max(axis=0), settings.outlier_deviations * noise)
         least = np.maximum(least, usual)
         off = np.ones(count, bool)
         for i in range(length):
@@ -117,7 +117,7 @@ def _cubic(position: int, length: int) -> Floats:
     return np.array([np.prod([(position - n) / (m - n) for n in nodes if n != m]) for m in nodes])
 
 
-def wrapped(values: Floats, settings: SignalSettings) -> tuple[int, float]:
+def wrapped(values: Floats, settings: DataQualitySettings) -> tuple[int, float]:
     """How often an angle (T,) [rad] wraps, and the turn after which it does; 0 where it does not.
 
     It jumps back by nearly a turn, which is nearly all of its range, while it moves on.
@@ -167,7 +167,7 @@ class Runs:
         return np.r_[np.nan, jump], np.r_[jump, np.nan]
 
 
-def clipped(channel: Channel, settings: SignalSettings) -> Bools:
+def clipped(channel: Channel, settings: DataQualitySettings) -> Bools:
     """(T,) where the values stay at the least or at the largest one, and come and go with the speed of motion."""
     x = channel.values
     present = np.flatnonzero(np.isfinite(x))
@@ -177,18 +177,18 @@ def clipped(channel: Channel, settings: SignalSettings) -> Bools:
     runs = Runs.of(x[present])
     before, after = map(np.abs, runs.jumps)
     random = _is_random(channel, settings)
-    sharp = max(settings.clip_steps * channel.step, settings.spike_noise * channel.noise * (not random),
-                settings.held_reach * channel.reach)  # fmt: skip
+    sharp = max(settings.jump_steps * channel.step, settings.outlier_deviations * channel.noise * (not random),
+                settings.jump_reach * channel.reach)  # fmt: skip
     for end in (runs.value.min(), runs.value.max()):
         at = runs.value == end
         samples, longest = runs.length[at].sum(), runs.length[at].max()
-        if samples < settings.least_clipped or longest < 2:
+        if samples < settings.least_repeats or longest < 2:
             continue
         corners = np.stack([before[at], after[at]])
         # a robot at its end stop comes fast and leaves slowly, one at rest does both slowly
         leaves = np.nan_to_num(corners.min(axis=0), nan=0.0) > sharp
         if (
-            0.0 < settings.clip_levels * channel.step < channel.reach
+            0.0 < settings.least_samples * channel.step < channel.reach
         ):  # slow motion takes one level after the other; at the end of a range it stops at once
             beside = np.maximum(np.r_[np.inf, runs.length[:-1]], np.r_[runs.length[1:], np.inf])[at]
             leaves |= runs.length[at] > settings.clip_times * beside
@@ -198,7 +198,7 @@ def clipped(channel: Channel, settings: SignalSettings) -> Bools:
     return found
 
 
-def stale(channel: Channel, settings: SignalSettings) -> tuple[Bools, str]:
+def stale(channel: Channel, settings: DataQualitySettings) -> tuple[Bools, str]:
     """(T,) where a value is only the one before once more, and whether the sensor is "held" throughout or "frozen" for
     a while; "" if neither.
 
@@ -215,19 +215,19 @@ def stale(channel: Channel, settings: SignalSettings) -> tuple[Bools, str]:
     repeated = none.copy()
     repeated[present[np.diff(x[present], prepend=np.nan) == 0]] = True
     if _is_random(channel, settings):
-        if repeated.sum() >= max(settings.least_held, settings.held_share * len(present)):
+        if repeated.sum() >= max(settings.least_repeats, settings.held_share * len(present)):
             return repeated, "held" if (runs.length > 1).mean() > settings.held_share else "frozen"
-        chosen = runs.length >= settings.least_frozen
+        chosen = runs.length >= settings.least_repeats
     else:
-        far = max(settings.held_steps * channel.step, settings.held_reach * channel.reach)
+        far = max(settings.jump_steps * channel.step, settings.jump_reach * channel.reach)
         moving = (np.abs(before) > far) & (np.abs(after) > far) & (before * after > 0)  # nor turning
         long = moving & (runs.length > 1)
         lengths = runs.length[long]
-        even = len(lengths) and (np.abs(lengths - np.median(lengths)) <= 1).mean() > settings.held_even
-        if long.sum() >= settings.least_held and even and long.sum() >= settings.held_jumps * moving.sum():
+        even = len(lengths) and (np.abs(lengths - np.median(lengths)) <= 1).mean() > settings.mostly
+        if long.sum() >= settings.least_repeats and even and long.sum() >= settings.held_share * moving.sum():
             return repeated, "held"
         following = np.abs(np.r_[after[1:], np.nan])
-        chosen = (np.abs(before) > far) & (np.abs(after) > far) & (runs.length >= settings.least_frozen)
+        chosen = (np.abs(before) > far) & (np.abs(after) > far) & (runs.length >= settings.least_repeats)
         chosen &= np.abs(after) > settings.frozen_jump * following
     found = none.copy()
     for first, length in zip(runs.first[chosen], runs.length[chosen], strict=True):
@@ -235,7 +235,7 @@ def stale(channel: Channel, settings: SignalSettings) -> tuple[Bools, str]:
     return found, "frozen" if found.any() else ""
 
 
-def _is_random(channel: Channel, settings: SignalSettings) -> bool:
+def _is_random(channel: Channel, settings: DataQualitySettings) -> bool:
     """Whether noise makes it unlikely that a value repeats.
 
     Fourth differences of white noise mostly change their sign from one to the next (correlation -0.8); those of smooth
@@ -246,10 +246,10 @@ def _is_random(channel: Channel, settings: SignalSettings) -> bool:
     x = channel.values[np.isfinite(channel.values)]
     differences = np.diff(Runs.of(x).value, n=4)
     sizes = np.abs(differences)
-    small = sizes <= np.quantile(sizes, settings.quiet_share) if len(sizes) else np.zeros(0, bool)
+    small = sizes <= np.median(sizes) if len(sizes) else np.zeros(0, bool)
     pairs = small[1:] & small[:-1]
     flips = (differences[1:] * differences[:-1] < 0)[pairs]
-    return len(flips) >= settings.least_flips and bool(flips.mean() > settings.random_flips)
+    return len(flips) >= settings.least_samples and bool(flips.mean() > settings.random_flips)
 
 
 def repeats(values: Floats) -> Bools:
@@ -277,5 +277,5 @@ def far_off(residual: Floats, spoilt: bool, settings: Settings = DEFAULT) -> Boo
     far = outliers(residual, settings.data_quality)
     if spoilt:
         columns = (residual[:, p] for p in range(residual.shape[1]))
-        far |= np.stack([spikes(column, 1.0, settings.signals) for column in columns], axis=1)
+        far |= np.stack([spikes(column, 1.0, settings.data_quality) for column in columns], axis=1)
     return far

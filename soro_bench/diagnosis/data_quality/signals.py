@@ -52,7 +52,7 @@ def answers_of(
     was found."""
     found = []
     for number, (label, each) in enumerate(zip(labels(measured, tested), (*measured, *tested), strict=True)):
-        check = partial(answered, number=number, robot=robot, settings=settings.responses)
+        check = partial(answered, number=number, robot=robot, settings=settings)
         found.append(named(label, check, each))
     values, count = tuple(each.measured for each in found), len(measured)
     return values[:count], values[count:], [finding for each in found for finding in each.findings]

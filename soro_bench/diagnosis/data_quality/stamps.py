@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from soro_bench.arrays import Floats, Ints
-from soro_bench.diagnosis.settings import SignalSettings
+from soro_bench.diagnosis.settings import DataQualitySettings
 
 _LEAST_GAP = 0.1  # of the spacing, below which a cubic through two samples says nothing
 
@@ -34,7 +34,7 @@ class Stamps:
     size: float = 0.0
 
 
-def stamps(time: Floats, values: Floats, settings: SignalSettings, late: bool = False) -> Stamps | None:
+def stamps(time: Floats, values: Floats, settings: DataQualitySettings, late: bool = False) -> Stamps | None:
     """What became of the time stamps (T,) [s] of samples (T, C); None where they are regular.
 
     Args:
@@ -58,24 +58,24 @@ def stamps(time: Floats, values: Floats, settings: SignalSettings, late: bool = 
     return _irregular(time, values, settings, late)
 
 
-def _is_even(time: Floats, tick: float, settings: SignalSettings) -> bool:
+def _is_even(time: Floats, tick: float, settings: DataQualitySettings) -> bool:
     """Whether stamps are evenly spaced but for the rounding to a tick."""
     number = np.arange(len(time))
     period, offset = _line(number, time)
     return bool(np.abs(time - offset - period * number).max() <= settings.even_ticks * tick)
 
 
-def _irregular(time: Floats, values: Floats, settings: SignalSettings, lagging: bool) -> Stamps:
+def _irregular(time: Floats, values: Floats, settings: DataQualitySettings, lagging: bool) -> Stamps:
     """Regular stamps if the motion is smoother with them, else the given ones."""
     count = len(time)
-    window = min(settings.stamp_window, count // 4)
+    window = min(settings.least_samples, count // 4)
     period = float(np.median(time[window:] - time[:-window])) / window
     late = time - time[0] - period * np.arange(count)
     steps, jumps = _level_steps(np.diff(time) - period, late, period, settings)
     number, level, missing, clock = np.arange(count), np.zeros(count), 0, 0
     for at, jump in zip(steps, jumps, strict=True):
         lost = max(round(jump / period), 0)
-        whole = lost >= 1 and abs(jump - lost * period) < settings.whole_gap * period
+        whole = lost >= 1 and abs(jump - lost * period) < settings.whole * period
         if _moved_on(time, values, at, period, jump) or (whole and not _stood(values, at, settings)):
             number[at:] += lost
             level[at:] += jump - lost * period
@@ -104,7 +104,7 @@ def _irregular(time: Floats, values: Floats, settings: SignalSettings, lagging: 
     if missing:
         kinds.append("gaps")
         affected.append(missing)
-    if far.any() and _roughness(rest, values) < settings.smoother * _roughness(fitted, values):
+    if far.any() and _roughness(rest, values) < settings.mostly * _roughness(fitted, values):
         return Stamps(("irregular",), (int(far.sum()),), time, period, 0)
     # all samples may be as late as they seem beside the earliest one
     error = float(np.sqrt(np.mean((left - left.min()) ** 2))) if far.any() else 0.0
@@ -126,13 +126,13 @@ def _lower_line(number: Ints, time: Floats, window: int) -> tuple[float, float]:
     return period, float(np.median(time[first] - period * number[first]))
 
 
-def _one_sided(late: Floats, settings: SignalSettings) -> bool:
+def _one_sided(late: Floats, settings: DataQualitySettings) -> bool:
     """Whether most samples are early and a few late."""
     low, middle, high = np.quantile(late, [0.02, 0.5, 0.98])
     return bool(high - middle > settings.one_sided * (middle - low))
 
 
-def _many_at_once(late: Floats, settings: SignalSettings) -> bool:
+def _many_at_once(late: Floats, settings: DataQualitySettings) -> bool:
     """Whether many samples are received at once, and the others any time later.
 
     Args:
@@ -142,25 +142,25 @@ def _many_at_once(late: Floats, settings: SignalSettings) -> bool:
     return bool(at_once.mean() > settings.at_once)
 
 
-def _coarse(time: Floats, period: float, settings: SignalSettings) -> bool:
+def _coarse(time: Floats, period: float, settings: DataQualitySettings) -> bool:
     """Whether intervals are multiples of one tick, at least a share of the period."""
     intervals = np.unique(np.round(np.diff(time), 9))
     tick = float(np.diff(intervals).max(initial=0.0))
-    if not tick > settings.least_tick * period:
+    if not tick > settings.regular * period:
         return False
     whole = np.diff(time) / tick
-    return bool((np.abs(whole - np.round(whole)) < settings.whole_tick).mean() > settings.mostly)
+    return bool((np.abs(whole - np.round(whole)) < settings.whole).mean() > settings.mostly)
 
 
-def _level_steps(extra: Floats, late: Floats, period: float, settings: SignalSettings) -> tuple[list[int], Floats]:
+def _level_steps(extra: Floats, late: Floats, period: float, settings: DataQualitySettings) -> tuple[list[int], Floats]:
     """Where stamps become later or earlier for good, and by how much [s]."""
-    window = min(settings.stamp_window, len(late) // 4)
+    window = min(settings.least_samples, len(late) // 4)
     before = np.array([np.min(late[max(i - window, 0) : i]) for i in range(1, len(late))])
     after = np.array([np.min(late[i : i + window]) for i in range(1, len(late))])
     ends = window // 2  # too few stamps beside them
     before[:ends], before[-ends:] = after[:ends], after[-ends:]
     usual = float(np.median(np.abs(after - before)))
-    least = max(settings.level_step * period, settings.level_times_usual * usual)
+    least = max(settings.level_step * period, settings.outlier_times_usual * usual)
     candidates = np.flatnonzero((np.abs(after - before) > least) & (np.abs(extra) > 0.5 * least))
     steps: list[int] = []
     sizes: list[float] = []
@@ -175,7 +175,7 @@ def _level_steps(extra: Floats, late: Floats, period: float, settings: SignalSet
 
 
 def _lasting(
-    steps: list[int], late: Floats, window: int, least: float, settings: SignalSettings
+    steps: list[int], late: Floats, window: int, least: float, settings: DataQualitySettings
 ) -> tuple[list[int], Floats]:
     """The steps after which stamps stay later or earlier than before; a burst of late ones begins and ends."""
     while True:
@@ -203,10 +203,10 @@ def _moved_on(time: Floats, values: Floats, at: int, period: float, jump: float)
     return bool(np.linalg.norm(change - speed * (period + jump)) < np.linalg.norm(change - speed * period))
 
 
-def _stood(values: Floats, at: int, settings: SignalSettings) -> bool:
+def _stood(values: Floats, at: int, settings: DataQualitySettings) -> bool:
     """Whether nothing moves beside a gap, so that the motion says nothing of it."""
     near = values[max(at - 3, 0) : at + 3]
-    return not np.ptp(near) > settings.held_reach * np.nanmax(np.ptp(values, axis=0))
+    return not np.ptp(near) > settings.jump_reach * np.nanmax(np.ptp(values, axis=0))
 
 
 def _roughness(time: Floats, values: Floats) -> float:
@@ -229,7 +229,7 @@ def _roughness(time: Floats, values: Floats) -> float:
 
 
 def interpolated(
-    time: Floats, values: Floats, wanted: Floats, step: float, noise: float, settings: SignalSettings
+    time: Floats, values: Floats, wanted: Floats, step: float, noise: float, settings: DataQualitySettings
 ) -> Floats:
     """(n,) values at wanted times, a control step apart, by cubics through the four samples around each.
 

@@ -26,14 +26,14 @@ def check_unit_and_sign(problem: Problem) -> None:
 
 def _check(problem: Problem, signal: ObservedSignal, pairs: Sequence[tuple[Floats, Floats]]) -> None:
     """Refuse a signal by its measured and simulated motions in every recording, each in a row."""
-    settings = problem.settings.unit_check
+    settings = problem.settings.data_quality
     measured, simulated = (np.concatenate(one) for one in zip(*pairs, strict=True))
     product, squares = float(measured @ simulated), float(simulated @ simulated)
-    if not abs(product) > settings.correlation * np.sqrt(squares * float(measured @ measured)) > 0:
+    if not abs(product) > (1.0 - settings.unit_tolerance) * np.sqrt(squares * float(measured @ measured)) > 0:
         return
     factor = product / squares
     for scale in (-1.0, *_WRONG_UNITS, *(1.0 / scale for scale in _WRONG_UNITS)):
-        if abs(factor / scale - 1.0) < settings.tolerance:
+        if abs(factor / scale - 1.0) < settings.unit_tolerance:
             raise RecordingError(
                 f"{signal.name} moves {factor:.3g} times as far in the recordings as in the model; is "
                 f"it in {signal.unit}, and the model the right way round?"

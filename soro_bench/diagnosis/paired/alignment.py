@@ -12,7 +12,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from soro_bench.arrays import Floats
-from soro_bench.diagnosis.paired.settings import DEFAULT, PairedSettings
+from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 
 _EVEN = 0.5  # standard deviation of intervals over their mean, above which a command was logged at its changes only
@@ -47,7 +47,7 @@ class Pair:
     commands: Commands
 
 
-def aligned(before: Recording, after: Recording, settings: PairedSettings = DEFAULT) -> Pair:
+def aligned(before: Recording, after: Recording, settings: Settings = DEFAULT) -> Pair:
     """Two recordings of the same commands, on one clock and cut to what both have.
 
     Raises:
@@ -59,10 +59,10 @@ def aligned(before: Recording, after: Recording, settings: PairedSettings = DEFA
     start = max(_first(before), _first(moved))
     end = min(_last(before), _last(moved))
     shorter = min(_last(before) - _first(before), _last(moved) - _first(moved))
-    if end - start < settings.least_overlap * shorter or end <= start:
+    if end - start < settings.paired.least_overlap * shorter or end <= start:
         raise RecordingError(
             f"the recordings have {max(end - start, 0):.3g} s of the same commands; at least "
-            f"{settings.least_overlap:.0%} of the shorter one ({shorter:.3g} s) are needed"
+            f"{settings.paired.least_overlap:.0%} of the shorter one ({shorter:.3g} s) are needed"
         )
     rms, largest = _compare(before.commands, moved.commands, start, end, settings)
     left = max(abs(before.duration), abs(after.duration)) - (end - start)
@@ -127,7 +127,7 @@ def _ranges(first: Signal, second: Signal) -> Floats:
 
 
 def _clocks(
-    before: Mapping[str, Signal], after: Mapping[str, Signal], settings: PairedSettings
+    before: Mapping[str, Signal], after: Mapping[str, Signal], settings: Settings
 ) -> tuple[float, float, tuple[str, ...]]:
     """Shift [s] and rate of the second clock against the first, and what there is to say of them."""
     moving = {name for name in before if (_ranges(before[name], after[name]) > 0).any()}
@@ -139,14 +139,14 @@ def _clocks(
         return 0.0, 0.0, ()
     if _same(before, after, offset):
         return offset, 0.0, ()
-    times, first = _sampled(before, moving, settings)
+    times, first = _sampled(before, moving)
     scales = np.concatenate([np.maximum(_ranges(before[n], after[n]), 1e-300) for n in sorted(moving)])
 
     def misfit(shift: float, part: slice = slice(None)) -> float:
         """Mean square of the differences, as shares of the ranges, where both have commands."""
         other = np.hstack([_at(after[name], times[part] + shift) for name in sorted(moving)])
         inside = (times[part] + shift >= _begin(after)) & (times[part] + shift <= _end(after))
-        if inside.sum() < settings.least_overlap * min(len(inside), (_end(after) - _begin(after)) / step):
+        if inside.sum() < settings.paired.least_overlap * min(len(inside), (_end(after) - _begin(after)) / step):
             return 1.0
         return float((((other - first[part]) / scales)[inside] ** 2).mean())
 
@@ -189,11 +189,12 @@ def _same(before: Mapping[str, Signal], after: Mapping[str, Signal], shift: floa
     return True
 
 
-def _sampled(commands: Mapping[str, Signal], names: set[str], settings: PairedSettings) -> tuple[Floats, Floats]:
+def _sampled(commands: Mapping[str, Signal], names: set[str]) -> tuple[Floats, Floats]:
     """Times (n,), even and as dense as the densest command, and the commands there (n, C)."""
     gaps = [float(np.median(np.diff(commands[name].time))) for name in names if len(commands[name].time) > 1]
     start, end = _begin(commands), _end(commands)
-    count = int(np.clip((end - start) / max(min(gaps, default=end - start), 1e-6), 2, settings.longest_search)) + 1
+    most = 2 * max(len(commands[name].time) for name in names)  # where one is logged at its changes only
+    count = int(np.clip((end - start) / max(min(gaps, default=end - start), 1e-6), 2, most)) + 1
     times = np.linspace(start, end, count)
     return times, np.hstack([_at(commands[name], times) for name in sorted(names)])
 
@@ -243,7 +244,7 @@ def _moved(recording: Recording, shift: float, rate: float) -> Recording:
 
 
 def _compare(
-    before: Mapping[str, Signal], after: Mapping[str, Signal], start: float, end: float, settings: PairedSettings
+    before: Mapping[str, Signal], after: Mapping[str, Signal], start: float, end: float, settings: Settings
 ) -> tuple[float, float]:
     """Differences of the worst command, rms and largest, as shares of its range.
 
@@ -265,12 +266,12 @@ def _compare(
         off = np.where(_ranges(first, second) > 0, off, 0.0)
         rms = np.sqrt(np.nanmean(off**2, axis=0))
         column = int(rms.argmax())
-        if rms[column] > settings.same_commands:
+        if rms[column] > settings.paired.same_commands:
             where = f" (number {column})" if off.shape[1] > 1 else ""
-            when = times[(off[:, column] > settings.same_commands).argmax()] - start
+            when = times[(off[:, column] > settings.paired.same_commands).argmax()] - start
             raise RecordingError(
                 f"the commands are not the same: {name!r}{where} differs by {rms[column]:.2g} of its range (rms), "
-                f"first after {when:.3g} s; allowed is {settings.same_commands:g}"
+                f"first after {when:.3g} s; allowed is {settings.paired.same_commands:g}"
             )
         worst, largest = max(worst, float(rms[column])), max(largest, float(np.nanmax(off)))
     return worst, largest

@@ -7,9 +7,9 @@ from soro_bench.diagnosis.paired.alignment import Pair, aligned
 from soro_bench.diagnosis.paired.difference import Difference, difference, measured
 from soro_bench.diagnosis.paired.explanation import explained
 from soro_bench.diagnosis.paired.result import CommandDifference, PairedResult, SignalDifference
-from soro_bench.diagnosis.paired.settings import DEFAULT, PairedSettings
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.forward_selection import Progress, silent
+from soro_bench.diagnosis.settings import DEFAULT, DataQualitySettings, Settings
 from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
 from soro_bench.recording.known import Told, known_parameters
@@ -24,7 +24,7 @@ def compare(
     robot: Robot | None = None,
     seed: int = 0,
     progress: Progress = silent,
-    settings: PairedSettings = DEFAULT,
+    settings: Settings = DEFAULT,
     known: Told = (),
 ) -> PairedResult:
     """Measure, test and explain what differs between recordings of the same commands.
@@ -81,7 +81,7 @@ def _check_distinct(before: Sequence[Recording], after: Sequence[Recording]) -> 
 
 
 def _paired(
-    before: Sequence[Recording], after: Sequence[Recording], settings: PairedSettings
+    before: Sequence[Recording], after: Sequence[Recording], settings: Settings
 ) -> tuple[list[Pair], list[Pair]]:
     """Pairs of the same commands; and pairs of runs of one robot, from both sides."""
     if not before or not after:
@@ -99,7 +99,7 @@ def _paired(
 
 
 def _first_aligned(
-    before: Sequence[Recording], order: Sequence[int], after: Recording, settings: PairedSettings, name: str
+    before: Sequence[Recording], order: Sequence[int], after: Recording, settings: Settings, name: str
 ) -> tuple[Pair, int]:
     """The first recording of some whose commands are the same, paired."""
     first: RecordingError | None = None
@@ -112,7 +112,7 @@ def _first_aligned(
     raise RecordingError(f"{label}{first}") from first
 
 
-def _repeats(recordings: Sequence[Recording], settings: PairedSettings) -> list[Pair]:
+def _repeats(recordings: Sequence[Recording], settings: Settings) -> list[Pair]:
     """Pairs of recordings of one side that have the same commands."""
     found = []
     for i, one in enumerate(recordings):
@@ -125,7 +125,7 @@ def _repeats(recordings: Sequence[Recording], settings: PairedSettings) -> list[
 
 
 def _signals(
-    pairs: Sequence[Pair], repeats: Sequence[Pair], settings: PairedSettings
+    pairs: Sequence[Pair], repeats: Sequence[Pair], settings: Settings
 ) -> tuple[list[SignalDifference], list[str]]:
     """What differs in every signal that all recordings have; and what there is to say of the others."""
     found, notes = [], []
@@ -140,23 +140,23 @@ def _signals(
             notes.append(f"{name} is not compared: not all recordings have it in the same unit, frame and shape")
             continue
         try:
-            here = [difference(name, pair) for pair in pairs]
+            here = [difference(name, pair, settings.data_quality) for pair in pairs]
         except RecordingError as error:
             notes.append(f"{name} is not compared: {error}")
             continue
-        found.append(measured(here, _differences(name, repeats), settings))
+        found.append(measured(here, _differences(name, repeats, settings.data_quality), settings))
     if not found:
         raise RecordingError("; ".join(notes) or "the recordings have no signal")
     return found, notes
 
 
-def _differences(name: str, pairs: Sequence[Pair]) -> list[Difference]:
+def _differences(name: str, pairs: Sequence[Pair], settings: DataQualitySettings) -> list[Difference]:
     """Of pairs that have a signal."""
     found = []
     for pair in pairs:
         if name in pair.before.signals and name in pair.after.signals:
             try:
-                found.append(difference(name, pair))
+                found.append(difference(name, pair, settings))
             except RecordingError:
                 continue
     return found

@@ -13,7 +13,6 @@ import numpy as np
 
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.candidates import Term, term, terms
-from soro_bench.diagnosis.paired.settings import PairedSettings
 from soro_bench.diagnosis.robots.priors import Prior
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.effects.catalogue import ALL, PHYSICS
@@ -92,15 +91,14 @@ class Change(Protocol):
 
 @dataclass(frozen=True)
 class ParameterChange:
-    """A parameter of the robot that is another one afterwards.
+    """A parameter of the robot that is another one afterwards; its coordinate is in prior deviations.
 
-    index: among the priors. width: prior deviations of a change of 1. kind, location: what it is, from the model's
+    index: among the priors. kind, location: what it is, from the model's
     fields that it changes. mass: kg that one unit of the parameter adds to the robot, 0 for other parameters.
     """
 
     index: int
     prior: Prior
-    width: float
     kind: str
     location: Location | None
     mass: float
@@ -111,12 +109,12 @@ class ParameterChange:
     def bounds(self) -> Floats:
         """(2, 1) both ends of the prior, from anywhere in it."""
         low, high = self.prior.reach()
-        return np.array([[low - high], [high - low]]) / self.width
+        return np.array([[low - high], [high - low]])
 
     @property
     def typical(self) -> Floats:
         """(1,) half a deviation."""
-        return np.array([0.5 / self.width])
+        return np.array([0.5])
 
     @property
     def key(self) -> tuple[str, str]:
@@ -126,7 +124,7 @@ class ParameterChange:
     def sides(self, z: Floats, x: Floats, shared: Sequence[Effect]) -> tuple[Side, Side]:
         """The robot before and after the change."""
         moved = x.copy()
-        moved[self.index] += self.width * z[0]
+        moved[self.index] += z[0]
         return Side(x, tuple(shared)), Side(moved, tuple(shared))
 
 
@@ -202,9 +200,9 @@ def _joined(effect: Effect, shared: Sequence[Effect]) -> tuple[Effect, ...]:
     return (*found, effect)
 
 
-def possible_changes(robot: Robot, settings: PairedSettings) -> list[ParameterChange | LawChange]:
+def possible_changes(robot: Robot) -> list[ParameterChange | LawChange]:
     """Every parameter, every law at every location, and laws at all locations of a kind from one cause."""
-    found: list[ParameterChange | LawChange] = [_parameter_change(robot, i, settings) for i in range(len(robot.priors))]
+    found: list[ParameterChange | LawChange] = [_parameter_change(robot, i) for i in range(len(robot.priors))]
     every = [
         Location(kind, EVERY)
         for kind in ("tendon", "joint", "actuator")
@@ -226,7 +224,7 @@ def _only_damps(robot: Robot, one: Term) -> bool:
     return len(joints) > 0 and not np.any(elements.model.jnt_stiffness[joints])
 
 
-def _parameter_change(robot: Robot, index: int, settings: PairedSettings) -> ParameterChange:
+def _parameter_change(robot: Robot, index: int) -> ParameterChange:
     """What a parameter is, from two compiled models that differ by it."""
     prior, x = robot.priors[index], np.zeros(len(robot.priors))
     plain, moved = ({**robot.parameters(x)} for _ in range(2))
@@ -245,7 +243,7 @@ def _parameter_change(robot: Robot, index: int, settings: PairedSettings) -> Par
         at = np.flatnonzero(added)
         if len(at) == 1:
             location = Location("body", robot.elements.model.body(int(at[0])).name)
-    return ParameterChange(index, prior, settings.model_change, kind, location, mass)
+    return ParameterChange(index, prior, kind, location, mass)
 
 
 def _fields(model: mujoco.MjModel) -> tuple[dict[str, Floats], Floats]:

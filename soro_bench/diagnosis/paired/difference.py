@@ -16,7 +16,7 @@ from scipy.stats import t as student
 from soro_bench.arrays import Bools, Floats
 from soro_bench.diagnosis.data_quality import samples
 from soro_bench.diagnosis.data_quality.lattice import lattice_step
-from soro_bench.diagnosis.data_quality.noise import noise, outliers
+from soro_bench.diagnosis.data_quality.noise import noise_or_zero, outliers
 from soro_bench.diagnosis.data_quality.samples import Channel
 from soro_bench.diagnosis.paired.alignment import Pair
 from soro_bench.diagnosis.paired.result import (
@@ -26,17 +26,15 @@ from soro_bench.diagnosis.paired.result import (
     SignalDifference,
     Start,
 )
-from soro_bench.diagnosis.paired.settings import PairedSettings
 from soro_bench.diagnosis.result_parts import Estimate
-from soro_bench.diagnosis.settings import DEFAULT as METHOD
+from soro_bench.diagnosis.settings import DataQualitySettings, Settings
 from soro_bench.recording.recording import RecordingError, Signal, resampled
 
 _SMOOTHED = 7  # samples, and the degree of the polynomial through them, for the speed of a noisy signal
 _DEGREE = 2
 _LEAST_SHARE = 1e-3  # of the motion's variance: a block with less says nothing of gain and delay
-_LEAST_NOISE = 1e-6  # share of the range; simulated recordings have no other noise
 _LEVELS = 3  # columns, those that move most, in which levels are looked for
-_LEAST_SAMPLES = 20  # that both recordings have, for a statement
+_WINDOWS = 200  # of the picture of a difference over time
 
 
 @dataclass(frozen=True)
@@ -44,6 +42,7 @@ class Difference:
     """One signal of a pair at common times.
 
     time: (T,) s. before, after: (T, P, D), NaN where missing. noise: standard deviation of each of them [unit].
+    settings: of outliers.
     """
 
     name: str
@@ -52,12 +51,13 @@ class Difference:
     before: Floats
     after: Floats
     noise: tuple[float, float]
+    settings: DataQualitySettings
 
     @property
     def values(self) -> Floats:
         """(T, P, D) after less before; NaN where either is missing or far off."""
         found = self.after - self.before
-        found[outliers(found / max(self.expected, 1e-300))] = np.nan
+        found[outliers(found / max(self.expected, 1e-300), self.settings)] = np.nan
         return found
 
     @property
@@ -66,26 +66,26 @@ class Difference:
         return float(np.hypot(*self.noise))
 
 
-def difference(name: str, pair: Pair) -> Difference:
+def difference(name: str, pair: Pair, settings: DataQualitySettings) -> Difference:
     """A signal of both recordings, at the stamps of the one with fewer of them.
 
     Raises:
         RecordingError: there is too little that both have.
     """
-    first, second = _cleaned(pair.before.signals[name]), _cleaned(pair.after.signals[name])
+    first, second = (_cleaned(each.signals[name], settings) for each in (pair.before, pair.after))
     fewer, other = (first, second) if len(first.time) <= len(second.time) else (second, first)
     inside = (fewer.time >= other.time[0] - 1e-9) & (fewer.time <= other.time[-1] + 1e-9)
     times = np.clip(fewer.time[inside], other.time[0], other.time[-1])
-    if len(times) < _LEAST_SAMPLES:
-        raise RecordingError(f"both recordings have {len(times)} samples of {name!r} in common; {_LEAST_SAMPLES} are "
-                             "needed")  # fmt: skip
+    if len(times) < (least := settings.least_samples):
+        raise RecordingError(f"both recordings have {len(times)} samples of {name!r} in common; {least} are needed")
     shape = points_of(first)
     own, theirs = fewer.values[inside], resampled(other, times).values
     one, two = (own, theirs) if fewer is first else (theirs, own)
     before, after = (each.reshape(len(times), *shape) for each in (one, two))
-    if np.isfinite(after - before).any(axis=(1, 2)).sum() < _LEAST_SAMPLES:
+    if np.isfinite(after - before).any(axis=(1, 2)).sum() < least:
         raise RecordingError(f"no point of {name!r} is there in both recordings at once")
-    return Difference(name, first.unit, times, before, after, (_noise(first), _noise(second)))
+    return Difference(name, first.unit, times, before, after, (_noise(first, settings), _noise(second, settings)),
+                      settings)  # fmt: skip
 
 
 def points_of(signal: Signal) -> tuple[int, int]:
@@ -97,43 +97,34 @@ def points_of(signal: Signal) -> tuple[int, int]:
     return (1, 3) if count == 3 and signal.unit == "m" else (count, 1)
 
 
-def _cleaned(signal: Signal) -> Signal:
+def _cleaned(signal: Signal, settings: DataQualitySettings) -> Signal:
     """The signal without placeholders and without values that were only held."""
     values = signal.values.reshape(len(signal.time), -1).copy()
-    shape, settings = points_of(signal), METHOD.signals
-    noises = [_column_noise(column) for column in values.T]
+    shape, noises = points_of(signal), [noise_or_zero(column[:, None], settings) for column in values.T]
     for p in range(shape[0]):
         columns = slice(p * shape[1], (p + 1) * shape[1])
         values[samples.placeholder(values[:, columns], max(noises[columns]), settings)[0], columns] = np.nan
-        stale = [_frozen(Channel(c, n)) for c, n in zip(values[:, columns].T, noises[columns], strict=True)]
+        stale = [_frozen(Channel(c, n), settings) for c, n in zip(values[:, columns].T, noises[columns], strict=True)]
         values[np.all(stale, axis=0), columns] = np.nan
     return Signal(signal.time, values.reshape(signal.values.shape), signal.unit, signal.frame)
 
 
-def _frozen(channel: Channel) -> Bools:
+def _frozen(channel: Channel, settings: DataQualitySettings) -> Bools:
     """(T,) where a value stands still though its noise should move it; a slow sensor that holds is left alone."""
-    found, kind = samples.stale(channel, METHOD.signals)
+    found, kind = samples.stale(channel, settings)
     return found if kind == "frozen" else np.zeros_like(found)
 
 
-def _column_noise(column: Floats) -> float:
-    present = column[np.isfinite(column)]
-    try:
-        return noise(present[:, None])
-    except (RecordingError, ValueError):
-        return 0.0
-
-
-def _noise(signal: Signal) -> float:
+def _noise(signal: Signal, settings: DataQualitySettings) -> float:
     """Standard deviation of the white noise of a coordinate [unit]; at least that of the levels of a coarse sensor, and
     the rounding of a simulation."""
     values = signal.values.reshape(len(signal.time), -1)
-    present = np.isfinite(values).sum(axis=0) > _LEAST_SAMPLES
+    present = np.isfinite(values).sum(axis=0) > settings.least_samples
     reach = np.nanmax(values[:, present], axis=0) - np.nanmin(values[:, present], axis=0)
-    least = _LEAST_NOISE * float(reach.max()) if present.any() else 0.0
-    found = [_column_noise(column) for column in values[:, present].T]
+    least = settings.least_noise * float(reach.max()) if present.any() else 0.0
+    found = [noise_or_zero(column[:, None], settings) for column in values[:, present].T]
     widest = values[:, present].T[np.argsort(-reach)[:_LEVELS]]
-    levels = [lattice_step(column, max(least, METHOD.signals.least_step * n), METHOD.signals)
+    levels = [lattice_step(column, max(least, settings.least_step * n), settings)
               for column, n in zip(widest, np.array(found)[np.argsort(-reach)], strict=False)]  # fmt: skip
     least = max([least, *(step / np.sqrt(12.0) for step in levels)])
     return max(float(np.sqrt(np.mean(np.square(found)))) if found else 0.0, least)
@@ -145,7 +136,7 @@ def repeatability(pairs: Sequence[Difference]) -> float | None:
     return float(np.sqrt(np.mean(squares))) if squares else None
 
 
-def measured(pairs: Sequence[Difference], repeats: Sequence[Difference], settings: PairedSettings) -> SignalDifference:
+def measured(pairs: Sequence[Difference], repeats: Sequence[Difference], settings: Settings) -> SignalDifference:
     """What differs in one signal, of all pairs together.
 
     Args:
@@ -160,11 +151,11 @@ def measured(pairs: Sequence[Difference], repeats: Sequence[Difference], setting
     points = tuple(_point(i, every[:, i], expected) for i in range(every.shape[1]))
     rms = float(np.sqrt(np.nanmean(every**2)))
     p_value = _p_value(pairs, found, settings)
-    steady = p_value < settings.alpha and rms > settings.beyond_runs * (run_to_run or 0.0)
+    steady = p_value < settings.paired.alpha and rms > settings.paired.beyond * (run_to_run or 0.0)
     verdict = (
-        "changed" if steady else "differs" if rms > settings.beyond_noise * np.hypot(noises[0], noises[1]) else "same"
+        "changed" if steady else "differs" if rms > settings.paired.beyond * np.hypot(noises[0], noises[1]) else "same"
     )
-    if verdict == "same" and p_value < settings.alpha:
+    if verdict == "same" and p_value < settings.paired.alpha:
         verdict = "differs"  # as runs of the same robot do
     return SignalDifference(
         name,
@@ -177,7 +168,7 @@ def measured(pairs: Sequence[Difference], repeats: Sequence[Difference], setting
         run_to_run,
         p_value,
         points,
-        _profile(pairs[0], found[0], settings),
+        _profile(pairs[0], found[0]),
         _descriptions(pairs, found, settings),
         tuple(_starts(each, expected, settings) for each in pairs),
     )
@@ -198,9 +189,9 @@ def _point(index: int, values: Floats, expected: float) -> PointDifference:
     )  # fmt: skip
 
 
-def _profile(pair: Difference, values: Floats, settings: PairedSettings) -> Profile:
+def _profile(pair: Difference, values: Floats) -> Profile:
     """Rms distance of every point in windows of time."""
-    windows = np.array_split(np.arange(len(pair.time)), min(settings.profile, len(pair.time)))
+    windows = np.array_split(np.arange(len(pair.time)), min(_WINDOWS, len(pair.time)))
     square = (values**2).sum(axis=2)
     rows = []
     for window in windows:
@@ -213,9 +204,9 @@ def _profile(pair: Difference, values: Floats, settings: PairedSettings) -> Prof
     )
 
 
-def _starts(pair: Difference, expected: float, settings: PairedSettings) -> Start:
+def _starts(pair: Difference, expected: float, settings: Settings) -> Start:
     """How far the two robots are apart at the beginning; over a few samples, as one alone is noise."""
-    first = pair.values[: settings.start]
+    first = pair.values[: settings.data_quality.window]
     with np.errstate(invalid="ignore"):
         count = np.isfinite(first).sum(axis=0)
         mean = np.nansum(first, axis=0) / np.where(count > 0, count, np.nan)
@@ -224,7 +215,7 @@ def _starts(pair: Difference, expected: float, settings: PairedSettings) -> Star
         return Start(0, float("nan"), 0.0, False)
     worst = int(np.nanargmax(distance))
     deviations = float(distance[worst] / (expected * np.sqrt(first.shape[2] / max(len(first), 1))))
-    return Start(worst, float(distance[worst]), deviations, deviations > settings.start_deviations)
+    return Start(worst, float(distance[worst]), deviations, deviations > settings.data_quality.outlier_deviations)
 
 
 def _motion(pair: Difference) -> tuple[Floats, Floats]:
@@ -242,14 +233,14 @@ def _motion(pair: Difference) -> tuple[Floats, Floats]:
     return way, speed
 
 
-def _blocks(length: int, settings: PairedSettings) -> list[slice]:
+def _blocks(length: int, settings: Settings) -> list[slice]:
     """Parts of time, as many as are long enough."""
-    count = max(min(settings.blocks, length // settings.least_block), 1)
+    count = max(min(settings.paired.blocks, length // settings.paired.blocks), 1)
     ends = np.linspace(0, length, count + 1).astype(int)
     return [slice(a, b) for a, b in pairwise(ends.tolist())]
 
 
-def _p_value(pairs: Sequence[Difference], found: Sequence[Floats], settings: PairedSettings) -> float:
+def _p_value(pairs: Sequence[Difference], found: Sequence[Floats], settings: Settings) -> float:
     """Probability of so steady a difference by chance, Bonferroni-corrected for all numbers that are tested."""
     rows: list[Floats] = []
     for pair, values in zip(pairs, found, strict=True):
@@ -291,9 +282,7 @@ def _t_test(values: Floats) -> float:
     return float(2.0 * student.sf(abs(values.mean()) / deviation, len(values) - 1))
 
 
-def _descriptions(
-    pairs: Sequence[Difference], found: Sequence[Floats], settings: PairedSettings
-) -> tuple[Description, ...]:
+def _descriptions(pairs: Sequence[Difference], found: Sequence[Floats], settings: Settings) -> tuple[Description, ...]:
     """What the difference looks like: a constant offset of each number, a change of amplitude and a delay common to
     all of them, with the shares of its variance that they take off one after another."""
     slopes, total, offset_left, left = [], 0.0, 0.0, 0.0

@@ -22,13 +22,12 @@ from soro_bench.diagnosis.paired.fit import (
     screened,
 )
 from soro_bench.diagnosis.paired.problem import PairedProblem, Point
-from soro_bench.diagnosis.paired.settings import PairedSettings
 from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.result_parts import Estimate
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.forward_selection import Progress, nominal_fit
-from soro_bench.diagnosis.settings import DEFAULT
+from soro_bench.diagnosis.settings import Settings
 from soro_bench.effects.effect import Location
 
 _DRAWS = 400  # of the posterior, for intervals of sizes that are not linear in the unknowns
@@ -39,7 +38,7 @@ def explained(
     pairs: Sequence[Pair],
     seed: int,
     progress: Progress,
-    settings: PairedSettings,
+    settings: Settings,
 ) -> result.Explanation:
     """The change that explains the difference of pairs of recordings.
 
@@ -49,13 +48,13 @@ def explained(
     """
     before, after, notes = _measured(robot, pairs, settings)
     progress("fit of the parameters before the change")
-    sigma = max(data_quality(each).sigma for each in (*before, *after))
-    problem = PairedProblem(robot, before, after, _shared(robot))
-    nominal, fit = nominal_fit(unexplained(robot, before, sigma), [], seed)
+    sigma = max(data_quality(each, settings.data_quality).sigma for each in (*before, *after))
+    problem = PairedProblem(robot, before, after, _shared(robot), settings)
+    nominal, fit = nominal_fit(unexplained(robot, before, sigma, settings), [], seed)
     nominal.check_finite(robot, nominal.simulated(robot, [(fit.x, ())]))
     start = np.concatenate([fit.x, np.zeros(sum(s.size for s in problem.shared))])
     problem, base = _before_change(problem, start, sigma, settings)
-    search = _Search(problem, base, possible_changes(robot, settings), sigma, seed, settings, progress)
+    search = _Search(problem, base, possible_changes(robot), sigma, seed, settings, progress)
     search.run()
     return search.explanation(tuple(notes))
 
@@ -68,18 +67,18 @@ def _shared(robot: Robot) -> tuple[Term, ...]:
 
 
 def _measured(
-    robot: Robot, pairs: Sequence[Pair], settings: PairedSettings
+    robot: Robot, pairs: Sequence[Pair], settings: Settings
 ) -> tuple[tuple[Measured, ...], tuple[Measured, ...], list[str]]:
     """Both sides of all pairs, as long as each other; the beginnings of long ones."""
     first, second, notes = [], [], []
-    most = max(settings.most_steps // len(pairs), 1)
+    most = max(settings.paired.most_steps // len(pairs), 1)
     for pair in pairs:
         one, two = robot.measured(pair.before), robot.measured(pair.after)
         count = min(len(one.time), len(two.time))
         if count > most:
             notes.append(f"the model explains the first {most * robot.control_timestep:.4g} s of a pair")
         one, two = _until(one, min(count, most)), _until(two, min(count, most))
-        values = _without_outliers(two.values - one.values)
+        values = _without_outliers(two.values - one.values, settings)
         second.append(replace(two, values=one.values + values))
         first.append(one)
         notes += [*one.notes]
@@ -94,19 +93,19 @@ def _until(measured: Measured, count: int) -> Measured:
     )  # fmt: skip
 
 
-def _without_outliers(values: Floats) -> Floats:
+def _without_outliers(values: Floats, settings: Settings) -> Floats:
     """Differences (T, P, D) without points that are alone and far off."""
     steps = np.abs(np.diff(values, axis=0))
     usual = float(np.nanmedian(steps)) if np.isfinite(steps).any() else 0.0
     if usual <= 0:
         return values
     found = values.copy()
-    found[outliers(values / usual)] = np.nan
+    found[outliers(values / usual, settings.data_quality)] = np.nan
     return found
 
 
 def _before_change(
-    problem: PairedProblem, start: Floats, noise: float, settings: PairedSettings
+    problem: PairedProblem, start: Floats, noise: float, settings: Settings
 ) -> tuple[PairedProblem, Point]:
     """The problem with the model's error before the change, and the shared unknowns there."""
     nothing = np.zeros(0)
@@ -134,7 +133,7 @@ class _Search:
         changes: Sequence[ParameterChange | LawChange],
         noise: float,
         seed: int,
-        settings: PairedSettings,
+        settings: Settings,
         progress: Progress,
     ):
         self.base, self.changes, self.noise, self.settings, self.progress = base, changes, noise, settings, progress
@@ -165,14 +164,13 @@ class _Search:
         fits.sort(key=lambda each: each.squares[1])
         self.problem = self._scaled(self.problem, fits[0].point)
         self.progress("fits of changes together with the parameters")
-        together = fitted_together(self.problem, fits[: self.settings.refined], self.settings)
+        together = fitted_together(self.problem, fits[: self.settings.selection.kept], self.settings)
         self.problem = self._scaled(self.problem, min(together, key=lambda each: each.squares[1]).point)
-        self.singles = [self._weighed(each) for each in (*together, *fits[self.settings.refined :])]
+        self.singles = [self._weighed(each) for each in (*together, *fits[self.settings.selection.kept :])]
         self.singles.sort(key=lambda each: -each.evidence)
         self.best = self.singles[0]
-        while self.best is not None and len(self.best.changes) < self.settings.most_changes:
-            if not self._one_more():
-                break
+        while self._one_more():
+            pass
 
     def _one_more(self) -> bool:
         """Add a change to the best ones if the evidence grows by enough; whether it did."""
@@ -180,16 +178,16 @@ class _Search:
         taken = {each.key for each in self.best.changes}
         others = [each for each in self.changes if each.key not in taken and self._possible(each)]
         problem = replace(self._scaled(self.problem, self.best.point), share=(self.problem.share[0], 1.0))
-        found = finalists(screened(problem, self.best.point, others), self.settings)[: self.settings.refined]
+        found = finalists(screened(problem, self.best.point, others), self.settings)[: self.settings.selection.kept]
         if not found:
             return False
         best = min(fitted_alone(problem, self.best.point, found, self.settings), key=lambda each: each.squares[1])
-        if best.squares[1] > self.best.squares[1] - self.settings.least_share * self.nothing:
+        if best.squares[1] > self.best.squares[1] - self.settings.paired.least_share * self.nothing:
             return False
         (joint,) = fitted_together(self._scaled(problem, best.point), [best], self.settings)
         problem = self._scaled(problem, joint.point)
         old, new = self._weighed(self.best, problem), self._weighed(joint, problem)
-        if new.evidence < old.evidence + self.settings.least_gain:
+        if new.evidence < old.evidence + self.settings.paired.least_gain:
             return False
         self.problem, self.best = problem, new
         return True
@@ -228,14 +226,14 @@ class _Search:
         left = self.best.squares[1] if self.best else nothing[1]
         floor = count * 2.0 * self.noise**2
         share = max(left - floor, 0.0) / max(nothing[1] - floor, 1e-300) if nothing[1] > floor else 0.0
-        unknown = float(expit((share - self.settings.unknown_share) / self.settings.unknown_width))
-        certain = DEFAULT.probabilities.wrong_when_certain
+        unknown = float(expit((share - self.settings.paired.unknown_share) / self.settings.paired.unknown_width))
+        certain = self.settings.probabilities.wrong_when_certain
         unknown = certain + (1.0 - certain) * unknown * (1.0 - weights[0] / weights.sum())
         chances = (1.0 - unknown) * weights / weights.sum()
         candidates = _merged([
             self._change(each, 0, float(chance), nothing[1])
             for each, chance in zip(singles, chances[1 : 1 + len(singles)], strict=True)
-        ], self.settings.alike)  # fmt: skip
+        ], self.settings.paired.least_share)  # fmt: skip
         if several:
             chance = float(chances[-1])
             best = tuple(self._change(several[0], i, chance, nothing[1]) for i in range(len(several[0].changes)))
@@ -248,7 +246,7 @@ class _Search:
             robot.signal,
             robot.unit,
             best,
-            tuple(candidates[: self.settings.listed]),
+            tuple(candidates),
             float(chances[0]),
             unknown,
             1.0 - float(left / max(nothing[1], 1e-300)),
@@ -289,9 +287,9 @@ def _interval(name: str, unit: str, value: float, draws: Floats) -> Estimate:
 
 def _of_parameter(change: ParameterChange, x: Floats, z: Floats, xs: Floats, zs: Floats) -> tuple[Estimate, ...]:
     """Of a parameter: the mass that is added; or its factor, or what is added to it; and its values on both sides."""
-    i, prior, width = change.index, change.prior, change.width
-    old, new = float(prior.value(x[i])), float(prior.value(x[i] + width * z[0]))
-    olds, news = prior.value(xs[:, i]), prior.value(xs[:, i] + width * zs[:, 0])
+    i, prior = change.index, change.prior
+    old, new = float(prior.value(x[i])), float(prior.value(x[i] + z[0]))
+    olds, news = prior.value(xs[:, i]), prior.value(xs[:, i] + zs[:, 0])
     values = (_interval("before", prior.unit, old, olds), _interval("after", prior.unit, new, news))
     if change.mass:
         return (_interval("mass", "kg", change.mass * (new - old), change.mass * (news - olds)), *values)

@@ -9,7 +9,7 @@ import numpy as np
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.paired.changes import LawChange, ParameterChange
 from soro_bench.diagnosis.paired.problem import PairedProblem, Point
-from soro_bench.diagnosis.paired.settings import PairedSettings
+from soro_bench.diagnosis.settings import Settings
 
 _STARTS = (0.3, 1.0, 3.0)  # times the predicted size; a law's effect is not linear in it
 _DAMPINGS = np.array([0.01, 0.1, 1.0, 100.0])  # of the Hessian's diagonal, tried side by side
@@ -90,22 +90,22 @@ def _only(typical: Floats, change: ParameterChange | LawChange, column: int) -> 
     return np.where(np.array(change.magnitudes) & ~here, 0.0, typical)
 
 
-def finalists(found: Sequence[Screened], settings: PairedSettings) -> list[Screened]:
+def finalists(found: Sequence[Screened], settings: Settings) -> list[Screened]:
     """The changes that are worth a fit, a few of each law."""
     kept: list[Screened] = []
     counts: Counter[str] = Counter()
-    least = settings.share_of_gain * max(found[0].gain, 0.0) if found else 0.0
+    least = settings.selection.least_share_of_gain * max(found[0].gain, 0.0) if found else 0.0
     for each in found:
         name = each.change.key[0]
-        if len(kept) == settings.finalists or each.gain <= least:
+        if len(kept) == settings.selection.candidates or each.gain <= least:
             break
-        if counts[name] < settings.finalists_per_law:
+        if counts[name] < settings.selection.candidates_per_law:
             kept.append(each)
             counts[name] += 1
     return kept
 
 
-def fitted_shared(problem: PairedProblem, x: Floats, settings: PairedSettings) -> Floats:
+def fitted_shared(problem: PairedProblem, x: Floats, settings: Settings) -> Floats:
     """(n,) shared unknowns of the recordings before the change alone."""
     half, nothing = problem.measured[0].size, np.zeros(0)
 
@@ -116,9 +116,7 @@ def fitted_shared(problem: PairedProblem, x: Floats, settings: PairedSettings) -
     return best
 
 
-def fitted_alone(
-    problem: PairedProblem, base: Point, starts: Sequence[Screened], settings: PairedSettings
-) -> list[Fit]:
+def fitted_alone(problem: PairedProblem, base: Point, starts: Sequence[Screened], settings: Settings) -> list[Fit]:
     """Each of some changes fitted to the difference, beside those of the base point, which stay as they are.
 
     The shared unknowns stay too. Where a law acts before the change, they have taken up some of it; that is left to the
@@ -142,7 +140,7 @@ def fitted_alone(
     return _fits(problem, points([(i, z) for i, (_, z) in enumerate(found)]), [j for j, _ in found], joint=False)
 
 
-def fitted_together(problem: PairedProblem, fits: Sequence[Fit], settings: PairedSettings) -> list[Fit]:
+def fitted_together(problem: PairedProblem, fits: Sequence[Fit], settings: Settings) -> list[Fit]:
     """Changes and the shared unknowns fitted together, from where fits ended."""
 
     def points(rows: Sequence[tuple[int, Floats]]) -> list[Point]:
@@ -166,7 +164,7 @@ def _descended(
     residuals: Callable[[list[tuple[int, Floats]]], Floats],
     starts: Sequence[Floats],
     bounds: Sequence[Floats],
-    settings: PairedSettings,
+    settings: Settings,
 ) -> list[tuple[Floats, Floats]]:
     """Levenberg-Marquardt fits side by side, with standard normal priors: of each the Jacobian (M, n) and the unknowns.
 
@@ -178,7 +176,7 @@ def _descended(
     found = [np.clip(v, b[0] + e, b[1] - e) for v, b, e in zip(starts, bounds, edges, strict=True)]
     jacobians: list[Floats] = [np.zeros((0, 0))] * len(found)
     damping, going = np.ones(len(found)), list(range(len(found)))
-    for _ in range(settings.steps):
+    for _ in range(settings.descent.steps):
         rows = _in_parts(
             residuals, [(i, v) for i in going for v in (found[i], *_beside(found[i], bounds[i], settings))]
         )
@@ -202,16 +200,17 @@ def _descended(
             if tried[part][best] < costs[i]:
                 found[i] = trials[k * len(_DAMPINGS) + best][1]
                 damping[i] *= float(_DAMPINGS[best] / _DAMPINGS[1])
-            if tried[part][best] < (1.0 - settings.least_step_gain) * costs[i]:
+            if tried[part][best] < (1.0 - settings.descent.least_gain) * costs[i]:
                 improved.append(i)
         if not (going := improved):
             break
     return list(zip(jacobians, found, strict=True))
 
 
-def _beside(v: Floats, bounds: Floats, settings: PairedSettings) -> Floats:
+def _beside(v: Floats, bounds: Floats, settings: Settings) -> Floats:
     """(n, n) unknowns of which one each is moved, within the bounds."""
-    by = np.where(v + settings.difference <= bounds[1], settings.difference, -settings.difference)
+    size = settings.descent.difference
+    by = np.where(v + size <= bounds[1], size, -size)
     return np.asarray(v + np.diag(by), float)
 
 

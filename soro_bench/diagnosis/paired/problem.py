@@ -15,10 +15,10 @@ from soro_bench.diagnosis.candidates import Term, effects_at
 from soro_bench.diagnosis.paired.changes import LawChange, ParameterChange, Side
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.effects.effect import Effect
 
 Changes = Sequence[ParameterChange | LawChange]
-_DIVERGED = 1e3  # deviations, of a sample where the simulation diverged
 
 
 @dataclass(frozen=True)
@@ -34,15 +34,16 @@ class Point:
 class PairedProblem:
     """Pairs of recordings, M numbers in all on each side.
 
-    shared: laws that act in both recordings, whose coordinates follow the parameters. sigma: of the model's error
-    before the change, and of what is left of the difference [signal's unit]. share: independent samples as shares of
-    all, of both.
+    shared: laws that act in both recordings, whose coordinates follow the parameters. settings: of the method.
+    sigma: of the model's error before the change, and of what is left of the difference [signal's unit]. share:
+    independent samples as shares of all, of both.
     """
 
     robot: Robot
     before: tuple[Measured, ...]
     after: tuple[Measured, ...]
     shared: tuple[Term, ...]
+    settings: Settings = DEFAULT
     sigma: tuple[float, float] = (1.0, 1.0)
     share: tuple[float, float] = (1.0, 1.0)
 
@@ -103,12 +104,12 @@ class PairedProblem:
 
     def residuals(self, points: Sequence[Point]) -> Floats:
         """(N, 2 M) residuals before and of the difference, each number counting as its independent share."""
-        found = []
+        found, diverged = [], self.settings.likelihood.diverged
         for values, given, seen, sigma, share in zip(
             self.simulated(points), self.measured, self.seen, self.sigma, self.share, strict=True
         ):
             off = np.where(seen, (np.nan_to_num(given) - values) / sigma, 0.0)
-            off = np.clip(np.nan_to_num(off, nan=_DIVERGED, posinf=_DIVERGED, neginf=-_DIVERGED), -_DIVERGED, _DIVERGED)
+            off = np.clip(np.nan_to_num(off, nan=diverged, posinf=diverged, neginf=-diverged), -diverged, diverged)
             found.append(off * np.sqrt(share))
         return np.hstack(found)
 

@@ -10,12 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-from soro_bench.diagnosis.settings.data import (
-    DataQualitySettings,
-    ResponseSettings,
-    SignalSettings,
-    UnitCheckSettings,
-)
+from soro_bench.diagnosis.settings.data import DataQualitySettings
 from soro_bench.diagnosis.settings.estimation import (
     AgreementSettings,
     CovarianceSettings,
@@ -26,6 +21,7 @@ from soro_bench.diagnosis.settings.estimation import (
     PriorSettings,
     RobotSettings,
 )
+from soro_bench.diagnosis.settings.paired import PairedSettings
 from soro_bench.diagnosis.settings.search import (
     ExperimentDesignSettings,
     LimitSettings,
@@ -49,16 +45,14 @@ __all__ = [
     "LikelihoodSettings",
     "LimitSettings",
     "LocalisationSettings",
+    "PairedSettings",
     "PriorSettings",
     "ProbabilitySettings",
     "ReportSettings",
-    "ResponseSettings",
     "RobotSettings",
     "ScreeningSettings",
     "SelectionSettings",
     "Settings",
-    "SignalSettings",
-    "UnitCheckSettings",
     "listed",
     "setting",
 ]
@@ -69,9 +63,6 @@ class Settings:
     """The settings of a diagnosis, one group per stage."""
 
     data_quality: DataQualitySettings = field(default_factory=DataQualitySettings)
-    signals: SignalSettings = field(default_factory=SignalSettings)
-    responses: ResponseSettings = field(default_factory=ResponseSettings)
-    unit_check: UnitCheckSettings = field(default_factory=UnitCheckSettings)
     discretisation: DiscretisationSettings = field(default_factory=DiscretisationSettings)
     likelihood: LikelihoodSettings = field(default_factory=LikelihoodSettings)
     priors: PriorSettings = field(default_factory=PriorSettings)
@@ -86,6 +77,7 @@ class Settings:
     experiment_design: ExperimentDesignSettings = field(default_factory=ExperimentDesignSettings)
     limits: LimitSettings = field(default_factory=LimitSettings)
     report: ReportSettings = field(default_factory=ReportSettings)
+    paired: PairedSettings = field(default_factory=PairedSettings)
 
     def listed(self) -> Iterator[tuple[str, str, Any, str, str]]:
         """Stage, name, value, unit and reason of every setting."""
