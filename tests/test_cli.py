@@ -32,6 +32,7 @@ from soro_bench.parallel import HERE, Workers, each, processors
 from soro_bench.recording.simulated import record
 from soro_bench.registration import ENV_IDS, task_type
 from soro_bench.training.ppo import TRAINER
+from tests.arm import ARM
 from tests.jobs import counted, die, squared, trained
 from tests.results import policy
 
@@ -51,6 +52,17 @@ def test_excite_writes_actions_for_every_robot(call, tmp_path, env_id):
     assert table[1, 0] == pytest.approx(task.control_timestep)
     assert len(table) * task.control_timestep >= 30.0
     assert np.abs(table[:, 1:]).max() <= 1.0
+
+
+def test_excite_writes_controls_of_a_model(call, paths, tmp_path):
+    """In the unit of its commands; an environment and a model at once are refused."""
+    paths[0].write_text(ARM.replace('name="motor"', 'name="motor" ctrlrange="-1 1"'))
+    robot = ("--model", paths[0], "--map", paths[1])
+    assert "soro-bench diagnose RECORDING --model" in call("excite", *robot, "--out", tmp_path / "actions.csv")
+    table = np.loadtxt(tmp_path / "actions.csv", delimiter=",", skiprows=1)
+    assert table.shape == (1500, 2) and table[1, 0] == 0.02 and 0.1 < np.abs(table[:, 1]).max() < 1.0
+    with pytest.raises(SystemExit, match="say which robot moves"):
+        call("excite", "TrunkReach-v0", *robot, "--out", tmp_path / "a.csv")
 
 
 def test_a_recording_is_made_viewed_and_inferred_from(call, tmp_path):

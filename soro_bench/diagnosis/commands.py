@@ -1,5 +1,6 @@
 """``soro-bench excite``, ``map``, ``diagnose``, ``report`` and ``study``."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -7,33 +8,62 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from soro_bench.files import check_folder, check_output, read_json, results_folder
-from soro_bench.options import EnvId, KnownParameters, joined
+from soro_bench.options import KnownParameters, joined
 from soro_bench.progress import StageStatus, console, table
 
 if TYPE_CHECKING:
+    from soro_bench.diagnosis.active import Source
     from soro_bench.diagnosis.robots.robot import Robot
+    from soro_bench.recording.recording import Recording
 
 
 @dataclass
 class Excite:
     """Write the actions that show what a robot does: the recording that a diagnosis needs."""
 
-    env: EnvId
     out: Path
-    """.csv with a row per control step: time [s], and the action of every channel, from -1 to 1."""
+    """.csv with a row per control step: time [s], and the action of every channel: from -1 to 1 for an environment, in
+    the model's units for a robot of your own."""
+    env: Annotated[str | None, tyro.conf.Positional] = None
+    """Environment whose robot moves; or --model and --map."""
+    model: Path | None = None
+    """MJCF file of another robot, from someone you trust: MuJoCo opens every file that a model names."""
+    map: Path | None = None
+    """TOML file that says which actuators are commanded, and how often (docs/reference/robot_map.md)."""
+    recording: Path | None = None
+    """.parquet of such a robot, whose commands say how far actuators without a range may go."""
     duration: float | None = None
     """s; 30 by default, or what it takes."""
     seed: int = 0
 
     def run(self) -> None:
+        check_output(self.out, ".csv")
+        if self.env and not (self.model or self.map or self.recording):
+            self._of_environment(self.env)
+        elif self.model and self.map and not self.env:
+            self._of_model(self.model, self.map)
+        else:
+            raise ValueError("say which robot moves: an environment, or --model ROBOT.xml --map MAP.toml")
+
+    def _of_model(self, model: Path, map_file: Path) -> None:
+        from soro_bench.diagnosis.robots.model_robot import ModelRobot
+        from soro_bench.recording.excitation import write_actions
+        from soro_bench.recording.parquet import load
+
+        robot = ModelRobot(model, map_file, threads=1)
+        actions = robot.excited(load(self.recording) if self.recording else None, self.duration, self.seed)
+        write_actions(self.out, robot.control_timestep, actions)
+        command = f"soro-bench diagnose RECORDING --model {model} --map {map_file} --out FOLDER"
+        console.print(f"{self.out}: replay it on the robot, record what it does, and: {command}", soft_wrap=True)
+
+    def _of_environment(self, env: str) -> None:
         from soro_bench.recording.excitation import excitation, write_actions
         from soro_bench.registration import make_task, task_type
 
-        check_output(self.out, ".csv")
-        task = make_task(self.env, 1, 1, task_type(self.env).cheap, action="continuous")
+        task = make_task(env, 1, 1, task_type(env).cheap, action="continuous")
         actions = excitation(task.single_action_space, task.control_timestep, self.duration, self.seed)
         write_actions(self.out, task.control_timestep, actions)
-        command = f"soro-bench diagnose RECORDING --env {self.env} --out FOLDER"
+        command = f"soro-bench diagnose RECORDING --env {env} --out FOLDER"
         console.print(f"{self.out}: replay it on the robot, record what it does, and: {command}", soft_wrap=True)
 
 
@@ -103,13 +133,21 @@ class Diagnose:
     The folder gets report.html and paired.json."""
     signals: tuple[str, ...] = ()
     """With --env: further signals to explain, such as tension; [[signals]] of the map are those of another robot."""
+    next: int = 0
+    """Ask for so many further recordings at most, as long as several answers are left. The command writes
+    next_1.csv into the folder and waits for next_1.parquet, and so on; it goes on with those that are there."""
+    answer: Path | None = None
+    """With --next: JSON file of effects. A simulated robot that has them answers, which is else like that of the first
+    recording, one of `soro-bench record`."""
     seed: int = 0
 
     def run(self) -> None:
-        from soro_bench.diagnosis.api import diagnose
+        from soro_bench.diagnosis.active import diagnose_actively
         from soro_bench.diagnosis.render import FILES, render
         from soro_bench.recording.parquet import load
 
+        if self.next < 0 or (self.answer and not self.next):
+            raise ValueError(f"--next {self.next}: 0 or more recordings; --answer needs 1 or more")
         if self.before or self.after:
             self._compare()
             return
@@ -120,11 +158,27 @@ class Diagnose:
             for note in robot.notes:
                 console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
             recordings, heldout = ([load(path) for path in paths] for paths in (self.recordings, self.heldout))
-            result = diagnose(robot, recordings, heldout, self.seed, status, known=joined(self.known))
+            source = self._source(recordings)
+            result, rounds = diagnose_actively(
+                robot, recordings, source, self.next, heldout, self.seed, status, known=joined(self.known)
+            )
             status("report")
             text = render(result, self.out)
         console.print(text, soft_wrap=True, highlight=False)
+        if self.next:
+            lines = table("recordings", "likeliest", "probability", "asked for", title="Rounds")
+            for each in rounds:
+                lines.add_row(str(each.recordings), each.answer, f"{each.probability:.2f}", each.proposed or "nothing")
+            console.print(lines)
         console.print(f"{self.out / 'report.html'}, {self.out / 'result.json'}; {result.seconds:.0f} s", soft_wrap=True)
+
+    def _source(self, recordings: Sequence["Recording"]) -> "Source":
+        """Who answers proposals."""
+        from soro_bench.diagnosis.active import DroppedFile, SimulatedAnswer
+
+        if self.answer:
+            return SimulatedAnswer(recordings[0], self.answer)
+        return DroppedFile(self.out, lambda text: console.print(text, soft_wrap=True, highlight=False, markup=False))
 
     def _compare(self) -> None:
         """Compare recordings before and after a change."""

@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium import spaces
 
 import soro_bench
+from soro_bench.arrays import Floats
 from soro_bench.effects.effect import Effect
 from soro_bench.envs.episode import Episode
 from soro_bench.envs.task import ACTION_MODES
@@ -29,7 +30,7 @@ MARKER_DISTANCE = 0.0125  # m: orientations are as noisy as those of markers so 
 
 def record(
     env_id: str,
-    policy: str = "random",
+    policy: str | Floats = "random",
     model: str | None = None,
     action: str | None = None,
     params: Mapping[str, float] | None = None,
@@ -43,7 +44,8 @@ def record(
     """Simulate an episode and record what there is to measure.
 
     Args:
-        policy: "random" (uniform actions), "excitation", or the folder of a trained policy.
+        policy: "random" (uniform actions), "excitation", the folder of a trained policy, or continuous actions
+            (T, nu), which are replayed.
         model: the environment's model or mesh; the accurate one by default.
         action: "discrete" or "continuous"; by default continuous, or what the trained policy needs.
         params: physical parameters; nominal where none is given.
@@ -63,7 +65,9 @@ def record(
         raise ValueError(f"unknown environment {env_id!r}; there are {', '.join(ENV_IDS)}")
     if not 0 <= noise < math.inf or (steps is not None and steps < 1) or seed < 0:
         raise ValueError(f"noise {noise}, steps {steps} and seed {seed}: at least 0, 1 and 0 are needed")
-    trained = None if policy in POLICIES else _trained(policy, env_id, action, load)
+    given = None if isinstance(policy, str) else policy
+    policy = policy if isinstance(policy, str) else "actions"
+    trained = None if given is not None or policy in POLICIES else _trained(policy, env_id, action, load)
     action = trained.card.action if trained else action or "continuous"
     model = model or task_type(env_id).accurate
     if action not in ACTION_MODES:
@@ -73,6 +77,8 @@ def record(
         duration = None if steps is None else steps * task.control_timestep
         actions = excitation(task.single_action_space, task.control_timestep, duration, seed)
         act, steps = _in_turn(actions), len(actions)
+    elif given is not None:
+        act, steps = _in_turn(given), len(given)
     else:
         act = trained.act if trained else _random(task.single_action_space, seed)
     steps = steps or gymnasium.spec(env_id).max_episode_steps

@@ -8,6 +8,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from gymnasium.spaces import Box
 
 from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.diagnosis.robots.map_parameters import Entry, held, parameters_of, settings_of
@@ -40,6 +41,7 @@ from soro_bench.diagnosis.settings import RobotSettings
 from soro_bench.effects.effect import Effect
 from soro_bench.models.simulation import ParameterMap, Simulation, quiet
 from soro_bench.parameters import Parameter, ParameterSet
+from soro_bench.recording.excitation import excitation
 from soro_bench.recording.known import Known
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 
@@ -300,6 +302,29 @@ class ModelRobot(Robot):
         slower = np.maximum(np.abs(speeds).max(axis=0) / np.maximum(fastest, 1e-9), 1.0)
         found = np.where(integrates, speeds / slower, np.clip(0.0, low + reach, high - reach) + moved)
         return np.where(self.driven, found, self._control)
+
+    def excited(self, recording: Recording | None = None, duration: float | None = None, seed: int = 0) -> Floats:
+        """(T, nu) controls of an identification experiment, as :func:`soro_bench.recording.excitation.excitation` has
+        it for the commanded actuators; the others are held.
+
+        Args:
+            recording: says how far actuators without a range may go.
+            duration: s; 30 by default, or what it takes.
+            seed: of the random phases.
+
+        Raises:
+            ValueError: no actuator is commanded, one may go nowhere, or the duration is too short.
+        """
+        driven = self.driven
+        if not driven.any():
+            raise ValueError("the map has no [commands]; there is no actuator to move")
+        rates = excitation(Box(-1.0, 1.0, (int(driven.sum()),)), self.control_timestep, duration, seed)
+        whole = np.zeros((len(rates), len(driven)))
+        whole[:, driven] = rates
+        controls = self.commanded(whole, self.measured(recording).actions if recording else np.zeros((1, len(driven))))
+        if still := [self.channels[i] for i in np.flatnonzero(driven & (np.ptp(controls, axis=0) == 0.0))]:
+            raise ValueError(f"{still[0]} has no ctrlrange; give --recording with commands that it may have")
+        return controls
 
     @property
     def driven(self) -> Bools:

@@ -1,0 +1,127 @@
+"""Active diagnosis: propose a recording, get it, diagnose all of them, until one answer is left.
+
+A proposal is the motion that best tells the remaining answers apart
+(:mod:`soro_bench.diagnosis.selection.experiment_design`). It is answered by a simulated robot of the suite, or by
+whoever records the real one and puts the file into a folder.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from soro_bench.diagnosis.api import diagnose
+from soro_bench.diagnosis.result import Result
+from soro_bench.diagnosis.result_parts import NextRecording
+from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.selection.forward_selection import Progress, silent
+from soro_bench.diagnosis.settings import DEFAULT, Settings
+from soro_bench.recording.excitation import write_actions
+from soro_bench.recording.known import Told
+from soro_bench.recording.parquet import load
+from soro_bench.recording.recording import Recording
+from soro_bench.recording.simulated import record
+
+_POLL = 0.2  # s between looks for a file
+Source = Callable[[NextRecording, int], Recording]  # answers the k-th proposal, from 1
+
+
+@dataclass(frozen=True)
+class Round:
+    """One diagnosis of several: of how many recordings, the likeliest hypothesis with its probability, and the motion
+    that was proposed then; "" where one answer is left."""
+
+    recordings: int
+    verdict: str
+    answer: str
+    probability: float
+    proposed: str
+
+
+def diagnose_actively(
+    robot: Robot,
+    recordings: Sequence[Recording],
+    source: Source,
+    most: int,
+    heldout: Sequence[Recording] = (),
+    seed: int = 0,
+    progress: Progress = silent,
+    settings: Settings = DEFAULT,
+    known: Told = (),
+) -> tuple[Result, tuple[Round, ...]]:
+    """Diagnose, get the recording that the diagnosis asks for, and diagnose again.
+
+    Args:
+        source: gives the recording that is asked for.
+        most: recordings that are asked for at most.
+        heldout, seed, progress, settings, known: as for :func:`soro_bench.diagnosis.api.diagnose`, whose errors this
+            function raises too.
+
+    Returns:
+        The last result, and a row per diagnosis. It ends early where no second answer is left.
+    """
+    recordings = list(recordings)
+    rounds: list[Round] = []
+    while True:
+        result = diagnose(robot, recordings, heldout, seed, progress, settings, known)
+        wanted = result.next_recording if len(rounds) < most else None
+        best = result.hypotheses[0]
+        answer = " + ".join(best.names) or "none"
+        proposed = wanted.motion if wanted else ""
+        rounds.append(Round(len(recordings), result.verdict, answer, best.probability, proposed))
+        if wanted is None:
+            return result, tuple(rounds)
+        recordings.append(source(wanted, len(rounds)))
+
+
+@dataclass(frozen=True)
+class SimulatedAnswer:
+    """A simulated robot of the suite that is like one of its recordings: with those parameters, that model and noise.
+
+    Args:
+        recording: of the robot; ``soro-bench record`` wrote it.
+        effects: physics that the robot has, as the environment takes it.
+    """
+
+    recording: Recording
+    effects: Path
+    names: tuple[str, ...] = field(default=("env_id", "model", "action", "noise"), repr=False)
+
+    def __post_init__(self) -> None:
+        if missing := [name for name in self.names if name not in self.recording.metadata]:
+            raise ValueError(f"the first recording has no {missing[0]!r} in its metadata; a simulated robot can answer "
+                             "for recordings of soro-bench record only")  # fmt: skip
+        if self.recording.metadata["action"] != "continuous":
+            raise ValueError("the first recording has discrete actions; a simulated robot answers with continuous ones")
+
+    def __call__(self, wanted: NextRecording, number: int) -> Recording:
+        """Simulate the proposed actions; the seed of the noise is the number of the proposal."""
+        about, actions = self.recording.metadata, np.array(wanted.actions)
+        return record(
+            about["env_id"], actions, about["model"], params=self.recording.parameters, seed=number,
+            noise=float(about["noise"]), effects=self.effects,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class DroppedFile:
+    """Whoever records the robot: proposals are written into a folder as next_1.csv, and next_1.parquet is awaited.
+
+    A file that is there already answers at once, so an interrupted loop goes on with the files that it has.
+    """
+
+    folder: Path
+    say: Callable[[str], None]
+
+    def __call__(self, wanted: NextRecording, number: int) -> Recording:
+        """Wait for the file that answers."""
+        actions, answer = self.folder / f"next_{number}.csv", self.folder / f"next_{number}.parquet"
+        write_actions(actions, wanted.control_timestep, np.array(wanted.actions))
+        if not answer.exists():
+            self.say(f"{actions}: {wanted.motion}, {wanted.duration_s:g} s. Replay it and write {answer}")
+        size = -1
+        while not answer.exists() or size != (size := answer.stat().st_size):  # until it no longer grows
+            time.sleep(_POLL)
+        return load(answer)
