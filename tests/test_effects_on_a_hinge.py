@@ -6,8 +6,9 @@ import pytest
 
 from soro_bench.assets import mjcf_path
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
-from soro_bench.effects.effect import Effect, Location
-from soro_bench.effects.elements import instrument
+from soro_bench.effects.catalogue import PHYSICS
+from soro_bench.effects.effect import Effect, EffectError, Location
+from soro_bench.effects.elements import Elements, instrument
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import ParameterSet
 
@@ -252,3 +253,59 @@ def test_friction_of_a_fast_servo_is_the_same_with_half_the_time_step(name, valu
         bare, dragging = robot.simulate(actions, parameters, effects, np.zeros((1, 1)), settings=settings)
         found.append(dragging - bare)
     assert np.linalg.norm(found[1] - found[0]) < 0.05 * np.linalg.norm(found[0])
+
+
+def at_actuator(name, actuator, **values):
+    return Effect(name, Location("actuator", actuator), values)
+
+
+def test_lost_motion_is_no_force_within_half_its_width_and_the_servo_beyond():
+    """0.2 N m displace a servo of 4 N m/rad by 0.05 rad, and by half the width more, to either side."""
+    for torque in (0.2, -0.2):
+        way = turn(flat(servo([at_actuator("lost_motion", "servo", width=0.06)])), torque, lambda _: 0.3, steps=4000)
+        assert way[-1] == pytest.approx(0.3 + np.sign(torque) * (0.05 + 0.03), abs=1e-4)
+    free = turn(flat(servo([at_actuator("lost_motion", "servo", width=0.06)])), 0.0, lambda _: 0.02, steps=50)
+    assert np.abs(free).max() == 0.0
+
+
+def test_input_friction_holds_as_much_as_its_share_of_one_actuator_and_a_preload():
+    """A motor of 1 N m with friction 0.3 (1 + 0.5): 0.55 N m are left to turn the arm; with 0.7 (1 + 0.5) it sticks."""
+    inertia = 0.1 * 0.2**2 / 3
+    slips = turn(flat(servo([at_actuator("input_friction", "motor", mu=0.3, preload=0.5)])), 1.0, steps=100)
+    speed = 0.55 / 0.01 * (1 - np.exp(-0.2 * 0.01 / inertia))  # after 0.2 s, with the damping of the hinge
+    assert slips[-1] - slips[-2] == pytest.approx(speed * 0.002, rel=0.02)
+    sticks = turn(flat(servo([at_actuator("input_friction", "motor", mu=0.7, preload=0.5)])), 1.0, steps=100)
+    assert 0.0 < sticks[-1] < 0.03 and abs(sticks[-1] - sticks[-20]) < 1e-3
+
+
+@pytest.mark.parametrize("name", ["lost_motion", "input_friction"])
+def test_laws_of_one_servo_among_others_do_nothing_without_a_magnitude_and_stay_finite_with_ten(name):
+    law, one = PHYSICS[name], Location("actuator", "servo")
+    first = law.quantities[0]
+    ways = []
+    for share in (0.0, 10.0):
+        sim = servo([])
+        typical = {q.name: q.typical * Elements(sim.model).scale(one, q.of) for q in law.quantities}
+        sim = servo([Effect(name, one, typical | {first.name: share * typical[first.name]})])
+        ways.append(turn(sim, 0.1, lambda step: np.sin(0.01 * step)))
+    assert np.array_equal(ways[0], turn(servo([]), 0.1, lambda step: np.sin(0.01 * step)))
+    assert np.isfinite(ways[1]).all() and not np.array_equal(*ways)
+
+
+def test_a_law_of_one_servo_among_others_is_refused_where_there_is_none():
+    with pytest.raises(EffectError, match=r"lost_motion acts on servos of positions"):
+        servo([at_actuator("lost_motion", "motor", width=0.1)])
+    spec = mujoco.MjSpec.from_string(SERVO)
+    spec.delete(spec.actuator("motor"))
+    with pytest.raises(EffectError, match=r"input_friction acts where several actuators drive one joint"):
+        Simulation(
+            instrument(spec).compile(), ParameterSet(), (), 1, 1,
+            [at_actuator("input_friction", "servo", mu=0.1, preload=1.0)],
+        )  # fmt: skip
+
+
+def test_a_typical_friction_of_a_joint_that_nothing_drives_is_a_share_of_what_hangs_on_it():
+    spec = mujoco.MjSpec.from_string(SERVO)
+    for name in ("motor", "servo"):
+        spec.delete(spec.actuator(name))
+    assert Elements(spec.compile()).scale(Location("joint", "hinge"), "force") == pytest.approx(0.03 * WEIGHT, rel=1e-6)

@@ -169,6 +169,20 @@ class Elements:
         model = self.model
         return np.flatnonzero((model.actuator_trntype == kind) & (model.actuator_trnid[:, 0] == self.id(location)))
 
+    def driven_by(self, actuator: Location) -> Location:
+        """The tendon or scalar joint that an actuator drives.
+
+        Raises:
+            EffectError: it drives something else.
+        """
+        model, i = self.model, self.id(actuator)
+        target, transmission = int(model.actuator_trnid[i, 0]), model.actuator_trntype[i]
+        if transmission == mujoco.mjtTrn.mjTRN_TENDON:
+            return Location("tendon", model.tendon(target).name)
+        if transmission == mujoco.mjtTrn.mjTRN_JOINT and model.jnt_type[target] in _SCALARS:
+            return Location("joint", model.joint(target).name)
+        raise EffectError(f"{actuator} drives neither a tendon nor a scalar joint")
+
     def resistance(self, location: Location) -> tuple[str, int]:
         """Where the model has damping and dry friction of a tendon or joint: "tendon" or "dof", and its number."""
         i = self.id(location)
@@ -203,7 +217,8 @@ class Elements:
         if location.kind == "actuator":
             i = self.id(location)
             if of == "force":
-                return _SHARE * _width(model.actuator_forcerange[i], model.actuator_forcelimited[i], 1.0)
+                largest = self._largest_force(i) or 1.0
+                return _SHARE * _width(model.actuator_forcerange[i], model.actuator_forcelimited[i], largest)
             integrates = model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR
             span = (model.actuator_actrange if integrates else model.actuator_ctrlrange)[i]
             return _SHARE * _width(span, True, 1.0)
@@ -215,7 +230,8 @@ class Elements:
             return _SHARE * stiffness
         driven = np.flatnonzero(model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)
         near = actuators if len(actuators) or location.kind != "joint" else driven
-        return _SHARE * max(map(self._largest_force, near), default=0.0) or 1.0
+        largest = max(map(self._largest_force, near), default=0.0)
+        return _SHARE * (largest or self._weight(location)) or 1.0
 
     def _largest_force(self, actuator: int) -> float:
         """What its largest control gives in a joint or tendon [N, N m]; 0 where there is none."""
@@ -225,6 +241,20 @@ class Elements:
             return 0.0
         factor = abs(float(model.actuator_gainprm[actuator, 0] * model.actuator_gear[actuator, 0]))
         return factor * float(np.abs(model.actuator_ctrlrange[control]).max())
+
+    def _weight(self, location: Location) -> float:
+        """N or N m, the largest force in a joint of the weight of what hangs on it; 0 at other locations."""
+        if location.kind != "joint":
+            return 0.0
+        model, i = self.model, self.id(location)
+        body = model.jnt_bodyid[i]
+        weight = float(model.body_subtreemass[body] * np.linalg.norm(model.opt.gravity))
+        if model.jnt_type[i] == mujoco.mjtJoint.mjJNT_SLIDE:
+            return weight
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        return weight * float(np.linalg.norm(np.cross(data.xaxis[i], data.subtree_com[body] - data.xanchor[i])))
 
     def _mass(self) -> float:
         """kg, of all bodies that move but loose objects, which are alone and free."""

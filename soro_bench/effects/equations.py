@@ -58,11 +58,22 @@ EQUATIONS: Mapping[str, Equation] = {
         {"mu": r"\mu", "backdrive": "b", "preload": "P", **_STRIBECK},
         {**_F, **_Z, "T": "torque of the actuators", "L": "torque of the load", **_V},
     ),
+    "input_friction": Equation(
+        r"F = -\mu \, (\left| T \right| + P) \, \frac{z}{\delta}, \quad \left| z \right| \le \delta",
+        {"mu": r"\mu", "preload": "P", "presliding": r"\delta"},
+        {**_F, **_Z, "T": "force of the actuator"},
+    ),
     "viscous_friction": Equation("F = -c \\, v", {"damping": "c"}, {**_F, **_V}),
     "backlash": Equation(
         r"y_t = \min \left( \max \left( y_{t-1}, \, u_t - \frac{w}{2} \right), \, u_t + \frac{w}{2} \right)",
         {"width": "w"},
         _UY,
+    ),
+    "lost_motion": Equation(
+        r"F = k \left[ e - \min \left( \max \left( e, \, -\frac{w}{2} \right), \, \frac{w}{2} \right) \right], "
+        r"\quad e = u - x",
+        {"width": "w"},
+        {"F": "force of the servo", "k": "its stiffness", "u": "setpoint", "x": "position"},
     ),
     "actuator_deadband": Equation(r"y = u - \min(\max(u, -w), \, w)", {"width": "w"}, _UY),
     "hysteresis": Equation(

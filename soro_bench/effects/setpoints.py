@@ -13,6 +13,7 @@ from soro_bench.arrays import Bools, Floats
 from soro_bench.effects.effect import EffectError, Location, Quantity
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.law import Law
+from soro_bench.effects.springs import INFINITE
 
 _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 _SOFTEST = 0.1  # of 1 + k c: a servo that is ten times stiffer than its model
@@ -91,6 +92,28 @@ class Backlash(_Following):
         half = self.values["width"][which] / 2
         self.output[which] = np.clip(self.output[which], setpoint - half, setpoint + half)
         return self.output[which]
+
+
+class LostMotion(SetpointLaw):
+    """Play between a servo and what it moves: within it no force holds, beyond it the servo's own, as if it were asked
+    to be at the nearest end. Unlike :class:`Backlash` it shows under a load while the setpoint is constant."""
+
+    name, category, stepped = "lost_motion", "hysteresis_or_play", True
+    quantities = (Quantity("width", "m or rad", 1.0, INFINITE, of="length"),)
+    outputs = ("actuator_length",)
+
+    def prepare(self, elements: Elements) -> None:
+        super().prepare(elements)
+        model, ids = self.model, self.ids
+        servo = (model.actuator_gaintype[ids] == mujoco.mjtGain.mjGAIN_FIXED) & (model.actuator_dyntype[ids] == 0)
+        gain = model.actuator_gainprm[ids, 0]
+        if not (servo & (gain > 0) & np.isclose(model.actuator_biasprm[ids, 1], -gain)).all():
+            raise EffectError(f"{self.name} acts on servos of positions: forces of k (setpoint - length)")
+
+    def filter(self, which: Bools, setpoint: Floats) -> Floats:
+        half = self.values["width"][which] / 2
+        length = self.batch.actuator_length[self.rows[which], self.ids[which]]
+        return np.clip(length, setpoint - half, setpoint + half)
 
 
 class ActuatorLag(_Following):

@@ -237,6 +237,35 @@ class GearFriction(_Friction):
         return level * (1.0 + (values["static_ratio"] - 1.0) * np.exp(-(speed**2)))
 
 
+class InputFriction(_Friction):
+    """Dry friction of what an actuator drives, mu (|F| + preload) with the force F of this one actuator: a seal, on
+    which the pressure presses that it seals, a belt under tension. Others drive the same joint or tendon too: of one
+    alone this is load_friction.
+    """
+
+    name, kinds = "input_friction", ("actuator",)
+    quantities = (
+        Quantity("mu", "1", 0.02, (0.0, 10.0)),
+        Quantity("preload", _FORCE, 10.0, INFINITE, of="force"),
+        _PRESLIDING,
+    )
+    outputs = (*_Friction.outputs, "actuator_force")
+
+    def prepare(self, elements: Elements) -> None:
+        own = self.locations
+        self.inputs = np.array([elements.id(location) for location in own])
+        self.locations = [elements.driven_by(location) for location in own]
+        super().prepare(elements)
+        self.locations = own
+        if (np.count_nonzero(self.actuators >= 0, axis=1) < 2).any():
+            raise EffectError(f"{self.name} acts where several actuators drive one joint or tendon; see load_friction")
+
+    def level(self, which: Bools) -> Floats:
+        rows, ids = self.rows[which], self.inputs[which]
+        force = np.abs(self.model.actuator_gear[ids, 0] * self.batch.actuator_force[rows, ids])
+        return self.values["mu"][which] * (force + self.values["preload"][which])
+
+
 class _SecondSpring(OnJoints):
     """A law of the springs beside those of joints."""
 
