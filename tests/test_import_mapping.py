@@ -262,3 +262,23 @@ def test_a_unit_of_time_that_no_robot_has_is_asked_for(read):
     table = "t,f\n" + "".join(f"{10_000 * i},{i}\n" for i in range(20))
     assert read(table, CLOCK + F).metadata[NOTES] == "signals.f: a sample every 10000 s; is the unit of time right?"
     assert NOTES not in read(table, CLOCK + "unit = 'us'\n" + F).metadata
+
+
+def test_absolute_angles_become_relative_and_a_measured_command_goes_on_along_a_line(tmp_path):
+    (tmp_path / "log.csv").write_text("t,a,b,u\n0,10,30,1\n0.01,20,50,2\n0.05,20,40,4\n")
+    found = import_recording(
+        tmp_path / "log.csv",
+        {
+            "time": {"column": "t"},
+            "commands": {"u": {"columns": ["u"], "unit": "1", "interpolate": 0.01}},
+            "signals": {"angles": {"columns": ["a", "b"], "unit": "deg", "relative": True}},
+        },
+    )
+    np.testing.assert_allclose(np.degrees(found.signals["angles"].values), [[10, 20], [20, 30], [20, 20]])
+    np.testing.assert_allclose(found.commands["u"].time, 0.01 * np.arange(6), atol=1e-9)
+    np.testing.assert_allclose(found.commands["u"].values, [1, 2, 2.5, 3, 3.5, 4])
+    with pytest.raises(RecordingError, match="interpolate = 1e-09 makes 50000000 samples; 1000000 are allowed"):
+        import_recording(
+            tmp_path / "log.csv",
+            {"time": {"column": "t"}, "commands": {"u": {"columns": ["u"], "unit": "1", "interpolate": 1e-9}}},
+        )

@@ -12,12 +12,14 @@ from soro_bench.recording.importers.units import si
 from soro_bench.recording.recording import RecordingError, Signal, check_shape
 
 VALUE_KEYS = (
-    "unit", "scale", "sign", "offset", "rotation", "frame", "shape", "shift", "leaves", "unwrap", "period",
+    "unit", "scale", "sign", "offset", "rotation", "frame", "shape", "shift", "leaves", "unwrap", "period", "relative",
+    "interpolate",
 )  # fmt: skip
 _TURN = 2 * math.pi
 _ROTATION_ERROR = 1e-3  # of what has three digits in the mapping
 _WRAPS = 0.75  # of a turn: larger steps within one turn look like wraps
 _SMALLEST, _LARGEST = 256, 2**32  # counts of a turn of encoders that wrap
+_MOST_INTERPOLATED = 1_000_000  # samples
 _USED = 0.9  # of the counts, that one that wraps has seen
 _FAST = 0.35  # of a period, over which steps may as well be wraps the other way
 
@@ -27,7 +29,7 @@ class Source:
     """Where one command or signal comes from and what its numbers mean.
 
     The value in SI units is offset + rotation * (sign * scale * factor of the unit * number in the file), where the
-    number is unwrapped first.
+    number is unwrapped first, less the value before it in the sample if it is relative.
     """
 
     unit: str | None  # as in the file; None: the file says it
@@ -41,6 +43,8 @@ class Source:
     rotation: np.ndarray | None = None  # (3, 3), of every three numbers into the frame
     unwrap: bool = False
     period: float | None = None  # of what wraps, in the numbers of the file; None: a turn
+    relative: bool = False  # each number counts from the one before it, as joint angles of a chain do
+    interpolate: float | None = None  # s, between samples on the lines between its own: of a command that was measured
 
     def signal(self, time: np.ndarray, numbers: np.ndarray, unit: str | None = None) -> Signal:
         """The signal for (T,) times [s] and (T, ...) numbers of the file, whose unit the file says if nothing does."""
@@ -60,8 +64,12 @@ class Source:
                 raise RecordingError(f"rotation is of samples of three numbers; shape is {list(shape)}, write [n, 3]")
             values = values @ self.rotation.T
         values += offset
+        if self.relative:
+            values = np.diff(values, axis=-1, prepend=0.0)
         if self.leaves is not None:
             return _staying(time, values, self.leaves, self.shift)
+        if self.interpolate is not None:
+            time, values = _interpolated(time, values, self.interpolate)
         return Signal(time, values, unit, self.frame)
 
     def note(self, numbers: np.ndarray, unit: str | None = None) -> str:
@@ -134,6 +142,8 @@ def read_source(entry: object, place_keys: tuple[str, ...], unit_optional: bool)
         _rotation(entry["rotation"]) if "rotation" in entry else None,
         bool(entry.get("unwrap", False)),
         positive("period", entry["period"]) if "period" in entry else None,
+        entry.get("relative", False),
+        positive("interpolate", entry["interpolate"]) if "interpolate" in entry else None,
     )
 
 
@@ -169,7 +179,9 @@ def _check_effects(entry: Mapping) -> None:
         raise RecordingError(f"unwrap = {brief(entry['unwrap'])}; expected true or false")
     if "period" in entry and not entry.get("unwrap"):
         raise RecordingError("period has no effect without unwrap = true")
-    for key in ("offset", "frame", "rotation"):
+    if type(entry.get("relative", False)) is not bool:
+        raise RecordingError(f"relative = {brief(entry['relative'])}; expected true or false")
+    for key in ("offset", "frame", "rotation", "relative", "interpolate"):
         if key in entry and "leaves" in entry:
             raise RecordingError(f"{key} has no effect beside leaves, which looks at distances only")
 
@@ -260,6 +272,23 @@ def _told(numbers: np.ndarray, period: float) -> str:
     left = np.abs(_steps(unwrapped(numbers, period))).max() / period
     fast = f"; steps of {left:.2f} of a period may as well be wraps the other way" if left > _FAST else ""
     return f"wraps at {period:.6g} that are unwrapped: {wraps}{fast}"
+
+
+def _interpolated(time: np.ndarray, values: np.ndarray, interval: float) -> tuple[np.ndarray, np.ndarray]:
+    """(K,) times [s] from the first to the last at an interval [s], and (K, ...) values on the lines between (T, ...).
+
+    Raises:
+        RecordingError: they would be too many, or no number is known.
+    """
+    if (count := (time[-1] - time[0]) / interval) > _MOST_INTERPOLATED:
+        raise RecordingError(f"interpolate = {interval:g} makes {count:.0f} samples; {_MOST_INTERPOLATED} are allowed")
+    times = time[0] + interval * np.arange(int(count) + 1)
+    columns = values.reshape(len(time), -1).T
+    known = [np.isfinite(column) for column in columns]
+    if not all(each.any() for each in known):
+        raise RecordingError("interpolate needs numbers; one of the columns has none")
+    found = [np.interp(times, time[some], column[some]) for some, column in zip(known, columns, strict=True)]
+    return times, np.stack(found, axis=1).reshape(len(times), *values.shape[1:])
 
 
 def _staying(time: np.ndarray, values: np.ndarray, distance: float, shift: float) -> Signal:
