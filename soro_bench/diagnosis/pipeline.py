@@ -33,6 +33,7 @@ from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.experiment_design import Proposal, proposed
 from soro_bench.diagnosis.selection.forward_selection import Explanation, Progress, explained, nominal_fit, silent
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, compared, shortlist
+from soro_bench.diagnosis.selection.sizing import sized
 from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.inference.statistical_linearisation import LowRank
 from soro_bench.models.simulation import quiet
@@ -145,7 +146,7 @@ def run_diagnosis(
     unfitted = unexplained(fitted, tested, sigma, settings, others) if tested else None
     if unfitted:
         unfitted = replace(unfitted, model_form=problem.model_form, variants=problem.variants)
-    candidates = terms(robot, settings.priors)
+    candidates = sized(problem, nominal, terms(robot, settings.priors), robot)
     explanation = explained(problem, nominal, robot, refined, candidates, seed, run.progress, unfitted)
     run.progress("comparison")
     hypotheses = shortlist(explanation)

@@ -11,6 +11,12 @@ class ScreeningSettings:
 
     largest_step: float = setting(1.0, "prior deviations", "of a parameter beside added terms; linear only so far")
     paired: int = setting(20, "candidate terms", "that gain most alone; each is paired with every other one")
+    largest_response: float = setting(
+        10.0,
+        "times the misfit",
+        "response to a typical magnitude, where the misfit dominates; beyond it is scaled down",
+    )
+    sizings: int = setting(3, "replays", "of candidates that are scaled down; large responses saturate")
 
 
 @dataclass(frozen=True)
