@@ -16,10 +16,13 @@ pytest.importorskip("pyarrow")
 from soro_bench.cli import Data
 from soro_bench.diagnosis import study as module
 from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison
 from soro_bench.diagnosis.study import STUDIES, Part, Study, errors, load_study, results, run_study
 from soro_bench.recording import published
+from soro_bench.recording.importers.takes import commands_of_take
 from soro_bench.recording.published import PublishedFile, Source, bam_table, fetch, sources, summary
+from soro_bench.recording.recording import RecordingError
 from tests.arm import ARM, MAP, recording
 
 
@@ -116,6 +119,44 @@ def test_a_part_has_its_recordings_to_explain_to_hold_out_and_never_to_see(tmp_p
     assert "kp200_sin_sin" in part.unseen[0] and "kp200_lift" in part.heldout[0] and "kp100" in part.train[0]
 
 
+def test_other_files_of_a_part_are_imported_as_those_that_their_pattern_is_like(tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr(module, "_recordings", lambda folder, study, entries: seen.append(entries) or ())
+    files = {"train": ["xl330_processed_kp800_new.csv"], "unseen": ["other_*.csv"]}
+    load_study("bam_servo", tmp_path, files)
+    gains = [[(e["files"], e["metadata"]["firmware_gain"]) for e in entries] for entries in seen]
+    assert gains == [[("xl330_processed_kp800_new.csv", "800")], [], [("other_*.csv", "100")]]
+
+
+def test_a_study_reads_a_folder_of_pieces_and_asks_which_part_files_are_for(tmp_path):
+    folder = tmp_path / "multiarm_pendulum" / "single"
+    folder.mkdir(parents=True)
+    for i in (1, 2, 7):
+        (folder / f"piece_{i:02}.csv").write_text("t_s,angle_rad,angle_rate_rad_s\n0,3.1,0\n0.001,3.1,0.01\n")
+    files = {"train": ["single/piece_0[12].csv"], "heldout": ["single/piece_07.csv"]}
+    for data in (tmp_path, folder.parent):
+        (part,) = load_study("pendulum", data, files).parts
+        assert [len(some) for some in (part.train, part.heldout, part.unseen)] == [2, 1, 0]
+    with pytest.raises(
+        ValueError, match=r"which part of asl_trunk are these files for\? Write --part and one of random"
+    ):
+        load_study("asl_trunk", tmp_path, files)
+    with pytest.raises(ValueError, match="unknown part 'moon' of pendulum; there are pieces"):
+        load_study("pendulum", tmp_path, part="moon")
+
+
+def test_a_table_of_takes_gives_each_recording_its_constant_commands(tmp_path):
+    (tmp_path / "takes.csv").write_text("take,load_g,far\na1,52,x\na12,101,x\n")
+    takes = {"file": "takes.csv", "key": "take", "commands": {"load": {"columns": ["load_g"], "unit": "g"}}}
+    found = commands_of_take(tmp_path / "a1.csv", takes)["load"]
+    assert found.values.ravel() == pytest.approx([0.052]) and (found.unit, found.time.tolist()) == ("kg", [0.0])
+    with pytest.raises(RecordingError, match="0 rows with take 'a2'; expected one"):
+        commands_of_take(tmp_path / "a2.csv", takes)
+    takes["commands"]["load"]["columns"] = ["far"]
+    with pytest.raises(RecordingError, match=r"commands\.load: 'x' in far is no number"):
+        commands_of_take(tmp_path / "a1.csv", takes)
+
+
 @pytest.mark.parametrize("name", STUDIES)
 def test_files_of_a_study_are_there(name):
     import tomllib
@@ -123,7 +164,9 @@ def test_files_of_a_study_are_there(name):
     from soro_bench.assets import asset_path
 
     table = tomllib.loads(asset_path("studies.toml").read_text())[name]
-    assert all(Path(asset_path(f"mjcf/{table[key]}")).is_file() for key in ("model", "map", "import"))
+    files = [table[key] for key in ("model", "map", "import") if isinstance(table[key], str)]
+    assert all(Path(asset_path(f"mjcf/{name}")).is_file() for name in files)
+    ModelRobot(*(asset_path(f"mjcf/{table[key]}") for key in ("model", "map")), threads=1)
 
 
 def test_what_has_no_name_comes_first_in_the_table_only_where_no_effect_is_likelier():

@@ -287,11 +287,20 @@ class Study:
     """Diagnose the recordings of a real robot; an interrupted study goes on with the parts that are missing."""
 
     name: Annotated[str, tyro.conf.Positional]
-    """opencr_tdcr, asl_trunk, bam_servo or silicone_beam."""
+    """A table of assets/studies.toml, such as bam_servo or pendulum."""
     out: Path
     """Folder for the reports, one folder for each part, and for a table of all of them, results.md."""
     data: Path = Path("data/real")
     """Folder with the recordings; `soro-bench data` says where they come from."""
+    part: str | None = None
+    """The only part to run; all of them by default."""
+    train: tuple[str, ...] = ()
+    """Patterns of files to explain instead of the part's own, such as 'single/piece_0*.csv'. With any of these three
+    nothing of the part's own is left."""
+    heldout: tuple[str, ...] = ()
+    """Patterns of files to hold out."""
+    unseen: tuple[str, ...] = ()
+    """Patterns of files that are only replayed in the end."""
     seed: int = 0
 
     def run(self) -> None:
@@ -299,7 +308,10 @@ class Study:
         from soro_bench.files import replacing
 
         check_folder(self.out, ["results.md"])
-        study = load_study(self.name, self.data)
+        files = {"train": self.train, "heldout": self.heldout, "unseen": self.unseen}
+        if any(files.values()) and not self.train:
+            raise ValueError("--heldout and --unseen need --train, the files to explain")
+        study = load_study(self.name, self.data, files if self.train else None, self.part)
         with StageStatus() as status:
             summaries = run_study(study, self.out, self.seed, progress=status)
         with replacing(self.out / "results.md") as temporary:

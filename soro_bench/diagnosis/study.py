@@ -2,13 +2,17 @@
 
 A study is a table of ``assets/studies.toml``: a model, its mapping, how its recordings are imported, and parts. A part
 names recordings to explain, held-out ones and unseen ones, as files with the changes that their import makes to the
-mapping. The result of the part that it comes ``after`` is its baseline."""
+mapping. The result of the part that it comes ``after`` is its baseline. Where a table of the recordings has a row for
+each file (``takes``), its numbers become commands of that recording."""
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,12 +30,23 @@ from soro_bench.diagnosis.selection.model_probabilities import Answer
 from soro_bench.files import check_folder, read_json, read_toml, write_json
 from soro_bench.markdown import table
 from soro_bench.recording.importers import import_recording
+from soro_bench.recording.importers.takes import commands_of_take
 from soro_bench.recording.recording import Recording
 from soro_bench.sources import method_version
 
 SUMMARY = "summary.json"
 METHOD = method_version()  # of the sources as this process loaded them
-STUDIES = ("opencr_tdcr", "asl_trunk", "bam_servo", "silicone_beam")
+STUDIES = (
+    "opencr_tdcr",
+    "asl_trunk",
+    "bam_servo",
+    "silicone_beam",
+    "pendulum",
+    "double_pendulum",
+    "sts3215",
+    "pneumatic_cylinder",
+)
+KINDS = ("train", "heldout", "unseen")  # of recordings of a part
 
 
 @dataclass(frozen=True)
@@ -57,40 +72,65 @@ class Study:
     parts: tuple[Part, ...]
 
 
-def load_study(name: str, data: str | Path) -> Study:
+def load_study(
+    name: str, data: str | Path, files: Mapping[str, Sequence[str]] | None = None, part: str | None = None
+) -> Study:
     """A study of the suite with its recordings, from a folder that ``soro-bench data`` has filled.
 
+    Args:
+        name: of the study.
+        data: the folder with the study's own folder of recordings in it, or that folder.
+        files: patterns of other files to explain ("train"), to hold out and not to see, instead of all of the part's.
+        part: the only part to load; needed with ``files`` where there are several.
+
     Raises:
-        ValueError: there is no such study.
+        ValueError: there is no such study or part, or ``files`` needs one.
         FileNotFoundError: a recording is not there.
     """
     if name not in STUDIES:
         raise ValueError(f"unknown study {name!r}; there are {', '.join(STUDIES)}")
     table = read_toml(asset_path("studies.toml"))[name]
+    parts = table["parts"]
+    if part is not None and part not in parts:
+        raise ValueError(f"unknown part {part!r} of {name}; there are {', '.join(parts)}")
+    chosen = {key: each for key, each in parts.items() if part in (None, key)}
+    if files and len(chosen) > 1:
+        raise ValueError(f"which part of {name} are these files for? Write --part and one of {', '.join(parts)}")
     folder = Path(data) / table["data"]
-    parts = tuple(
-        Part(
-            key,
-            part["question"],
-            _recordings(folder, table["import"], part["train"]),
-            _recordings(folder, table["import"], part.get("heldout", [])),
-            part.get("after"),
-            _recordings(folder, table["import"], part.get("unseen", [])),
-        )
-        for key, part in table["parts"].items()
-    )
-    return Study(name, asset_path(f"mjcf/{table['model']}"), asset_path(f"mjcf/{table['map']}"), parts)
+    read = partial(_recordings, folder if folder.is_dir() else Path(data), table)
+    loaded = []
+    for key, each in chosen.items():
+        entries = _replaced(each, files) if files else {kind: each.get(kind, []) for kind in KINDS}
+        train, heldout, unseen = (read(entries[kind]) for kind in KINDS)
+        loaded.append(Part(key, each["question"], train, heldout, each.get("after"), unseen))
+    return Study(name, asset_path(f"mjcf/{table['model']}"), asset_path(f"mjcf/{table['map']}"), tuple(loaded))
 
 
-def _recordings(folder: Path, name: str, entries: Sequence[dict]) -> tuple[Recording, ...]:
-    """Of each entry the files, imported by the mapping with the sections that the entry changes."""
-    found, mapping = [], read_toml(asset_path(f"mjcf/{name}"))
+def _replaced(part: Mapping[str, Any], files: Mapping[str, Sequence[str]]) -> dict[str, list[dict]]:
+    """Entries for other files. Each is imported as the entry of the part whose pattern it matches, or as the first."""
+    own = [entry for kind in KINDS for entry in part.get(kind, [])]
+
+    def like(pattern: str) -> dict:
+        return next((entry for entry in own if fnmatchcase(pattern, entry["files"])), own[0])
+
+    return {kind: [like(pattern) | {"files": pattern} for pattern in files.get(kind, ())] for kind in KINDS}
+
+
+def _recordings(folder: Path, study: Mapping[str, Any], entries: Sequence[dict]) -> tuple[Recording, ...]:
+    """Of each entry the files, imported by the study's mapping with the sections that the entry changes."""
+    found, mapping = [], study["import"]
+    if isinstance(mapping, str):
+        mapping = read_toml(asset_path(f"mjcf/{mapping}"))
     for entry in entries:
         changes = {key: value for key, value in entry.items() if isinstance(value, dict)}
         sections = {key: {**mapping.get(key, {}), **value} for key, value in changes.items()}
         if not (paths := sorted(folder.glob(entry["files"]))):
             raise FileNotFoundError(f"no {entry['files']} in {folder}; soro-bench data says where recordings are")
-        found += [import_recording(path, {**mapping, **sections}) for path in paths]
+        for path in paths:
+            recording = import_recording(path, {**mapping, **sections})
+            if takes := study.get("takes"):
+                recording = replace(recording, commands={**recording.commands, **commands_of_take(path, takes)})
+            found.append(recording)
     return tuple(found)
 
 
