@@ -75,7 +75,7 @@ def test_a_study_writes_reports_summaries_and_a_table_and_goes_on_where_it_was(s
     with pytest.raises(ValueError, match=r"results of inputs "):
         run_study(study, tmp_path / "out", threads=1)
     study.map.write_text(MAP)
-    monkeypatch.setattr(module, "load_study", lambda name, data: study)
+    monkeypatch.setattr(module, "load_study", lambda *_: study)
     assert first[1]["verdict"] in call("study", "arm", "--out", tmp_path / "out")  # all is there
     assert (tmp_path / "out" / "results.md").read_text() == results(again) + "\n"
     for each in (*first, *again):
