@@ -96,8 +96,8 @@ def load_study(
     chosen = {key: each for key, each in parts.items() if part in (None, key)}
     if files and len(chosen) > 1:
         raise ValueError(f"which part of {name} are these files for? Write --part and one of {', '.join(parts)}")
-    folder = Path(data) / table["data"]
-    read = partial(_recordings, folder if folder.is_dir() else Path(data), table)
+    given = Path(data).resolve()
+    read = partial(_recordings, given if given.name == table["data"] else given / table["data"], table)
     loaded = []
     for key, each in chosen.items():
         entries = _replaced(each, files) if files else {kind: each.get(kind, []) for kind in KINDS}
