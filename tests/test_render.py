@@ -24,7 +24,9 @@ from soro_bench.diagnosis.render.html import html
 from soro_bench.diagnosis.render.rerun import rmse
 from soro_bench.diagnosis.render.summary import WIDTH, summary
 from soro_bench.diagnosis.result import SCHEMA, Result
+from soro_bench.diagnosis.result_parts import ModelForm, NamedLocation
 from soro_bench.effects import catalogue
+from soro_bench.effects.effect import Location
 from soro_bench.effects.equations import EQUATIONS
 from soro_bench.progress import console
 from soro_bench.recording.recording import Recording, Signal
@@ -226,13 +228,35 @@ def test_plain_replay_errors_stand_first(name: str) -> None:
 
 
 def test_errors_that_discretisation_may_explain_raise_a_warning() -> None:
-    """From a ratio of 1.3 on, with the ratio; the size of what is taken off stands beside the errors."""
+    """From a ratio of 1.3 on, with the size of what is taken off, which stands beside the errors too."""
     result = RESULTS["outside the catalogue"]()
-    assert "1.4 times on fitted recordings" in " ".join(summary(result).split())
+    off = words.number(math.sqrt(0.0042**2 - 0.003**2), result.robot.unit).replace(words.NO_BREAK, " ")
+    warning = f"Discretisation error may be {off} of 4.2 mm with"
+    assert warning in " ".join(summary(result).split())
     (row,) = (line for line in summary(result).splitlines() if "  may be discretisation" in line)
-    assert float(row.split()[-2]) == pytest.approx(1e3 * math.sqrt(0.0042**2 - 0.003**2), rel=1e-2)
+    assert off in row
     near = replace(result, train=replace(result.train, corrected_before=0.0040, corrected_after=0.0040))
-    assert "larger than what the verdict" not in " ".join(summary(near).split())
+    assert "Discretisation error may be" not in summary(near)
+
+
+def test_nothing_that_may_be_discretisation_is_called_none() -> None:
+    result = RESULTS["outside the catalogue"]()
+    same = replace(result.train, corrected_after=1.01 * result.train.after)
+    (row,) = (line for line in summary(replace(result, train=same)).splitlines() if "may be discretisation" in line)
+    assert "none" in row.split() and "0" not in row.split()
+
+
+def test_laws_that_another_simulator_may_look_like_are_named() -> None:
+    """Where a robot is adequate within the error of its model's form, the law that explains most of the rest first."""
+    result = RESULTS["adequate"]()
+    form = ModelForm(0.001, 0.002)
+    law = replace(result.best, effects=(NamedLocation("payload", Location("body", "arm")),), misfit_total=75.0)
+    less = replace(law, effects=(NamedLocation("backlash", Location("actuator", "motor")),), misfit_total=90.0)
+    none = replace(result.best, misfit_total=100.0)
+    said = sentences.model_form(replace(result, model_form=form, hypotheses=(none, less, law)))
+    assert "cannot be told from one" in said
+    assert said.index("payload at body arm (25 %)") < said.index("backlash at actuator motor (10 %)")
+    assert sentences.model_form(replace(result, model_form=replace(form, largest=0.0005))) == ""
 
 
 def test_parameters_that_replay_worse_than_the_model_as_built_raise_a_warning() -> None:

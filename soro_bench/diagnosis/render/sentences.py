@@ -21,7 +21,7 @@ from soro_bench.diagnosis.render.words import (
     terms,
 )
 from soro_bench.diagnosis.result import Result
-from soro_bench.diagnosis.result_parts import Errors, Finding, ReachedLimit
+from soro_bench.diagnosis.result_parts import Finding, ReachedLimit
 
 LIKELY = 0.05  # probability from which another hypothesis is mentioned
 VISIBLE = 0.3  # noise deviations from which an error of the model's form is told
@@ -115,13 +115,22 @@ def _plain_error(result: Result) -> float:
 
 
 def model_form(result: Result) -> str:
-    """What another simulator of the robot may differ by, where that much is left; else ""."""
+    """What another simulator of the robot may differ by, where that much is left, and the laws that cannot be told from
+    such a difference, the one that explains most first; else ""."""
     form, unit = result.model_form, result.robot.unit
-    if form is None or not form.possible or form.left < VISIBLE * result.train.noise:
+    if result.verdict != "adequate" or form is None or not form.possible or form.left < VISIBLE * result.train.noise:
         return ""
     left, largest = number(form.left, unit, 2), number(form.largest, unit, 2)
-    return (f"Beyond noise and discretisation error {left} is left. Another simulator of this robot may differ by "
-            f"{largest}, so a law outside the catalogue of that size would look the same.")  # fmt: skip
+    said = (f"Beyond noise and discretisation error {left} is left. Another simulator of this robot may differ by "
+            f"{largest}, so a law of that size cannot be told from one.")  # fmt: skip
+    of_nominal = max((each.misfit_total for each in result.hypotheses if not each.effects), default=0.0)
+    laws = sorted((each for each in result.hypotheses if each.effects), key=lambda each: each.misfit_total)
+    may = [
+        f"{terms(each.effects)} ({100 * (1.0 - each.misfit_total / of_nominal):.0f} %)"
+        for each in laws
+        if each.misfit_total < of_nominal
+    ]
+    return f"{said} It may be part of what is left: {', or '.join(may[:3])} of the misfit." if may else said
 
 
 def where(result: Result) -> str:
@@ -195,7 +204,7 @@ def replays(result: Result) -> Rows:
         rows.append((ROBOTS["fitted"], *(error(each.before, unit) for each in both)))
         if result.best.effects:
             rows.append((ROBOTS["best"], *(error(each.after, unit) for each in both)))
-    return [*rows, ("may be discretisation", *(_taken_off(each, unit) for each in both))]
+    return [*rows, ("may be discretisation", *(_taken_off(each.after, each.corrected_after, unit) for each in both))]
 
 
 def signals(result: Result) -> list[str]:
@@ -209,10 +218,12 @@ def signals(result: Result) -> list[str]:
     return found
 
 
-def _taken_off(found: Errors, unit: str) -> str:
+def _taken_off(plain: float, corrected: float, unit: str) -> str:
     """What the covariance of discretisation error takes off an error."""
-    square = found.after**2 - found.corrected_after**2
-    return number(math.sqrt(max(square, 0.0)), unit) if math.isfinite(square) else ""
+    square = plain**2 - corrected**2
+    if not math.isfinite(square):
+        return ""
+    return number(math.sqrt(square), unit) if square > 0 else "none"
 
 
 def explained(result: Result) -> str:
@@ -226,16 +237,18 @@ def explained(result: Result) -> str:
 
 def _of_errors(result: Result) -> list[str]:
     """Where plain errors are not what the verdict is about, and where the effects make replays worse."""
-    said, heldout, far = [], result.heldout, []
+    said, heldout, unit, far = [], result.heldout, result.robot.unit, []
     if not result.robots:
         said.append("Of an older version: replays had half the model's time step, unlike those of soro-bench check.")
     for name, each in (("fitted", result.train), ("held-out", heldout)):
-        pairs = ((each.before, each.corrected_before), (each.after, each.corrected_after)) if each else ()
-        ratio = max((plain / max(left, 1e-300) for plain, left in pairs if plain > 0), default=0.0)
-        far += [f"{ratio:.1f} times on {name} recordings"] if CORRECTED < ratio < math.inf else []
+        pairs = [("with fitted parameters", each.before, each.corrected_before)] if each else []
+        if each and result.best.effects:
+            pairs.insert(0, ("with the effects", each.after, each.corrected_after))
+        large = [row for row in pairs if 0.0 < row[1] < math.inf and row[1] > CORRECTED * row[2]]
+        far += [f"{_taken_off(error, left, unit)} of {number(error, unit)} {which} on {name} recordings"
+                for which, error, left in large[:1]]  # fmt: skip
     if far:
-        said.append(f"Plain errors are larger than what the verdict is about, {listed(far)}: the rest may be "
-                    "discretisation error, and stays in every replay.")  # fmt: skip
+        said.append(f"Discretisation error may be {listed(far)}. It is no evidence, and stays in every replay.")
     worse = heldout is None or heldout.after > heldout.before
     if result.patch.state == "rejected":
         off = "" if worse else ", discretisation error taken off"
