@@ -12,9 +12,10 @@ import pytest
 from soro_bench.diagnosis.candidates import Term, term, terms, typical
 from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, bounds, fitted, fitted_under_discretisation
-from soro_bench.diagnosis.estimation.model_form import largest_model_form_error, spectrum
+from soro_bench.diagnosis.estimation.model_form import largest_model_form_error, spectrum, unfitted_under_model_form
 from soro_bench.diagnosis.estimation.problem import SimulationError
 from soro_bench.diagnosis.localisation.residual_maps import windows
+from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.variants import trunk_chains
 from soro_bench.diagnosis.selection.forward_selection import Explanation, _Search, silent
 from soro_bench.diagnosis.selection.model_probabilities import compared
@@ -316,11 +317,20 @@ def test_an_error_is_possible_if_held_out_recordings_have_no_larger_one(paths, g
     hidden = [Effect("actuator_gain", Location("actuator", "motor"), {"gain": gain})]
     search = searched(paths, hidden, bound)
     assert spectrum(search.problem, search.best.residual).excess < bound  # of the recording that was fitted to
-    assert search._may_be_model_form_elsewhere() is possible
+    assert search._may_be_model_form() is possible
 
 
 def test_an_error_is_possible_where_nothing_is_held_out(paths):
-    assert searched(paths, None, 0.0)._may_be_model_form_elsewhere() is True
+    assert searched(paths, None, 1.0)._may_be_model_form() is True
+    assert searched(paths, None, 0.0)._may_be_model_form() is False
+
+
+def test_the_bound_of_held_out_recordings_is_that_of_their_own_motion(paths):
+    moving, finer = problem(paths, seed=1), ModelRobot(*paths, threads=1, shorter=8)
+    (each,) = moving.recordings
+    resting = replace(moving, recordings=(each.under(np.full_like(each.actions, each.start)),))
+    bounds = [unfitted_under_model_form(one, [finer], [(np.zeros(3), ())])[0].model_form for one in (resting, moving)]
+    assert 0.0 < bounds[0] < 0.5 * bounds[1]
 
 
 def test_a_robot_with_longer_steps_agrees_at_its_point(robot, given):
@@ -336,11 +346,10 @@ def test_a_robot_with_longer_steps_agrees_at_its_point(robot, given):
 def test_the_bound_is_what_parameters_cannot_change(given, slow):
     share = given.settings.discretisation.model_form_share
     apart = replace(given, discretisation=LowRank(slow[None]))
-    free = hypothesis(apart, np.zeros(slow.size))
-    assert largest_model_form_error(apart, free) == pytest.approx(share * ERROR * SIGMA)
     slopes = np.zeros((given.parameters, slow.size))
+    assert largest_model_form_error(apart, slopes) == pytest.approx(share * ERROR * SIGMA)
     slopes[0] = slow
-    bound = largest_model_form_error(apart, replace(free, jacobian=slopes))
+    bound = largest_model_form_error(apart, slopes)
     assert bound == pytest.approx(0.0, abs=1e-3 * ERROR * SIGMA)
 
 

@@ -20,9 +20,8 @@ from soro_bench.diagnosis.data_quality.signals import (
     named,
     qualities_of,
 )
-from soro_bench.diagnosis.estimation.discretisation import differences, discretisation_and_residuals
 from soro_bench.diagnosis.estimation.fit import Hypothesis, with_covariance
-from soro_bench.diagnosis.estimation.model_form import largest_model_form_error
+from soro_bench.diagnosis.estimation.model_form import largest_model_form_error, unfitted_under_model_form
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.estimation.unit_check import check_unit_and_sign
 from soro_bench.diagnosis.localisation.ranking import RankedLocation, ranked_locations
@@ -51,9 +50,6 @@ class Run:
     seed: int = 0
     progress: Progress = silent
     settings: Settings = DEFAULT
-
-
-_WITH_VARIANTS = 2  # hypotheses, the nominal robot and the best one, that other simulations are compared at
 
 
 @dataclass(frozen=True)
@@ -142,10 +138,10 @@ def run_diagnosis(
     problem, nominal, found_outliers = fitted_again(
         problem, nominal, untouched, refined, known_outliers, least, spoilt, seed, run.progress
     )
-    problem = replace(problem, model_form=largest_model_form_error(problem, nominal))
+    problem = replace(problem, model_form=largest_model_form_error(problem, nominal.jacobian))
     unfitted = unexplained(fitted, tested, sigma, settings, others) if tested else None
     if unfitted:
-        unfitted = replace(unfitted, model_form=problem.model_form, variants=problem.variants)
+        unfitted = replace(unfitted, variants=problem.variants)
     candidates = sized(problem, nominal, terms(robot, settings.priors), robot)
     explanation = explained(problem, nominal, robot, refined, candidates, seed, run.progress, unfitted)
     run.progress("comparison")
@@ -279,13 +275,9 @@ def tried_on(
         return None
     problem = found.problem
     tested = unexplained(problem.robot, measured, problem.sigma, problem.settings, problem.sigmas[1:])
-    tested = replace(tested, noise=problem.noise, others=problem.others,
-                     model_form=problem.model_form, variants=problem.variants)  # fmt: skip
+    tested = replace(tested, noise=problem.noise, others=problem.others, variants=problem.variants)
     tested = masked(tested, far_points(tested, tested.residuals([(found.nominal.x, ())])[0]))
-    points = [(h.x, h.terms) for h in hypotheses]
-    discretisation, residuals = discretisation_and_residuals(tested, refined, points, points)
-    others = differences(tested, [h.x for h in hypotheses[:_WITH_VARIANTS]])
-    return tested.with_discretisation(np.concatenate([discretisation, others])), residuals
+    return unfitted_under_model_form(tested, refined, [(h.x, h.terms) for h in hypotheses])
 
 
 def _findings(found: Sequence[Inspected]) -> tuple[DataFinding, ...]:

@@ -7,18 +7,21 @@ simulators are apart: a model discrepancy of bounded size (Kennedy, O'Hagan, "Ba
 some of them is such an error, or physics.
 """
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import dct
 from scipy.linalg import orth
 
 from soro_bench.arrays import Bools, Floats
-from soro_bench.diagnosis.estimation.fit import Hypothesis
-from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.estimation.discretisation import differences, discretisation_and_residuals
+from soro_bench.diagnosis.estimation.problem import Points, Problem
+from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.settings.estimation import DiscretisationSettings
 
 _MODES = 8  # spatial modes that have variances of their own; the rest shares one
+_WITH_VARIANTS = 2  # hypotheses, the nominal robot and the best one, that other simulations are compared at
 
 
 @dataclass(frozen=True)
@@ -75,8 +78,10 @@ class UnderModelForm:
         return cls(count * np.array([each.excess**2 for each in found]), count, problem.model_form / problem.sensor)
 
     def beside(self, other: "UnderModelForm") -> "UnderModelForm":
-        """Of both recordings, under the same bound."""
-        return UnderModelForm(self.squares + other.squares, self.count + other.count, self.bound)
+        """Of both recordings; how far simulators are apart depends on the motion, so each has a bound of its own."""
+        count = self.count + other.count
+        bound = np.sqrt((self.count * self.bound**2 + other.count * other.bound**2) / max(count, 1.0))
+        return UnderModelForm(self.squares + other.squares, count, float(bound))
 
     @property
     def left(self) -> Floats:
@@ -92,33 +97,50 @@ class UnderModelForm:
         """(H,) whether each leaves at most a share of the rms that the nominal robot leaves."""
         return self.squares <= share**2 * self.squares[0]
 
+    def stands_out(self, gain: float, misfit: float, settings: DiscretisationSettings) -> bool:
+        """Whether a law gains more than laws do by chance where all that is left is model-form error.
 
-def largest_model_form_error(problem: Problem, nominal: Hypothesis) -> float:
+        Such an error looks a little like many laws. One that is there explains a larger share of what is left, and that
+        share counts where it is large beside the largest error that is possible.
+
+        Args:
+            gain: in log evidence, or less misfit [nats]. misfit: without the law [nats].
+        """
+        largest = 0.5 * self.count * self.bound**2
+        return gain >= max(settings.model_form_gain * misfit, settings.model_form_gain_of_largest * largest)
+
+
+def largest_model_form_error(problem: Problem, slopes: Floats) -> float:
     """How large a model-form error may be, rms [signal's unit]: a share of how far the simulators at hand are apart.
 
     Args:
         problem: with the discretisation errors of the nominal robot.
-        nominal: its fit. What parameters can change is no difference between simulators.
+        slopes: (d, M) of its residual. What parameters can change is no difference between simulators.
     """
-    basis, jacobian = problem.discretisation.basis, nominal.jacobian
-    slopes = orth(jacobian.T)
-    apart = basis - (basis @ slopes) @ slopes.T
+    basis, directions = problem.discretisation.basis, orth(slopes.T)
+    apart = basis - (basis @ directions) @ directions.T
     size = np.sqrt((apart**2).sum() / max(len(basis), 1) / max(problem.weight.sum(), 1.0))
     return problem.settings.discretisation.model_form_share * problem.sigma * float(size)
 
 
-def stands_out(problem: Problem, gain: float, misfit: float, samples: float) -> bool:
-    """Whether a law gains more than laws do by chance where all that is left is model-form error.
-
-    Such an error looks a little like many laws. One that is there explains a larger share of what is left, and that
-    share counts where it is large beside the largest error that is possible.
+def unfitted_under_model_form(problem: Problem, refined: Sequence[Robot], points: Points) -> tuple[Problem, Floats]:
+    """Recordings that nothing was fitted to, with the discretisation and model-form error of their own motion.
 
     Args:
-        gain: in log evidence, or less misfit [nats]. misfit: without the law, of so many samples [nats].
+        refined: more accurate robots.
+        points: hypotheses, the nominal robot first.
+
+    Returns:
+        The problem, and residuals (H, M) at the points.
     """
-    settings = problem.settings.discretisation
-    largest = 0.5 * samples * (problem.model_form / problem.sigma) ** 2
-    return gain >= max(settings.model_form_gain * misfit, settings.model_form_gain_of_largest * largest)
+    (x, terms), d = points[0], problem.parameters
+    step = problem.settings.selection.nominal_radius_last * np.eye(d, len(x))
+    around: Points = [(x + each, terms) for each in (*step, *-step)]
+    error, rows = discretisation_and_residuals(problem, refined, points, [*points, *around])
+    others = differences(problem, [x for x, _ in points[:_WITH_VARIANTS]])
+    problem = problem.with_discretisation(np.concatenate([error, others]))
+    after, before = np.split(rows[len(points) :], 2)
+    return replace(problem, model_form=largest_model_form_error(problem, after - before)), rows[: len(points)]
 
 
 def _modes(measured: Floats) -> Floats:

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from soro_bench.diagnosis.candidates import Term
-from soro_bench.diagnosis.estimation.discretisation import differences, discretisation_and_residuals
+from soro_bench.diagnosis.estimation.discretisation import differences
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, fitted_under_discretisation
-from soro_bench.diagnosis.estimation.model_form import UnderModelForm, stands_out
+from soro_bench.diagnosis.estimation.model_form import UnderModelForm, unfitted_under_model_form
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.moves import (
@@ -230,11 +230,18 @@ class _Search:
         self._screen()
 
     def is_worth_a_round(self) -> bool:
-        """Whether the predicted gain of one more term is worth a fit."""
+        """Whether the predicted gain of one more term is worth a fit.
+
+        To first order a law explains little of what a model-form error covers, so the first term is judged as fitted.
+        """
         if self.rounds and not self.problem.misfit_dominated and self.remaining_gain >= self.worth:
             self.possible = compatible(self.robot, self.best, self.candidates)
             self._screen()  # anew, where the best hypothesis is
-        return self.remaining_gain >= self.worth and self._is_beyond_model_form()
+        if self.rounds:
+            return self.remaining_gain >= self.worth and self._is_beyond_model_form()
+        least = self.problem.settings.selection.least_gain
+        small = not self.problem.misfit_dominated and self.remaining_gain >= least
+        return self.remaining_gain >= self.worth or (small and self._may_be_model_form())
 
     def add_one_term(self) -> None:
         """One round: fit the best candidates, compare them with earlier hypotheses, and screen beside the best."""
@@ -320,33 +327,23 @@ class _Search:
         self.remaining_gain = singles(self.screened)[0].gain
 
     def _is_beyond_model_form(self) -> bool:
-        """Whether what the best hypothesis leaves is more than model-form error: it is larger, or one more term is
-        predicted to explain some of it. A round in which no law explained enough was the last one."""
-        problem, settings = self.problem, self.problem.settings.discretisation
-        offered = singles(self.screened)[: self.problem.settings.screening.paired]
-        predicted = [self.screened.predicted_residual(each) for each in offered]
-        form = UnderModelForm.of(problem, [self.best.residual, *predicted])
-        if not form.possible[0] or not self._may_be_model_form_elsewhere():
-            return True
-        if stands_out(problem, self.remaining_gain, problem.misfit(self.best.residual), float(problem.weight.sum())):
-            return True
-        fitted = UnderModelForm.of(problem, [self.nominal.residual, *(h.residual for h in self.tried)])
-        if self.rounds and fitted.possible[0] and not fitted.explain(settings.model_form_left).any():
-            return False
-        return bool(form.explain(settings.model_form_predicted).any())
+        """Whether what the best hypothesis leaves is more than model-form error, or one more term is predicted to gain
+        more than terms do where that is all."""
+        form, misfit = UnderModelForm.of(self.problem, [self.best.residual]), self.problem.misfit(self.best.residual)
+        stands_out = form.stands_out(self.remaining_gain, misfit, self.problem.settings.discretisation)
+        return stands_out or not self._may_be_model_form()
 
-    def _may_be_model_form_elsewhere(self) -> bool:
+    def _may_be_model_form(self) -> bool:
         """Whether what the best hypothesis leaves of all recordings may be model-form error, held-out ones included.
 
         The differences between simulations may take up a discrepancy in the motion that parameters are fitted to.
         """
-        if self.heldout is None:
-            return True
-        points = [(self.best.x, self.best.terms)]
-        error, residuals = discretisation_and_residuals(self.heldout, self.refined, points, points)
-        unfitted = self.heldout.with_discretisation(np.concatenate([error, differences(self.heldout, [self.best.x])]))
         fitted = UnderModelForm.of(self.problem, [self.best.residual])
-        return bool(fitted.beside(UnderModelForm.of(unfitted, residuals)).possible[0])
+        if self.heldout is None or not fitted.possible[0]:
+            return bool(fitted.possible[0])
+        points = [(self.best.x, self.best.terms)]
+        unfitted = UnderModelForm.of(*unfitted_under_model_form(self.heldout, self.refined, points))
+        return bool(fitted.beside(unfitted).possible[0])
 
     def _fitted(self, offered: Sequence[ScreenedCandidate]) -> list[Hypothesis]:
         """Hypotheses of the best candidates, the most probable first."""

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import expit
 
 from soro_bench.diagnosis.estimation.fit import Hypothesis
-from soro_bench.diagnosis.estimation.model_form import UnderModelForm, stands_out
+from soro_bench.diagnosis.estimation.model_form import UnderModelForm
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.selection.forward_selection import Explanation
 from soro_bench.diagnosis.selection.stopping import evidence_beyond_chance
@@ -215,7 +215,8 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
         of_nominal.append((unfitted, residuals[0]))
         form = form.beside(UnderModelForm.of(unfitted, residuals))
     explained = form.explain(settings.discretisation.model_form_left).any()
-    if form.possible[0] and not (explained or stands_out(problem, misfits[0] - min(misfits), misfits[0], form.count)):
+    stands_out = form.stands_out(misfits[0] - min(misfits), misfits[0], settings.discretisation)
+    if form.possible[0] and not (explained or stands_out):
         gain = 0.0
     p = p_value(gain, settings.probabilities)
     if not form.possible[0]:

@@ -94,11 +94,6 @@ class Evidence:
         """Indices of the members of a term among the candidates."""
         return tuple(self.candidates.index(member) for member in term.members)
 
-    def predicted_residual(self, candidate: ScreenedCandidate) -> np.ndarray:
-        """(M,) residual with a candidate, to first order."""
-        moved = candidate.x - np.concatenate([self.base.x, np.zeros(len(candidate.x) - len(self.base.x))])
-        return self.base.residual + moved @ self.guess(candidate).jacobian
-
     def guess(self, candidate: ScreenedCandidate) -> Guess:
         """Where to begin a fit. Unknowns that only shape a response have no column of the Jacobian yet."""
         jacobian = [self.base.jacobian]
