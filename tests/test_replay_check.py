@@ -130,11 +130,12 @@ def test_every_error_of_a_robot_of_the_suite_is_that_of_a_replay(robot):
     recording = record("TrunkReach-v0", model="cable", steps=40, effects=hidden, noise=5e-4, seed=3)
     result = trunk_result(robot, recording)
     checked = check_replays(result, robot_of(result)[0], {"run": recording})
-    assert [each.name for each in result.robots] == ["nominal", "fitted", "patched"]
+    assert [each.name for each in result.robots] == ["nominal", "fitted", "patched", "accurate"]
     for each in result.robots:
         assert checked.pooled(FITTED)[each.name] == pytest.approx(each.train, rel=0.01)
         laws = [Effect(law["name"], Location(**law["location"]), law["parameters"]) for law in each.effects]
-        episode = replay_episode(replace(recording, parameters=each.parameters), "cable", effects=laws)
+        model = "flex" if each.name == "accurate" else "cable"
+        episode = replay_episode(replace(recording, parameters=each.parameters), model, effects=laws)
         off = episode.signals["keypoints"] - recording.signals["keypoints"].values
         assert each.train == pytest.approx(np.sqrt(np.mean(off[1:] ** 2)), rel=0.01)
     assert len(checked.files[0].points["fitted"]) == 21

@@ -19,7 +19,7 @@ from soro_bench.arrays import Bools, Floats
 from soro_bench.diagnosis.data_quality.inspection import inspected
 from soro_bench.diagnosis.data_quality.samples import far_off
 from soro_bench.diagnosis.result import Result, plain_json
-from soro_bench.diagnosis.result_robot import ReplayedRobot, SignalQuality
+from soro_bench.diagnosis.result_robot import ACCURATE, ReplayedRobot, SignalQuality
 from soro_bench.diagnosis.robots.measured import Measured, ObservedSignal
 from soro_bench.diagnosis.robots.model_file import ModelError, source_files, with_advice
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
@@ -34,7 +34,7 @@ from soro_bench.parallel import one_blas_thread
 from soro_bench.recording.recording import Recording, RecordingError
 
 SCHEMA = "soro-bench/replay-check/1"
-ROBOTS = ("nominal", "fitted", "patched", "best")  # of a result, in this order
+ROBOTS = ("nominal", "fitted", "patched", "best", ACCURATE)  # of a result, in this order
 ALONE = "model_alone"  # patched_model.xml without remaining effects
 ROLES = FITTED, HELD_OUT, NEW = "fitted to", "held out", "new"
 _DEVIATION = 1.4826  # standard deviations of normal noise in its median size
@@ -157,7 +157,9 @@ def check_replays(
                          f"{robot.signal} in {robot.unit}")  # fmt: skip
     robot = robot.explaining([each for each in robot.others if each.name in result.robot.others])
     shown = _replayed_robots(result)
-    points = [_point(robot, each) for each in shown]
+    finer = robot.accurate() if any(each.name == ACCURATE for each in shown) else None
+    shown = [each for each in shown if each.name != ACCURATE or finer]
+    points = [(finer if each.name == ACCURATE and finer else robot, *_point(robot, each)) for each in shown]
     alone = _alone(result, robot, said)
     names = (*(each.name for each in shown), *([ALONE] if alone else []))
     if not recordings:
@@ -168,9 +170,7 @@ def check_replays(
             measured, spoilt = _measured(robot, recording)
         except RecordingError as error:
             raise RecordingError(f"{name}: {error}") from error
-        runs = _runs(robot, measured, points)
-        if alone:
-            runs = np.concatenate([runs, _runs(alone, measured, [(_nominal(alone), ())])])
+        runs = _runs(measured, [*points, *([(alone, _nominal(alone), ())] if alone else [])])
         role, quality = _role(result, recording)
         seen = np.isfinite(measured.columns)
         if quality:
@@ -246,10 +246,10 @@ def _measured(robot: Robot, recording: Recording) -> tuple[Measured, bool]:
     return found.applied(robot.measured(found.recording)), bool(found.all_findings)
 
 
-def _runs(robot: Robot, measured: Measured, points: Sequence[tuple[Floats, tuple[Effect, ...]]]) -> Floats:
-    """(N, T, C) the numbers of all signals of replays at points, one of parameters and effects each."""
-    values = np.stack([value for value, _ in points])
-    return robot.simulate_all([measured.drive], values, [effects for _, effects in points])[0]
+def _runs(measured: Measured, points: Sequence[tuple[Robot, Floats, tuple[Effect, ...]]]) -> Floats:
+    """(N, T, C) the numbers of all signals of replays at points, a robot with parameters and effects each."""
+    runs = [robot.simulate_all([measured.drive], values[None], [effects])[0] for robot, values, effects in points]
+    return np.concatenate(runs)
 
 
 def _role(result: Result, recording: Recording) -> tuple[str, SignalQuality | None]:

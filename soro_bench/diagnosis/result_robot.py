@@ -8,6 +8,7 @@ from soro_bench.effects.effect import Location
 
 LONGEST = 1e5  # s, of a replay
 FARTHEST = 1e4  # m, of what is drawn
+ACCURATE = "accurate"  # name of a ReplayedRobot
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,8 @@ class ReplayedRobot:
     """A robot with all that a plain replay of it needs, and the errors of its replays [signal's unit].
 
     name: "nominal" (the model as built), "fitted" (fitted parameters only), "patched" (the parameters and effects of
-        the patch), "best" (the best hypothesis, where it is no patch) or "alternative" (another hypothesis).
+        the patch), "best" (the best hypothesis, where it is no patch), "accurate" (the last one of these, simulated by
+        the robot's accurate model, if it has one) or "alternative" (another hypothesis).
     parameters: values by name. effects: all that act, in the format of effects.json, known ones included.
     train, heldout: root mean squares of a coordinate, of the recordings that were fitted to and of held-out ones; NaN
         where a replay diverges; None where nothing was held out.

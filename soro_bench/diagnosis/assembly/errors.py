@@ -16,7 +16,8 @@ from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Points, Problem
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.result_parts import Errors
-from soro_bench.diagnosis.result_robot import ReplayedRobot, SignalErrors, WorseReplay
+from soro_bench.diagnosis.result_robot import ACCURATE, ReplayedRobot, SignalErrors, WorseReplay
+from soro_bench.diagnosis.robots.priors import CannotHave
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer
 from soro_bench.inference.statistical_linearisation import LowRank
@@ -31,12 +32,14 @@ class PlainReplays:
     problems: of the recordings that were fitted to, and of held-out ones if there are any.
     rows: of each problem the samples (M,) [signal's unit], by hypothesis.
     built: of each problem the rms of a coordinate by the model as built. nominal: its parameters.
+    accurate: of each problem the same by the robot's accurate model, with what was found; None if there is none.
     """
 
     problems: tuple[Problem, ...]
     rows: Mapping[HypothesisKey, tuple[Floats, ...]]
     built: tuple[float, ...]
     nominal: Mapping[str, float]
+    accurate: tuple[float, ...] | None = None
 
     def of(self, hypothesis: Hypothesis) -> tuple[Floats, ...]:
         """Of each problem the samples (M,) of a hypothesis [signal's unit]."""
@@ -78,7 +81,30 @@ def plain_replays(diagnosis: Diagnosis) -> PlainReplays:
     rows = {key: tuple(part[i] for part in parts) for i, key in enumerate(points)}
     built = robot.as_built()
     nominal = {prior.name: float(prior.nominal) for prior in built.priors}
-    return PlainReplays(problems, rows, tuple(rms_as_it_is(built, problems)), nominal)
+    return PlainReplays(problems, rows, tuple(rms_as_it_is(built, problems)), nominal, _accurate(diagnosis, problems))
+
+
+def _accurate(diagnosis: Diagnosis, problems: Sequence[Problem]) -> tuple[float, ...] | None:
+    """Of each problem the rms of a coordinate by the accurate model of the robot, with what was found.
+
+    That model has other discretisation errors and the same physics, so what is found with the cheap one has to lower
+    the error there too.
+    """
+    robot = diagnosis.robot if diagnosis.robot.shorter == 1 else diagnosis.robot.shortened(1)
+    found = _found(diagnosis)
+    try:
+        accurate = robot.accurate()
+        if accurate is None or not accurate.accepts(found.effects(len(robot.priors))):
+            return None
+    except CannotHave:
+        return None
+    point = [(found.x, found.terms)]
+    return tuple(plain_rms(each, plain(each, accurate).simulated(accurate, point)[0]) for each in problems)
+
+
+def _found(diagnosis: Diagnosis) -> Hypothesis:
+    """The best hypothesis where it has effects, else the fitted parameters."""
+    return diagnosis.best.hypothesis if diagnosis.best.names else diagnosis.explanation.nominal
 
 
 def replayed_robots(diagnosis: Diagnosis, replays: PlainReplays, patched: bool) -> tuple[ReplayedRobot, ...]:
@@ -99,6 +125,11 @@ def replayed_robots(diagnosis: Diagnosis, replays: PlainReplays, patched: bool) 
         laws = tuple(effect.to_json() for effect in effects)
         errors = map(_finite, replays.rms(hypothesis))
         found.append(ReplayedRobot(name, robot.every_parameter(hypothesis.x), laws, *errors))
+    if replays.accurate is not None:
+        hypothesis = _found(diagnosis)
+        laws = tuple(effect.to_json() for effect in (*known, *hypothesis.effects(len(robot.priors))))
+        errors = map(_finite, replays.accurate)
+        found.append(ReplayedRobot(ACCURATE, robot.every_parameter(hypothesis.x), laws, *errors))
     return tuple(found)
 
 
@@ -113,7 +144,7 @@ def worse_replays(robots: Sequence[ReplayedRobot], same: float) -> tuple[WorseRe
     for each in robots[1:]:
         pairs = (("fitted", built.train, each.train), ("held-out", built.heldout, each.heldout))
         for name, before, after in pairs:
-            if each.name == "alternative" or before is None or after is None or math.isnan(before):
+            if each.name in ("alternative", ACCURATE) or before is None or after is None or math.isnan(before):
                 continue
             if not after <= (1.0 + same) * before:
                 found.append(WorseReplay(each.name, name, before, after))

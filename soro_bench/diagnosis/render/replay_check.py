@@ -20,6 +20,7 @@ NAMES = {  # of robots, as short as a console of 80 columns needs them
     "fitted": "fitted",
     "patched": "with effects",
     "best": "best hypothesis",
+    "accurate": "accurate",
     "model_alone": "model alone",
 }
 DRAWN = 12  # recordings with a figure; the table has all of them

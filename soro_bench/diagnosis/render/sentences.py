@@ -22,6 +22,7 @@ from soro_bench.diagnosis.render.words import (
 )
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.result_parts import Finding, ReachedLimit
+from soro_bench.diagnosis.result_robot import ACCURATE
 
 LIKELY = 0.05  # probability from which another hypothesis is mentioned
 VISIBLE = 0.3  # noise deviations from which an error of the model's form is told
@@ -35,6 +36,7 @@ ROBOTS = {  # whose plain replays are shown
     "fitted": "fitted parameters",
     "patched": "with effects",
     "best": "best hypothesis",
+    "accurate": "effects, accurate model",
 }
 BEYOND = "the variance beyond noise and discretisation error"
 LIMITS = {
@@ -196,9 +198,12 @@ def replays(result: Result) -> Rows:
     rows: Rows = []
     for each in filter(lambda robot: robot.name in ROBOTS, result.robots):
         name = "fitted, known effects" if each.name == "fitted" and each.effects else ROBOTS[each.name]
+        if each.name == ACCURATE and not result.best.effects:
+            rows.append((ROBOTS["patched"], "no effects", *[""] * (len(both) - 1)))
+            name = "fitted, accurate model"
         values = [math.nan if value is None else value for value in (each.train, each.heldout)][: len(both)]
         rows.append((name, *(error(value, unit) for value in values)))
-    if rows and not result.best.effects:
+    if rows and not result.best.effects and not any(each.name == ACCURATE for each in result.robots):
         rows.append((ROBOTS["patched"], "no effects", *[""] * (len(both) - 1)))
     elif not rows:  # of an older version
         rows.append((ROBOTS["fitted"], *(error(each.before, unit) for each in both)))
