@@ -325,6 +325,18 @@ def test_an_error_is_possible_where_nothing_is_held_out(paths):
     assert searched(paths, None, 0.0)._may_be_model_form() is False
 
 
+@pytest.mark.parametrize(
+    ("bound", "gain", "is_tried"), [(100.0, 500.0, True), (1.0, 500.0, False), (100.0, 300.0, False)]
+)
+def test_a_law_that_is_predicted_to_gain_little_of_a_possible_error_is_fitted(paths, bound, gain, is_tried):
+    """Of 500 nats where 20,000 are left; it would need 1,000 if no error of the model's form were that large."""
+    search = searched(paths, None, bound)
+    left = np.sqrt(2 * 20_000 / search.best.residual.size) * np.ones(search.best.residual.size)
+    search.nominal = search.best = replace(search.best, residual=left)
+    search.remaining_gain = gain
+    assert search.is_worth_a_round() is is_tried
+
+
 def test_the_bound_of_held_out_recordings_is_that_of_their_own_motion(paths):
     moving, finer = problem(paths, seed=1), ModelRobot(*paths, threads=1, shorter=8)
     (each,) = moving.recordings
