@@ -111,6 +111,7 @@ class _Group:
         (found,) = elements.expand(place, welded=True)[:1]
         return _Source(variable, place.kind, np.full(len(self.rows), elements.id(found)))
 
+    @np.errstate(all="ignore")  # of numbers that are too large, which are bounded
     def exerted(self, some: Ints) -> Floats:
         """(n,) what the law exerts in some of the entries, which step on."""
         values = {name: each[some] for name, each in self.parameters.items()}
@@ -118,10 +119,10 @@ class _Group:
         for slot, source in enumerate(self.sources):
             of = source.variable
             read = self._read(source, some, values, self.of.memory[:, slot], entries, fresh)
-            values[of.name] = np.clip(read, of.low, of.high)
+            values[of.name] = np.minimum(np.maximum(read, of.low), of.high)
         first = len(self.sources)
         for slot, state in enumerate(self.law.states, first):
-            follows = np.broadcast_to(evaluated(state.input, values), some.shape)
+            follows = np.broadcast_to(bounded(evaluated(state.input, values)), some.shape)
             memory, size = self.of.memory[:, slot], np.abs(_value(state.parameter, values))
             values[state.name] = _followed(state, follows, np.maximum(size, 1e-9), memory, entries, fresh, self.of.dt)
         self.of.fresh[entries] = False

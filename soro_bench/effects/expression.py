@@ -1,9 +1,11 @@
 """Expressions as data: trees of numbers, names and a few functions, bounded in size and never run as code.
 
 In JSON a tree is a number, a name (of a parameter, a variable or a state), or a list: a function and its arguments,
-``["multiply", "k", "q", ["abs", "q"]]``. Values are arrays; every one is kept finite.
+``["multiply", "k", "q", ["abs", "q"]]``. Values are arrays; what comes out is ``bounded``.
 """
 
+import functools
+import operator
 from collections.abc import Callable, Mapping
 from typing import Any, TypeAlias
 
@@ -27,22 +29,16 @@ class LawError(ValueError):
 
 
 def _product(*values: Floats) -> Floats:
-    found = values[0]
-    for value in values[1:]:
-        found = bounded(found * value)
-    return found
+    return functools.reduce(operator.mul, values)
 
 
 def _sum(*values: Floats) -> Floats:
-    found = values[0]
-    for value in values[1:]:
-        found = found + value
-    return bounded(found)
+    return functools.reduce(operator.add, values)
 
 
 def _power(value: Floats, exponent: Floats) -> Floats:
     exponent = np.clip(exponent, -_LARGEST_EXPONENT, _LARGEST_EXPONENT)
-    return bounded(np.exp(exponent * np.log(np.maximum(np.abs(value), _LEAST_BASE))))
+    return np.exp(exponent * np.log(np.maximum(np.abs(value), _LEAST_BASE)))
 
 
 # name: how many arguments (least, most), and what it does
@@ -63,8 +59,7 @@ FUNCTIONS: Mapping[str, tuple[int, int, Callable[..., Floats]]] = {
 
 def bounded(values: Floats) -> Floats:
     """The values, none above ``LARGEST``; 0 for what is no number."""
-    found = np.clip(values, -LARGEST, LARGEST)
-    return np.where(np.isnan(found), 0.0, found)
+    return np.nan_to_num(np.maximum(np.minimum(values, LARGEST), -LARGEST))
 
 
 def parsed(data: object, names: frozenset[str], where: str) -> Node:

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from typing import Any
 
 import mujoco
@@ -297,7 +298,7 @@ class _Untouched:
     def expand(self, name: str) -> Floats:
         """A copy of a field's values."""
         found = self._batch.expanded(name)
-        return np.array(getattr(self._batch.model, name)[None] if found is None else found)
+        return np.array(attrgetter(name)(self._batch.model)[None] if found is None else found)
 
 
 class _Commands:

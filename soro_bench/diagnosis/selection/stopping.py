@@ -36,6 +36,7 @@ def falls_beyond_chance(heldout: Problem, before: Hypothesis, after: Hypothesis)
     squares = np.minimum(rows**2, settings.likelihood.diverged**2)
     _, number = np.unique(windows(heldout, settings.localisation.map_window), return_inverse=True)
     fallen = 0.5 * np.bincount(number, squares[0] - squares[1])  # nats
+    fallen = fallen[np.bincount(number, heldout.weight) > 0]  # of windows that were measured
     error = fallen.std(ddof=1) * np.sqrt(len(fallen)) if len(fallen) >= _FEWEST else 0.0
     least = max(len(after.x) - len(before.x), 0)
     return bool(fallen.sum() > max(settings.selection.beyond_chance * error, least))
