@@ -59,7 +59,7 @@ def diagnosis(robot, effects, heldout=(2.0, 1.0), verdict="discrepancy"):
     answer = SimpleNamespace(hypothesis=best, train=Fit(2.0, 1.0, 0.0), heldout=heldout and Fit(*heldout, 0.0))
     nominal = SimpleNamespace(x=np.zeros(len(X)))
     explanation = SimpleNamespace(nominal=nominal, problem=SimpleNamespace(parameters=len(X)))
-    return SimpleNamespace(robot=robot, verdict=verdict, best=answer, explanation=explanation)
+    return SimpleNamespace(robot=robot, verdict=verdict, best=answer, explanation=explanation, discovery=None)
 
 
 def test_a_model_with_a_mesh_is_patched_and_loads_from_anywhere(paths, tmp_path):

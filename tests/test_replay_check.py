@@ -104,7 +104,7 @@ def trunk_result(robot, recording):
     answer = SimpleNamespace(hypothesis=best, names=("payload",))
     comparison = SimpleNamespace(answers=(answer,), ranked=(answer,))
     nominal = replace(best, terms=(), x=x)
-    found = SimpleNamespace(robot=robot, best=answer, comparison=comparison, tested=None,
+    found = SimpleNamespace(robot=robot, best=answer, discovery=None, comparison=comparison, tested=None,
                             explanation=SimpleNamespace(nominal=nominal, problem=problem))  # fmt: skip
     replays = plain_replays(found)
     robots = replayed_robots(found, replays, True)

@@ -20,6 +20,7 @@ from soro_bench.diagnosis.data_quality.signals import (
     named,
     qualities_of,
 )
+from soro_bench.diagnosis.discovery.discovery import Discovery, discovered
 from soro_bench.diagnosis.estimation.fit import Hypothesis, with_covariance
 from soro_bench.diagnosis.estimation.model_form import largest_model_form_error, unfitted_under_model_form
 from soro_bench.diagnosis.estimation.problem import Problem
@@ -61,6 +62,7 @@ class Diagnosis:
     data: what sensors and loggers did to the recordings.
     tested: the problem of the held-out recordings.
     digests: of all recordings, those to explain first. seed: of the random numbers.
+    discovery: of a law outside the catalogue; None where none was looked for.
     """
 
     robot: Robot
@@ -75,6 +77,7 @@ class Diagnosis:
     data: tuple[DataFinding, ...] = ()
     digests: tuple[str, ...] = ()
     seed: int = 0
+    discovery: Discovery | None = None
 
     @property
     def detected(self) -> bool:
@@ -87,11 +90,17 @@ class Diagnosis:
         return self.comparison.best
 
     @property
+    def replaces_best(self) -> bool:
+        """Whether a law outside the catalogue leaves much less of held-out motion than the catalogue's best answer."""
+        found, settings = self.discovery, self.explanation.problem.settings.discovery
+        return found is not None and found.best is not None and found.beats < settings.beats
+
+    @property
     def verdict(self) -> str:
         """One of the verdicts of a result: what is likeliest, as its first effect."""
         if not self.detected:
             return "measurement_fault" if self.outliers.share else "adequate"
-        if self.comparison.unknown > self.comparison.likeliest:
+        if self.comparison.unknown > self.comparison.likeliest or self.replaces_best:
             return "outside_catalogue"
         faults = all(s.location.kind == "sensor" for s in self.best.hypothesis.terms)
         return "measurement_fault" if faults else "discrepancy"
@@ -160,9 +169,20 @@ def run_diagnosis(
         found = replace(
             found, ranked_locations=tuple(ranked_locations(explanation.problem, robot, explanation.nominal, refined))
         )
+        run.progress("laws outside the catalogue")
+        found = replace(found, discovery=_discovery(found, seed))
     run.progress("next recording")
     proposal = _proposal(found, seed)
     return replace(found, proposal=proposal, seconds=time.perf_counter() - start)
+
+
+def _discovery(found: Diagnosis, seed: int) -> Discovery | None:
+    """The law at the places that were found, if there are any."""
+    explanation, ranked = found.explanation, found.ranked_locations
+    if not ranked:
+        return None
+    nominal, nearest = explanation.nominal, found.best.hypothesis
+    return discovered(explanation.problem, found.tested, found.robot, nominal, nearest, ranked, seed)
 
 
 def _with_covariances(explanation: Explanation, comparison: Comparison, seed: int) -> tuple[Explanation, Comparison]:

@@ -13,6 +13,7 @@ from pathlib import Path
 from soro_bench.diagnosis.result_parts import (
     Agreement,
     Detectable,
+    DiscoveredLaw,
     Errors,
     Finding,
     HypothesisSummary,
@@ -92,6 +93,7 @@ class Result:
         stops, contacts.
     signals: errors of every signal, where several are explained; all other errors are those of the first one.
     model_form: what another simulator of the robot could differ by; None in results before it was estimated.
+    discovery: a law outside the catalogue, or that none was found; None where none was looked for.
     worse_replays: where fitted parameters or the best hypothesis have a larger plain error than the model as built.
     """
 
@@ -138,6 +140,7 @@ class Result:
     signals: tuple[SignalErrors, ...] = ()
     model_form: ModelForm | None = None
     worse_replays: tuple[WorseReplay, ...] = ()
+    discovery: DiscoveredLaw | None = None
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:

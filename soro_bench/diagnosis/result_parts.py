@@ -1,6 +1,7 @@
 """What a result finds: errors, quantities, laws, hypotheses, locations, and what to record next."""
 
 import math
+import typing
 from dataclasses import dataclass
 
 from soro_bench.effects.effect import Location
@@ -231,6 +232,40 @@ class UnknownInput:
     values: tuple[tuple[float, ...], ...]
     rmse_after: float
     linear_in: dict[str, float]
+
+
+@dataclass(frozen=True)
+class DiscoveredLaw:
+    """A law outside the catalogue as the search for one left it.
+
+    location: where the input acts. effects: the law, in the format of effects.json; none where no law holds on
+        held-out motion. equations: of each effect, one line. legend: what their names are, with the ranges that were
+        seen; outside them a law is held.
+    estimates: coefficients and shapes with 90 % intervals.
+    explained: share of the held-out mean square that the law explains, 1 - sum(r_after^2) / sum(r_before^2).
+    noise_share: of that mean square, which is the sensor's noise. nearest: what the catalogue's best answer explains.
+    own_test: whether the ends of the recordings were held out, as no recording was.
+    others: equations of laws that leave about as much.
+    state, force, law: (n,) the main variable, the input and the law, in control steps. state_label, force_label: with
+        units. peak: Hz, of the largest peak of the input's spectrum.
+    """
+
+    location: Location
+    effects: tuple[dict[str, typing.Any], ...]
+    equations: tuple[str, ...]
+    legend: dict[str, str]
+    estimates: tuple[Estimate, ...]
+    explained: float
+    noise_share: float
+    nearest: float
+    own_test: bool
+    others: tuple[str, ...]
+    state: tuple[float, ...]
+    force: tuple[float, ...]
+    law: tuple[float, ...]
+    state_label: str
+    force_label: str
+    peak: float
 
 
 @dataclass(frozen=True)

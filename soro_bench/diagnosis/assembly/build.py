@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 
 from soro_bench.diagnosis.assembly.agreement import agreement
+from soro_bench.diagnosis.assembly.discovered import discovered_law
 from soro_bench.diagnosis.assembly.errors import PlainReplays, plain_replays, replayed_robots, worse_replays
 from soro_bench.diagnosis.assembly.findings import deviations, findings, prior_values, tempered, unit_at
 from soro_bench.diagnosis.assembly.force_against_state import force_against_state
 from soro_bench.diagnosis.assembly.limits import reached_limits
-from soro_bench.diagnosis.assembly.patch import kept, model_patch, patch, rejected
+from soro_bench.diagnosis.assembly.patch import described, kept, model_patch, patch, rejected
 from soro_bench.diagnosis.assembly.shapes import shapes
 from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.localisation.residual_maps import explained_over_time
@@ -55,7 +56,8 @@ def build_result(diagnosis: Diagnosis) -> Result:
     train, heldout = replays.errors(diagnosis, diagnosis.best)
     found = _all_findings(diagnosis, replays)
     alone = agreement(diagnosis)
-    robots, settings = replayed_robots(diagnosis, replays, bool(patch(diagnosis))), explanation.problem.settings
+    settings, law = explanation.problem.settings, described(diagnosis)
+    robots = replayed_robots(diagnosis, replays, bool(patch(diagnosis)), law)
     return Result(
         robot=_robot(diagnosis),
         verdict=_verdict(diagnosis, alone),
@@ -99,6 +101,7 @@ def build_result(diagnosis: Diagnosis) -> Result:
         agreement=alone,
         limits=reached_limits(diagnosis),
         signals=_signals(diagnosis, replays),
+        discovery=discovered_law(diagnosis),
         model_form=ModelForm(float(comparison.model_form), float(explanation.problem.model_form)),
     )
 
@@ -267,7 +270,7 @@ def _patch(diagnosis: Diagnosis, replays: PlainReplays) -> Patch:
     elif not patch(diagnosis):
         state = "none"
     else:
-        state = "untested" if diagnosis.best.heldout is None else "accepted"
+        state = "untested" if diagnosis.best.heldout is None and not described(diagnosis) else "accepted"
     return Patch(
         state=state,
         effects=tuple(effect.to_json() for effect in effects),

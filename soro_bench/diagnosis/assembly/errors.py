@@ -75,6 +75,7 @@ def plain_replays(diagnosis: Diagnosis) -> PlainReplays:
     """Replay every hypothesis of a diagnosis, and the model as built, on all recordings."""
     problems = tuple(each for each in (diagnosis.explanation.problem, diagnosis.tested) if each is not None)
     hypotheses = [diagnosis.explanation.nominal, *(answer.hypothesis for answer in diagnosis.comparison.answers)]
+    hypotheses += [law.best.hypothesis] if (law := diagnosis.discovery) and law.best else []
     points = {_key(each): (each.x, each.terms) for each in hypotheses}
     robot = diagnosis.robot if diagnosis.robot.shorter == 1 else diagnosis.robot.shortened(1)
     parts = [plain(each, robot).simulated(robot, list(points.values())) for each in problems]
@@ -107,30 +108,36 @@ def _found(diagnosis: Diagnosis) -> Hypothesis:
     return diagnosis.best.hypothesis if diagnosis.best.names else diagnosis.explanation.nominal
 
 
-def replayed_robots(diagnosis: Diagnosis, replays: PlainReplays, patched: bool) -> tuple[ReplayedRobot, ...]:
+def replayed_robots(
+    diagnosis: Diagnosis, replays: PlainReplays, patched: bool, law: Hypothesis | None = None
+) -> tuple[ReplayedRobot, ...]:
     """The robots whose replays are shown: as built, with fitted parameters, and by every hypothesis with effects.
 
     Args:
-        patched: whether the patch is the best hypothesis.
+        patched: whether the patch is the best hypothesis, or ``law``.
+        law: a discovered one, which is the patch.
     """
-    robot, known, best = diagnosis.robot, diagnosis.robot.known, diagnosis.best
+    best = diagnosis.best
     found = [ReplayedRobot("nominal", dict(replays.nominal), (), *map(_finite, replays.built))]
     for answer in (None, *diagnosis.comparison.ranked):
         hypothesis = answer.hypothesis if answer else diagnosis.explanation.nominal
         if answer and not answer.names:
             continue
-        effects = (*known, *hypothesis.effects(len(robot.priors)))
         name = "fitted" if answer is None else ("alternative" if answer is not best else "best")
-        name = "patched" if name == "best" and patched else name
-        laws = tuple(effect.to_json() for effect in effects)
-        errors = map(_finite, replays.rms(hypothesis))
-        found.append(ReplayedRobot(name, robot.every_parameter(hypothesis.x), laws, *errors))
+        name = "patched" if name == "best" and patched and law is None else name
+        found.append(_replayed(name, diagnosis, hypothesis, replays.rms(hypothesis)))
+    if law is not None:
+        found.append(_replayed("patched", diagnosis, law, replays.rms(law)))
     if replays.accurate is not None:
-        hypothesis = _found(diagnosis)
-        laws = tuple(effect.to_json() for effect in (*known, *hypothesis.effects(len(robot.priors))))
-        errors = map(_finite, replays.accurate)
-        found.append(ReplayedRobot(ACCURATE, robot.every_parameter(hypothesis.x), laws, *errors))
+        found.append(_replayed(ACCURATE, diagnosis, _found(diagnosis), replays.accurate))
     return tuple(found)
+
+
+def _replayed(name: str, diagnosis: Diagnosis, hypothesis: Hypothesis, errors: Sequence[float]) -> ReplayedRobot:
+    """The robot of a hypothesis, with errors of its replays."""
+    robot = diagnosis.robot
+    laws = tuple(effect.to_json() for effect in (*robot.known, *hypothesis.effects(len(robot.priors))))
+    return ReplayedRobot(name, robot.every_parameter(hypothesis.x), laws, *map(_finite, errors))
 
 
 def worse_replays(robots: Sequence[ReplayedRobot], same: float) -> tuple[WorseReplay, ...]:

@@ -53,11 +53,19 @@ def patch(diagnosis: Diagnosis) -> list[Effect]:
     Outside the catalogue, the nearest law is worth having if it is more than a description of the
     recordings that it was fitted to: if held-out ones keep ``KEPT`` of what it explains.
     """
+    if law := described(diagnosis):
+        return law.effects(diagnosis.explanation.problem.parameters)
     best = diagnosis.best
     wanted = {"outside_catalogue": keeps(best), "adequate": False}.get(diagnosis.verdict, True)
     if not wanted or rejected(diagnosis):
         return []
     return best.hypothesis.effects(diagnosis.explanation.problem.parameters)
+
+
+def described(diagnosis: Diagnosis) -> Hypothesis | None:
+    """The fitted law of a discrepancy outside the catalogue; None where none holds on held-out motion."""
+    found = diagnosis.discovery if diagnosis.verdict == "outside_catalogue" else None
+    return found.best.hypothesis if found and found.best else None
 
 
 def keeps(answer: Answer) -> bool:
@@ -68,12 +76,13 @@ def keeps(answer: Answer) -> bool:
 def kept(diagnosis: Diagnosis) -> Hypothesis:
     """What the patch is of; the nominal robot where there is none, since parameters that were fitted together with
     effects that are not there would be wrong."""
-    return diagnosis.best.hypothesis if patch(diagnosis) else diagnosis.explanation.nominal
+    best = described(diagnosis) or diagnosis.best.hypothesis
+    return best if patch(diagnosis) else diagnosis.explanation.nominal
 
 
 def rejected(diagnosis: Diagnosis) -> bool:
     """Whether the hypothesis that the report is of makes held-out recordings worse."""
-    heldout = diagnosis.best.heldout
+    heldout = diagnosis.best.heldout if described(diagnosis) is None else None
     return heldout is not None and heldout.after > heldout.before
 
 
@@ -170,7 +179,7 @@ def _expressible(robot: Robot, terms: Sequence[Term], problem: Problem) -> tuple
     """Terms of laws that MJCF has: those of some terms, and dry and viscous friction in the place of other friction."""
     found: dict[tuple[str, object], Term] = {}
     for one in terms:
-        if CATEGORIES[one.name] == "friction" and not one.removable:
+        if CATEGORIES.get(one.name) == "friction" and not one.removable:
             others = [term(robot, name, one.location, problem.settings.priors) for name in _OF_FRICTION]
         else:
             effect = one.effect(np.zeros(one.size))

@@ -54,11 +54,15 @@ class Force:
 
 @dataclass(frozen=True)
 class RankedLocation:
-    """A location, the log evidence that an unknown input there gains [nats], and that input."""
+    """A location, the log evidence that an unknown input there gains [nats], and that input.
+
+    estimates: of inputs at the location, one of each kind, the best first.
+    """
 
     location: Location
     gain: float
     force: Force
+    estimates: tuple[Estimate, ...]
 
 
 def ranked_locations(
@@ -82,11 +86,12 @@ def ranked_locations(
         entrants += search.begin(_screened(robot, everything, gains, problem.settings.localisation), linear)
     estimates = _estimated(search, entrants, everything)
     by_chance = np.log(len(models) * len(everything))
-    best: dict[Location, Estimate] = {}
+    best: dict[Location, dict[str, Estimate]] = {}
     for estimate in sorted(estimates, key=lambda e: -e.gain):
         if estimate.gain > by_chance:
-            best.setdefault(estimate.location, estimate)
-    ranked = [RankedLocation(e.location, e.gain, _force(problem, search, e)) for e in best.values()]
+            best.setdefault(estimate.location, {}).setdefault(estimate.source.kind, estimate)
+    firsts = [(tuple(each.values()), next(iter(each.values()))) for each in best.values()]
+    ranked = [RankedLocation(e.location, e.gain, _force(problem, search, e), kinds) for kinds, e in firsts]
     # parameters make up for some inputs to first order, which is far from what they do
     return [site for site in ranked if site.force.remaining_rms < problem.left(base.residual)]
 

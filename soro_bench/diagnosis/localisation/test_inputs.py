@@ -270,38 +270,45 @@ def replayed(problem: Problem, robot: Robot, base: Hypothesis, acting: Sequence[
     parameters = np.array([list(robot.parameters(x[: problem.parameters]).values()) for x, _, _ in acting])
     effects = base.effects(problem.parameters)
     signals = np.full((len(acting), problem.weight.size), np.nan)
-    acts = [_acts(robot, source) for _, source, _ in acting]
+    acts = [acts_of(robot, source) for _, source, _ in acting]
     possible = [i for i, own in enumerate(acts) if own is not None]
     for first in range(0, len(possible), SIMULATIONS):
         batch = possible[first : first + SIMULATIONS]
         given, parts = [[*effects, *acting[i][1].effects] for i in batch], []
         for k, recording in enumerate(problem.recordings):
             inputs = [(acts[i] or [], acting[i][2][k]) for i in batch]
-            parts.append(_simulated(robot, recording.drive, parameters[batch], given, inputs))
+            parts.append(simulated_under(robot, recording.drive, parameters[batch], given, inputs))
         signals[batch] = problem.scaled(parts)
     return signals
 
 
-def _acts(robot: Robot, source: Source) -> list[Act] | None:
+def acts_of(robot: Robot, source: Source) -> list[Act] | None:
     """What exerts the unit inputs of a test input on a robot; None where it lacks the location."""
     acts = [unit_input.on(robot) for unit_input in source.unit_inputs]
     possible = [act for act in acts if act is not None]
     return possible if len(possible) == len(acts) else None
 
 
-def _simulated(
+def simulated_under(
     robot: Robot,
     drive: Drive,
     parameters: np.ndarray,
     effects: Sequence[Sequence[Effect]],
     inputs: Sequence[tuple[list[Act], np.ndarray]],
+    note: Callable[[], None] | None = None,
 ) -> np.ndarray:
-    """(N, T, C) signals while acts with factors (T, K) are exerted in each of N simulations."""
+    """(N, T, C) signals while acts with factors (T, K) are exerted in each of N simulations.
+
+    Args:
+        note: called before every control step.
+    """
     batch = robot.simulation.batch
     before = np.zeros((len(inputs), *batch.xfrc_applied.shape[1:]))
     turned = np.zeros((len(inputs), batch.qfrc_applied.shape[1]))
 
     def exert(step: int) -> None:
+        if note:
+            note()
         wrench, force = np.zeros_like(before), np.zeros_like(turned)
         for row, (acts, factors) in enumerate(inputs):
             for act, factor in zip(acts, factors[step], strict=True):

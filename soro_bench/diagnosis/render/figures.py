@@ -199,6 +199,19 @@ def law_curve(result: Result) -> str:
     return image(figure)
 
 
+def discovered(result: Result) -> str:
+    """The input that explains what no law does against the main state of a discovered law, and the law."""
+    if (found := result.discovery) is None or not found.effects:
+        return ""
+    figure, axes = pyplot().subplots(figsize=(WIDTH, 3.2), layout="constrained")
+    axes.axhline(0.0, color="0.85", lw=1)
+    axes.plot(found.state, found.force, ".", ms=3, color=GREY, label="input, free in time")
+    axes.plot(found.state, found.law, ".", ms=3, color=RED, label="law")
+    axes.set(xlabel=found.state_label, ylabel=found.force_label)
+    axes.legend(frameon=False, ncols=2)
+    return image(figure)
+
+
 def unknown_input(result: Result) -> str:
     """The input that explains what no law does, over time, of the first recording; empty without one."""
     if (found := result.unknown_input) is None:

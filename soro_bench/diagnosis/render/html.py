@@ -92,6 +92,9 @@ def _figures(result: Result) -> list[Figure]:
             "lines speak for another law."
         )
         found.append(Figure(f"Force against state: {words.law(curve.effect.name)}", caption, figures.law_curve(result)))
+    if (law := result.discovery) and law.effects:
+        caption = f"Points: the input that explains most, free in time. Line: the law, {'; '.join(law.equations)}."
+        found.append(Figure("Force against state: a law outside the catalogue", caption, figures.discovered(result)))
     if unknown := result.unknown_input:
         form = "linear in commands and shape" if unknown.linear_in else "free in time"
         caption = f"The input at {unknown.location} that explains most, {form}.{which}"

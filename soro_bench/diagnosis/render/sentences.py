@@ -105,7 +105,32 @@ def headline(result: Result) -> str:
         return "Adequate but for outliers"
     if result.verdict == "adequate":
         return f"Adequate within {number(_plain_error(result), result.robot.unit)}: no discrepancy detected"
+    if equations := described(result):
+        return f"{ANSWERS[result.verdict]}, described by {'; '.join(equations)}"
     return ANSWERS[result.verdict]
+
+
+def described(result: Result) -> tuple[str, ...]:
+    """The equations of a law outside the catalogue; none where none was found, or a law of the catalogue is enough."""
+    found = result.discovery if result.verdict == "outside_catalogue" else None
+    return found.equations if found else ()
+
+
+def discovered(result: Result) -> list[str]:
+    """What a law outside the catalogue reads and explains, or that none holds, in sentences."""
+    if (found := result.discovery) is None or result.verdict != "outside_catalogue":
+        return []
+    if not found.effects:
+        period = f" Its spectrum peaks at {number(found.peak, 'Hz')}." if found.peak else ""
+        return [f"No law of state holds on held-out motion: the force is seen in time only.{period} Record the same "
+                "commands twice: what repeats has a law, what does not is a disturbance."]  # fmt: skip
+    names = "; ".join(f"{name}: {said}" for name, said in found.legend.items())
+    test = "the ends of the recordings, which were not fitted to" if found.own_test else "held-out recordings"
+    share = f"{100 * found.explained:.1f} % of the squared error"
+    said = [f"With {names}. Outside these ranges it is held.",
+            f"On {test} it explains {share} ({100 * found.noise_share:.1f} % is noise), the nearest law of the "
+            f"catalogue {100 * max(found.nearest, 0.0):.1f} %."]  # fmt: skip
+    return said + ([f"About as good: {'; or '.join(found.others)}."] if found.others else [])
 
 
 def _plain_error(result: Result) -> float:

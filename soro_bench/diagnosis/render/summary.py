@@ -28,6 +28,10 @@ def summary(result: Result) -> str:
     for each in sentences.best_findings(result):
         lines += _finding(each, nearest=result.verdict == "outside_catalogue")
     if result.verdict == "outside_catalogue":
+        lines += [line("" if i else "law", each) for i, each in enumerate(sentences.described(result))]
+        if found := result.discovery:
+            lines += [line("", f"{each.name} = {words.estimate(each)}") for each in found.estimates]
+        lines += [line("", each) for each in sentences.discovered(result)]
         lines.append(line("location", sentences.where(result)))
         if unconstrained := sentences.unconstrained(result):
             lines.append(line("", unconstrained))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from soro_bench.diagnosis.settings.data import DataQualitySettings
+from soro_bench.diagnosis.settings.discovery import DiscoverySettings
 from soro_bench.diagnosis.settings.estimation import (
     AgreementSettings,
     CovarianceSettings,
@@ -39,6 +40,7 @@ __all__ = [
     "CovarianceSettings",
     "DataQualitySettings",
     "DescentSettings",
+    "DiscoverySettings",
     "DiscretisationSettings",
     "ExperimentDesignSettings",
     "FitSettings",
@@ -73,6 +75,7 @@ class Settings:
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     probabilities: ProbabilitySettings = field(default_factory=ProbabilitySettings)
     localisation: LocalisationSettings = field(default_factory=LocalisationSettings)
+    discovery: DiscoverySettings = field(default_factory=DiscoverySettings)
     agreement: AgreementSettings = field(default_factory=AgreementSettings)
     experiment_design: ExperimentDesignSettings = field(default_factory=ExperimentDesignSettings)
     limits: LimitSettings = field(default_factory=LimitSettings)

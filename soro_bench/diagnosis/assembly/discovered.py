@@ -1,0 +1,93 @@
+"""A discovered law as a result tells it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from soro_bench.arrays import Floats
+from soro_bench.diagnosis.assembly.findings import NINETY, tempered
+from soro_bench.diagnosis.candidates import slices
+from soro_bench.diagnosis.discovery.discovery import Discovery, Found
+from soro_bench.diagnosis.discovery.law_terms import LawTerm
+from soro_bench.diagnosis.pipeline import Diagnosis
+from soro_bench.diagnosis.result_parts import DiscoveredLaw, Estimate
+from soro_bench.effects.custom_law import CustomLaw
+from soro_bench.effects.effect import Effect
+from soro_bench.effects.expression import names_in
+
+_SHOWN = 400  # points of a figure
+
+
+def discovered_law(diagnosis: Diagnosis) -> DiscoveredLaw | None:
+    """The law, or that none holds; None where none was looked for."""
+    found = diagnosis.discovery
+    if found is None:
+        return None
+    effects = _effects(diagnosis, found.best) if found.best else []
+    state, force, law, labels = _curve(found, effects)
+    return DiscoveredLaw(
+        location=found.location,
+        effects=tuple(each.to_json() for each in effects),
+        equations=tuple(_equation(each) for each in effects),
+        legend={key: value for each in effects for key, value in _law(each).legend().items()},
+        estimates=_estimates(diagnosis, found.best) if found.best else (),
+        explained=float(found.explained),
+        noise_share=float(found.noise_share),
+        nearest=float(1.0 - found.heldout_nearest / found.heldout_before),
+        own_test=found.own_test,
+        others=tuple("; ".join(map(_equation, _effects(diagnosis, each))) for each in found.others),
+        state=tuple(map(float, state)),
+        force=tuple(map(float, force)),
+        law=tuple(map(float, law)),
+        state_label=labels[0],
+        force_label=labels[1],
+        peak=float(found.peak),
+    )
+
+
+def _effects(diagnosis: Diagnosis, found: Found) -> list[Effect]:
+    return found.hypothesis.effects(diagnosis.explanation.problem.parameters)
+
+
+def _law(effect: Effect) -> CustomLaw:
+    assert effect.law is not None
+    return effect.law
+
+
+def _equation(effect: Effect) -> str:
+    law = _law(effect)
+    towards = f" along {law.direction}" if isinstance(law.direction, str) and law.direction else ""
+    if isinstance(law.direction, tuple):
+        point = ", ".join(f"{1e3 * effect.parameters[str(name)]:.0f}" for name in law.direction)
+        towards = f" towards ({point}) mm"
+    return f"{effect.location}: {law.equation(effect.parameters)} [{law.unit}]{towards}"
+
+
+def _estimates(diagnosis: Diagnosis, found: Found) -> tuple[Estimate, ...]:
+    """Coefficients and shapes with intervals."""
+    hypothesis, first = found.hypothesis, diagnosis.explanation.problem.parameters
+    spread = np.sqrt(np.diag(tempered(diagnosis, hypothesis)))
+    estimates = []
+    for term, part in zip(hypothesis.terms, slices(hypothesis.terms, first), strict=True):
+        assert isinstance(term, LawTerm)
+        for unknown, x, width in zip(term.unknowns, hypothesis.x[part], spread[part], strict=True):
+            low, high = sorted(unknown.value(float(x + k * NINETY * width)) for k in (-1.0, 1.0))
+            estimates.append(Estimate(unknown.name, unknown.value(float(x)), unknown.unit, low, high))
+    return tuple(estimates)
+
+
+def _curve(found: Discovery, effects: Sequence[Effect]) -> tuple[Floats, Floats, Floats, tuple[str, str]]:
+    """The main variable, the input of its channel and the law, in some of the control steps, with labels."""
+    located, channel = found.located, found.best.structure.candidates[0].channel if found.best else 0
+    reads, force = located.reads[channel], located.force[:, channel]
+    shown, law = next(each for each in reads if each.name == "t"), np.full(len(force), np.nan)
+    if effects:
+        effect = next((e for e in effects if e.location == located.channels[channel].location), effects[0])
+        reads = [*reads, *located.distances(effect)]
+        law, force = located.exerted(effect, reads), located.along(effect, channel)
+        used = names_in(_law(effect).expression).union(*(names_in(each.input) for each in _law(effect).states))
+        shown = next((each for each in reads if each.name in used), shown)
+    order = np.arange(0, len(law), max(1, len(law) // _SHOWN))
+    at = "" if shown.variable.place is None else f" of {shown.variable.place.kind} {shown.variable.place.name}"
+    labels = f"{shown.variable.of}{at} [{shown.unit}]", f"input [{located.channels[channel].unit}]"
+    return shown.values[order], force[order], law[order], labels

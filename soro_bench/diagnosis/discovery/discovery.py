@@ -1,0 +1,273 @@
+"""A law outside the catalogue, from the input that explains a residual: regressed, fitted by replays, tested."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from soro_bench.arrays import Floats
+from soro_bench.diagnosis.discovery.law_terms import LawTerm, law_terms
+from soro_bench.diagnosis.discovery.located_input import LocatedInput, channels
+from soro_bench.diagnosis.discovery.regression import Structure, structures
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, bounds, fitted, with_covariance
+from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.localisation.ranking import RankedLocation
+from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.selection.stopping import falls_beyond_chance
+from soro_bench.effects.effect import Location
+
+_SEED = 900  # of samples, after those of other stages
+_SHARES = (0.5, 1.0)  # of regressed coefficients that are replayed
+_TESTED_PART = 0.3  # of a recording, its end, where nothing was held out
+
+
+@dataclass(frozen=True)
+class Found:
+    """A fitted law and what it leaves.
+
+    structure: what it came of. misfit: above the noise, of the recordings fitted to and of those held out [nats].
+    """
+
+    structure: Structure
+    hypothesis: Hypothesis
+    misfit: float
+    heldout_misfit: float
+
+    @property
+    def total(self) -> float:
+        """Misfit of all recordings, with what its unknowns gain by chance [nats]."""
+        return self.misfit + self.heldout_misfit + 50.0 * sum(each.size for each in self.hypothesis.terms)
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """What became of the search for a law.
+
+    best: the law; None where none holds on held-out motion. others: laws that leave about as much. location: where it
+    acts. heldout_before, heldout_nearest, heldout_after: mean square of the held-out residual, in units of the
+    sensor's noise: of fitted parameters, of the catalogue's best answer, and with the law (NaN if none). own_test:
+    whether the ends of the recordings were held out, as nothing else was. peak: Hz, of the spectrum of the input.
+    located: the input.
+    """
+
+    best: Found | None
+    others: tuple[Found, ...]
+    location: Location
+    heldout_before: float
+    heldout_nearest: float
+    heldout_after: float
+    own_test: bool
+    peak: float
+    located: LocatedInput
+
+    @property
+    def explained(self) -> float:
+        """Share of the held-out mean square that the law explains."""
+        return 1.0 - self.heldout_after / self.heldout_before
+
+    @property
+    def noise_share(self) -> float:
+        """Share of the held-out mean square that is the sensor's noise, which nothing explains."""
+        return 1.0 / self.heldout_before
+
+    @property
+    def beats(self) -> float:
+        """What the law leaves of held-out motion above the noise, over what the catalogue's best answer leaves."""
+        return max(self.heldout_after - 1.0, 0.0) / max(self.heldout_nearest - 1.0, 1e-9)
+
+
+def discovered(
+    problem: Problem, tested: Problem | None, robot: Robot, nominal: Hypothesis, nearest: Hypothesis,
+    ranked: Sequence[RankedLocation], seed: int,
+) -> Discovery | None:  # fmt: skip
+    """The law outside the catalogue at one of the places where an unknown input explains most; None where no law can
+    act there.
+
+    Args:
+        problem: of the recordings fitted to. tested: of held-out ones. nominal: the robot with fitted parameters.
+        nearest: the catalogue's best answer.
+        ranked: locations, the best first.
+    """
+    settings = problem.settings.discovery
+    estimates = sorted((each for site in ranked for each in site.estimates), key=lambda each: -each.gain)
+    near = [each for each in estimates if each.gain > settings.location_share * estimates[0].gain]
+    near = [each for each in near if channels(robot, each.source)][: settings.locations]
+    if not near:
+        return None
+    fitted_on, own = (problem, False) if tested else (_beginning(problem), True)
+    test = tested or _end(problem)
+    inputs = [LocatedInput(problem, robot, nominal, each) for each in near]
+    before, with_nearest = (_mean_square(test, each) for each in (nominal, nearest))
+    laws = [each for located in inputs for each in structures(located)]
+    fitted_on, found = _fitted(fitted_on, test, nominal, laws, seed)
+    peak = (inputs[0].periods() or [0.0])[0] / (2.0 * np.pi)
+    nothing = Discovery(None, (), near[0].location, before, with_nearest, np.nan, own, peak, inputs[0])
+    if not found:
+        return nothing
+    best = _simplified(fitted_on, _as_noisy(test, fitted_on), _simplest(found, settings.same), seed)
+    best = _as_seen(best, fitted_on, test)
+    after = _mean_square(test, best.hypothesis)
+    share = 1.0 - max(after - 1.0, 0.0) / max(before - 1.0, 1e-9)
+    if share < settings.least_explained or not falls_beyond_chance(test, nominal, best.hypothesis):
+        return replace(nothing, heldout_after=after)
+    kept = replace(best, hypothesis=_of_problem(with_covariance(fitted_on, best.hypothesis, seed), fitted_on, problem))
+    others = tuple(each for each in found if each is not best and each.total < best.total + _slack(best, settings.same))
+    location = best.structure.location
+    return Discovery(kept, others, location, before, with_nearest, after, own, peak, best.structure.located)
+
+
+def _fitted(
+    problem: Problem, test: Problem, nominal: Hypothesis, found: Sequence[Structure], seed: int
+) -> tuple[Problem, list[Found]]:
+    """Fits of the structures that leave least with regressed coefficients, the best first; and their problem, whose
+    noise is what the best of them leaves where that is more than the sensor's."""
+    settings = problem.settings.discovery
+    pairs = [(each, law_terms(each)) for each in found]
+    pairs = [pair for pair in pairs if problem.robot.accepts([e for t in pair[1] for e in t.effects(t.simulated)])]
+    if not pairs:
+        return problem, []
+    starts = [(pair, _start(nominal, problem, *pair, share)) for pair in pairs for share in _SHARES]
+    rows = problem.residuals([(x, terms) for (_, terms), x in starts])
+    costs = [float((problem.discretisation.without(row) ** 2).sum()) for row in rows]
+    left = list(settings.fitted)
+    chosen: list[tuple[tuple[Structure, tuple[LawTerm, ...]], Floats]] = []
+    for i in np.argsort(costs, kind="stable").tolist():
+        (structure, _), _ = starts[i]
+        size = len(structure.candidates) - 1
+        if left[size] and all(structure is not other[0] for other, _ in chosen):
+            left[size] -= 1
+            chosen.append(starts[i])
+    radii = problem.settings.selection.fit_radius, problem.settings.selection.fit_radius_last
+    guesses = [Guess(x, terms) for (_, terms), x in chosen]
+    once = fitted(problem, guesses, radii, seed + _SEED)
+    problem, once = allowing(problem, min(once, key=lambda h: h.cost), once)
+    test = _as_noisy(test, problem)
+    results = _judged(problem, test, [pair[0] for pair, _ in chosen], once)[: settings.last]
+    again = [Guess(each.hypothesis.x, each.hypothesis.terms) for each in results]
+    more = fitted(problem, again, radii[1:], seed + _SEED + 1)
+    better = [min(pair, key=lambda h: h.cost) for pair in zip((r.hypothesis for r in results), more, strict=True)]
+    problem, better = allowing(problem, min(better, key=lambda h: h.cost), better)
+    return problem, _judged(problem, _as_noisy(test, problem), [each.structure for each in results], better)
+
+
+def _as_noisy(problem: Problem, other: Problem) -> Problem:
+    """The problem with the noise of another one, of the same signals."""
+    same = replace(problem, sigma=other.sigma, noise=other.noise, others=other.others)
+    basis = problem.discretisation.basis * problem.factor_to(same)
+    return replace(same, discretisation=type(problem.discretisation)(basis))
+
+
+def _judged(
+    problem: Problem, test: Problem, found: Sequence[Structure], hypotheses: Sequence[Hypothesis]
+) -> list[Found]:
+    """The hypotheses with what they leave, the least first."""
+    rows = test.residuals([(h.x, h.terms) for h in hypotheses])
+    judged = [
+        Found(structure, h, problem.misfit(h.residual), test.misfit(row))
+        for structure, h, row in zip(found, hypotheses, rows, strict=True)
+    ]
+    return sorted(judged, key=lambda each: each.total)
+
+
+def _start(
+    nominal: Hypothesis, problem: Problem, structure: Structure, terms: Sequence[LawTerm], share: float
+) -> Floats:
+    """(n,) unknowns on the way from the nominal robot to the regressed ones."""
+    without = nominal.x[: problem.parameters]
+    x = np.clip(without + share * (structure.x - without), *bounds(problem, ()))
+    return np.concatenate([x, *(share * each.simulated for each in terms)])
+
+
+def _slack(best: Found, same: float) -> float:
+    """By how much another law may leave more than the best one and be as good [nats]."""
+    return same * max(best.misfit + best.heldout_misfit, 0.0) + 100.0
+
+
+def _simplified(problem: Problem, test: Problem, whole: Found, seed: int) -> Found:
+    """The law without those of its terms that it does not need: fitted again without each in turn."""
+    while len(whole.structure.candidates) > 1:
+        less = [_without(whole, i, problem.parameters) for i in range(len(whole.structure.candidates))]
+        guesses = [Guess(x, terms) for _, terms, x in less]
+        selection = problem.settings.selection
+        fits = fitted(problem, guesses, (selection.fit_radius, selection.fit_radius_last), seed + _SEED + 2)
+        best = _judged(problem, test, [structure for structure, _, _ in less], fits)[0]
+        if best.total > whole.total + _slack(whole, problem.settings.discovery.same):
+            break
+        whole = best
+    return whole
+
+
+def _as_seen(found: Found, problem: Problem, test: Problem) -> Found:
+    """The law with the ranges that its variables had in all recordings."""
+    hypothesis, located = found.hypothesis, found.structure.located
+    effects = hypothesis.effects(problem.parameters)
+    terms = [
+        replace(term, law=located.seen(effect, test, hypothesis.x, effects)) if isinstance(term, LawTerm) else term
+        for term, effect in zip(hypothesis.terms, effects, strict=True)
+    ]
+    return replace(found, hypothesis=replace(hypothesis, terms=tuple(terms)))
+
+
+def _without(found: Found, which: int, parameters: int) -> tuple[Structure, tuple[LawTerm, ...], Floats]:
+    """A law without one of its candidates: its structure and terms, and unknowns that begin where the others were."""
+    structure, coordinates = found.structure, found.hypothesis.x[parameters:].tolist()
+    unknowns = [each for term in found.hypothesis.terms if isinstance(term, LawTerm) for each in term.unknowns]
+    fitted_values = iter([each.value(x) for each, x in zip(unknowns, coordinates, strict=True) if each.is_coefficient])
+    shapes = {each.name: x for each, x in zip(unknowns, coordinates, strict=True) if not each.is_coefficient}
+    order = sorted(range(len(structure.candidates)), key=lambda i: structure.candidates[i].channel)
+    values = {i: tuple(next(fitted_values) for _ in structure.candidates[i].terms) for i in order}
+    kept = [i for i in range(len(structure.candidates)) if i != which]
+    less = Structure(structure.located, tuple(structure.candidates[i] for i in kept),
+                     tuple(values[i] for i in kept), structure.gain, structure.x)  # fmt: skip
+    terms = law_terms(less)
+    starts = [shapes.get(each.name, each.start) for term in terms for each in term.unknowns]
+    return less, terms, np.concatenate([found.hypothesis.x[:parameters], starts])
+
+
+def _simplest(found: Sequence[Found], same: float) -> Found:
+    """Of the laws that are about as good as the best one, that with the fewest unknowns; forces before setpoints."""
+    best = found[0]
+    close = [each for each in found if each.total <= best.total + _slack(best, same)]
+    return min(close, key=_complexity)
+
+
+def _complexity(found: Found) -> tuple[int, bool, float]:
+    """How much a law has: unknowns, whether it moves a setpoint, and what it leaves."""
+    terms = found.hypothesis.terms
+    return sum(each.size for each in terms), any(each.location.kind == "actuator" for each in terms), found.total
+
+
+def _mean_square(problem: Problem, hypothesis: Hypothesis) -> float:
+    """Of the residual of a hypothesis, in units of the sensor's noise."""
+    (residual,) = problem.residuals([(hypothesis.x, hypothesis.terms)])
+    in_noise = residual * (problem.of_samples(problem.of_columns(problem.sigmas) / problem.of_columns(problem.sensors)))
+    return float((in_noise**2).sum() / problem.weight.sum())
+
+
+def _of_problem(hypothesis: Hypothesis, fitted_on: Problem, problem: Problem) -> Hypothesis:
+    """A fit of a problem with other noise, or of a part of its recordings, as one of the problem; its covariance is
+    that of the fit."""
+    known = hypothesis.covariance(fitted_on)
+    same = hypothesis.scaled(problem, fitted_on.factor_to(problem))
+    (residual,) = problem.residuals([(same.x, same.terms)])
+    return replace(same, residual=residual, cost=problem.cost(residual, same.x), known=known)
+
+
+def _beginning(problem: Problem) -> Problem:
+    """The problem of which the end of every recording does not count."""
+    return _weighted(problem, first=True)
+
+
+def _end(problem: Problem) -> Problem:
+    """The problem of which only the end of every recording counts."""
+    return _weighted(problem, first=False)
+
+
+def _weighted(problem: Problem, first: bool) -> Problem:
+    parts = []
+    for row in problem.rows(problem.weight):
+        begins = (np.arange(len(row)) < (1.0 - _TESTED_PART) * len(row))[:, None]
+        parts.append((row * (begins if first else ~begins)).ravel())
+    weight = np.concatenate(parts)
+    basis = problem.discretisation.basis * weight
+    return replace(problem, weight=weight, discretisation=type(problem.discretisation)(basis))

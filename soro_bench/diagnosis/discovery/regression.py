@@ -1,0 +1,183 @@
+"""Sparse regression of an unknown input over the grammar of laws.
+
+The input is not regressed itself: it is smooth, and known only as far as it moves the robot. What a term would change
+in the recordings is regressed on what they need, under the covariance of discretisation and parameters. Responses to
+pulses turn a term into that, so thousands of terms cost no replay.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from soro_bench.arrays import Floats
+from soro_bench.diagnosis.discovery.library import Group, Term, groups
+from soro_bench.diagnosis.discovery.located_input import LocatedInput
+from soro_bench.effects.custom_law import Variable
+from soro_bench.effects.effect import Location
+
+_BY_CHANCE = 25.0  # nats, that a coefficient may gain by chance and by the error of the linear response
+_RIDGE = 1e-9  # of a Gram matrix, whose columns may be the same
+_DISTANCE = "d"
+_GRID, _AROUND, _TRIALS = 5, 0.2, 80  # points a side, m beyond where the body was, and trials of a search for a point
+_FALLS: tuple[float, ...] = (0.0, 1.0, -1.0, -2.0, -3.0)  # powers of the distance from a point
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """Terms that come together, at a channel of an input; ``point`` [m] is where they pull to, if they do."""
+
+    terms: Group
+    channel: int
+    point: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A law: candidates with the regressed coefficients of their terms, and the log evidence that these gain [nats].
+
+    x: (d,) parameters of the robot beside it.
+    """
+
+    located: LocatedInput
+    candidates: tuple[Candidate, ...]
+    coefficients: tuple[tuple[float, ...], ...]
+    gain: float
+    x: Floats
+
+    @property
+    def location(self) -> Location:
+        """Where the input acts."""
+        return self.located.estimate.location
+
+
+def structures(located: LocatedInput) -> list[Structure]:
+    """Laws of one to three terms that explain an input, the largest gain first."""
+    library = _candidates(located)
+    search = _Search(located, library)
+    settings = located.problem.settings.discovery
+    least = settings.least_share * located.explained
+    singles = search.best([()], settings.singles, 0.0)
+    pairs = search.best(singles[: settings.pairs // 2], settings.pairs, least)
+    triples = search.best(pairs[: settings.triples], settings.triples, least)
+    found = [search.structure(each) for each in (*singles, *pairs, *triples)]
+    return sorted(found, key=lambda each: -each.gain)
+
+
+def _candidates(located: LocatedInput) -> list[Candidate]:
+    settings, periods = located.problem.settings.discovery, located.periods()
+    found = []
+    for channel, reads in enumerate(located.reads):
+        found += [Candidate(group, channel) for group in groups(reads, periods, settings)]
+    for point in _points(located):
+        found += [Candidate((_central(power),), 0, point) for power in _FALLS]
+    return found
+
+
+def _points(located: LocatedInput) -> list[tuple[float, ...]]:
+    """Points [m] that a force on a body may pull to: the best ones for a power of the distance, and for a spring with
+    a length at rest."""
+    met, place = located.meeting_point(), located.place
+    if met is None or place is None:
+        return []
+    low, high = place.min(axis=0) - _AROUND, place.max(axis=0) + _AROUND
+    grid = np.stack(np.meshgrid(*np.linspace(low, high, _GRID).T, indexing="ij"), axis=-1).reshape(-1, 3)
+    starts, found = np.vstack([np.clip(met, low, high), grid]), []
+    for powers in ((-2.0,), (0.0, 1.0)):
+        start = min(starts, key=lambda each: -_gain_at(located, each, powers))
+        best = minimize(lambda each, p=powers: -_gain_at(located, each, p), start, method="Nelder-Mead",
+                        options={"maxfev": _TRIALS, "initial_simplex": _simplex(start, _AROUND / 4.0)})  # fmt: skip
+        found.append(tuple(float(each) for each in best.x))
+    return found
+
+
+def _simplex(start: Floats, size: float) -> Floats:
+    return np.vstack([start, start + size * np.eye(len(start))])
+
+
+def _gain_at(located: LocatedInput, point: Floats, powers: Sequence[float]) -> float:
+    """Log evidence [nats] that pulls to a point gain, by powers of the distance."""
+    rows = np.array([located.changed(located.pulls(point, power)) for power in powers])
+    white = located.covariance.white(np.vstack([rows, located.origin]))
+    gram = rows @ rows.T - white[:-1] @ white[:-1].T
+    pull = rows @ located.origin - white[:-1] @ white[-1]
+    gram += 1e-9 * np.trace(gram) * np.eye(len(gram)) + 1e-12 * np.eye(len(gram))
+    return 0.5 * float(pull @ np.linalg.solve(gram, pull))
+
+
+def _central(power: float) -> Term:
+    """A power of the distance from a point."""
+    variable = Variable(_DISTANCE, "distance", 0.0, 1e6, None, None, ("px", "py", "pz"))
+    if power == 0.0:
+        return Term(1.0, "1")
+    unit = "m" if power == 1.0 else f"m^{power:g}"
+    return Term(_DISTANCE if power == 1.0 else ("power", _DISTANCE, power), unit, (variable,))
+
+
+class _Search:
+    """Sets of candidates by the evidence that they gain together."""
+
+    def __init__(self, located: LocatedInput, library: Sequence[Candidate]):
+        self.located, self.library = located, library
+        rows, self.columns, start = [], list[slice](), 0
+        for each in library:
+            own = [_row(located, each, term) for term in each.terms]
+            rows += own
+            self.columns.append(slice(start, start + len(own)))
+            start += len(own)
+        self.basis = basis = np.array(rows)
+        white, of_origin = located.covariance.white(basis), located.covariance.white(located.origin[None])[0]
+        self.gram = basis @ basis.T - white @ white.T
+        self.pull = basis @ located.origin - white @ of_origin
+        self.scale = np.sqrt(np.maximum(np.diag(self.gram), 1e-12))
+
+    def solved(self, chosen: Sequence[int]) -> tuple[float, Floats]:
+        """Gain [nats] and coefficients of candidates."""
+        columns = np.concatenate([np.arange(self.columns[i].start, self.columns[i].stop) for i in chosen])
+        scale = self.scale[columns]
+        gram = self.gram[np.ix_(columns, columns)] / np.outer(scale, scale) + _RIDGE * np.eye(len(columns))
+        pull = self.pull[columns] / scale
+        found = np.linalg.solve(gram, pull)
+        return 0.5 * float(pull @ found) - _BY_CHANCE * len(columns), -found / scale
+
+    def best(self, begun: Sequence[tuple[int, ...]], count: int, least: float) -> list[tuple[int, ...]]:
+        """The sets with one candidate more that gain most, ``least`` more than without it."""
+        gains: dict[tuple[int, ...], float] = {}
+        for chosen in begun:
+            before = self.solved(chosen)[0] if chosen else 0.0
+            for i, each in enumerate(self.library):
+                one = tuple(sorted((*chosen, i)))
+                apart = {self.library[k].point for k in chosen} | {each.point}
+                if i in chosen or one in gains or len(apart) > 1 or self.scale[self.columns[i]].min() <= 1e-6:
+                    continue
+                gain = self.solved(one)[0]
+                if gain > before + least:
+                    gains[one] = gain
+        return sorted(gains, key=lambda one: -gains[one])[:count]
+
+    def structure(self, chosen: tuple[int, ...]) -> Structure:
+        """The law of some candidates."""
+        gain, values = self.solved(chosen)
+        sizes = np.cumsum([len(self.library[i].terms) for i in chosen])[:-1]
+        coefficients = tuple(tuple(map(float, part)) for part in np.split(values, sizes))
+        columns = np.concatenate([np.arange(self.columns[i].start, self.columns[i].stop) for i in chosen])
+        x = self.located.parameters(values @ self.basis[columns])
+        return Structure(self.located, tuple(self.library[i] for i in chosen), coefficients, gain, x)
+
+
+def _power_of(term: Term) -> float:
+    """Of the distance in a central force."""
+    if isinstance(term.expression, tuple):
+        return float(term.expression[2])
+    return 1.0 if term.expression == _DISTANCE else 0.0
+
+
+def _row(located: LocatedInput, candidate: Candidate, term: Term) -> Floats:
+    """(M,) what a term changes in the residual, with a coefficient of one."""
+    force = np.zeros_like(located.force)
+    if candidate.point:
+        force[:] = located.pulls(np.array(candidate.point), _power_of(term))
+    else:
+        force[:, candidate.channel] = located.feature(term, candidate.channel)
+    return located.changed(force)
