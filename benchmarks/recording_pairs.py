@@ -134,7 +134,7 @@ def _settings(condition: str) -> Settings:
         return DEFAULT
     # neither laws nor locations are looked for
     selection = replace(DEFAULT.selection, least_gain_of_misfit=NEVER)
-    report = replace(DEFAULT.report, least_unknown=1.0)
+    report = replace(DEFAULT.report, least_probability=1.0)
     return replace(DEFAULT, selection=selection, report=report)
 
 

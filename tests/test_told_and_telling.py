@@ -110,7 +110,7 @@ def test_a_wrong_value_that_was_told_is_a_discrepancy_at_the_arm(paths):
     quick = replace(
         DEFAULT,
         selection=replace(DEFAULT.selection, least_gain_of_misfit=NEVER),
-        report=replace(DEFAULT.report, least_unknown=0.0),
+        report=replace(DEFAULT.report, least_probability=0.0),
     )
     told = {"inertia": 1.0, "damping": 0.8, "zero": 0.01}
     result = diagnose(ModelRobot(*paths, threads=1), [recording(paths, [], 0)], settings=quick, known=told)
@@ -215,7 +215,7 @@ def test_an_arm_that_became_heavier_between_two_recordings_is_told(paths):
     quick = replace(
         DEFAULT,
         selection=replace(DEFAULT.selection, least_gain_of_misfit=NEVER),
-        report=replace(DEFAULT.report, least_unknown=1.0),
+        report=replace(DEFAULT.report, least_probability=1.0),
     )
     heavier = recording(paths, [], 1, truth=TRUTH * [[1.1, 1.0, 1.0]])
     result = diagnose(ModelRobot(*paths, threads=1), [recording(paths, [], 0), heavier], settings=quick)

@@ -164,7 +164,7 @@ def run_diagnosis(
         data=(*imported((*recordings, *heldout)), *_findings(looked_at), *answers, *left_out(untouched, problem)),
         digests=tuple(each.digest() for each in (*recordings, *heldout)), seed=seed,
     )  # fmt: skip
-    if comparison.detected and comparison.unknown > settings.report.least_unknown:
+    if comparison.detected and comparison.unknown > settings.report.least_probability:
         run.progress("localisation")
         found = replace(
             found, ranked_locations=tuple(ranked_locations(explanation.problem, robot, explanation.nominal, refined))

@@ -165,7 +165,7 @@ class _Comparison:
         misfit = (self.measured.values - expected)[seen]
         if not misfit.any():
             return expected
-        step = self.method.covariance.parameter_width
+        step = self.method.covariance.width
         slopes = np.zeros((0, *expected.shape))
         if len(self.nominal):
             slopes = (self._replays([self.measured.drive], step * np.eye(len(self.nominal))) - expected) / step
@@ -199,7 +199,7 @@ class _Comparison:
         """
         settings, misfits = self.method, partial(self._misfits, measured)
         low, high = np.array([prior.reach(settings.priors.limit) for prior in self.robot.priors]).reshape(-1, 2).T
-        x, best, width = self.nominal, misfits(self.nominal[None])[0], settings.covariance.parameter_width
+        x, best, width = self.nominal, misfits(self.nominal[None])[0], settings.covariance.width
         for _ in range(settings.descent.steps if len(x) and np.isfinite(best).all() else 0):
             step = np.where(x + width <= high, width, -width)
             slopes = (misfits(x + np.diag(step)) - best) / step[:, None]

@@ -58,7 +58,8 @@ def _of_one(problem: Problem, joint: Hypothesis, k: int, part: slice) -> tuple[P
 
 
 def _fitted(problem: Problem, joint: Hypothesis, seed: int) -> Alone:
-    radii = problem.settings.agreement.radii
+    settings = problem.settings.selection
+    radii = settings.fit_radius, settings.fit_radius, settings.fit_radius_last
     if problem.misfit_dominated:
         (found,) = descended(problem, [joint])
     else:

@@ -309,7 +309,7 @@ def with_covariance(problem: Problem, hypothesis: Hypothesis, seed: int) -> Hypo
     low, high = bounds(problem, terms)
     root = np.diag(_first_widths(problem, hypothesis))
     for k in range(settings.rounds):
-        normal = sample_around(np.zeros(n), 1.0, max(settings.samples, settings.samples_per_unknown * n), [seed, k])
+        normal = sample_around(np.zeros(n), 1.0, settings.samples + 2 * n, [seed, k])
         points = np.clip(x + normal @ root.T, low, high)
         rows = problem.residuals([(point, terms) for point in points])
         inverse = np.linalg.inv(root)
@@ -324,5 +324,5 @@ def _first_widths(problem: Problem, hypothesis: Hypothesis) -> Floats:
     """(n,) standard deviations of the first samples."""
     settings = problem.settings.covariance
     magnitudes = np.array([*[False] * problem.parameters, *(m for s in hypothesis.terms for m in s.magnitudes)])
-    small = np.clip(settings.magnitude_share * np.abs(hypothesis.x), _LEAST_WIDTH, settings.parameter_width)
-    return np.where(magnitudes, small, settings.parameter_width)
+    small = np.clip(settings.width * np.abs(hypothesis.x), _LEAST_WIDTH, settings.width)
+    return np.where(magnitudes, small, settings.width)

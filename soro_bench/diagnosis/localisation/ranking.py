@@ -28,7 +28,7 @@ from soro_bench.diagnosis.localisation.residual_maps import windows
 from soro_bench.diagnosis.localisation.test_inputs import Source, sources
 from soro_bench.diagnosis.localisation.unknown_inputs import Estimate, Search
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.settings import LocalisationSettings
+from soro_bench.diagnosis.settings import SelectionSettings
 from soro_bench.effects.effect import Location
 
 
@@ -83,7 +83,7 @@ def ranked_locations(
     models = (False, True)  # free in time, or linear in commands and shape
     for linear in models:
         gains = [_predicted_gain(problem, base, row, search.linear.features if linear else None) for row in rows]
-        entrants += search.begin(_screened(robot, everything, gains, problem.settings.localisation), linear)
+        entrants += search.begin(_screened(robot, everything, gains, problem.settings.selection), linear)
     estimates = _estimated(search, entrants, everything)
     by_chance = np.log(len(models) * len(everything))
     best: dict[Location, dict[str, Estimate]] = {}
@@ -97,7 +97,7 @@ def ranked_locations(
 
 
 def _screened(
-    robot: Robot, everything: Sequence[Source], gains: Sequence[float], settings: LocalisationSettings
+    robot: Robot, everything: Sequence[Source], gains: Sequence[float], settings: SelectionSettings
 ) -> list[Source]:
     """Test inputs with the largest predicted gains, a few of every kind, and all others that act on the same cables.
 
@@ -109,8 +109,8 @@ def _screened(
     for rank, i in enumerate(order):
         source = everything[i]
         times[source.kind, source.location.kind] += 1
-        few = times[source.kind, source.location.kind] <= settings.located_per_kind
-        if rank < settings.located or (not source.measured and few):
+        few = times[source.kind, source.location.kind] <= settings.candidates_per_law
+        if rank < settings.candidates or (not source.measured and few):
             chosen.append(source)
     cables = {robot.channel(source.location) for source in chosen} - {None}
     return [source for source in everything if source in chosen or robot.channel(source.location) in cables]
@@ -202,7 +202,7 @@ def _predicted_gain(problem: Problem, base: Hypothesis, rows: np.ndarray, featur
     """
     settings = problem.settings.localisation
     duration = sum(recording.time[-1] for recording in problem.recordings)
-    window = windows(problem, max(settings.window * len(rows), duration * len(rows) / settings.most_values))
+    window = windows(problem, max(settings.node_spacing * len(rows), duration * len(rows) / settings.most_values))
     free = _Windowed(rows, window)
     discretisation = base.discretisation(problem)
     hessian, gradient = normal_equations(discretisation, base.jacobian, base.residual, base.x)
@@ -224,9 +224,9 @@ def _predicted_gain(problem: Problem, base: Hypothesis, rows: np.ndarray, featur
         information, pull = weights.T @ information @ weights, weights.T @ pull
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
     values, turned = np.maximum(values, 0.0), vectors.T @ pull
-    scales = np.geomspace(settings.least_scale, settings.screened_scale, settings.screened_scales)
     return max(
-        0.5 * float((turned**2 / (values + scale**-2)).sum() - np.log1p(scale**2 * values).sum()) for scale in scales
+        0.5 * float((turned**2 / (values + scale**-2)).sum() - np.log1p(scale**2 * values).sum())
+        for scale in settings.scales
     )
 
 

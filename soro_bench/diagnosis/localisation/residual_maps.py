@@ -6,7 +6,7 @@ import numpy as np
 
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Problem
-from soro_bench.diagnosis.settings import DEFAULT, LocalisationSettings
+from soro_bench.diagnosis.settings import DEFAULT, LocalisationSettings, Settings
 
 WINDOWS = 1_000_000  # more than a recording has
 
@@ -50,9 +50,7 @@ def intervals(
     return joined
 
 
-def regimes(
-    time: np.ndarray, rates: np.ndarray, gain: np.ndarray, settings: LocalisationSettings = DEFAULT.localisation
-) -> list[Regime]:
+def regimes(time: np.ndarray, rates: np.ndarray, gain: np.ndarray, settings: Settings = DEFAULT) -> list[Regime]:
     """Improvement while commands move fast or slowly, have just reversed, or rest; and early or late.
 
     Args:
@@ -60,11 +58,11 @@ def regimes(
         rates: (T, A) of the commands.
         gain: (T,) log evidence gained in each sample.
     """
-    still = settings.rest_rate
-    steps = max(1, round(settings.after_reversal / float(np.median(np.diff(time)))))
+    still, maps = settings.limits.tolerance, settings.localisation
+    steps = max(1, round(maps.after_reversal / float(np.median(np.diff(time)))))
     rates = rates / max(float(np.abs(rates).max(initial=0.0)), 1e-300)
     speed = np.abs(rates).max(axis=1, initial=0.0)
-    moving, fast = speed > still, speed > settings.fast_rate * speed.max()
+    moving, fast = speed > still, speed > maps.fast_rate * speed.max()
     reversal = np.zeros(len(rates), bool)
     for column in np.sign(np.where(np.abs(rates) > still, rates, 0.0)).T:
         last = 0.0

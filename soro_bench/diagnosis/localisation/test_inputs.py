@@ -245,7 +245,7 @@ def _on_sensor(problem: Problem) -> Iterator[tuple[Offset, ...]]:
     for signal, sigma in zip(problem.robot.signals, problem.sigmas, strict=True):
         points, dimension = signal.shape
         names = AXES if dimension == len(AXES) else [str(k) for k in range(dimension)]
-        size = problem.settings.localisation.sensor_offset * sigma
+        size = problem.settings.localisation.reach * sigma
         # the axes of a frame are not offset alone
         for i in range(0 if signal.directions and signal in problem.robot.others else points):
             location, start = Location("sensor", signal.name, i), first + i * dimension

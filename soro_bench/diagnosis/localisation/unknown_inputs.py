@@ -148,7 +148,7 @@ class Search:
 
     def better(self, estimates: Sequence[Estimate]) -> list[Estimate]:
         """The estimates a round further; never worse after their first round, which only sorts out."""
-        together = self._settings.together
+        together = self._settings.finalists
         parts = [estimates[first : first + together] for first in range(0, len(estimates), together)]
         return [new for part in parts for new in (self._first if part[0].root is None else self._further)(part)]
 
@@ -220,7 +220,7 @@ class Search:
 
     def _responses(self, estimate: Estimate) -> tuple[np.ndarray, Rows]:
         """(d, M) and (n K, M) change of the residual by the parameters, and by each value of the input."""
-        pulse_size, difference = self._settings.pulse, self._settings.parameter_difference
+        pulse_size, difference = self._settings.pulse, self.problem.settings.descent.difference
         x, source, factors = estimate.acting
         pulses, size = estimate.input_model.pulses(), estimate.values.shape[1]
         asked: list[Acting] = []
@@ -252,7 +252,7 @@ class Search:
             here.append(there if there.root is None else self._weighed(there))
             rows.append(response)
         going = list(range(len(estimates)))
-        for _ in range(self._settings.steps):
+        for _ in range(self._settings.rounds):
             new = finished(self._stepped([here[i] for i in going], [rows[i] for i in going]))
             ahead = {
                 i: estimate
@@ -281,7 +281,7 @@ class Search:
         aims = first_order.aims(origin)
         trials, most = [], max(aims, key=lambda aim: aim.gain).scale
         for smaller in (1.0, settings.smaller_inputs):
-            limit = max(1.01 * most / smaller, settings.least_scale)
+            limit = max(1.01 * most / smaller, min(settings.scales))
             aim = max((aim for aim in aims if aim.scale <= limit), key=lambda aim: aim.gain)
             x = self._parameters(estimate, origin + first_order.changed(aim.values))
             for share in settings.step_shares:
@@ -327,7 +327,7 @@ class _FirstOrder:
     def __init__(self, estimate: Estimate, rows: Rows, covariance: Covariance, settings: LocalisationSettings):
         self._rows, self._covariance, self._white = rows, covariance, covariance.white(rows)
         self._shape = estimate.values.shape
-        self._scales = np.geomspace(settings.least_scale, settings.estimated_scale, settings.estimated_scales)
+        self._scales = settings.scales
         products = rows @ rows.T
         dense = products if isinstance(products, np.ndarray) else products.toarray()
         information = dense - self._white @ self._white.T

@@ -17,7 +17,7 @@ from soro_bench.diagnosis.estimation.fit import Hypothesis, bounds
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, temperature
-from soro_bench.diagnosis.settings import DEFAULT, ExperimentDesignSettings
+from soro_bench.diagnosis.settings import DEFAULT, ExperimentDesignSettings, Settings
 from soro_bench.effects.effect import Location
 from soro_bench.inference.statistical_linearisation import LowRank
 from soro_bench.recording.excitation import in_turn, loops, multisine, step_and_hold, triangles
@@ -60,7 +60,7 @@ def proposed(
         seed: of the motions' random phases.
     """
     settings = problem.settings.experiment_design
-    rivals = competing(comparison, settings)
+    rivals = competing(comparison, problem.settings)
     if len(rivals) < 2 and unknown is None:
         return None
     robot, as_fitted = problem.robot, [(a.hypothesis.x, a.hypothesis.terms) for a in rivals]
@@ -80,7 +80,7 @@ def proposed(
     return _proposal(tried[finalists[best]], rivals, separated[best], enough)
 
 
-def competing(comparison: Comparison, settings: ExperimentDesignSettings = DEFAULT.experiment_design) -> list[Answer]:
+def competing(comparison: Comparison, settings: Settings = DEFAULT) -> list[Answer]:
     """The answers that remain, the most probable first; the best one if all are improbable."""
     merged: dict[frozenset[tuple[str, Location]], Answer] = {}  # fits that only began elsewhere are one answer
     for answer in comparison.answers:
@@ -88,7 +88,8 @@ def competing(comparison: Comparison, settings: ExperimentDesignSettings = DEFAU
         probability = answer.probability + (first.probability if first else 0.0)
         merged[_laws(answer)] = replace(first or answer, probability=probability)
     answers = sorted(merged.values(), key=lambda a: -a.probability)
-    return [a for a in answers if a.probability >= settings.least_probability][: settings.rivals] or answers[:1]
+    likely = [a for a in answers if a.probability >= settings.report.least_probability]
+    return likely[: settings.experiment_design.rivals] or answers[:1]
 
 
 def motions(
@@ -115,7 +116,7 @@ def motions(
     parts = {
         "fast triangles of {}": _slowed(triangle, 1, groups, room),
         "slow triangles of {}": _slowed(triangle, settings.slow, groups, room),
-        "slow nested loops of {}": _slowed(loops(), settings.slow_loops, groups, room),
+        "slow nested loops of {}": _slowed(loops(), settings.slow, groups, room),
         f"steps of {{}} with holds of {settings.hold:g} s": _slowed(hold, 1, together, room),
         f"slow triangles of {{}} with {'the others' if some else 'all'} pulled a little": np.concatenate([
             others, _slowed(triangle, settings.slow, groups, room - 2 * len(others)), -others

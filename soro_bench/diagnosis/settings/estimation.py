@@ -88,18 +88,15 @@ class DescentSettings:
 class CovarianceSettings:
     """Posterior covariance from replays that are as wide as the posterior."""
 
-    parameter_width: float = setting(0.3, "prior deviations", "of the first samples; narrow ones see jumps only")
-    magnitude_share: float = setting(0.3, "1", "of an effect's magnitude, likewise; the effect stays in all samples")
+    width: float = setting(
+        0.3, "prior deviations", "of the first samples, as narrow ones see jumps only; share of an effect's magnitude"
+    )
     rounds: int = setting(4, "rounds", "of samples, each as wide as the covariance before it")
-    samples: int = setting(64, "replays", "of a round at least")
-    samples_per_unknown: int = setting(4, "replays", "of a round for each unknown at least")
+    samples: int = setting(64, "replays", "of a round, beside two for each unknown")
 
 
 @dataclass(frozen=True)
 class AgreementSettings:
     """Whether several recordings have the same parameters."""
 
-    radii: tuple[float, ...] = setting(
-        (0.15, 0.15, 0.07), "prior deviations", "of the samples of a recording's steps from the joint fit"
-    )
     alpha: float = setting(0.05, "1", "chance of any difference that is called a change, of all that are compared")

@@ -112,11 +112,11 @@ class ProbabilitySettings:
 
 @dataclass(frozen=True)
 class LocalisationSettings:
-    """Where an unknown input acts, and when a hypothesis explains more than another one."""
+    """Where an unknown input acts, and when a hypothesis explains more than another one. As many locations are looked
+    at as candidates are fitted (``SelectionSettings.candidates``)."""
 
     # test inputs
     weight_share: float = setting(0.02, "1", "of a robot's weight, first size of a force on a body")
-    sensor_offset: float = setting(2.0, "noise deviations", "of a measured point")
     reach: float = setting(4.0, "noise deviations", "rms motion under a unit input; large enough to be seen")
     # input models
     node_spacing: float = setting(0.1, "s", "of piecewise linear inputs; a base may rock at 2 Hz")
@@ -128,30 +128,20 @@ class LocalisationSettings:
         (0.2, 0.6, 2.0), "s", "of a free input, Matern 3/2; the best one counts"
     )
     shapes: int = setting(8, "principal components", "of the signal, in which an input may be linear")
-    # screening of locations
-    window: float = setting(0.15, "s", "in which an input is constant, times its directions")
-    located: int = setting(6, "locations", "with the largest predicted gain, that are looked at")
-    located_per_kind: int = setting(2, "locations", "of every kind at least, as the prediction is linear")
-    least_scale: float = setting(0.03, "unit inputs", "smallest prior deviation of an input")
-    screened_scale: float = setting(30.0, "unit inputs", "largest prior deviation of a screened input")
-    screened_scales: int = setting(13, "1", "prior deviations that are screened")
+    scales: tuple[float, ...] = setting(
+        (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0), "unit inputs", "prior deviations that are tried"
+    )
     # unknown-input estimation
-    estimated_scale: float = setting(1000.0, "unit inputs", "largest prior deviation of an estimated input")
-    estimated_scales: int = setting(14, "1", "prior deviations that are tried")
-    finalists: int = setting(8, "locations", "that go on after the first round")
-    rounds: int = setting(8, "rounds", "of Gauss-Newton steps at most")
-    steps: int = setting(4, "steps", "of a round with the same Jacobian, at most")
+    finalists: int = setting(8, "locations", "that go on after the first round, and are replayed side by side")
+    rounds: int = setting(8, "rounds", "of Gauss-Newton steps at most, and steps of a round with the same Jacobian")
     step_shares: tuple[float, ...] = setting((0.1, 0.4, 1.0), "1", "of a step that are replayed; cables fall slack")
     smaller_inputs: float = setting(16.0, "1", "times smaller than predicted inputs are tried too")
-    together: int = setting(8, "locations", "that are replayed side by side")
     pulse: float = setting(0.5, "unit inputs", "of a pulse, for a column of the Jacobian")
-    parameter_difference: float = setting(0.05, "prior deviations", "of a parameter, for a column of the Jacobian")
     least_gain: float = setting(1.0, "nats", "of a round or a step that is worth another one")
     # maps of the residual
     map_window: float = setting(1.0, "s", "of maps over time; short beside a recording")
     shown_share: float = setting(0.8, "1", "of the improvement that lies in the intervals that are named")
     after_reversal: float = setting(0.25, "s", "after a command reverses; play and friction act then")
-    rest_rate: float = setting(1e-3, "1", "share of the fastest command below which a command rests")
     fast_rate: float = setting(0.5, "1", "share of the fastest command above which motion is fast")
 
 
@@ -161,15 +151,13 @@ class ExperimentDesignSettings:
 
     duration: float = setting(10.0, "s", "of the recording that is proposed")
     hold: float = setting(4.0, "s", "of each position of a staircase; creep and leaks show then")
-    least_probability: float = setting(0.05, "1", "of an answer that is still to be told apart")
     rivals: int = setting(3, "answers", "that are told apart, at most")
     finalists: int = setting(2, "motions", "that are simulated again with other values of the unknowns")
     directions: int = setting(2, "directions", "of the posterior, the widest, for those values")
     separating_odds: float = setting(20.0, "1", "tempered odds that tell two answers apart")
     rest: float = setting(0.05, "1", "share of the duration, at rest before and after a motion")
     stroke: int = setting(3, "control steps", "at full rate, of a fast triangle")
-    slow: int = setting(10, "1", "times slower than that, of slow triangles")
-    slow_loops: int = setting(4, "1", "times slower than full rate, of nested loops")
+    slow: int = setting(10, "1", "times slower than that, of slow motions")
 
 
 @dataclass(frozen=True)
@@ -177,7 +165,9 @@ class LimitSettings:
     """Which limits that a simulated robot reaches are told."""
 
     least_share: float = setting(0.05, "1", "of the time at a limit; a peak now and then says little")
-    tolerance: float = setting(1e-3, "1", "share of a range within which a value is at its end; solvers round")
+    tolerance: float = setting(
+        1e-3, "1", "share of a range within which a value is at its end, or a command rests; solvers round"
+    )
 
 
 @dataclass(frozen=True)
@@ -185,6 +175,7 @@ class ReportSettings:
     """What is accepted, and which hypotheses and locations are worth more work at the end."""
 
     most_numbers: int = setting(300_000, "numbers", "four minutes of a trunk; every candidate term adds as many")
-    least_probability: float = setting(0.05, "1", "of a hypothesis whose intervals are computed by replays")
+    least_probability: float = setting(
+        0.05, "1", "of an answer whose intervals are computed and that is told apart; of an unknown law, to locate it"
+    )
     same_error: float = setting(0.01, "1", "share; a replay that is further from the printed error is noted")
-    least_unknown: float = setting(0.1, "1", "probability of an unknown law, above which its location is searched")
