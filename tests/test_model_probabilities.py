@@ -86,7 +86,7 @@ def test_a_gain_like_those_of_healthy_robots_is_no_detection():
     assert p_value(100.0) > 0.1
     assert p_value(1000.0) < 1e-3
     gumbel = DEFAULT.probabilities
-    assert p_value(gumbel.gumbel_location) == pytest.approx(1.0 - math.exp(-1.0))  # of a Gumbel distribution
+    assert p_value(gumbel.healthy_gain) == pytest.approx(1.0 - math.exp(-1.0))  # of a Gumbel distribution
 
 
 def test_the_temperature_grows_with_the_misfit_and_evidence_below_the_noise_does_not_cool_it():
@@ -213,11 +213,11 @@ def test_what_is_compared_has_most_evidence_whatever_round_it_is_of(given):
     """The right law is of the first round. Later rounds have more hypotheses than are compared, with one term more:
     they gain no more than a law with more unknowns always gains."""
     nominal, right = leaving(given, 2e5), leaving(given, 2000.0, COULOMB)
-    count = DEFAULT.probabilities.compared
+    count = DEFAULT.selection.candidates
     later = [leaving(given, 900.0 + k, COULOMB, GAIN) for k in range(count)]
     explanation = Explanation(given, nominal, (*later, right), 0.0, 0.0, 0.0, ())
     assert shortlist(explanation) == [nominal, right, *later[:-1]]
-    settings = replace(DEFAULT, probabilities=replace(DEFAULT.probabilities, compared=1))
+    settings = replace(DEFAULT, selection=replace(DEFAULT.selection, candidates=1))
     assert shortlist(replace(explanation, problem=replace(given, settings=settings))) == [nominal, right]
 
 

@@ -211,7 +211,7 @@ def test_a_term_that_only_leads_to_better_parameters_is_dropped(robot, local_min
 def test_the_search_starts_again_as_often_as_the_settings_say(robot, local_minimum):
     given, stuck = local_minimum
     values = {"discrepant_misfit": 0.0, "discrepant_misfit_per_sample": 0.0}
-    given = replace(given, settings=with_selection(**values, restarts=0, least_gain_of_misfit=0.5))
+    given = replace(given, settings=with_selection(**values, turns=0, least_gain_of_misfit=0.5))
     candidates = [term(robot, "payload", Location("body", f"vertebra{k}")) for k in (6, 8)]
     explanation = explained(given, stuck, robot, [], candidates, 0)
     assert len(explanation.rounds) == 1

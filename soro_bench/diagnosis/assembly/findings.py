@@ -55,7 +55,7 @@ def _finding(diagnosis: Diagnosis, replays: PlainReplays, found: _Found) -> Find
     measured, robot = problem.recordings[0], diagnosis.robot
     channel = robot.channel(term.location)
     rates = robot.rates(measured.actions)
-    shares = regimes(measured.time, rates if channel is None else rates[:, [channel]], gain)
+    shares = regimes(measured.time, rates if channel is None else rates[:, [channel]], gain, problem.settings)
     train, heldout = replays.errors(diagnosis, found.answer)
     return Finding(
         name=term.name,
@@ -63,7 +63,7 @@ def _finding(diagnosis: Diagnosis, replays: PlainReplays, found: _Found) -> Find
         probability=float(found.probability),
         location=term.location,
         estimates=_estimates(diagnosis, found),
-        intervals=tuple(intervals(measured.time, gain)),
+        intervals=tuple(intervals(measured.time, gain, problem.settings.localisation)),
         condition=" ".join(filter(None, (_taken(term), _condition(term.location, shares, channel is not None)))),
         train=train,
         heldout=heldout,

@@ -110,13 +110,13 @@ def nominal_fit(
     draws = settings.nominal_radius * rng.standard_normal((settings.nominal_replays, d))
     draws[0] = 0.0
     guess = Guess(np.zeros(d))
-    near, last = settings.nominal_radius_near, settings.nominal_radius_last
-    stages = ((settings.nominal_radius, settings.nominal_radius_second), (near,), (last, last))
+    near, last = settings.fit_radius, settings.nominal_radius_last
+    stages = ((settings.nominal_radius, settings.move_radius), (near,), (last, last))
     for k, radii in enumerate(stages):
         progress("discretisation error and joint fit of the parameters")
         if k > 0:
-            reach = settings.nominal_reach
-            draws = np.clip(guess.x + radii[0] * rng.standard_normal((1, d)), -reach, reach)
+            limit = problem.settings.priors.limit
+            draws = np.clip(guess.x + radii[0] * rng.standard_normal((1, d)), -limit, limit)
         points = [(x, ()) for x in draws]
         problem = problem.with_discretisation(differences(problem, list(draws[:1])))
         problem, (fit,) = fitted_under_discretisation(problem, refined, points, [guess], radii, SEEDS * seed + k)
@@ -148,7 +148,7 @@ def explained(
     chance, or has to have evidence where there are none. Terms that are not worth having are removed in the end.
 
     A term may only lead the parameters out of a local minimum. Then the search starts again from those parameters, a
-    few times at most (``SelectionSettings.restarts``).
+    few times at most (``SelectionSettings.turns``).
 
     Args:
         nominal: the fit without a term.
@@ -166,7 +166,7 @@ def explained(
         search.begin()
         while search.goes_on and search.is_worth_a_round():
             search.add_one_term()
-            if search.local_minimum and restart < settings.restarts:
+            if search.local_minimum and restart < settings.turns:
                 break
         else:
             break

@@ -127,7 +127,7 @@ def p_value(gain: float, settings: ProbabilitySettings = DEFAULT.probabilities) 
     Args:
         gain: log evidence [nats].
     """
-    return float(-np.expm1(-np.exp(-(gain - settings.gumbel_location) / settings.gumbel_scale)))
+    return float(-np.expm1(-np.exp(1.0 - gain / settings.healthy_gain)))
 
 
 def alpha(settings: Settings = DEFAULT) -> float:
@@ -186,7 +186,7 @@ def shortlist(explanation: Explanation) -> list[Hypothesis]:
     problem, hypotheses = explanation.problem, [explanation.nominal, *explanation.found]
     misfits = [problem.misfit(h.residual) for h in hypotheses]
     scores = _evidence(problem, hypotheses) - _of_law_errors(problem, hypotheses, misfits)
-    order = np.argsort(-scores[1:], kind="stable")[: problem.settings.probabilities.compared]
+    order = np.argsort(-scores[1:], kind="stable")[: problem.settings.selection.candidates]
     return [explanation.nominal, *(explanation.found[i] for i in order)]
 
 
@@ -300,6 +300,6 @@ def _probability_of_unknown(problem: Problem, hypotheses: Sequence[Hypothesis], 
     limit = settings.unknown_share * min(1.0, (usual / max(terms, 1)) ** 2)
     known = expit((limit - share) / settings.unknown_share_width)
     if not problem.misfit_dominated:  # where the whole residual counts as noise, predicted gains are small
-        limit = settings.unknown_gain + settings.unknown_gain_of_explained * (misfits[0] - min(misfits))
+        limit = settings.unknown_gain + settings.law_error * (misfits[0] - min(misfits))
         known *= expit(math.log(limit / max(remaining_gain, 1.0)) / settings.unknown_gain_width)
     return 1.0 - float(known)

@@ -91,10 +91,10 @@ def iterate_to_convergence(problem: Problem, hypotheses: Sequence[Hypothesis], s
     """
     settings = problem.settings.selection
     best, going = list(hypotheses), list(range(len(hypotheses)))
-    for k in range(settings.convergence_fits):
+    for k in range(settings.turns):
         guesses = [Guess(best[i].x, best[i].terms, best[i].jacobian if k else None) for i in going]
         further = dict(zip(going, fitted(problem, guesses, move_radii(settings), seed + k), strict=True))
-        helped = [i for i, h in further.items() if h.cost < (1.0 - settings.convergence_gain) * best[i].cost]
+        helped = [i for i, h in further.items() if h.cost < (1.0 - settings.turn_gain) * best[i].cost]
         for i, hypothesis in further.items():
             best[i] = min(best[i], hypothesis, key=lambda h: h.cost)
         if not (going := helped):
@@ -158,7 +158,7 @@ def simplify(
     for simpler in candidates:
         terms = (*best.terms[:-1], simpler)
         if _trace(problem.robot, simpler) == _trace(problem.robot, last) and simpler.size < last.size:
-            points = [np.concatenate([rest, size * simpler.simulated]) for size in settings.simplified_starts]
+            points = [np.concatenate([rest, size * simpler.simulated]) for size in settings.starts]
             guess = Guess(_point_of_least_cost(problem, points, terms), terms)
             if laws(guess) not in known:
                 guesses.append(guess)
@@ -219,8 +219,7 @@ def _nearer(problem: Problem, guess: Guess, nominal: Hypothesis) -> Guess:
     """
     settings, d = problem.settings.selection, problem.parameters
     from_nominal = np.concatenate([nominal.x, guess.x[d:]])
-    shares = (settings.smallest_start, settings.smaller_start, 1.0)
-    others = [_with_share_of_terms(from_nominal, d, share) for share in shares]
+    others = [_with_share_of_terms(from_nominal, d, share) for share in _smaller(settings)]
     best = _point_of_least_cost(problem, [guess.x, *others], guess.terms)
     return guess if best is guess.x else Guess(best, guess.terms)
 
@@ -331,7 +330,7 @@ def _begun_best(problem: Problem, guesses: Sequence[Guess]) -> list[Guess]:
     """
     settings, d = problem.settings.selection, problem.parameters
     starts = [
-        [*(_with_share_of_terms(guess.x, d, share) for share in (settings.smaller_start, 1.0)), _as_screened(guess)]
+        [*(_with_share_of_terms(guess.x, d, share) for share in _smaller(settings)), _as_screened(guess)]
         for guess in guesses
     ]
     points = [(x, guess.terms) for guess, own in zip(guesses, starts, strict=True) for x in own]
@@ -377,6 +376,11 @@ def _as_screened(guess: Guess) -> np.ndarray:
     """(n,) unknowns with the last term as it was screened."""
     last = guess.terms[-1]
     return np.concatenate([guess.x[: -last.size], last.simulated])
+
+
+def _smaller(settings: SelectionSettings) -> list[float]:
+    """Shares of estimated magnitudes from which a fit may begin: Jacobians vanish without any."""
+    return [share for share in settings.starts if share <= 1.0]
 
 
 def _with_share_of_terms(x: np.ndarray, parameters: int, share: float) -> np.ndarray:

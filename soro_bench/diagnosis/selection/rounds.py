@@ -33,7 +33,7 @@ def at_each_element(problem: Problem, screened: Evidence, offered: Sequence[Scre
     found = [screened.at_each(spread(members)) for members in alike(screened.candidates)]
     better = [each for each in found if _beyond_chance(problem, each) > least and _accepted(problem, each)]
     better.sort(key=lambda each: -each.gain)
-    return [screened.guess(each) for each in better[: problem.settings.selection.spread_laws]]
+    return [screened.guess(each) for each in better[: problem.settings.selection.candidates_per_law]]
 
 
 def generalised(problem: Problem, screened: Evidence, candidates: Sequence[Term], worth: float) -> list[Guess]:
@@ -146,7 +146,7 @@ def refined_in_turns(
     as widely as the nominal fit, as parameters that have absorbed an effect may be far from where they belong.
     """
     settings = problem.settings.selection
-    for turn in range(settings.refinements):
+    for turn in range(settings.turns):
         before = problem.misfit(hypotheses[0].residual)
         if before < settings.healthy_misfit:
             break
@@ -155,12 +155,12 @@ def refined_in_turns(
         if wide:
             limit = settings.rival_misfit * before
             count = sum(problem.misfit(h.residual) < limit for h in hypotheses[: settings.discretisations])
-            radii = settings.nominal_radius, settings.nominal_radius_near
+            radii = settings.nominal_radius, settings.fit_radius
         better = refine(problem, hypotheses[:count], radii, next(seeds), anew=turn == 0)
         problem, better = with_own_discretisation(problem, refined, better, next(seeds))
         rest = [under_present_error(problem, h) for h in hypotheses[count:]]
         hypotheses = sorted([*better, *rest], key=lambda h: -h.log_evidence(problem))
-        if not wide and problem.misfit(hypotheses[0].residual) > (1.0 - settings.refinement_gain) * before:
+        if not wide and problem.misfit(hypotheses[0].residual) > (1.0 - settings.turn_gain) * before:
             break
     return problem, hypotheses
 
@@ -179,7 +179,7 @@ def fitted_in_growing_parts(problem: Problem, refined: Sequence[Robot], seed: in
         The problem with its discretisation error and the fit; None where parameters do not explain some part.
     """
     settings, d = problem.settings.selection, problem.parameters
-    radii = settings.nominal_radius, settings.nominal_radius_second, settings.nominal_radius_near
+    radii = settings.nominal_radius, settings.move_radius, settings.fit_radius
     part, fit, x = problem, None, np.zeros(d)
     for steps in _growing(problem) if d else ():
         part = problem.first(steps)
@@ -202,14 +202,14 @@ def fitted_in_growing_parts(problem: Problem, refined: Sequence[Robot], seed: in
 
 def _growing(problem: Problem) -> Iterator[list[int]]:
     """Control steps of each recording that belong to parts, up to all."""
-    settings = problem.settings.selection
-    share, before = settings.smallest_part, [0]
+    least, growth = problem.settings.data_quality.least_samples, problem.settings.selection.part_growth
     whole = [len(each.time) for each in problem.recordings]
+    share, before = least / max(whole), [0]
     while before != whole:
-        steps = [min(max(math.ceil(share * count), settings.least_part), count) for count in whole]
+        steps = [min(max(math.ceil(share * count), least), count) for count in whole]
         if steps != before:
             yield steps
-        share, before = share * settings.part_growth, steps
+        share, before = share * growth, steps
 
 
 def is_discrepant(problem: Problem, nominal: Hypothesis) -> bool:
@@ -247,7 +247,7 @@ def worth(problem: Problem, nominal: Hypothesis, best: Hypothesis) -> float:
     """The least predicted gain of one more term beside the best hypothesis that is worth a fit [nats]."""
     settings = problem.settings.selection
     remaining, of_nominal = (problem.misfit(h.residual) for h in (best, nominal))
-    of_explained = settings.least_gain_of_explained * (of_nominal - remaining)
+    of_explained = problem.settings.probabilities.law_error * (of_nominal - remaining)
     if problem.misfit_dominated:  # then the whole residual counts as noise
         return max(settings.least_gain_of_misfit * 0.5 * float(problem.weight.sum()), of_explained)
     return max(settings.least_gain, settings.least_gain_of_misfit * remaining, of_explained)

@@ -25,48 +25,38 @@ class SelectionSettings:
 
     # the fit without a term; its discretisation error is computed as far from the fit as its samples go
     nominal_radius: float = setting(0.7, "prior deviations", "of the first samples; parameters may be anywhere there")
-    nominal_radius_second: float = setting(0.3, "prior deviations", "of the next samples; cables fall slack nearby")
-    nominal_radius_near: float = setting(0.15, "prior deviations", "of samples once most of the motion is explained")
     nominal_radius_last: float = setting(0.05, "prior deviations", "of the last samples; narrower ones see jumps only")
     nominal_replays: int = setting(3, "replays", "of each refined robot, before anything is known of the parameters")
-    nominal_reach: float = setting(2.0, "prior deviations", "farthest of such a replay near a fit")
-    smallest_part: float = setting(1 / 64, "1", "share of recordings that parameters have to explain alone at first")
-    least_part: int = setting(20, "control steps", "of such a part at least")
-    part_growth: float = setting(2**0.5, "1", "by which parts grow; where motion is chaotic, a fit leads no further")
+    part_growth: float = setting(
+        2**0.5, "1", "by which parts of recordings grow; where motion is chaotic, a fit leads no further"
+    )
     part_left: float = setting(2.0, "noise deviations", "rms misfit of a part at most; more is no error of parameters")
     # which terms are tried
-    candidates: int = setting(6, "screened candidates", "that are fitted in a round; the right one was among them")
-    candidates_per_law: int = setting(2, "screened candidates", "of the same laws, so that other laws are tried too")
-    spread_laws: int = setting(2, "laws", "at each element of a kind that are fitted in a round beside the others")
+    candidates: int = setting(6, "screened candidates", "that are fitted in a round, and hypotheses that are compared")
+    candidates_per_law: int = setting(2, "screened candidates", "of the same laws, and laws at each element of a kind")
     least_share_of_gain: float = setting(0.3, "1", "share of the best predicted gain below which none is tried")
     unchecked_terms: int = setting(3, "terms", "before each must lower held-out error; recordings of 30 s show so many")
     least_gain: float = setting(400.0, "nats", "predicted gain that is worth a fit; 40 healthy cases reach 85, but one")
     least_gain_of_misfit: float = setting(0.05, "1", "share of the misfit, likewise; small shares come of unknown laws")
-    least_gain_of_explained: float = setting(0.005, "1", "share of what is explained, likewise; no law is quite right")
     beyond_chance: float = setting(2.0, "standard errors", "by which held-out error has to fall for another term")
-    restarts: int = setting(5, "restarts", "from better parameters, where a term only led out of a local minimum")
     # fits
-    fit_radius: float = setting(0.15, "prior deviations", "of the samples that fit a new term")
+    fit_radius: float = setting(0.15, "prior deviations", "of samples once most of the motion is explained")
     fit_radius_last: float = setting(0.07, "prior deviations", "of the samples of the last fit of a hypothesis")
-    move_radius: float = setting(0.3, "prior deviations", "of the first samples after a move of a hypothesis")
+    move_radius: float = setting(0.3, "prior deviations", "of samples after a move or a first fit; cables fall slack")
     move_radius_second: float = setting(0.1, "prior deviations", "of the next samples after a move")
     fitted: int = setting(4, "laws", "of the tried ones that are fitted, after a replay of each")
     kept: int = setting(3, "laws", "of the fitted ones that are kept")
-    smaller_start: float = setting(0.5, "1", "share of estimated magnitudes from which a fit may begin too")
-    smallest_start: float = setting(0.1, "1", "likewise, where a term is taken away; Jacobians vanish without any")
-    simplified_starts: tuple[float, ...] = setting(
-        (0.1, 0.3, 1.0, 3.0, 10.0), "typical magnitudes", "from which fits of simpler laws may begin"
+    starts: tuple[float, ...] = setting(
+        (0.1, 0.3, 1.0, 3.0, 10.0), "1", "times magnitudes from which fits may begin; of a simpler law also larger ones"
     )
     # refinement of hypotheses
     discretisations: int = setting(2, "hypotheses", "of a round whose discretisation error is computed")
-    refinements: int = setting(4, "fits", "of a hypothesis and its discretisation error in turns, at most")
-    refinement_gain: float = setting(0.1, "1", "share of the misfit that a refinement has to remove for another one")
     healthy_misfit: float = setting(1000.0, "nats", "below which no hypothesis is refined; healthy cases leave as much")
     rival_misfit: float = setting(2.0, "1", "times the best misfit, below which a hypothesis is a rival of the best")
     discrepant_misfit: float = setting(10_000.0, "nats", "that parameters hardly cause; then terms come before fits")
     discrepant_misfit_per_sample: float = setting(0.26, "nats", "likewise, of a sample of a long recording")
-    convergence_fits: int = setting(5, "fits", "in a row at most, where the misfit dominates")
-    convergence_gain: float = setting(0.1, "1", "share of the cost that such a fit has to gain for another one")
+    turns: int = setting(5, "fits", "in a row, in turns with a discretisation error, or from a better start, at most")
+    turn_gain: float = setting(0.1, "1", "share of the cost or misfit that a turn has to remove for another one")
 
     def __post_init__(self) -> None:
         """Refuse parts that do not grow.
@@ -82,11 +72,14 @@ class SelectionSettings:
 class ProbabilitySettings:
     """How probable hypotheses are, from development cases and from opened blind benchmarks."""
 
-    gumbel_location: float = setting(60.0, "nats", "of predicted gains of healthy cases; 39 of 40 reach 85 at most")
-    gumbel_scale: float = setting(60.0, "nats", "of that Gumbel distribution, with some to spare")
+    healthy_gain: float = setting(
+        60.0, "nats", "location and scale of a Gumbel distribution of predicted gains; 39 of 40 healthy cases reach 85"
+    )
     gain_of_term: float = setting(100.0, "nats", "that a fit gains by chance from one more term")
     gain_of_unknown: float = setting(50.0, "nats", "that a fit gains by chance from each unknown of a term")
-    law_error: float = setting(0.006, "1", "share of the explained misfit that each unknown takes up of wrong laws")
+    law_error: float = setting(
+        0.006, "1", "share of the explained misfit that an unknown takes up, or one more term gains, of wrong laws"
+    )
     temperature: float = setting(100.0, "nats", "least, by which log evidence is divided (power posterior)")
     temperature_of_misfit: float = setting(0.1, "1", "share of the best misfit that adds to it; models are as wrong")
     unknown_share: float = setting(
@@ -97,7 +90,6 @@ class ProbabilitySettings:
     unknown_gain: float = setting(
         500.0, "nats", "predicted for one more term, where a catalogue law is as likely as not"
     )
-    unknown_gain_of_explained: float = setting(0.006, "1", "share of the explained misfit that adds to it")
     unknown_gain_width: float = setting(0.2, "1", "of the logarithm of that gain; right laws leave two thirds of it")
     wrong_when_certain: float = setting(0.03, "1", "share of answers that seemed certain and were wrong: 5 of 111")
     slow_variance: float = setting(
@@ -107,7 +99,6 @@ class ProbabilitySettings:
     slow_power: float = setting(5.0, "1", "with which larger slow variances of healthy cases get rarer")
     slow_lag: float = setting(0.15, "s", "after which white noise is forgotten and motion is not")
     largest_sample: float = setting(4.0, "noise deviations", "that a sample counts as; outliers may be left")
-    compared: int = setting(6, "hypotheses", "with terms that are simulated on held-out recordings")
 
 
 @dataclass(frozen=True)
