@@ -1,9 +1,9 @@
 """Halve and double every setting of the diagnosis, and record what changes on development robots.
 
-    python benchmarks/diagnosis_settings.py [--anew] [--stages selection fit ...]
+    python benchmarks/diagnosis_settings.py [--anew] [--stages selection fit ...] [--quick]
     python docs/generate.py
 
-The first command takes half an hour of one core and can be stopped: it goes on with the settings that
+The first command takes an hour of one core and can be stopped: it goes on with the settings that
 docs/results/measured.json lacks, or begins again with --anew. The second one writes docs/reference/settings.md.
 
 The robots are an arm of one joint: healthy, with a payload, with a delayed motor, and with dry friction. A healthy arm
@@ -13,6 +13,9 @@ localisation of what no law explains; and one that has got a payload serves the 
 Each case runs once with settings that note where they are read. A setting that nobody has read can change nothing, and
 is not varied. The spoilt and the pushed arm are for settings that are first read in their stages, or nowhere else: all
 others the first four cases show.
+
+What changes nothing there is varied in harder cases (harder_settings.py), if not --quick: many settings at once, and
+of those that change something halves, until single ones are left. Two that cancel each other would stay unseen.
 """
 
 import argparse
@@ -20,60 +23,30 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from soro_bench.arrays import Floats
-from soro_bench.diagnosis.assembly.limits import reached_limits
-from soro_bench.diagnosis.paired.api import compare
-from soro_bench.diagnosis.pipeline import Diagnosis, Run, run_diagnosis
-from soro_bench.diagnosis.robots.model_robot import ModelRobot
-from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.selection.forward_selection import Progress
-from soro_bench.diagnosis.settings import DEFAULT, Settings, listed
-from soro_bench.effects.effect import Effect, Location
+from benchmarks.settings_cases import (
+    CASES,
+    PAIRED,
+    CaseRun,
+    Groups,
+    Outcome,
+    RememberingRobot,
+    arm_files,
+    harder_cases,
+    runner,
+)
+from soro_bench.diagnosis.settings import DEFAULT, listed
 from soro_bench.files import read_json, write_json
-from soro_bench.recording.recording import Recording, Signal
-from tests.arm import ARM, MAP, SIGMA, TRUTH
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results" / "measured.json"
 NOT_READ = "not read in these cases"
 FACTORS = {"halved": 0.5, "doubled": 2.0}
-PAIRED = "paired"  # the group of the comparison of pairs
-GOALS, HELD, STEP = 8, 15, 0.02  # of the arm, control steps of each, s
-LEVEL, SPIKE, SPIKES = 0.004, 0.5, 4  # rad, rad, samples
-LATE = 0.006  # s, of one sample in five
-PUSH = 0.05  # N m, standard deviation
 _NOTED = 0.01  # of a probability, from which a change is noted
-_MOVED = 0.1  # posterior standard deviations of an unknown, likewise
-Groups = dict[str, Any]  # settings by the names of their stages
-Paths = tuple[Path, Path]
-
-
-@dataclass(frozen=True)
-class Case:
-    """hidden: effects of the arm. spoilt: by its sensor. pushed: by something outside the catalogue. paired: compared
-    with the arm without the effects. stages: of settings that are varied in it, by where they are first read; all if
-    empty."""
-
-    hidden: tuple[Effect, ...] = ()
-    spoilt: bool = False
-    pushed: bool = False
-    paired: bool = False
-    stages: tuple[str, ...] = ()
-
-
-_PAYLOAD = Effect("payload", Location("body", "arm"), {"mass": 0.1})
-CASES = {
-    "healthy": Case(),
-    "payload": Case((_PAYLOAD,)),
-    "delay": Case((Effect("actuator_delay", Location("actuator", "motor"), {"delay": 0.03}),)),
-    "friction": Case((Effect("coulomb_friction", Location("joint", "hinge"), {"friction": 0.05}),)),
-    "spoilt": Case(spoilt=True, stages=("data quality",)),
-    "pushed": Case(pushed=True, stages=("localisation", "next recording", "limits")),
-    PAIRED: Case((_PAYLOAD,), paired=True),
-}
+_MOVED = 0.1  # posterior standard deviations of an unknown, and share of that deviation, likewise
+_TOLD = 2  # changes of one case that are told, beside the number of others
 
 
 @dataclass
@@ -101,43 +74,10 @@ class Reads:
         return watched(**{each: getattr(group, each) for each in names})
 
 
-class RememberingRobot(ModelRobot):
-    """A robot that simulates each replay once: most settings leave most replays as they were."""
-
-    replays: ClassVar[dict[tuple, Floats]] = {}
-
-    def shortened(self, factor: int) -> Robot:
-        """The same robot with time steps shorter by a factor."""
-        return RememberingRobot(*self._sources, self.threads, factor, self._baseline)
-
-    def _roll_out(self, drives: Any, parameters: Any, physics: Any, before_step: Any) -> Floats:
-        if before_step:
-            return super()._roll_out(drives, parameters, physics, before_step)
-        columns = zip(drives, parameters, physics, strict=True)
-        keys = [(self.shorter, d.actions.tobytes(), d.start.tobytes(), x.tobytes(), repr(e)) for d, x, e in columns]
-        new = [i for i, key in enumerate(keys) if key not in self.replays]
-        if new:
-            values = super()._roll_out([drives[i] for i in new], parameters[new], [physics[i] for i in new], None)
-            self.replays.update({keys[i]: each for i, each in zip(new, values, strict=True)})
-        return np.stack([self.replays[key] for key in keys])
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What is said of a case, by what it is about; a probability; numbers, and how far each may move unnoticed."""
-
-    said: dict[str, str]
-    probability: float
-    numbers: Floats
-    deviation: Floats
-
-
-CaseRun = Callable[[Groups, Progress], Outcome]
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--stages", nargs="*", help="groups of settings, such as selection; all by default")
+    parser.add_argument("--quick", action="store_true", help="leave out the harder cases")
     parser.add_argument("--anew", action="store_true", help="forget what was measured of these groups")
     options = parser.parse_args()
     defaults = {each.name: getattr(DEFAULT, each.name) for each in fields(DEFAULT)}
@@ -149,10 +89,11 @@ def main() -> None:
     names = {f"{group}.{each[1]}" for group, settings in defaults.items() for each in listed(group, settings)}
     for key in [each for each in known if each not in names or (options.anew and each.split(".")[0] in groups)]:
         del known[key]
+    harder = measured.setdefault("settings_harder", {})
+    for done in (by_label[label] for by_label in harder.values() for label in by_label):
+        done[:] = [key for key in done if key in known]
     with tempfile.TemporaryDirectory() as folder:
-        paths = Path(folder) / "arm.xml", Path(folder) / "arm.toml"
-        for path, text in zip(paths, (ARM, MAP), strict=True):
-            path.write_text(text)
+        paths = arm_files(Path(folder))
         runs = {name: runner(paths, case) for name, case in CASES.items() if (name == PAIRED) <= (PAIRED in groups)}
         usual, read = with_defaults(runs, defaults)
         remembered = RememberingRobot.replays
@@ -171,6 +112,63 @@ def main() -> None:
             known.setdefault(key, {})[label] = found
             write_json(RESULTS, measured)
             print(key, label, found or "no change", flush=True)
+        if not options.quick:
+            vary_harder(Path(folder), defaults, known, harder, lambda: write_json(RESULTS, measured))
+
+
+def vary_harder(folder: Path, defaults: Groups, known: Groups, harder: Groups, save: Callable[[], None]) -> None:
+    """Vary in harder cases what changes nothing so far.
+
+    Args:
+        known: by setting and factor, what changes in each case. harder: by case and factor, the settings that were
+            varied there. save: writes both.
+    """
+    for name, build in harder_cases(folder).items():
+        run, usual, read = None, None, set[str]()
+        for label, factor in FACTORS.items():
+            done = harder.setdefault(name, {}).setdefault(label, [])
+            idle = [key for key in known if key not in done and not seen(known[key]) and key.split(".")[0] in defaults]
+            if not idle:
+                continue
+            if run is None or usual is None:
+                run, reads = build(), Reads()
+                watched = {group: reads.watched(group, each) for group, each in defaults.items()}
+                reads.first.clear()
+                usual, read = run(watched, reads.begin), {*reads.first}
+            asked = [key for key in idle if key in read]
+            for key, text in bisected(run, usual, defaults, asked, factor).items():
+                known[key][label] = {**(known[key][label] if isinstance(known[key][label], dict) else {}), name: text}
+                print(key, label, name, text, flush=True)
+            for key in asked:
+                known[key][label] = {} if known[key][label] == NOT_READ else known[key][label]
+            done += idle
+            save()
+
+
+def seen(changes: Groups) -> bool:
+    """Whether a setting changes anything."""
+    return any(isinstance(each, dict) and each for each in changes.values())
+
+
+def bisected(run: CaseRun, usual: Outcome, defaults: Groups, keys: Sequence[str], factor: float) -> dict[str, str]:
+    """What changes by which settings, of some that are varied together."""
+    if not keys:
+        return {}
+    groups: dict[str, Groups] = {name: {} for name in defaults}
+    for key in keys:
+        group, name = key.split(".")
+        groups[group][name] = times(getattr(defaults[group], name), factor)
+    try:
+        text = changed(run, {name: replace(defaults[name], **each) for name, each in groups.items()}, usual)
+    except ValueError as error:
+        text = f"refused, {error}"
+    if not text or len(keys) == 1:
+        return {keys[0]: text} if text else {}
+    half = len(keys) // 2
+    return {
+        **bisected(run, usual, defaults, keys[:half], factor),
+        **bisected(run, usual, defaults, keys[half:], factor),
+    }
 
 
 def with_defaults(runs: dict[str, CaseRun], defaults: Groups) -> tuple[dict[str, Outcome], dict[str, set[str]]]:
@@ -220,75 +218,6 @@ def times(value: Any, factor: float) -> Any:
     return round(value * factor) if isinstance(value, int) else value * factor
 
 
-def runner(paths: Paths, case: Case) -> CaseRun:
-    """A function that runs a case with settings, and calls another one with the name of every stage."""
-    train, heldout = (recording(paths, case, seed) for seed in (0, 1))
-    robot = RememberingRobot(*paths, threads=1)
-    if case.paired:
-        before = recording(paths, Case(), 0)
-        return lambda groups, stage: of_pair(robot, before, train, Settings(**groups), stage)
-
-    def run(groups: Groups, stage: Progress) -> Outcome:
-        found = run_diagnosis(robot, [train], [heldout], Run(progress=stage, settings=Settings(**groups)))
-        stage("limits")
-        limits = ", ".join(f"{each.name} of {each.element}" for each in reached_limits(found))
-        return of_diagnosis(found, limits)
-
-    return run
-
-
-def recording(paths: Paths, case: Case, seed: int) -> Recording:
-    """Of an arm with other parameters and half the time step."""
-    rng = np.random.default_rng(seed)
-    goals = np.repeat(rng.uniform(-0.6, 0.6, GOALS), HELD)[:, None]
-    robot, start = ModelRobot(*paths, threads=1, shorter=2), np.full((1, 1), 0.2)
-    push = np.repeat(PUSH * np.random.default_rng([seed, 1]).standard_normal(GOALS * HELD // 5), 5)
-
-    def pushed(step: int) -> None:
-        robot.simulation.batch.qfrc_applied[:] = push[min(step, len(push) - 1)]
-
-    (values,) = robot.simulate(goals, TRUTH, [case.hidden], start, before_step=pushed if case.pushed else None)
-    angle = np.concatenate([start[None], values])[:, 0, 0] + SIGMA * rng.standard_normal(len(goals) + 1)
-    if case.spoilt:
-        angle = LEVEL * np.round(angle / LEVEL)
-        angle[rng.choice(np.arange(5, len(goals) - 5), SPIKES, replace=False)] += SPIKE
-    time = STEP * np.arange(len(angle))
-    given = {"goal": Signal(time[:-1], goals)}
-    if case.spoilt:
-        time = time + LATE * (rng.random(len(time)) < 0.2)
-    return Recording(given, {"angle": Signal(time, angle, "rad")})
-
-
-def of_diagnosis(found: Diagnosis, limits: str) -> Outcome:
-    """Best answer of a diagnosis, and what comes with it."""
-    best = found.best
-    outside = found.detected and found.comparison.unknown > found.comparison.likeliest
-    said = {
-        "answer": "discrepancy outside the catalogue" if outside else " + ".join(best.names) or "nothing",
-        "location": str(found.ranked_locations[0].location) if found.ranked_locations else "none",
-        "data": ", ".join(sorted({each.name for each in found.data})) or "nothing",
-        "next recording": found.proposal.motion.words if found.proposal else "none",
-        "limits": limits or "none",
-    }
-    covariance = best.hypothesis.covariance(found.explanation.problem)
-    return Outcome(said, best.probability, best.hypothesis.x, np.sqrt(np.diag(covariance)))
-
-
-def of_pair(robot: Robot, before: Recording, after: Recording, settings: Settings, stage: Progress) -> Outcome:
-    """What has changed between two recordings."""
-    result = compare([before], [after], robot, progress=stage, settings=settings)
-    found = result.explanation
-    changes = found.changes if found else ()
-    estimates = [each for change in changes for each in change.estimates]
-    said = {
-        "difference": result.signals[0].verdict,
-        "answer": " + ".join(f"{each.name} at {each.location or 'the model'}" for each in changes) or "nothing",
-    }
-    widths = [(each.high or np.inf) - (each.low or -np.inf) for each in estimates]  # of 90 %, 3.3 deviations
-    probability = changes[0].probability if changes else 1.0
-    return Outcome(said, probability, np.array([each.value for each in estimates]), np.array(widths) / 3.29)
-
-
 def changed(run: CaseRun, settings: Groups, usual: Outcome) -> str:
     """What changes in a case; nothing where all that is said, its probability and the unknowns stay."""
     try:
@@ -301,13 +230,18 @@ def changed(run: CaseRun, settings: Groups, usual: Outcome) -> str:
         for about, (before, after) in pairs.items()
         if before != after
     ]
-    if usual.said["answer"] != now.said["answer"]:
+    if len(said) > _TOLD + 1:
+        said[_TOLD:] = [f"and {len(said) - _TOLD} more"]
+    if usual.said.get("answer") != now.said.get("answer"):
         return ", ".join(said)
     if abs(now.probability - usual.probability) >= _NOTED:
         said.append(f"probability {usual.probability:.2f} to {now.probability:.2f}")
     moved = float(np.max(np.abs(now.numbers - usual.numbers) / usual.deviation, initial=0.0))
     if moved >= _MOVED:
         said.append(f"unknowns by {moved:.1f} deviations")
+    wider = now.deviation / usual.deviation - 1.0
+    if "answer" in usual.said and np.abs(wider).max(initial=0.0) >= _MOVED:
+        said.append(f"intervals by {100 * wider[np.abs(wider).argmax()]:+.0f} %")
     return ", ".join(said)
 
 
