@@ -62,15 +62,15 @@ def fitted_again(
         least: noise of each signal [its unit].
         spoilt: whether samples were left out before any fit.
     """
-    settings = problem.settings.data_quality
-    for again in range(settings.refits + 1):
+    settings, turns = problem.settings.data_quality, problem.settings.selection.turns
+    for again in range(turns + 1):
         far = far_points(problem, nominal.residual, spoilt) & (problem.weight > 0)
         quiet = problem, nominal
         if not problem.misfit_dominated:
             quiet = _with_noise(problem, nominal, least, spoilt)
         sigmas = zip(quiet[0].sigmas, untouched.sigmas, strict=True)
         noisier = spoilt and any(now < settings.refit_noise * before for now, before in sigmas)
-        if again == settings.refits or not (far.any() or noisier):
+        if again == turns or not (far.any() or noisier):
             break
         if far.any():
             found = _with_more(found, problem, nominal, far, untouched.weight)

@@ -68,14 +68,14 @@ def _in_distinct(samples: Floats, step: float, settings: DataQualitySettings) ->
     """Whether the same holds of samples without repetitions; True where too few changes are left to tell."""
     distinct = samples[np.r_[True, np.diff(samples) != 0]]
     changes = np.abs(np.diff(distinct, n=2)) > 0.5 * step
-    return bool(changes.sum() < settings.least_changes) or _in_changes(distinct, step, settings)
+    return bool(changes.sum() < settings.least_evidence) or _in_changes(distinct, step, settings)
 
 
 def _in_changes(samples: Floats, step: float, settings: DataQualitySettings) -> bool:
     """Whether changes of the increment of samples (T,) are multiples of a step."""
     changes = np.diff(samples, n=2)
     changes = changes[np.abs(changes) > 0.5 * step]
-    if len(changes) < settings.least_changes:
+    if len(changes) < settings.least_evidence:
         return False
     least = max(settings.by_chance / math.sqrt(len(changes)), settings.least_sharpness)
     return bool(np.cos(2 * np.pi * changes / step).mean() > least)

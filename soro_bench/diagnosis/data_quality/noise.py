@@ -61,7 +61,7 @@ def noise(values: Floats, settings: DataQualitySettings = _DEFAULT) -> float:
     """
     values = _rows(values)
     windows = np.lib.stride_tricks.sliding_window_view(values, settings.window, axis=0)
-    powers = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, settings.window), settings.degree)
+    powers = np.polynomial.chebyshev.chebvander(np.linspace(-1, 1, settings.window), settings.window - 2)
     squares = ((windows @ (np.eye(settings.window) - powers @ np.linalg.pinv(powers))) ** 2).sum(axis=2)
     complete = np.isfinite(squares)
     count = complete.sum(axis=1)
@@ -69,8 +69,7 @@ def noise(values: Floats, settings: DataQualitySettings = _DEFAULT) -> float:
         raise RecordingError(f"no point is present in {settings.window} successive samples")
     used = count > 0
     sums = np.where(complete, squares, 0.0).sum(axis=1)[used]
-    degrees_of_freedom = count[used] * (settings.window - settings.degree - 1)  # of the complete points
-    quiet = chi2.ppf(settings.quiet_windows, degrees_of_freedom)
+    quiet = chi2.ppf(settings.quiet_windows, count[used])  # a degree of freedom of each complete point
     return float(np.sqrt(np.quantile(sums / quiet, settings.quiet_windows)))
 
 

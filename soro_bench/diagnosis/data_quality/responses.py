@@ -131,7 +131,7 @@ class _Comparison:
     def _still(self, expected: Floats, noisy: bool) -> Ints:
         """Numbers of the points of :meth:`_leave_out_still`."""
         values, motion = self.measured.values, expected.std(axis=0)
-        moves = motion > self.settings.least_motion * motion.max()
+        moves = motion > self.settings.least_known * motion.max()
         still = np.array([
             [self._is_still(values[:, p, i], expected[:, p, i], noisy) for i in range(values.shape[2])]
             for p in range(values.shape[1])
@@ -223,7 +223,7 @@ class _Comparison:
     def _unanswered(self, misfit: Floats, slopes: Floats, lacking: Floats) -> tuple[Bools, Bools]:
         """(A,) whether nothing follows each command, and whether something surely does; see :func:`_shares`."""
         never, deviation = _shares(misfit, slopes, lacking)
-        known, missing = deviation < self.settings.unanswered_deviation, np.abs(never - 1.0) < self.settings.unanswered
+        known, missing = deviation < self.settings.least_known, np.abs(never - 1.0) < self.settings.unanswered
         return known & missing, known & ~missing
 
     def _held(self) -> tuple[Floats, Floats]:

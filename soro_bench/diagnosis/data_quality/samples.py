@@ -226,9 +226,9 @@ def stale(channel: Channel, settings: DataQualitySettings) -> tuple[Bools, str]:
         even = len(lengths) and (np.abs(lengths - np.median(lengths)) <= 1).mean() > settings.mostly
         if long.sum() >= settings.least_repeats and even and long.sum() >= settings.held_share * moving.sum():
             return repeated, "held"
-        following = np.abs(np.r_[after[1:], np.nan])
+        following = np.abs(np.r_[after[1:], np.nan])  # motion that begins is smaller than what follows
         chosen = (np.abs(before) > far) & (np.abs(after) > far) & (runs.length >= settings.least_repeats)
-        chosen &= np.abs(after) > settings.frozen_jump * following
+        chosen &= np.abs(after) > following
     found = none.copy()
     for first, length in zip(runs.first[chosen], runs.length[chosen], strict=True):
         found[present[first + 1 : first + length]] = True
@@ -241,7 +241,7 @@ def _is_random(channel: Channel, settings: DataQualitySettings) -> bool:
     Fourth differences of white noise mostly change their sign from one to the next (correlation -0.8); those of smooth
     motion do not.
     """
-    if channel.step > 0.0 or channel.noise <= settings.random_noise * channel.reach:
+    if channel.step > 0.0 or channel.noise <= settings.jump_reach * channel.reach:
         return False
     x = channel.values[np.isfinite(channel.values)]
     differences = np.diff(Runs.of(x).value, n=4)

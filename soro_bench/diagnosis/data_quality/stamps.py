@@ -48,7 +48,7 @@ def stamps(time: Floats, values: Floats, settings: DataQualitySettings, late: bo
         return None
     number = np.round(interval / period)
     regular = time[1:] if late else time  # what a logger holds at first may be from before the recording
-    even = number.sum() >= len(number) + settings.least_even and _is_even(regular, period, settings)
+    even = number.sum() >= len(number) + settings.least_evidence and _is_even(regular, period, settings)
     if (
         not even
         and (number >= 1).all()
@@ -59,10 +59,10 @@ def stamps(time: Floats, values: Floats, settings: DataQualitySettings, late: bo
 
 
 def _is_even(time: Floats, tick: float, settings: DataQualitySettings) -> bool:
-    """Whether stamps are evenly spaced but for the rounding to a tick."""
+    """Whether stamps are evenly spaced but for the rounding to a tick, which leaves half of one."""
     number = np.arange(len(time))
     period, offset = _line(number, time)
-    return bool(np.abs(time - offset - period * number).max() <= settings.even_ticks * tick)
+    return bool(np.abs(time - offset - period * number).max() <= (0.5 + settings.whole) * tick)
 
 
 def _irregular(time: Floats, values: Floats, settings: DataQualitySettings, lagging: bool) -> Stamps:

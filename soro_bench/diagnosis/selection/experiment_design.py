@@ -190,7 +190,7 @@ def _changes(
     ends = []
     for hypothesis in (answer.hypothesis for answer in rivals):
         variances, directions = np.linalg.eigh(hypothesis.covariance(problem))
-        steps = (np.sqrt(variances) * directions)[:, -problem.settings.experiment_design.directions :].T
+        steps = (np.sqrt(variances) * directions)[:, -problem.settings.experiment_design.finalists :].T
         allowed = bounds(problem, hypothesis.terms)
         points += [(np.clip(hypothesis.x + step, *allowed), hypothesis.terms) for step in steps]
         ends.append(len(points))

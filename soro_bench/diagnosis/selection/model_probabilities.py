@@ -164,7 +164,7 @@ def _products(problem: Problem, residual: np.ndarray) -> np.ndarray:
     """(4,) of a residual less discretisation error: sum of squares, their number, sum of products with the residual a
     lag later, and their number."""
     settings = problem.settings.probabilities
-    largest, sums = settings.largest_sample, np.zeros(4)
+    largest, sums = problem.settings.data_quality.outlier_deviations, np.zeros(4)
     near = np.clip(problem.discretisation.without(residual), -largest, largest)
     parts = zip(problem.rows(near), problem.rows(problem.weight), problem.recordings, strict=True)
     for part, weight, recording in parts:

@@ -30,7 +30,7 @@ def sized(problem: Problem, nominal: Hypothesis, candidates: Sequence[Term], rob
     if not problem.misfit_dominated:
         return found
     misfit, tried = float(np.linalg.norm(nominal.residual)), list(range(len(found)))
-    for _ in range(settings.sizings):
+    for _ in range(problem.settings.selection.turns):
         largest = dict(zip(tried, _largest(problem, nominal, [found[i] for i in tried], robot), strict=True))
         tried = [i for i in tried if largest[i] > settings.largest_response * misfit]
         for i in tried:

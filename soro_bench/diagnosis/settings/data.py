@@ -13,8 +13,7 @@ class DataQualitySettings:
     least_samples: int = setting(20, "samples", "fewer samples, or levels, say nothing of a noise, sensor or clock")
     mostly: float = setting(0.9, "1", "share of samples, runs or evidence for which a rule has to hold")
     # noise and outliers (data_quality/noise.py)
-    window: int = setting(6, "samples", "short enough that a polynomial describes the motion in it")
-    degree: int = setting(4, "1", "degree of that polynomial; it leaves one number of a window, which is noise")
+    window: int = setting(6, "samples", "in which a polynomial that leaves one number for noise describes the motion")
     largest_signal: float = setting(1e4, "unit of the signal", "no robot is larger; the log is corrupt")
     quiet_windows: float = setting(0.05, "1", "share of the windows that hold noise only, as the robot rests in them")
     least_noise: float = setting(1e-6, "1", "share of the signal's range; simulated recordings have no other noise")
@@ -22,7 +21,6 @@ class DataQualitySettings:
     outlier_deviations: float = setting(6.0, "noise deviations", "normal noise goes so far once in 10^9 samples")
     outlier_times_usual: float = setting(4.0, "1", "times the usual jump nearby; fast motion has many")
     outlier_return: float = setting(0.5, "1", "share of the jump by which the samples before and after may differ")
-    refits: int = setting(3, "fits", "without the outliers of the fit before, at most")
     refit_noise: float = setting(0.5, "1", "share of the noise before a fit, below which the fit is made again")
     # steps of a quantised signal (data_quality/lattice.py)
     least_step: float = setting(
@@ -31,7 +29,7 @@ class DataQualitySettings:
     fewest_levels: int = setting(4, "levels", "in the range of a signal; of coarser ones nothing can be told")
     whole: float = setting(0.05, "1", "by which a number of steps, ticks or periods may differ from a whole one")
     level_sharpness: float = setting(0.5, "1", "of the characteristic function; noise of 0.2 steps leaves 0.45")
-    least_changes: int = setting(12, "samples", "after which the increment changes, for evidence of levels")
+    least_evidence: int = setting(12, "changes or gaps", "of the increment for levels, of stamps for a coarse clock")
     least_sharpness: float = setting(0.15, "1", "of the same function of many changes; noise of 0.12 steps leaves it")
     by_chance: float = setting(3.0, "deviations", "that a mean of cosines, or a correlation, goes by chance")
     level_evidence: float = setting(7.0, "nats", "against levels by chance, beside the number of steps that are tried")
@@ -42,44 +40,41 @@ class DataQualitySettings:
     wrap_tolerance: float = setting(0.25, "1", "share of a turn that an angle may move between two samples")
     jump_steps: float = setting(3.0, "steps", "of a jump; slow motion takes one level after the other")
     jump_reach: float = setting(
-        1e-4, "1", "share of the range of a jump; a robot that comes to rest makes smaller ones"
+        1e-4, "1", "share of the range of a jump, as robots that come to rest make smaller ones; or of random noise"
     )
     clip_times: float = setting(6.0, "1", "times as long on the last level as on those beside it; rest begins slowly")
-    random_noise: float = setting(2e-5, "1", "share of the range, above which noise makes equal values unlikely")
     random_flips: float = setting(0.42, "1", "share of sign changes of differences; 0.6 in noise, 0.25 without any")
     held_share: float = setting(0.03, "1", "share of the samples; rounding to six digits repeats 0.1 % by chance")
-    frozen_jump: float = setting(1.5, "1", "times the next change; motion that begins is smaller than what follows")
     # time stamps (data_quality/stamps.py)
     regular: float = setting(0.01, "1", "share of the period by which stamps may differ; 0.2 ms at 50 Hz")
-    least_even: int = setting(8, "gaps", "that a coarse clock makes evenly; lost rows come at random")
-    even_ticks: float = setting(0.6, "ticks", "that stamps are off even spacing at most; rounding leaves half a tick")
     one_sided: float = setting(2.0, "1", "times as far as stamps are early, that they are late in bursts")
     at_once: float = setting(0.12, "1", "share of stamps received at once, likewise; many are, of few that are late")
     at_once_spread: float = setting(0.05, "1", "share of the spread of stamps that such ones are late at most")
     level_step: float = setting(0.3, "1", "share of the period that a clock is set by, at least")
-    level_windows: int = setting(3, "windows", "beside a step in which it lasts; bursts of late stamps end before")
+    level_windows: int = setting(3, "windows", "beside a step in which it lasts; bursts of 40 % end before")
     same_time: float = setting(1e-3, "1", "share of a control step by which a sample or a period may differ")
     cubic_error: float = setting(
         0.3, "1", "share of its distance from the line that a cubic errs by where motion begins"
     )
     clock_rate: float = setting(5e-4, "1", "deviation of a clock's rate where stamps are rebuilt; crystals have 1e-4")
     # whether the signal answers to commands, beside replays (data_quality/responses.py), and its unit
-    least_motion: float = setting(0.1, "1", "share of the widest motion of a replay; less is no evidence of standstill")
+    least_known: float = setting(
+        0.1, "1", "share of the widest motion, of less nothing is known; and deviation of a missing share, of more"
+    )
     still_motion: float = setting(0.01, "1", "share of a replay's motion below which a coordinate stands still")
     still_noise: float = setting(0.3, "1", "the same share of white noise, which is no motion")
     unanswered: float = setting(
         0.3, "1", "by which the missing share of a response may differ from all of it; share of the misfit without it"
     )
-    unanswered_deviation: float = setting(0.1, "1", "standard deviation of that share, above which nothing is known")
     unit_tolerance: float = setting(
         0.15, "1", "of the ratio of motions to that of a wrong unit, and of their correlation; parameters change less"
     )
 
     def __post_init__(self) -> None:
-        """Refuse a window whose polynomial goes through all of its samples.
+        """Refuse a window in which no polynomial leaves a number.
 
         Raises:
-            ValueError: no number of a window is noise.
+            ValueError: a window has too few samples.
         """
-        if self.window < self.degree + 2:
-            raise ValueError(f"a window of {self.window} samples says nothing beside a polynomial of {self.degree}")
+        if self.window < 2:
+            raise ValueError(f"a window of {self.window} samples; at least 2 are needed to tell noise from motion")

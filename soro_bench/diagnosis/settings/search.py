@@ -16,7 +16,6 @@ class ScreeningSettings:
         "times the misfit",
         "response to a typical magnitude, where the misfit dominates; beyond it is scaled down",
     )
-    sizings: int = setting(3, "replays", "of candidates that are scaled down; large responses saturate")
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ class SelectionSettings:
     rival_misfit: float = setting(2.0, "1", "times the best misfit, below which a hypothesis is a rival of the best")
     discrepant_misfit: float = setting(10_000.0, "nats", "that parameters hardly cause; then terms come before fits")
     discrepant_misfit_per_sample: float = setting(0.26, "nats", "likewise, of a sample of a long recording")
-    turns: int = setting(5, "fits", "in a row, in turns with a discretisation error, or from a better start, at most")
+    turns: int = setting(5, "fits", "in a row, without outliers, or of terms scaled down, at most")
     turn_gain: float = setting(0.1, "1", "share of the cost or misfit that a turn has to remove for another one")
 
     def __post_init__(self) -> None:
@@ -98,7 +97,6 @@ class ProbabilitySettings:
     slow_deviations: float = setting(5.0, "deviations", "the same from few pairs of samples")
     slow_power: float = setting(5.0, "1", "with which larger slow variances of healthy cases get rarer")
     slow_lag: float = setting(0.15, "s", "after which white noise is forgotten and motion is not")
-    largest_sample: float = setting(4.0, "noise deviations", "that a sample counts as; outliers may be left")
 
 
 @dataclass(frozen=True)
@@ -143,8 +141,7 @@ class ExperimentDesignSettings:
     duration: float = setting(10.0, "s", "of the recording that is proposed")
     hold: float = setting(4.0, "s", "of each position of a staircase; creep and leaks show then")
     rivals: int = setting(3, "answers", "that are told apart, at most")
-    finalists: int = setting(2, "motions", "that are simulated again with other values of the unknowns")
-    directions: int = setting(2, "directions", "of the posterior, the widest, for those values")
+    finalists: int = setting(2, "motions", "that are simulated again, along as many directions of the posterior")
     separating_odds: float = setting(20.0, "1", "tempered odds that tell two answers apart")
     rest: float = setting(0.05, "1", "share of the duration, at rest before and after a motion")
     stroke: int = setting(3, "control steps", "at full rate, of a fast triangle")
