@@ -270,12 +270,13 @@ def hypothesis(given, residual, *terms):
     return Hypothesis(terms, np.zeros(size), residual, given.cost(residual, np.zeros(size)), none, none[:0])
 
 
-def healthy(given, bound, *residuals):
+def healthy(given, bound, *residuals, heldout=None):
     """The probability that nothing is missing, by residuals of the nominal robot and of a law."""
     given = replace(given, model_form=bound * SIGMA)
     nominal, law = (hypothesis(given, row, *terms) for row, terms in zip(residuals, ((), (LAW,)), strict=True))
     predicted = float(nominal.cost - law.cost)
-    return compared(Explanation(given, nominal, (law,), 0.0, predicted, 0.0, ()), None).nothing
+    trial = None if heldout is None else (given, np.array(heldout))
+    return compared(Explanation(given, nominal, (law,), 0.0, predicted, 0.0, ()), trial).nothing
 
 
 def test_noise_has_no_excess_and_an_error_has_its_own(given, white, slow):
@@ -296,6 +297,13 @@ def test_a_law_stands_out_by_its_share_of_the_largest_error(given, white, slow, 
 
 def test_a_law_that_explains_all_of_a_possible_error_is_a_discrepancy(given, white, slow):
     assert healthy(given, 2.0 * ERROR, white + slow, white) < 0.1
+
+
+@pytest.mark.parametrize(("fitted_to", "is_healthy"), [(0.97, True), (0.5, False)])
+def test_a_law_has_to_explain_the_recordings_that_it_is_fitted_to(given, white, slow, fitted_to, is_healthy):
+    """What moves parameters may suit held-out motion by chance, though all of the error there is gone."""
+    rows = white + slow, white + fitted_to * slow
+    assert (healthy(given, 2.0 * ERROR, *rows, heldout=(white + slow, white)) > 0.5) == is_healthy
 
 
 def test_an_error_that_is_larger_than_possible_is_a_discrepancy(given, white, slow):

@@ -97,17 +97,23 @@ class UnderModelForm:
         """(H,) whether each leaves at most a share of the rms that the nominal robot leaves."""
         return self.squares <= share**2 * self.squares[0]
 
-    def stands_out(self, gain: float, misfit: float, settings: DiscretisationSettings) -> bool:
-        """Whether a law gains more than laws do by chance where all that is left is model-form error.
+    def least_gain(self, misfit: float, settings: DiscretisationSettings) -> float:
+        """The least gain of a law, in log evidence or less misfit [nats], that is no chance where all that is left is
+        model-form error.
 
         Such an error looks a little like many laws. One that is there explains a larger share of what is left, and that
         share counts where it is large beside the largest error that is possible.
 
         Args:
-            gain: in log evidence, or less misfit [nats]. misfit: without the law [nats].
+            misfit: without the law [nats].
         """
         largest = 0.5 * self.count * self.bound**2
-        return gain >= max(settings.model_form_gain * misfit, settings.model_form_gain_of_largest * largest)
+        return max(settings.model_form_gain * misfit, settings.model_form_gain_of_largest * largest)
+
+    def stand_out(self, misfits: Floats, settings: DiscretisationSettings) -> Bools:
+        """(H,) whether each law explains more than laws do by chance, by the misfits (H,) that are left [nats]."""
+        gains = misfits[0] - misfits
+        return self.explain(settings.model_form_left) | (gains >= self.least_gain(float(misfits[0]), settings))
 
 
 def largest_model_form_error(problem: Problem, slopes: Floats) -> float:

@@ -330,8 +330,8 @@ class _Search:
         """Whether what the best hypothesis leaves is more than model-form error, or one more term is predicted to gain
         more than terms do where that is all."""
         form, misfit = UnderModelForm.of(self.problem, [self.best.residual]), self.problem.misfit(self.best.residual)
-        stands_out = form.stands_out(self.remaining_gain, misfit, self.problem.settings.discretisation)
-        return stands_out or not self._may_be_model_form()
+        least = form.least_gain(misfit, self.problem.settings.discretisation)
+        return self.remaining_gain >= least or not self._may_be_model_form()
 
     def _may_be_model_form(self) -> bool:
         """Whether what the best hypothesis leaves of all recordings may be model-form error, held-out ones included.
