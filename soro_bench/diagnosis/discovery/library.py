@@ -160,12 +160,13 @@ def _of_one(each: Read, settings: DiscoverySettings) -> Iterator[Term]:
     yield _simple(each, ("positive", x), unit)
     yield _simple(each, ("negative", x), unit)
     if each.variable.of == "velocity":
-        yield _simple(each, ("sign", x, f"s_{x}"[:24]), "1", _smooth(each, settings))
+        for shape in _smooth(each, settings):
+            yield _simple(each, ("sign", x, shape.name), "1", shape)
 
 
-def _smooth(each: Read, settings: DiscoverySettings) -> Shape:
+def _smooth(each: Read, settings: DiscoverySettings) -> list[Shape]:
     """Within which a sign changes."""
-    return Shape(f"s_{each.name}"[:24], settings.smoothing * each.span, each.unit)
+    return [Shape(f"s_{each.name}"[:24], share * each.span, each.unit) for share in settings.smoothings]
 
 
 def _pairs(moving: Sequence[Read], own: Sequence[Read]) -> Iterator[tuple[Read, Read]]:
@@ -192,8 +193,7 @@ def _frictions(own: Read, moving: Sequence[Read], settings: DiscoverySettings) -
     if own.variable.of != "velocity":
         return []
     found: list[Group] = []
-    shape = _smooth(own, settings)
-    sign: Node = ("sign", own.name, shape.name)
+    signs: list[tuple[Node, Shape]] = [(("sign", own.name, each.name), each) for each in _smooth(own, settings)]
     for each in moving:
         if each is own or each.variable.of in ("velocity", "time"):
             continue
@@ -202,7 +202,7 @@ def _frictions(own: Read, moving: Sequence[Read], settings: DiscoverySettings) -
         sizes: list[Node] = [x, ("abs", x), ("positive", x), square]
         for size in sizes:
             unit = f"{each.unit}^2" if size is square else each.unit
-            found.append((Term(("multiply", size, sign), unit, both, (), (shape,)),))
+            found += [(Term(("multiply", size, sign), unit, both, (), (shape,)),) for sign, shape in signs]
         found.append((Term(("multiply", square, own.name), f"{each.unit}^2 {own.unit}", both),))
     return found
 

@@ -16,10 +16,12 @@ from soro_bench.diagnosis.discovery.library import Group, Term, groups
 from soro_bench.diagnosis.discovery.located_input import LocatedInput
 from soro_bench.effects.custom_law import Variable
 from soro_bench.effects.effect import Location
+from soro_bench.effects.expression import functions_in
 
 _BY_CHANCE = 25.0  # nats, that a coefficient may gain by chance and by the error of the linear response
 _RIDGE = 1e-9  # of a Gram matrix, whose columns may be the same
 _DISTANCE = "d"
+_OF_KIND = 12  # laws of friction, and of memory, that are replayed at least
 _GRID, _AROUND, _TRIALS = 5, 0.2, 80  # points a side, m beyond where the body was, and trials of a search for a point
 _FALLS: tuple[float, ...] = (0.0, 1.0, -1.0, -2.0, -3.0)  # powers of the distance from a point
 
@@ -58,7 +60,7 @@ def structures(located: LocatedInput) -> list[Structure]:
     search = _Search(located, library)
     settings = located.problem.settings.discovery
     least = settings.least_share * located.explained
-    singles = search.best([()], settings.singles, 0.0)
+    singles = search.with_kinds(search.best([()], len(library), -np.inf), settings.singles)
     pairs = search.best(singles[: settings.pairs // 2], settings.pairs, least)
     triples = search.best(pairs[: settings.triples], settings.triples, least)
     found = [search.structure(each) for each in (*singles, *pairs, *triples)]
@@ -155,6 +157,18 @@ class _Search:
                 if gain > before + least:
                     gains[one] = gain
         return sorted(gains, key=lambda one: -gains[one])[:count]
+
+    def with_kinds(self, ranked: Sequence[tuple[int, ...]], count: int) -> list[tuple[int, ...]]:
+        """The first ones, and of friction and of what remembers the best ones: where something sticks or lags, what a
+        term changes is far from linear."""
+        kinds: dict[str, list[tuple[int, ...]]] = {"sign": [], "memory": []}
+        for one in ranked:
+            for term in self.library[one[0]].terms:
+                friction = "sign" in functions_in(term.expression)
+                if friction or term.states:
+                    kinds["sign" if friction else "memory"].append(one)
+        more = [*kinds["sign"][:_OF_KIND], *kinds["memory"][: _OF_KIND // 4]]
+        return list(dict.fromkeys([*ranked[:count], *more]))
 
     def structure(self, chosen: tuple[int, ...]) -> Structure:
         """The law of some candidates."""

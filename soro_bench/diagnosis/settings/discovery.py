@@ -16,7 +16,9 @@ class DiscoverySettings:
     widths: tuple[float, ...] = setting((0.05, 0.2), "1", "of a range, of play and hysteresis, to begin with")
     waves: tuple[float, ...] = setting((1.0, 1.5, 2.0, 3.0), "periods", "in a range of position, to begin with")
     frequencies: int = setting(3, "peaks", "of the input's spectrum that a periodic law may have")
-    smoothing: float = setting(0.02, "1", "of a range of velocity, in which the sign of a law changes, to begin with")
+    smoothings: tuple[float, ...] = setting(
+        (0.005, 0.02), "1", "of a range of velocity, in which the sign of a law changes, to begin with"
+    )
     singles: int = setting(6, "laws", "of one term that are replayed")
     pairs: int = setting(5, "laws", "of two terms that are replayed")
     triples: int = setting(2, "laws", "of three terms that are replayed")
