@@ -9,11 +9,16 @@ from soro_bench.diagnosis.discovery.discovery import discovered
 from soro_bench.diagnosis.discovery.library import Term, series
 from soro_bench.diagnosis.estimation.fit import Guess, allowing, fitted
 from soro_bench.diagnosis.localisation.ranking import ranked_locations
+from soro_bench.diagnosis.render.html import html
+from soro_bench.diagnosis.render.summary import summary
+from soro_bench.diagnosis.result import Result
+from soro_bench.diagnosis.result_parts import DiscoveredLaw, Estimate
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.custom_law import Memory
 from soro_bench.effects.effect import effect_from
 from soro_bench.effects.expression import names_in
 from tests.arm import ARM, MAP, problem
+from tests.results import outside_catalogue
 from tests.test_custom_laws import law
 
 
@@ -58,3 +63,25 @@ def test_a_spring_of_one_side_is_written_down_and_holds_on_what_was_not_fitted(p
     assert found.explained > 0.9
     again = effect_from(written.to_json(), ALL)
     assert replace(again, parameters=written.parameters) == written
+
+
+def test_a_result_says_the_law_its_ranges_and_what_it_explains():
+    effect = effect_from(
+        {"name": "custom", "location": {"kind": "joint", "name": "hinge"}, "parameters": {"c": -0.8},
+         "law": law(["multiply", "c", ["positive", "q"]], {"q": {"of": "position", "range": [-0.5, 0.7]}})}, ALL
+    )  # fmt: skip
+    assert effect.law is not None
+    told = DiscoveredLaw(
+        location=effect.location, effects=(effect.to_json(),), equations=(effect.law.equation(effect.parameters),),
+        legend=effect.law.legend(), estimates=(Estimate("c", -0.8, "N m/rad", -0.9, -0.7),), explained=0.96,
+        noise_share=0.001, nearest=0.4, own_test=False, others=(), state=(0.0, 0.5), force=(0.0, -0.41),
+        law=(0.0, -0.4), state_label="position [rad]", force_label="input [N m]", peak=0.5,
+    )  # fmt: skip
+    result = replace(outside_catalogue(), discovery=told)
+    assert Result.from_json(result.to_json()).discovery == told
+    for text in (" ".join(summary(result).split()), " ".join(html(result).split())):
+        assert "outside the catalogue, described by F = -0.8 max(q, 0)" in text
+        assert "position, seen from -0.5 to 0.7" in text
+        assert "96.0 % of the squared error (0.1 % is noise), the nearest law of the catalogue 40.0 %" in text
+    nothing = replace(result, discovery=replace(told, effects=(), equations=(), estimates=()))
+    assert "Its spectrum peaks at 0.5 Hz" in " ".join(summary(nothing).replace("\u00a0", " ").split())
