@@ -36,16 +36,7 @@ from soro_bench.sources import method_version
 
 SUMMARY = "summary.json"
 METHOD = method_version()  # of the sources as this process loaded them
-STUDIES = (
-    "opencr_tdcr",
-    "asl_trunk",
-    "bam_servo",
-    "silicone_beam",
-    "pendulum",
-    "double_pendulum",
-    "sts3215",
-    "pneumatic_cylinder",
-)
+STUDIES = tuple(read_toml(asset_path("studies.toml")))
 KINDS = ("train", "heldout", "unseen")  # of recordings of a part
 
 

@@ -2,7 +2,7 @@
 
     python -m soro_bench.models.silicone_beam
 
-writes ``assets/mjcf/real/silicone_beam.xml``. The TOML files beside it are not generated.
+writes ``assets/mjcf/real/silicone_beam.xml`` and ``hung_beam.xml``. The TOML files beside them are not generated.
 
 Someone holds the beam straight and lets go, so that it falls and swings about where its weight bends it, alone or with
 a load that hangs on its end. Joints in the middle of each slice bend about two axes, and slides let it shear.
@@ -73,6 +73,28 @@ def silicone_beam(slices: Slices = COARSE) -> mujoco.MjSpec:
     return spec
 
 
+def hung_beam(slices: Slices = COARSE) -> mujoco.MjSpec:
+    """The beam in its vertical plane, with the first marker, the hand, and a hook of no weight at the upper edge of its
+    end: what hangs there is not part of the model. It bends only: shear makes it 7 % softer, which is a parameter."""
+    spec = mujoco.MjSpec()
+    spec.modelname = "hung_beam"
+    spec.option.timestep, spec.option.gravity = slices.timestep, (-GRAVITY, 0, 0)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    length = LENGTH / slices.count
+    body, ahead = spec.worldbody.add_body(name="clamp", pos=_CLAMP), length / 2
+    for k in range(slices.count):
+        body = body.add_body(name=f"slice{k + 1}of{slices.count}", pos=[0, 0, ahead])
+        ahead = length
+        stiffness = 0.93 * YOUNG * SIDE**4 / 12 / length
+        _add_joint(body, f"bend_{k + 1}of{slices.count}", mujoco.mjtJoint.mjJNT_HINGE, [0, 1, 0], stiffness)
+        _add_mass(body, length)
+    hook = body.add_body(name="hook", pos=[SIDE / 2, 0, length / 2])
+    hook.explicitinertial, hook.mass, hook.ipos, hook.inertia = True, 1e-6, [0, 0, 0], [1e-10] * 3
+    body.add_site(name="marker0", pos=np.add(_MARKERS[0], [0, 0, length / 2]))
+    _add_hand(spec, ("x",))
+    return spec
+
+
 def _add_slice(body: mujoco.MjsBody, k: int, slices: Slices) -> None:
     """A slice with joints in its middle that are as stiff as it is."""
     length, area = LENGTH / slices.count, SIDE**2
@@ -81,6 +103,12 @@ def _add_slice(body: mujoco.MjsBody, k: int, slices: Slices) -> None:
         name = f"{axis}{k + 1}of{slices.count}"
         _add_joint(body, f"bend_{name}", mujoco.mjtJoint.mjJNT_HINGE, direction, bending)
         _add_joint(body, f"shear_{name}", mujoco.mjtJoint.mjJNT_SLIDE, direction, shear)
+    _add_mass(body, length)
+
+
+def _add_mass(body: mujoco.MjsBody, length: float) -> None:
+    """Mass and inertia of a slice."""
+    area = SIDE**2
     mass = DENSITY * area * length
     across = mass * (area + length**2) / 12
     body.explicitinertial = True
@@ -118,10 +146,11 @@ def _add_load(spec: mujoco.MjSpec, edge: mujoco.MjsSite) -> None:
     string.wrap_site(load.add_site(name="hook").name)
 
 
-def _add_hand(spec: mujoco.MjSpec) -> None:
+def _add_hand(spec: mujoco.MjSpec, axes: Sequence[str] = ("x", "y")) -> None:
     """Servos that hold the first marker across the beam, at positions in the frame of the recordings."""
     spec.worldbody.add_site(name="origin")
-    for axis, direction in (("x", [1, 0, 0]), ("y", [0, 1, 0])):
+    for axis in axes:
+        direction = [1, 0, 0] if axis == "x" else [0, 1, 0]
         spec.add_actuator(
             name=f"hand_{axis}", trntype=mujoco.mjtTrn.mjTRN_SITE, target="marker0", refsite="origin",
             gear=[*direction, 0, 0, 0],
@@ -133,9 +162,9 @@ def _add_hand(spec: mujoco.MjSpec) -> None:
 def main() -> None:
     """Write the model."""
     note = "<!-- Written by soro_bench/models/silicone_beam.py, which has the sources of all numbers. -->\n"
-    spec = silicone_beam()
-    spec.compile()
-    (mjcf_path("trunk.xml").parent / "real" / "silicone_beam.xml").write_text(note + spec.to_xml())
+    for spec in (silicone_beam(), hung_beam()):
+        spec.compile()
+        (mjcf_path("trunk.xml").parent / "real" / f"{spec.modelname}.xml").write_text(note + spec.to_xml())
 
 
 if __name__ == "__main__":

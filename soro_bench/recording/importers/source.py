@@ -29,7 +29,7 @@ class Source:
     """Where one command or signal comes from and what its numbers mean.
 
     The value in SI units is offset + rotation * (sign * scale * factor of the unit * number in the file), where the
-    number is unwrapped first, less the value before it in the sample if it is relative.
+    number is unwrapped first, less what it is relative to.
     """
 
     unit: str | None  # as in the file; None: the file says it
@@ -43,7 +43,9 @@ class Source:
     rotation: np.ndarray | None = None  # (3, 3), of every three numbers into the frame
     unwrap: bool = False
     period: float | None = None  # of what wraps, in the numbers of the file; None: a turn
-    relative: bool = False  # each number counts from the one before it, as joint angles of a chain do
+    # True: each number counts from the one before it, as joint angles of a chain do; "first": the points of a sample
+    # from its first one, which is left out
+    relative: bool | str = False
     interpolate: float | None = None  # s, between samples on the lines between its own: of a command that was measured
 
     def signal(self, time: np.ndarray, numbers: np.ndarray, unit: str | None = None) -> Signal:
@@ -64,7 +66,9 @@ class Source:
                 raise RecordingError(f"rotation is of samples of three numbers; shape is {list(shape)}, write [n, 3]")
             values = values @ self.rotation.T
         values += offset
-        if self.relative:
+        if self.relative == "first":
+            values = values[:, 1:] - values[:, :1]
+        elif self.relative:
             values = np.diff(values, axis=-1, prepend=0.0)
         if self.leaves is not None:
             return _staying(time, values, self.leaves, self.shift)
@@ -179,8 +183,10 @@ def _check_effects(entry: Mapping) -> None:
         raise RecordingError(f"unwrap = {brief(entry['unwrap'])}; expected true or false")
     if "period" in entry and not entry.get("unwrap"):
         raise RecordingError("period has no effect without unwrap = true")
-    if type(entry.get("relative", False)) is not bool:
-        raise RecordingError(f"relative = {brief(entry['relative'])}; expected true or false")
+    if (relative := entry.get("relative", False)) not in (True, False, "first"):
+        raise RecordingError(f'relative = {brief(relative)}; expected true, false or "first"')
+    if relative == "first" and len(entry.get("shape", ())) < 2:
+        raise RecordingError('relative = "first" is of points; write shape = [n, 3]')
     for key in ("offset", "frame", "rotation", "relative", "interpolate"):
         if key in entry and "leaves" in entry:
             raise RecordingError(f"{key} has no effect beside leaves, which looks at distances only")
