@@ -191,11 +191,22 @@ def clipped(channel: Channel, settings: DataQualitySettings) -> Bools:
             0.0 < settings.least_samples * channel.step < channel.reach
         ):  # slow motion takes one level after the other; at the end of a range it stops at once
             beside = np.maximum(np.r_[np.inf, runs.length[:-1]], np.r_[runs.length[1:], np.inf])[at]
-            leaves |= runs.length[at] > settings.clip_times * beside
+            leaves |= (runs.length[at] > settings.clip_times * beside) & ~_comes_to_rest(runs, settings)[at]
         if random or leaves.sum() >= max(2, 0.5 * at.sum()):
             for first, length in zip(runs.first[at], runs.length[at], strict=True):
                 found[present[first : first + length]] = True
     return found
+
+
+def _comes_to_rest(runs: Runs, settings: DataQualitySettings) -> Bools:
+    """(R,) whether motion slows down before a run of equal values: its last whole step is shorter than the one before.
+
+    The step into the run itself says nothing, since the end of a range cuts it short.
+    """
+    steps = np.abs(np.diff(runs.value, prepend=np.nan))
+    last, before = np.r_[np.nan, steps[:-1]], np.r_[np.nan, np.nan, steps[:-2]]
+    same = np.r_[False, False, False, np.diff(runs.value)[:-2] * np.diff(runs.value)[1:-1] > 0][: len(steps)]
+    return same & (last < settings.rest_slows * before)
 
 
 def stale(channel: Channel, settings: DataQualitySettings) -> tuple[Bools, str]:
@@ -224,11 +235,14 @@ def stale(channel: Channel, settings: DataQualitySettings) -> tuple[Bools, str]:
         long = moving & (runs.length > 1)
         lengths = runs.length[long]
         even = len(lengths) and (np.abs(lengths - np.median(lengths)) <= 1).mean() > settings.mostly
-        if long.sum() >= settings.least_repeats and even and long.sum() >= settings.held_share * moving.sum():
+        # a sensor that is far slower than its log repeats nearly all values; few long runs are a robot at rest
+        slow = len(lengths) and np.median(lengths) > settings.rest_repeats
+        share = settings.mostly if slow else settings.held_share
+        if long.sum() >= settings.least_repeats and even and long.sum() >= share * moving.sum():
             return repeated, "held"
         following = np.abs(np.r_[after[1:], np.nan])  # motion that begins is smaller than what follows
         chosen = (np.abs(before) > far) & (np.abs(after) > far) & (runs.length >= settings.least_repeats)
-        chosen &= np.abs(after) > following
+        chosen &= (np.abs(after) > following) & ~_comes_to_rest(runs, settings)
     found = none.copy()
     for first, length in zip(runs.first[chosen], runs.length[chosen], strict=True):
         found[present[first + 1 : first + length]] = True

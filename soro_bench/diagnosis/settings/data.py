@@ -43,6 +43,8 @@ class DataQualitySettings:
         1e-4, "1", "share of the range of a jump, as robots that come to rest make smaller ones; or of random noise"
     )
     clip_times: float = setting(6.0, "1", "times as long on the last level as on those beside it; rest begins slowly")
+    rest_slows: float = setting(0.7, "1", "share of the step before, below which motion comes to rest before its end")
+    rest_repeats: int = setting(4, "samples", "of one value, above which a held sensor would repeat nearly all values")
     random_flips: float = setting(0.42, "1", "share of sign changes of differences; 0.6 in noise, 0.25 without any")
     held_share: float = setting(0.03, "1", "share of the samples; rounding to six digits repeats 0.1 % by chance")
     # time stamps (data_quality/stamps.py)
