@@ -73,6 +73,12 @@ def test_a_friction_far_below_the_typical_one_is_predicted_to_explain_most_once_
     assert effect.parameters["friction"] == pytest.approx(2e-4, rel=0.5)
 
 
+def test_a_robot_without_commands_has_no_clock_to_differ_from_its_sensor(swing):
+    *_, robot = swing
+    names = {term.name for term in terms(robot)}
+    assert not names & {"sensor_delay", "clock_skew"} and "sensor_bias" in names
+
+
 def test_nothing_is_sized_where_noise_is_all_that_is_left(swing):
     problem, fit, robot = swing
     candidates = terms(robot)
