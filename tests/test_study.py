@@ -34,7 +34,7 @@ def test_errors_of_known_residuals():
     residual[-1] = 1.0
     found = errors(residual, seen)
     assert found["mean_absolute"] == pytest.approx(0.007 / 3)
-    assert found["rms"] == pytest.approx(0.005)
+    assert found["rms"] == pytest.approx(0.005) == found["rms_of_points"]
     assert found["rms_without_mean"] == pytest.approx(0.0, abs=1e-12)
 
 

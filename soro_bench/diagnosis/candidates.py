@@ -166,7 +166,7 @@ def _has_fault(robot: Robot, signal: ObservedSignal, name: str) -> bool:
     """Whether a signal may have a fault: the axes of a frame are no points, and only points are in a frame. A clock may
     differ from that of commands, or of other signals."""
     if name in _OF_CLOCKS:
-        return robot.commanded or bool(robot.others)
+        return robot.has_commands or bool(robot.others)
     if signal in robot.others and (signal.directions or (name == "frame_misalignment" and signal.unit != "m")):
         return False
     return signal.shape[1] == 3 or name != "frame_misalignment"

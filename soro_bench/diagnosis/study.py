@@ -238,12 +238,15 @@ def errors_of(robot: Robot, measured: dict[str, tuple[Measured, ...]], hypothesi
 
 def errors(residual: np.ndarray, seen: np.ndarray) -> dict[str, float]:
     """Of residuals (T, P, D) where they were seen: the mean absolute one of all coordinates, and root mean squares of
-    the last point's distance, also without the mean of its residuals; in the unit of the signal."""
+    the last point's distance, also without the mean of its residuals, and of all points' distances, their mean over the
+    points; in the unit of the signal."""
     last = residual[:, -1][seen[:, -1].all(axis=1)]
+    each = [residual[:, p][seen[:, p].all(axis=1)] for p in range(residual.shape[1])]
     return {
         "mean_absolute": float(np.abs(residual[seen]).mean()),
         "rms": float(np.sqrt((last**2).sum(axis=1).mean())),
         "rms_without_mean": float(np.sqrt(((last - last.mean(axis=0)) ** 2).sum(axis=1).mean())),
+        "rms_of_points": float(np.mean([np.sqrt((point**2).sum(axis=1).mean()) for point in each])),
     }
 
 

@@ -109,7 +109,7 @@ class ModelRobot(Robot):
         self._control = self._initial.control
         self._control[list(fixed)] = list(fixed.values())
         self._settings, scaled = settings_of(compiled, table["settings"])
-        self.commanded = bool(self._commands) or any(setting.command for setting in self._settings)
+        self.has_commands = bool(self._commands) or any(setting.command for setting in self._settings)
         self.priors, fields = self._parameters(compiled, table["parameters"], scaled)
         self.notes = tuple(self._said(own, set(fixed), unused_keyframes(compiled, table["initial"], self._initial)))
         scales = [Prior(name, "1", 1.0, 1.0, True, (0.0, np.inf)) for name in scaled]

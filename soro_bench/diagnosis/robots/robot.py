@@ -39,7 +39,7 @@ class Robot(Replays):
         priors: of its parameters, but for the fixed ones.
         fixed: parameters that are known.
         pneumatic: whether its actuators fill chambers.
-        commanded: whether recordings have commands.
+        has_commands: whether recordings have commands.
         from_baseline: whether its priors come from a baseline diagnosis.
         shorter: how many times shorter its time steps are than those of its model.
         files: that it was made from: its model and its mapping, if they are files.
@@ -58,7 +58,7 @@ class Robot(Replays):
     priors: tuple[Prior, ...]
     fixed: tuple[FixedParameter, ...] = ()
     pneumatic: bool = False
-    commanded: bool = True
+    has_commands: bool = True
     from_baseline: bool = False
     shorter: int = 1
     longest: float = math.inf
