@@ -31,7 +31,7 @@ RESULTS = ROOT / "docs" / "results" / "real_robots.json"
 DATA = ("train", "heldout", "unseen")
 
 
-UNITS = {"m": (1000, "mm"), "rad": (1, "rad"), "N": (1, "N")}  # of a table, by the unit of what is measured: factor and name
+UNITS = {"m": (1000, "mm"), "rad": (1, "rad"), "N": (1, "N")}  # of a table: factor and name
 
 
 def left(summary: dict, fit: dict) -> str:
