@@ -11,10 +11,9 @@ try:
 
     from soro_bench.commands.blind_benchmark import BlindBenchmark
     from soro_bench.commands.campaign import RunPreset
-    from soro_bench.commands.inference import Infer
     from soro_bench.commands.leaderboard import Evaluate, Leaderboard
+    from soro_bench.commands.learning import Infer, Train
     from soro_bench.commands.recording import Data, Import, Record, View
-    from soro_bench.commands.training import Train
     from soro_bench.diagnosis.commands import Check, Diagnose, Excite, Map, Report, Study
     from soro_bench.progress import console, table
 except ImportError as error:

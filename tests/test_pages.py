@@ -154,8 +154,8 @@ def test_what_is_said_of_the_published_study_is_in_its_tables():
 
 
 def test_the_pages_have_the_releases_as_they_were_scored():
-    """If not: put what python benchmarks/final_sets.py prints there."""
-    script = runpy.run_path(str(DOCS.parent / "benchmarks" / "final_sets.py"))
+    """If not: put what python benchmarks/releases.py tables prints there."""
+    script = runpy.run_path(str(DOCS.parent / "benchmarks" / "releases.py"))
     files = script["releases"]()
     page = (DOCS / "explanation" / "benchmark.md").read_text()
     assert script["last_release"](files[-1]) in page and script["unseen"](files[-1:]) in page

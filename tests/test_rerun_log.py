@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from soro_bench.arrays import rotate_by_quaternion
 from soro_bench.evaluation import evaluate
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
@@ -15,7 +16,6 @@ from soro_bench.recording.drawing import Drawing, Mesh
 from soro_bench.recording.rerun_log import DRAWINGS, RERUN, viewer_environment, write_recording
 from soro_bench.recording.trunk_drawing import draw_trunk, tension_colors
 from soro_bench.registration import task_type
-from soro_bench.rotation import rotate_by_quaternion
 
 rr = pytest.importorskip("rerun")
 from rerun.chunk import RrdReader  # noqa: E402

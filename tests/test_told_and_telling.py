@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import tyro
 
-from soro_bench.commands.inference import Infer
+from soro_bench.commands.learning import Infer
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.assembly.limits import limits_of
 from soro_bench.diagnosis.commands import Diagnose

@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from soro_bench.arrays import Bools
+from soro_bench.arrays import Bools, rotate_by_vector
 from soro_bench.effects.effect import Location, Quantity
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.law import Law
-from soro_bench.rotation import rotate_by_vector
 
 
 class Payload(Law):

@@ -9,9 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from soro_bench.arrays import Bools, Floats
+from soro_bench.arrays import Bools, Floats, rotate_by_vector
 from soro_bench.effects.effect import Effect, EffectError, Quantity
-from soro_bench.rotation import rotate_by_vector
 
 _ANY = (-np.inf, np.inf)
 _DEGREE = 5  # of the splines between samples

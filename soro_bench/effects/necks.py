@@ -9,13 +9,12 @@ from typing import ClassVar
 import mujoco
 import numpy as np
 
-from soro_bench.arrays import Bools, Floats
+from soro_bench.arrays import Bools, Floats, rotate_by_quaternion
 from soro_bench.effects.effect import EffectError
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.law import Law
 from soro_bench.effects.springs import Hysteresis, PlasticSet, RestBend, ViscoelasticCreep
 from soro_bench.effects.stiffness import MullinsSoftening, Stiffening
-from soro_bench.rotation import rotate_by_quaternion
 
 _CELL = 24  # numbers that place the eight nodes of a flex's cell
 

@@ -6,13 +6,13 @@ from functools import lru_cache
 import mujoco
 import numpy as np
 
+from soro_bench.arrays import rotate_by_quaternion
 from soro_bench.envs.episode import Episode
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.trunk_geometry import build_skin
 from soro_bench.recording.drawing import Box, Drawing, Line, Mesh, Plot, Pose, flat_shaded
 from soro_bench.registration import task_type
-from soro_bench.rotation import rotate_by_quaternion
 
 _BOXES = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_PLANE))
 # drawn only

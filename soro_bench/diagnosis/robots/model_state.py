@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from soro_bench.arrays import Floats, Ints
+from soro_bench.arrays import Floats, Ints, rotate_by_quaternion
 from soro_bench.diagnosis.robots.measured import ObservedSignal
 from soro_bench.diagnosis.robots.model_file import (
     ModelError,
@@ -20,7 +20,6 @@ from soro_bench.diagnosis.robots.model_file import (
     scalar_joint,
 )
 from soro_bench.recording.recording import Recording, RecordingError, Signal
-from soro_bench.rotation import rotate_by_quaternion
 
 _PLACES = ("sites", "bodies", "joints", "sensors")
 _COORDINATES = 3  # of a point, at most
