@@ -7,7 +7,8 @@ near a hypothesis they are computed with its effects.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -15,12 +16,13 @@ from soro_bench.arrays import Floats
 from soro_bench.diagnosis.candidates import Term, slices
 from soro_bench.diagnosis.estimation.problem import Points, Problem
 from soro_bench.diagnosis.robots.robot import Robot
+from soro_bench.diagnosis.robots.variants import Variant
 from soro_bench.effects.effect import EVERY
 from soro_bench.parallel import side_by_side
 
 
 def discretisation_and_residuals(
-    problem: Problem, refined: Sequence[Robot], points: Points, others: Points
+    problem: Problem, refined: Sequence[Robot], points: Points, others: Points, compared: Sequence[Floats] = ()
 ) -> tuple[Floats, Floats]:
     """Discretisation errors at some points, and residuals at other points, replayed side by side.
 
@@ -31,24 +33,32 @@ def discretisation_and_residuals(
         refined: more accurate robots.
         points: where errors are computed.
         others: where residuals are computed.
+        compared: (n,) unknowns, of which the parameters come first, at which other simulations are compared too.
 
     Returns:
-        (F, M) differences [signal's unit] of refined replays from plain ones; (N, M) residuals at ``others``.
+        (F, M) differences [signal's unit] of refined replays from plain ones, then those of other simulations; (N, M)
+        residuals at ``others``.
 
     Raises:
         SimulationError: a refined robot diverges at every point, without any effect.
     """
-    common = [[_common(problem, finer, *point) for point in points] for finer in refined]
-    plain = [*itertools.chain(*common), *others]
-    robots, asked = [*refined, problem.robot], [*common, plain]
+    common = [[_common(problem, finer, *point) for point in points] for finer in refined if len(points)]
+    without = [(x[: problem.parameters], ()) for x in compared] if problem.variants else []
+    plain = [*itertools.chain(*common), *without, *others]
     if not plain:
         return np.zeros((0, problem.weight.size)), np.zeros((0, problem.weight.size))
-    *finer, found = side_by_side(problem.robot.simulation.batch.nthread, problem.simulated, robots, asked)
-    count = len(plain) - len(others)
+    # what runs alone comes first; the many replays of the robot itself fill what is left of the processors
+    jobs = [partial(problem.simulated, *each) for each in zip(refined, common, strict=bool(common))]
+    jobs += [partial(_by_other, problem, each, compared) for each in problem.variants if without]
+    jobs.append(partial(problem.simulated, problem.robot, plain))
+    *rows, found = side_by_side(problem.robot.simulation.batch.nthread, _called, jobs)
     if not any(terms for _, terms in points):
-        for each, rows in zip(refined, finer, strict=True):
-            problem.check_finite(each, rows)
-    error = np.concatenate(finer) - found[:count] if finer else found[:0]
+        for each, own in zip(refined, rows[: len(common)], strict=bool(common)):
+            problem.check_finite(each, own)
+    count = len(plain) - len(others)
+    own, compared_to = np.split(found[:count], [count - len(without)])
+    beside = [own, *[compared_to] * (len(rows) - len(common))]
+    error = np.concatenate(rows) - np.concatenate(beside) if rows else found[:0]
     return np.nan_to_num(error), problem.residuals_of(found[count:])
 
 
@@ -61,12 +71,16 @@ def differences(problem: Problem, points: Sequence[Floats]) -> Floats:
     Returns:
         (F, M) differences [signal's unit]; 0 from where a simulation diverges.
     """
-    if not problem.variants or not len(points):
-        return np.zeros((0, problem.weight.size))
-    plain = problem.simulated(problem.robot, [(x[: problem.parameters], ()) for x in points])
-    parameters, drives = problem.parameter_values(points), [each.drive for each in problem.recordings]
-    found = [problem.scaled(each(drives, parameters)) for each in problem.variants]
-    return np.nan_to_num(np.concatenate(found) - np.tile(plain, (len(problem.variants), 1)))
+    return discretisation_and_residuals(problem, (), (), (), points)[0]
+
+
+def _called(job: Callable[[], Floats]) -> Floats:
+    return job()
+
+
+def _by_other(problem: Problem, other: Variant, points: Sequence[Floats]) -> Floats:
+    """(N, M) samples [first signal's unit] of another simulation without effects."""
+    return problem.scaled(other([each.drive for each in problem.recordings], problem.parameter_values(points)))
 
 
 def _common(problem: Problem, finer: Robot, x: Floats, terms: Sequence[Term]) -> tuple[Floats, list[Term]]:

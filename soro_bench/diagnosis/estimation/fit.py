@@ -125,14 +125,17 @@ def fitted_under_discretisation(
     guesses: Sequence[Guess],
     scales: Sequence[float],
     seed: int,
+    compared: Sequence[Floats] = (),
 ) -> tuple[Problem, list[Hypothesis]]:
-    """The problem with the discretisation errors at ``points`` too, and fits to it.
+    """The problem with the discretisation errors at ``points`` and differences of other simulations at the unknowns
+    ``compared`` too, and fits to it.
 
     The first samples of the fits need no discretisation error and are replayed beside it.
     """
     guesses = _within(problem, guesses)
     samples = _samples(problem, guesses, scales[0], [seed, 0])
-    discretisation, found = discretisation_and_residuals(problem, refined, points, _asked(guesses, samples))
+    asked = _asked(guesses, samples)
+    discretisation, found = discretisation_and_residuals(problem, refined, points, asked, compared)
     problem = problem.with_discretisation(discretisation)
     return problem, fitted(problem, guesses, scales, seed, _split(found, samples))
 

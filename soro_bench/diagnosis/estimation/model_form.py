@@ -15,7 +15,7 @@ from scipy.fft import dct
 from scipy.linalg import orth
 
 from soro_bench.arrays import Bools, Floats
-from soro_bench.diagnosis.estimation.discretisation import differences, discretisation_and_residuals
+from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
 from soro_bench.diagnosis.estimation.problem import Points, Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings.estimation import DiscretisationSettings
@@ -142,9 +142,9 @@ def unfitted_under_model_form(problem: Problem, refined: Sequence[Robot], points
     (x, terms), d = points[0], problem.parameters
     step = problem.settings.selection.nominal_radius_last * np.eye(d, len(x))
     around: Points = [(x + each, terms) for each in (*step, *-step)]
-    error, rows = discretisation_and_residuals(problem, refined, points, [*points, *around])
-    others = differences(problem, [x for x, _ in points[:_WITH_VARIANTS]])
-    problem = problem.with_discretisation(np.concatenate([error, others]))
+    compared = [x for x, _ in points[:_WITH_VARIANTS]]
+    error, rows = discretisation_and_residuals(problem, refined, points, [*points, *around], compared)
+    problem = problem.with_discretisation(error)
     after, before = np.split(rows[len(points) :], 2)
     return replace(problem, model_form=largest_model_form_error(problem, after - before)), rows[: len(points)]
 

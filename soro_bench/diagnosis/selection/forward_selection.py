@@ -118,8 +118,9 @@ def nominal_fit(
             limit = problem.settings.priors.limit
             draws = np.clip(guess.x + radii[0] * rng.standard_normal((1, d)), -limit, limit)
         points = [(x, ()) for x in draws]
-        problem = problem.with_discretisation(differences(problem, list(draws[:1])))
-        problem, (fit,) = fitted_under_discretisation(problem, refined, points, [guess], radii, SEEDS * seed + k)
+        problem, (fit,) = fitted_under_discretisation(
+            problem, refined, points, [guess], radii, SEEDS * seed + k, list(draws[:1])
+        )
         problem, (fit,) = allowing(problem, fit, [fit])
         guess = Guess(fit.x, jacobian=fit.jacobian)
     if problem.misfit_dominated:

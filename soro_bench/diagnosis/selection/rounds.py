@@ -12,7 +12,7 @@ import numpy as np
 
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.candidates import Term, effects_at, slices, typical
-from soro_bench.diagnosis.estimation.discretisation import differences, discretisation_and_residuals
+from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, descended, fitted, fitted_under_discretisation
 from soro_bench.diagnosis.estimation.problem import Problem, SimulationError
 from soro_bench.diagnosis.robots.robot import Robot
@@ -183,11 +183,13 @@ def fitted_in_growing_parts(problem: Problem, refined: Sequence[Robot], seed: in
     part, fit, x = problem, None, np.zeros(d)
     for steps in _growing(problem) if d else ():
         part = problem.first(steps)
+        if fit is None and part.left(part.residuals([(x, ())])[0]) <= settings.part_left * part.sensor:
+            continue  # other simulations of it would only leave less
         try:
-            errors, rows = discretisation_and_residuals(part, refined, [(x, ())], [(x, ())])
+            errors, rows = discretisation_and_residuals(part, refined, [(x, ())], [(x, ())], [x])
         except SimulationError:
             return None
-        part = part.with_discretisation(np.concatenate([errors, differences(part, [x])]))
+        part = part.with_discretisation(errors)
         most = settings.part_left * part.sensor
         if fit is None and part.left(rows[0]) <= most:
             continue
