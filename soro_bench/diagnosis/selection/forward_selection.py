@@ -227,7 +227,9 @@ class _Search:
     def _start(self, refining: bool) -> None:
         if refining:
             self.progress("joint fit of the parameters")
-            self.problem, (self.nominal,) = refined_in_turns(self.problem, self.refined, [self.nominal], self.seeds)
+            self.problem, (self.nominal,) = refined_in_turns(
+                self.problem, self.robot, self.refined, [self.nominal], self.seeds
+            )
         self.parameters_only_rms = self.problem.left(self.nominal.residual)
         self.best, self.possible = self.nominal, self.candidates
         self._screen()
@@ -373,7 +375,7 @@ class _Search:
 
     def _keep(self, new: list[Hypothesis]) -> None:
         """The new hypotheses before the others, refined; and the candidates that are possible beside the best one."""
-        self.problem, new = refined_in_turns(self.problem, self.refined, new, self.seeds)
+        self.problem, new = refined_in_turns(self.problem, self.robot, self.refined, new, self.seeds)
         self.tried = [under_present_error(self.problem, h) for h in new + self.tried]
         allowed = compatible(self.robot, self.tried[0], self.possible)
         kept = zip(self.possible, self.responses, strict=True)

@@ -138,12 +138,15 @@ def cheapest(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
 
 
 def refined_in_turns(
-    problem: Problem, refined: Sequence[Robot], hypotheses: list[Hypothesis], seeds: Iterator[int]
+    problem: Problem, robot: Robot, refined: Sequence[Robot], hypotheses: list[Hypothesis], seeds: Iterator[int]
 ) -> tuple[Problem, list[Hypothesis]]:
     """Fit and discretisation error in turns, as long as the misfit is larger than that of healthy cases and falls.
 
     The best hypothesis comes first. The first turn is of its rivals too, which may only have farther to go. It samples
     as widely as the nominal fit, as parameters that have absorbed an effect may be far from where they belong.
+
+    Args:
+        robot: with the time steps of its model, for the wider samples.
     """
     settings = problem.settings.selection
     for turn in range(settings.turns):
@@ -156,13 +159,23 @@ def refined_in_turns(
             limit = settings.rival_misfit * before
             count = sum(problem.misfit(h.residual) < limit for h in hypotheses[: settings.discretisations])
             radii = settings.nominal_radius, settings.fit_radius
-        better = refine(problem, hypotheses[:count], radii, next(seeds), anew=turn == 0)
+        better = _refined(problem, robot, hypotheses[:count], radii, next(seeds), anew=turn == 0)
         problem, better = with_own_discretisation(problem, refined, better, next(seeds))
         rest = [under_present_error(problem, h) for h in hypotheses[count:]]
         hypotheses = sorted([*better, *rest], key=lambda h: -h.log_evidence(problem))
         if not wide and problem.misfit(hypotheses[0].residual) > (1.0 - settings.turn_gain) * before:
             break
     return problem, hypotheses
+
+
+def _refined(
+    problem: Problem, robot: Robot, hypotheses: Sequence[Hypothesis], radii: Sequence[float], seed: int, anew: bool
+) -> list[Hypothesis]:
+    """Hypotheses fitted further with longer time steps, and replayed; never worse."""
+    best = hypotheses[0]
+    rough = problem.with_longer_steps(robot, best.x, best.terms, best.residual)
+    better = replayed_anew(problem, refine(rough, hypotheses, radii, seed, anew))
+    return [min(pair, key=lambda h: h.cost) for pair in zip(hypotheses, better, strict=True)]
 
 
 def fitted_in_growing_parts(problem: Problem, refined: Sequence[Robot], seed: int) -> tuple[Problem, Hypothesis] | None:
