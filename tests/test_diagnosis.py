@@ -19,7 +19,8 @@ from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.variants import trunk_chains
 from soro_bench.diagnosis.selection.forward_selection import Explanation, _Search, silent
 from soro_bench.diagnosis.selection.model_probabilities import compared
-from soro_bench.diagnosis.selection.screening import evidence, pairs, responses, singles
+from soro_bench.diagnosis.selection.screening import evidence, pairs, responses, screen, singles
+from soro_bench.diagnosis.settings import DEFAULT, ScreeningSettings
 from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.inference.statistical_linearisation import LowRank
 from soro_bench.models.trunk_geometry import CABLE_NAMES
@@ -82,6 +83,42 @@ def test_screening_finds_a_pair_of_hidden_effects(robot, actions):
     candidates = [one for one in terms(robot) if one.name in ("payload", "backlash", "actuator_gain")]
     screened_candidate = pairs(evidence(given, base, candidates, responses(given, base, candidates, robot)))[0]
     assert {(s.name, s.location) for s in screened_candidate.terms} == {(s.name, s.location) for s in hidden}
+
+
+def test_laws_that_look_alike_are_simulated_where_the_first_one_gains(robot, actions):
+    hidden = term(robot, "actuator_gain", Location("actuator", "S1"))
+    few = replace(DEFAULT, screening=ScreeningSettings(simulated_again=2))
+    given = replace(trunk_problem(robot, actions, [hidden.effect(np.array([0.3]))]), settings=few)
+    base = fitted(given, [Guess(np.zeros(5))], (0.7, 0.3), seed=0)[0]
+    candidates = [one for one in terms(robot) if one.name in ("actuator_gain", "coulomb_friction", "load_friction")]
+    simulated = responses(given, base, candidates, robot)
+    whole, found = evidence(given, base, candidates, simulated), screen(given, base, candidates, robot)
+    best, first = singles(whole)[0], singles(found)[0]
+    assert first.terms == best.terms
+    assert first.gain == pytest.approx(best.gain)
+    assumed = [
+        one
+        for one, own, rows in zip(candidates, simulated, found.responses, strict=True)
+        if not np.array_equal(own, rows)
+    ]
+    assert assumed
+    like = {one.location: one for one in candidates if one.name == "coulomb_friction"}
+    assert all(np.array_equal(found.response(one), found.response(like[one.location])) for one in assumed)
+
+
+def test_of_responses_beside_another_hypothesis_those_are_simulated_again_that_gain_most(robot, actions):
+    hidden = term(robot, "payload", Location("body", "vertebra7"))
+    given = trunk_problem(robot, actions, [hidden.effect(np.array([0.2]))])
+    base = fitted(given, [Guess(np.zeros(5))], (0.7, 0.3), seed=0)[0]
+    candidates = [one for one in terms(robot) if one.name in ("payload", "actuator_gain", "rest_bend")]
+    simulated = responses(given, base, candidates, robot)
+    before = {one: 0.9 * rows for one, rows in zip(candidates, simulated, strict=True)}
+    found = screen(given, base, candidates, robot, before)
+    (first,) = singles(found)[0].terms
+    assert (first.name, first.location) == (hidden.name, hidden.location)
+    again = [np.array_equal(own, rows) for own, rows in zip(simulated, found.responses, strict=True)]
+    assert again[candidates.index(first)]
+    assert not all(again)
 
 
 def test_there_is_a_suspect_for_every_place(robot):

@@ -40,7 +40,15 @@ from soro_bench.diagnosis.selection.rounds import (
     with_own_discretisation,
     worth,
 )
-from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate, evidence, pairs, responses, singles
+from soro_bench.diagnosis.selection.screening import (
+    Evidence,
+    ScreenedCandidate,
+    evidence,
+    pairs,
+    responses,
+    screen,
+    singles,
+)
 from soro_bench.diagnosis.selection.stopping import is_better, simplest, without_a_term
 
 SEEDS = 10_000  # of samples, for each seed of a diagnosis
@@ -201,8 +209,8 @@ class _Search:
     local_minimum: bool = False
     goes_on: bool = True
     best: Hypothesis = field(init=False)
-    possible: Sequence[Term] = field(init=False)
-    responses: list[np.ndarray] = field(init=False)
+    possible: Sequence[Term] = ()
+    responses: list[np.ndarray] = field(default_factory=list)
     screened: Evidence = field(init=False)
     first: Evidence = field(init=False)
     parameters_only_rms: float = field(init=False)
@@ -231,8 +239,8 @@ class _Search:
                 self.problem, self.robot, self.refined, [self.nominal], self.seeds
             )
         self.parameters_only_rms = self.problem.left(self.nominal.residual)
-        self.best, self.possible = self.nominal, self.candidates
-        self._screen()
+        self.best = self.nominal
+        self._screen(self.candidates)
 
     def is_worth_a_round(self) -> bool:
         """Whether the predicted gain of one more term is worth a fit.
@@ -240,8 +248,7 @@ class _Search:
         To first order a law explains little of what a model-form error covers, so the first term is judged as fitted.
         """
         if self.rounds and not self.problem.misfit_dominated and self.remaining_gain >= self.worth:
-            self.possible = compatible(self.robot, self.best, self.candidates)
-            self._screen()  # anew, where the best hypothesis is
+            self._screen(compatible(self.robot, self.best, self.candidates))  # where the best hypothesis is
         if self.rounds:
             return self.remaining_gain >= self.worth and self._is_beyond_model_form()
         least = self.problem.settings.selection.least_gain
@@ -316,16 +323,18 @@ class _Search:
         self.best = hypothesis
         self.tried = [hypothesis, *(h for h in self.tried if h is not hypothesis)]
         if screened is None:
-            self.possible = compatible(self.robot, hypothesis, self.candidates)
-            self._screen()
+            self._screen(compatible(self.robot, hypothesis, self.candidates))
             return
         self.screened, self.possible, self.responses = screened, screened.candidates, list(screened.responses)
         self.remaining_gain = singles(screened)[0].gain
 
-    def _screen(self) -> None:
+    def _screen(self, candidates: Sequence[Term]) -> None:
+        """Screen candidates beside the best hypothesis; responses beside an earlier one say which are simulated."""
         self.progress("screening")
-        self.responses = responses(self.problem, self.best, self.possible, self.robot)
-        self._predict_gains()
+        known = dict(zip(self.possible, self.responses, strict=True))
+        self.screened = screen(self.problem, self.best, candidates, self.robot, known)
+        self.possible, self.responses = candidates, list(self.screened.responses)
+        self.remaining_gain = singles(self.screened)[0].gain
 
     def _predict_gains(self) -> None:
         self.screened = evidence(self.problem, self.best, self.possible, self.responses)

@@ -17,7 +17,7 @@ from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, descended, fi
 from soro_bench.diagnosis.estimation.problem import Problem, SimulationError
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.moves import Laws, distinct, indistinguishable, laws, move_radii, refine, unique
-from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate
+from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate, beyond_chance
 from soro_bench.diagnosis.spread_terms import SpreadTerm, alike, is_single, law_of, spread
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import Location
@@ -31,7 +31,7 @@ def at_each_element(problem: Problem, screened: Evidence, offered: Sequence[Scre
     """
     least = offered[0].gain + problem.settings.selection.least_gain
     found = [screened.at_each(spread(members)) for members in alike(screened.candidates)]
-    better = [each for each in found if _beyond_chance(problem, each) > least and _accepted(problem, each)]
+    better = [each for each in found if beyond_chance(problem, each) > least and _accepted(problem, each)]
     better.sort(key=lambda each: -each.gain)
     return [screened.guess(each) for each in better[: problem.settings.selection.candidates_per_law]]
 
@@ -68,7 +68,7 @@ def _generalised(
     """
     base, d = screened.base, problem.parameters
     rest = screened.at_each(spread(others))
-    if _beyond_chance(problem, rest) < worth:
+    if beyond_chance(problem, rest) < worth:
         return None
     parts = dict(zip(base.terms, slices(base.terms, d), strict=True))
     added = rest.terms[-1].parts(rest.x[len(base.x) :])
@@ -113,13 +113,6 @@ def _rows(term: Term, responses: Floats) -> Floats:
     found = np.zeros((term.size, responses.shape[1]))
     found[: len(responses)] = responses
     return found
-
-
-def _beyond_chance(problem: Problem, candidate: ScreenedCandidate) -> float:
-    """The predicted gain, less what further unknowns than one gain by chance [nats]."""
-    if problem.misfit_dominated:  # then the whole residual counts as noise, and all gains are small
-        return candidate.gain
-    return candidate.gain - problem.settings.probabilities.gain_of_unknown * (candidate.terms[-1].size - 1)
 
 
 def _accepted(problem: Problem, candidate: ScreenedCandidate) -> bool:

@@ -2,20 +2,25 @@
 
 Each term is simulated once at a typical magnitude. Its response is compared with the residual, less what parameters or
 discretisation error can change as well. That is a linear estimate of its magnitude and of the log evidence it gains.
+
+Some terms have a response before they are simulated: that beside another hypothesis, or that of a law that looks alike.
+They are simulated only where that predicts some gain.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from soro_bench.diagnosis import spread_terms
 from soro_bench.diagnosis.candidates import Term, effects_at
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, normal_equations
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import ScreeningSettings
-from soro_bench.diagnosis.spread_terms import SpreadTerm
-from soro_bench.effects.effect import Effect
+from soro_bench.diagnosis.spread_terms import SpreadTerm, spread
+from soro_bench.effects.catalogue import CATEGORIES, PHYSICS
+from soro_bench.effects.effect import Effect, Location
 
 
 @dataclass(frozen=True)
@@ -120,6 +125,72 @@ class Evidence:
         return tuple(zip(self.candidates, np.sqrt(2.0 * gain / information).tolist(), strict=True))
 
 
+def screen(
+    problem: Problem,
+    base: Hypothesis,
+    candidates: Sequence[Term],
+    robot: Robot,
+    known: Mapping[Term, np.ndarray] | None = None,
+) -> Evidence:
+    """What all candidates say about the residual of a hypothesis; those are simulated that may matter.
+
+    Args:
+        base: beside which they are simulated. robot: see ``responses``.
+        known: (k, M) responses beside a hypothesis of the same problem that is not far off.
+    """
+    known = known or {}
+    alike = {one: first for one, first in _like_others(candidates).items() if one not in known}
+    found = {one: known[one] for one in candidates if one in known}
+    assumed = set(found) | set(alike)
+
+    def simulate(chosen: Sequence[Term]) -> None:
+        found.update(zip(chosen, responses(problem, base, chosen, robot), strict=True))
+
+    if unknown := [one for one in candidates if one not in assumed]:
+        simulate(unknown)
+    found |= {one: found[first] for one, first in alike.items()}
+    rough = evidence(problem, base, candidates, [found[one] for one in candidates])
+    if not (chosen := _to_simulate(problem, rough, assumed, alike)):
+        return rough
+    simulate(chosen)
+    return evidence(problem, base, candidates, [found[one] for one in candidates])
+
+
+def _like_others(candidates: Sequence[Term]) -> dict[Term, Term]:
+    """Terms that look like an earlier one, of the same class at the same location, and take long to simulate: their
+    laws read the state between time steps."""
+    first: dict[tuple[str, Location, int, bool], Term] = {}
+    found = {}
+    for one in candidates:
+        if one.location.kind != "sensor" and PHYSICS[one.name].stepped:
+            key = CATEGORIES[one.name], one.location, sum(one.magnitudes), one.removable > 0
+            if (like := first.setdefault(key, one)) is not one:
+                found[one] = like
+    return found
+
+
+def _to_simulate(problem: Problem, rough: Evidence, assumed: set[Term], alike: Collection[Term]) -> list[Term]:
+    """Of terms whose response is ``assumed``, those that are predicted to gain most; the members of laws that are
+    predicted to gain clearly more at all elements together; and of those like others one of each law, where it shows
+    most."""
+    settings, gains = rough.settings, [each.gain for each in _alone(rough)]
+    order = sorted(range(len(gains)), key=lambda i: -gains[i])
+    limit = settings.simulated_share * gains[order[0]]
+    chosen = [rough.candidates[i] for i in order if gains[i] > limit and rough.candidates[i] in assumed]
+    chosen = chosen[: settings.simulated_again]
+    least = gains[order[0]] + problem.settings.selection.least_gain
+    for members in spread_terms.alike(rough.candidates):
+        if set(members) & assumed and beyond_chance(problem, rough.at_each(spread(members))) > least:
+            chosen += [one for one in members if one in assumed]
+    information = np.diag(rough.matrix)
+    largest: dict[str, tuple[float, Term]] = {}
+    for one, block in zip(rough.candidates, rough.blocks, strict=True):
+        if one in alike and information[block[0]] > largest.get(one.name, (0.0, one))[0]:
+            largest[one.name] = float(information[block[0]]), one
+    chosen += [one for _, one in largest.values()]
+    return list(dict.fromkeys(chosen))
+
+
 def responses(problem: Problem, base: Hypothesis, candidates: Sequence[Term], robot: Robot) -> list[np.ndarray]:
     """(k, M) of each candidate: change of the residual per prior deviation of each of its k magnitudes.
 
@@ -168,15 +239,26 @@ def evidence(
     )
 
 
+def beyond_chance(problem: Problem, candidate: ScreenedCandidate) -> float:
+    """The predicted gain, less what further unknowns of the last term than one gain by chance [nats]."""
+    if problem.misfit_dominated:  # then the whole residual counts as noise, and all gains are small
+        return candidate.gain
+    return candidate.gain - problem.settings.probabilities.gain_of_unknown * (candidate.terms[-1].size - 1)
+
+
 def singles(screened: Evidence) -> list[ScreenedCandidate]:
     """One candidate at a time, the largest predicted gain first."""
-    alone = [screened.screened_candidate([i]) for i in range(len(screened.candidates))]
-    return sorted(alone, key=lambda candidate: -candidate.gain)
+    return sorted(_alone(screened), key=lambda candidate: -candidate.gain)
+
+
+def _alone(screened: Evidence) -> list[ScreenedCandidate]:
+    """One candidate at a time."""
+    return [screened.screened_candidate([i]) for i in range(len(screened.candidates))]
 
 
 def pairs(screened: Evidence) -> list[ScreenedCandidate]:
     """Two candidates at a time, the largest predicted gain first: each of the best singles with every other one."""
-    gains = [screened.screened_candidate([i]).gain for i in range(len(screened.candidates))]
+    gains = [each.gain for each in _alone(screened)]
     order = np.argsort(gains)[::-1]
     firsts = order[: screened.settings.paired]
     paired = [screened.screened_candidate([i, j]) for n, i in enumerate(firsts) for j in order[n + 1 :]]

@@ -10,6 +10,8 @@ class ScreeningSettings:
     """What each candidate term would gain, to first order."""
 
     largest_step: float = setting(1.0, "prior deviations", "of a parameter beside added terms; linear only so far")
+    simulated_again: int = setting(48, "candidate terms", "at most, whose response is assumed, that are simulated too")
+    simulated_share: float = setting(0.1, "1", "share of the largest predicted gain below which none of them is")
     paired: int = setting(20, "candidate terms", "that gain most alone; each is paired with every other one")
     largest_response: float = setting(
         10.0,
