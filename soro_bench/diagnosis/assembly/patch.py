@@ -6,7 +6,7 @@ than the model as built, there is no patched model.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -138,8 +138,12 @@ def _worse(errors: Sequence[ReplayError], problems: Sequence[Problem]) -> bool:
 
 def _refitted(diagnosis: Diagnosis) -> Iterator[ExportedModel]:
     """Models with parameters, and laws of MJCF in the place of the patch's, that were fitted by least squares, from one
-    start after the other; the last one with fitted parameters only."""
+    start after the other; the last one with fitted parameters only. A fit ends where a step changes the rms by less
+    than what counts as the same error."""
     robot, problem = diagnosis.robot, plain(diagnosis.explanation.problem, diagnosis.robot)
+    settings = problem.settings
+    descent = replace(settings.descent, least_gain=max(settings.descent.least_gain, 2.0 * settings.report.same_error))
+    problem = replace(problem, settings=replace(settings, descent=descent))
     for start in _begun(diagnosis, problem):
         (each,) = descended(problem, [start])
         effects = (*robot.known, *each.effects(problem.parameters))
