@@ -19,8 +19,8 @@ from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.variants import trunk_chains
 from soro_bench.diagnosis.selection.forward_selection import Explanation, _Search, silent
 from soro_bench.diagnosis.selection.model_probabilities import compared
-from soro_bench.diagnosis.selection.screening import evidence, pairs, responses, screen, singles
-from soro_bench.diagnosis.settings import DEFAULT, ScreeningSettings
+from soro_bench.diagnosis.selection.screening import evidence, pairs, responses, singles
+from soro_bench.diagnosis.selection.stopping import FormJudge
 from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.inference.statistical_linearisation import LowRank
 from soro_bench.models.trunk_geometry import CABLE_NAMES
@@ -83,42 +83,6 @@ def test_screening_finds_a_pair_of_hidden_effects(robot, actions):
     candidates = [one for one in terms(robot) if one.name in ("payload", "backlash", "actuator_gain")]
     screened_candidate = pairs(evidence(given, base, candidates, responses(given, base, candidates, robot)))[0]
     assert {(s.name, s.location) for s in screened_candidate.terms} == {(s.name, s.location) for s in hidden}
-
-
-def test_laws_that_look_alike_are_simulated_where_the_first_one_gains(robot, actions):
-    hidden = term(robot, "actuator_gain", Location("actuator", "S1"))
-    few = replace(DEFAULT, screening=ScreeningSettings(simulated_again=2))
-    given = replace(trunk_problem(robot, actions, [hidden.effect(np.array([0.3]))]), settings=few)
-    base = fitted(given, [Guess(np.zeros(5))], (0.7, 0.3), seed=0)[0]
-    candidates = [one for one in terms(robot) if one.name in ("actuator_gain", "coulomb_friction", "load_friction")]
-    simulated = responses(given, base, candidates, robot)
-    whole, found = evidence(given, base, candidates, simulated), screen(given, base, candidates, robot)
-    best, first = singles(whole)[0], singles(found)[0]
-    assert first.terms == best.terms
-    assert first.gain == pytest.approx(best.gain)
-    assumed = [
-        one
-        for one, own, rows in zip(candidates, simulated, found.responses, strict=True)
-        if not np.array_equal(own, rows)
-    ]
-    assert assumed
-    like = {one.location: one for one in candidates if one.name == "coulomb_friction"}
-    assert all(np.array_equal(found.response(one), found.response(like[one.location])) for one in assumed)
-
-
-def test_of_responses_beside_another_hypothesis_those_are_simulated_again_that_gain_most(robot, actions):
-    hidden = term(robot, "payload", Location("body", "vertebra7"))
-    given = trunk_problem(robot, actions, [hidden.effect(np.array([0.2]))])
-    base = fitted(given, [Guess(np.zeros(5))], (0.7, 0.3), seed=0)[0]
-    candidates = [one for one in terms(robot) if one.name in ("payload", "actuator_gain", "rest_bend")]
-    simulated = responses(given, base, candidates, robot)
-    before = {one: 0.9 * rows for one, rows in zip(candidates, simulated, strict=True)}
-    found = screen(given, base, candidates, robot, before)
-    (first,) = singles(found)[0].terms
-    assert (first.name, first.location) == (hidden.name, hidden.location)
-    again = [np.array_equal(own, rows) for own, rows in zip(simulated, found.responses, strict=True)]
-    assert again[candidates.index(first)]
-    assert not all(again)
 
 
 def test_there_is_a_suspect_for_every_place(robot):
@@ -347,27 +311,33 @@ def test_an_error_that_is_larger_than_possible_is_a_discrepancy(given, white, sl
     assert healthy(given, 0.5 * ERROR, white + slow, white + 0.9 * slow) < 0.1
 
 
-def searched(paths, hidden, bound):
-    """A search on a healthy arm that is fitted, beside a held-out recording of one with hidden effects."""
+def judged(paths, hidden, bound):
+    """A fit of a healthy arm, its problem, and a judge beside a held-out recording of one with hidden effects."""
     fitted_to = replace(problem(paths), model_form=bound * SIGMA)
     (nominal,) = fitted(fitted_to, [Guess(np.zeros(3))], (0.7, 0.3, 0.1), seed=0)
     unfitted = None if hidden is None else replace(problem(paths, hidden, seed=1), model_form=bound * SIGMA)
-    search = _Search(fitted_to, nominal, fitted_to.robot, (), (), itertools.count(), silent, unfitted)
-    search.best = nominal
-    return search
+    return fitted_to, nominal, FormJudge(unfitted, ())
 
 
 @pytest.mark.parametrize(("gain", "bound", "possible"), [(1.0, 1.0, True), (0.9, 1.0, False), (0.9, 1e3, True)])
 def test_an_error_is_possible_if_held_out_recordings_have_no_larger_one(paths, gain, bound, possible):
     hidden = [Effect("actuator_gain", Location("actuator", "motor"), {"gain": gain})]
-    search = searched(paths, hidden, bound)
-    assert spectrum(search.problem, search.best.residual).excess < bound  # of the recording that was fitted to
-    assert search._may_be_model_form() is possible
+    fitted_to, nominal, judge = judged(paths, hidden, bound)
+    assert spectrum(fitted_to, nominal.residual).excess < bound  # of the recording that was fitted to
+    assert judge.possible(fitted_to, nominal) is possible
 
 
-def test_an_error_is_possible_where_nothing_is_held_out(paths):
-    assert searched(paths, None, 1.0)._may_be_model_form() is True
-    assert searched(paths, None, 0.0)._may_be_model_form() is False
+@pytest.mark.parametrize("bound", [0.0, 1.0])
+def test_an_error_is_possible_where_nothing_is_held_out(paths, bound):
+    fitted_to, nominal, judge = judged(paths, None, bound)
+    assert judge.possible(fitted_to, nominal) is (bound > 0.0)
+
+
+@pytest.mark.parametrize(("left", "nothing"), [(0.99, True), (0.8, False)])
+def test_first_fits_that_explain_little_of_a_possible_error_are_not_refined(given, white, slow, left, nothing):
+    possible = replace(given, model_form=2.0 * ERROR * SIGMA)
+    base, fit = (hypothesis(possible, white + share * slow) for share in (1.0, left))
+    assert FormJudge(None, ()).leaves_nothing(possible, base, [fit]) is nothing
 
 
 @pytest.mark.parametrize(
@@ -375,7 +345,9 @@ def test_an_error_is_possible_where_nothing_is_held_out(paths):
 )
 def test_a_law_that_is_predicted_to_gain_little_of_a_possible_error_is_fitted(paths, bound, gain, is_tried):
     """Of 500 nats where 20,000 are left; it would need 1,000 if no error of the model's form were that large."""
-    search = searched(paths, None, bound)
+    given, nominal, _ = judged(paths, None, bound)
+    search = _Search(given, nominal, given.robot, (), (), itertools.count(), silent)
+    search.best = nominal
     left = np.sqrt(2 * 20_000 / search.best.residual.size) * np.ones(search.best.residual.size)
     search.nominal = search.best = replace(search.best, residual=left)
     search.remaining_gain = gain

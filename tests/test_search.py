@@ -1,6 +1,7 @@
-"""Searches for parameters, likelihoods, logs, what a recording determines, and linear models over samples."""
+"""Searches for parameters and laws, likelihoods, logs, what a recording determines, linear models over samples."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,9 +9,13 @@ from scipy.stats import multivariate_normal
 
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
-from soro_bench.diagnosis.estimation.fit import Hypothesis, descended, with_covariance
+from soro_bench.diagnosis.candidates import term, terms
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, descended, fitted, with_covariance
 from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.selection.screening import evidence, responses, screen, singles
+from soro_bench.diagnosis.settings import DEFAULT, ScreeningSettings
+from soro_bench.effects.effect import Location
 from soro_bench.inference import rf_dropo
 from soro_bench.inference.continuation import refine
 from soro_bench.inference.methods import uncertainty
@@ -20,7 +25,7 @@ from soro_bench.inference.search import EvaluationLog, cma_search
 from soro_bench.inference.statistical_linearisation import LowRank, linearised, sample_around
 from soro_bench.parameters import FRICTION, TRUNK_MASS, WALL_OFFSET, YOUNG_MODULUS
 from soro_bench.recording.recording import Recording, Signal
-from tests.arm import ARM, MAP
+from tests.arm import ARM, MAP, trunk_problem
 
 
 def test_a_search_beside_what_diverges_ends_where_nothing_does():
@@ -224,3 +229,39 @@ def test_what_only_ratios_change_is_as_unknown_as_before_though_a_joint_sticks(t
         return 1.0 / np.sqrt(scale @ np.linalg.inv(hypothesis.covariance(problem)) @ scale)
 
     assert known(with_covariance(problem, found, 0)) == pytest.approx(1.0 / np.linalg.norm(scale), rel=0.3)
+
+
+def screened(robot, actions, hidden, names, **settings):
+    """A problem with a hidden effect, its nominal fit, candidates of some names, and the responses of all."""
+    few = replace(DEFAULT, screening=ScreeningSettings(**settings))
+    given = replace(trunk_problem(robot, actions, [hidden.effect(np.array([0.3]))]), settings=few)
+    base = fitted(given, [Guess(np.zeros(5))], (0.7, 0.3), seed=0)[0]
+    candidates = [one for one in terms(robot) if one.name in names]
+    return given, base, candidates, responses(given, base, candidates, robot)
+
+
+def test_laws_that_look_alike_are_simulated_where_the_first_one_gains(robot, actions):
+    hidden = term(robot, "actuator_gain", Location("actuator", "S1"))
+    names = ("actuator_gain", "coulomb_friction", "load_friction")
+    given, base, candidates, simulated = screened(robot, actions, hidden, names, simulated_again=2)
+    found = screen(given, base, candidates, robot)
+    best, first = (singles(each)[0] for each in (evidence(given, base, candidates, simulated), found))
+    assert first.terms == best.terms
+    assert first.gain == pytest.approx(best.gain)
+    pairs_of = zip(candidates, simulated, found.responses, strict=True)
+    assumed = [(one, rows) for one, own, rows in pairs_of if not np.array_equal(own, rows)]
+    like = {one.location: one for one in candidates if one.name == "coulomb_friction"}
+    assert assumed
+    assert all(np.array_equal(rows, found.response(like[one.location])) for one, rows in assumed)
+
+
+def test_of_responses_beside_another_hypothesis_those_are_simulated_again_that_gain_most(robot, actions):
+    hidden = term(robot, "payload", Location("body", "vertebra7"))
+    given, base, candidates, simulated = screened(robot, actions, hidden, ("payload", "actuator_gain", "rest_bend"))
+    before = {one: 0.9 * rows for one, rows in zip(candidates, simulated, strict=True)}
+    found = screen(given, base, candidates, robot, before)
+    (first,) = singles(found)[0].terms
+    assert (first.name, first.location) == (hidden.name, hidden.location)
+    again = [np.array_equal(own, rows) for own, rows in zip(simulated, found.responses, strict=True)]
+    assert again[candidates.index(first)]
+    assert not all(again)

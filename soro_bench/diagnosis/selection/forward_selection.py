@@ -14,7 +14,7 @@ import numpy as np
 from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.estimation.discretisation import differences
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, fitted_under_discretisation
-from soro_bench.diagnosis.estimation.model_form import UnderModelForm, may_be_model_form, unfitted_under_model_form
+from soro_bench.diagnosis.estimation.model_form import may_be_model_form
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.moves import (
@@ -40,16 +40,8 @@ from soro_bench.diagnosis.selection.rounds import (
     with_own_discretisation,
     worth,
 )
-from soro_bench.diagnosis.selection.screening import (
-    Evidence,
-    ScreenedCandidate,
-    evidence,
-    pairs,
-    responses,
-    screen,
-    singles,
-)
-from soro_bench.diagnosis.selection.stopping import is_better, simplest, without_a_term
+from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate, evidence, pairs, screen, singles
+from soro_bench.diagnosis.selection.stopping import FormJudge, is_better, simplest, without_a_term
 
 SEEDS = 10_000  # of samples, for each seed of a diagnosis
 _FIRST_SEED, _SEED_STEP = 10, 10  # after those of the nominal fit, and between those of two calls
@@ -193,7 +185,7 @@ class _Search:
     robot can have beside the best hypothesis. responses: theirs. screened: their predicted gains, the largest of which
     is ``remaining_gain``. first: the same beside the nominal robot. local_minimum: the first term has only led to
     parameters that explain as much without it, and those are now the nominal ones. goes_on: whether the last term was
-    worth having, if it had to be.
+    worth having, if it had to be. form: tells what may be model-form error.
     """
 
     problem: Problem
@@ -208,6 +200,7 @@ class _Search:
     rounds: list[Round] = field(default_factory=list)
     local_minimum: bool = False
     goes_on: bool = True
+    form: FormJudge = field(init=False)
     best: Hypothesis = field(init=False)
     possible: Sequence[Term] = ()
     responses: list[np.ndarray] = field(default_factory=list)
@@ -216,6 +209,9 @@ class _Search:
     parameters_only_rms: float = field(init=False)
     predicted_gain: float = field(init=False)
     remaining_gain: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.form = FormJudge(self.heldout, self.refined)
 
     @property
     def worth(self) -> float:
@@ -250,17 +246,23 @@ class _Search:
         if self.rounds and not self.problem.misfit_dominated and self.remaining_gain >= self.worth:
             self._screen(compatible(self.robot, self.best, self.candidates))  # where the best hypothesis is
         if self.rounds:
-            return self.remaining_gain >= self.worth and self._is_beyond_model_form()
+            only = self.form.covers(self.problem, self.best, self.remaining_gain)
+            return self.remaining_gain >= self.worth and not only
         least = self.problem.settings.selection.least_gain
         small = not self.problem.misfit_dominated and self.remaining_gain >= least
-        return self.remaining_gain >= self.worth or (small and self._may_be_model_form())
+        return self.remaining_gain >= self.worth or (small and self.form.possible(self.problem, self.best))
 
     def add_one_term(self) -> None:
         """One round: fit the best candidates, compare them with earlier hypotheses, and screen beside the best."""
         base, offered, number = self.best, singles(self.screened), len(self.rounds) + 1
         screened = self.screened
         self.progress(f"refits with {number} effect{'s' * (number > 1)}")
-        new = self._fitted(offered)
+        new = self._first_fits(offered)
+        if number == 1 and self.form.leaves_nothing(self.problem, base, new):
+            self.goes_on, self.tried = False, new
+            self.rounds.append(_round(self.problem, base, offered, new))
+            return
+        new = self._with_own_errors(new)
         if self.problem.misfit_dominated:
             self._keep_misfit_dominated(new)
         else:
@@ -340,27 +342,8 @@ class _Search:
         self.screened = evidence(self.problem, self.best, self.possible, self.responses)
         self.remaining_gain = singles(self.screened)[0].gain
 
-    def _is_beyond_model_form(self) -> bool:
-        """Whether what the best hypothesis leaves is more than model-form error, or one more term is predicted to gain
-        more than terms do where that is all."""
-        form, misfit = UnderModelForm.of(self.problem, [self.best.residual]), self.problem.misfit(self.best.residual)
-        least = form.least_gain(misfit, self.problem.settings.discretisation)
-        return self.remaining_gain >= least or not self._may_be_model_form()
-
-    def _may_be_model_form(self) -> bool:
-        """Whether what the best hypothesis leaves of all recordings may be model-form error, held-out ones included.
-
-        The differences between simulations may take up a discrepancy in the motion that parameters are fitted to.
-        """
-        fitted = UnderModelForm.of(self.problem, [self.best.residual])
-        if self.heldout is None or not fitted.possible[0]:
-            return bool(fitted.possible[0])
-        points = [(self.best.x, self.best.terms)]
-        unfitted = UnderModelForm.of(*unfitted_under_model_form(self.heldout, self.refined, points))
-        return bool(fitted.beside(unfitted).possible[0])
-
-    def _fitted(self, offered: Sequence[ScreenedCandidate]) -> list[Hypothesis]:
-        """Hypotheses of the best candidates, the most probable first."""
+    def _first_fits(self, offered: Sequence[ScreenedCandidate]) -> list[Hypothesis]:
+        """Hypotheses of the best candidates, the most probable first, without discretisation errors of their own."""
         guesses = guesses_of(self.problem, self.screened, offered)
         guesses += at_each_element(self.problem, self.screened, offered)
         guesses += generalised(self.problem, self.screened, self.candidates, self.worth)
@@ -375,6 +358,10 @@ class _Search:
             new = iterate_to_convergence(self.problem, new, next(self.seeds))
             best = min(new, key=lambda h: h.cost)
             new += simplify(self.problem, best, new, self.possible, next(self.seeds))
+        return new
+
+    def _with_own_errors(self, new: list[Hypothesis]) -> list[Hypothesis]:
+        """Hypotheses fitted once more under their own discretisation errors, the most probable first."""
         self.problem, new = with_own_discretisation(self.problem, self.refined, new, next(self.seeds))
         # its parameters may be far from the nominal ones, and other simulations of it differ there by something else
         best = min(new, key=lambda h: h.cost)
@@ -396,7 +383,7 @@ class _Search:
         others = [self.nominal, *new, *self.tried]
         self.problem, (self.nominal, *self.tried) = allowing(self.problem, new[0], others)
         self.possible = compatible(self.robot, self.tried[0], self.candidates)
-        self.responses = responses(self.problem, self.tried[0], self.possible, self.robot)
+        self.responses = list(screen(self.problem, self.tried[0], self.possible, self.robot).responses)
 
 
 def _round(

@@ -1,12 +1,16 @@
-"""When a further term is worth having: it lowers the error of held-out motion beyond chance, or has evidence."""
+"""When a further term is worth having: it lowers the error of held-out motion beyond chance, or has evidence; and what
+is left is more than model-form error."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.estimation.model_form import UnderModelForm, unfitted_under_model_form
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.localisation.residual_maps import windows
+from soro_bench.diagnosis.robots.robot import Robot
 
 _FEWEST = 4  # windows, from which a standard error is taken
 
@@ -61,3 +65,52 @@ def simplest(problem: Problem, heldout: Problem | None, hypotheses: Sequence[Hyp
     if best is None or evidence_beyond_chance(problem, best) < evidence_beyond_chance(problem, whole):
         return None
     return None if heldout is not None and falls_beyond_chance(heldout, best, whole) else best
+
+
+@dataclass
+class FormJudge:
+    """Tells what may be model-form error.
+
+    heldout: of recordings that nothing is fitted to; None without any. refined: the robot simulated more accurately.
+    """
+
+    heldout: Problem | None
+    refined: Sequence[Robot]
+    _last: tuple[Hypothesis, bool] | None = field(default=None, init=False)
+
+    def possible(self, problem: Problem, hypothesis: Hypothesis) -> bool:
+        """Whether what a hypothesis leaves of all recordings may be model-form error, held-out ones included.
+
+        The differences between simulations may take up a discrepancy in the motion that parameters are fitted to.
+        """
+        fitted = UnderModelForm.of(problem, [hypothesis.residual])
+        if self.heldout is None or not fitted.possible[0]:
+            return bool(fitted.possible[0])
+        if self._last is None or self._last[0] is not hypothesis:
+            points = [(hypothesis.x, hypothesis.terms)]
+            unfitted = UnderModelForm.of(*unfitted_under_model_form(self.heldout, self.refined, points))
+            self._last = hypothesis, bool(fitted.beside(unfitted).possible[0])
+        return self._last[1]
+
+    def covers(self, problem: Problem, hypothesis: Hypothesis, gain: float) -> bool:
+        """Whether what a hypothesis leaves may be model-form error, and one more term is predicted to gain no more
+        [nats] than terms do where that is all."""
+        form, misfit = UnderModelForm.of(problem, [hypothesis.residual]), problem.misfit(hypothesis.residual)
+        return gain < form.least_gain(misfit, problem.settings.discretisation) and self.possible(problem, hypothesis)
+
+    def leaves_nothing(self, problem: Problem, base: Hypothesis, fitted: Sequence[Hypothesis]) -> bool:
+        """Whether what a hypothesis leaves may be model-form error of which first fits of one more term explain far
+        less than a law has to that is there, in all recordings: refining them would change nothing."""
+        settings, best = problem.settings.discretisation, min(fitted, key=lambda h: problem.misfit(h.residual))
+        if problem.misfit_dominated or not self.possible(problem, base):
+            return False
+        form = UnderModelForm.of(problem, [base.residual, best.residual])
+        before, after = (problem.misfit(h.residual) for h in (base, best))
+        if self.heldout is not None:
+            points = [(h.x, h.terms) for h in (base, best)]
+            unfitted, rows = unfitted_under_model_form(self.heldout, self.refined, points)
+            form = form.beside(UnderModelForm.of(unfitted, rows))
+            before, after = before + unfitted.misfit(rows[0]), after + unfitted.misfit(rows[1])
+        least = settings.model_form_first * form.least_gain(before, settings)
+        left = 1.0 - settings.model_form_first * (1.0 - settings.model_form_left)
+        return before - after < least and not form.explain(left).any()
