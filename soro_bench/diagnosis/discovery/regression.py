@@ -156,7 +156,15 @@ class _Search:
                 gain = self.solved(one)[0]
                 if gain > before + least:
                     gains[one] = gain
-        return sorted(gains, key=lambda one: -gains[one])[:count]
+        forms: dict[object, tuple[int, ...]] = {}  # of the same form with other shapes, the best one
+        for one in sorted(gains, key=lambda one: -gains[one]):
+            forms.setdefault(frozenset(self._form(i) for i in one), one)
+        return list(forms.values())[:count]
+
+    def _form(self, which: int) -> tuple[object, ...]:
+        """A candidate without the values of its shapes."""
+        each = self.library[which]
+        return each.channel, each.point, tuple(term.expression for term in each.terms)
 
     def with_kinds(self, ranked: Sequence[tuple[int, ...]], count: int) -> list[tuple[int, ...]]:
         """The first ones, and of friction and of what remembers the best ones: where something sticks or lags, what a
