@@ -238,7 +238,8 @@ def changed(run: CaseRun, settings: Groups, usual: Outcome) -> str:
         said.append(f"probability {usual.probability:.2f} to {now.probability:.2f}")
     moved = float(np.max(np.abs(now.numbers - usual.numbers) / usual.deviation, initial=0.0))
     if moved >= _MOVED:
-        said.append(f"unknowns by {moved:.1f} deviations")
+        of_result = f"unknowns by {moved:.1f} deviations"
+        said.append(of_result if "answer" in usual.said else f"samples or noise by {10 * moved:.0f} %")
     wider = now.deviation / usual.deviation - 1.0
     if "answer" in usual.said and np.abs(wider).max(initial=0.0) >= _MOVED:
         said.append(f"intervals by {100 * wider[np.abs(wider).argmax()]:+.0f} %")

@@ -39,6 +39,7 @@ LEVEL, SPIKE, SPIKES = 0.004, 0.5, 4  # rad, rad, samples
 LATE = 0.006  # s, of one sample in five
 PUSH = 0.05  # N m, standard deviation
 TRUNK_STEPS, TRUNK_NOISE, WEAK = 60, 5e-4, 0.7  # control steps, m, gain of a cable
+REMEMBERED = 5000  # replays, at most; of a trunk 150 MB
 TRUNK_SENSORS = "150 levels", "1 % spikes", "4 % zeros", "held 1.5", "frozen", "25 % late"
 Groups = dict[str, Any]  # settings by the names of their stages
 Paths = tuple[Path, Path]
@@ -92,6 +93,8 @@ def _remembered(
         return roll_out(drives, parameters, physics, before_step)
     columns = zip(drives, parameters, physics, strict=True)
     keys = [(which, d.actions.tobytes(), np.asarray(d.start).tobytes(), x.tobytes(), repr(e)) for d, x, e in columns]
+    if len(replays) > REMEMBERED:
+        replays.clear()
     new = [i for i, key in enumerate(keys) if key not in replays]
     if new:
         values = roll_out([drives[i] for i in new], parameters[new], [physics[i] for i in new], None)

@@ -14,6 +14,7 @@ import textwrap
 import types
 import typing
 import warnings
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -161,7 +162,23 @@ OTHER_SETTINGS = {"robots": RobotSettings()}  # which Settings does not hold
 def settings() -> str:
     """A table for every stage."""
     groups = {field.name: getattr(DEFAULT, field.name) for field in dataclasses.fields(DEFAULT)}
-    return "\n\n".join(_settings(stage, group) for stage, group in {**groups, **OTHER_SETTINGS}.items())
+    tables = [_settings(stage, group) for stage, group in {**groups, **OTHER_SETTINGS}.items()]
+    return "\n\n".join([_settings_counts(), *tables])
+
+
+def _settings_counts() -> str:
+    """How many settings of a diagnosis change something, in one sentence."""
+    changes, counts = measured("settings_sensitivity"), Counter()
+    for stage, name, *_ in DEFAULT.listed():
+        halved, doubled = (changes.get(f"{stage}.{name}", {}).get(factor) for factor in ("halved", "doubled"))
+        counts["measured" if halved is not None and doubled is not None else ""] += 1
+        counts["change something"] += any(isinstance(each, dict) and bool(each) for each in (halved, doubled))
+        counts["read"] += any(isinstance(each, dict) for each in (halved, doubled))
+    return (
+        f"Of {len([*DEFAULT.listed()])} settings, {counts['measured']} are measured: {counts['change something']} "
+        f"change something, {counts['read'] - counts['change something']} are read and change nothing in these cases, "
+        f"and {counts['measured'] - counts['read']} are not read in them."
+    )
 
 
 def _settings(stage: str, group) -> str:
