@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from soro_bench.diagnosis.settings.data import DataQualitySettings
-from soro_bench.diagnosis.settings.discovery import DiscoverySettings
 from soro_bench.diagnosis.settings.estimation import (
     AgreementSettings,
     CovarianceSettings,
@@ -24,6 +23,7 @@ from soro_bench.diagnosis.settings.estimation import (
 )
 from soro_bench.diagnosis.settings.paired import PairedSettings
 from soro_bench.diagnosis.settings.search import (
+    DiscoverySettings,
     ExperimentDesignSettings,
     LimitSettings,
     LocalisationSettings,
