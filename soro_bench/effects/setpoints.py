@@ -99,7 +99,7 @@ class LostMotion(SetpointLaw):
     to be at the nearest end. Unlike :class:`Backlash` it shows under a load while the setpoint is constant."""
 
     name, category, stepped = "lost_motion", "hysteresis_or_play", True
-    quantities = (Quantity("width", "m or rad", 1.0, INFINITE, of="length"),)
+    quantities = (Quantity("width", "m or rad", 0.2, INFINITE, of="length"),)
     outputs = ("actuator_length",)
 
     def prepare(self, elements: Elements) -> None:
