@@ -166,7 +166,8 @@ def test_files_of_a_study_are_there(name):
     table = tomllib.loads(asset_path("studies.toml").read_text())[name]
     files = [table[key] for key in ("model", "map", "import") if isinstance(table[key], str)]
     assert all(Path(asset_path(f"mjcf/{name}")).is_file() for name in files)
-    ModelRobot(*(asset_path(f"mjcf/{table[key]}") for key in ("model", "map")), threads=1)
+    robot_map = table["map"] if isinstance(table["map"], dict) else asset_path(f"mjcf/{table['map']}")
+    ModelRobot(asset_path(f"mjcf/{table['model']}"), robot_map, threads=1)
 
 
 def test_what_has_no_name_comes_first_in_the_table_only_where_no_effect_is_likelier():

@@ -55,11 +55,11 @@ class Part:
 
 @dataclass(frozen=True)
 class Study:
-    """A robot and its recordings."""
+    """A robot and its recordings; its map is a file or the content of one."""
 
     name: str
     model: Path
-    map: Path
+    map: Path | Mapping[str, Any]
     parts: tuple[Part, ...]
 
 
@@ -94,7 +94,10 @@ def load_study(
         entries = _replaced(each, files) if files else {kind: each.get(kind, []) for kind in KINDS}
         train, heldout, unseen = (read(entries[kind]) for kind in KINDS)
         loaded.append(Part(key, each["question"], train, heldout, each.get("after"), unseen))
-    return Study(name, asset_path(f"mjcf/{table['model']}"), asset_path(f"mjcf/{table['map']}"), tuple(loaded))
+    robot_map = table["map"]
+    if isinstance(robot_map, str):
+        robot_map = asset_path(f"mjcf/{robot_map}")
+    return Study(name, asset_path(f"mjcf/{table['model']}"), robot_map, tuple(loaded))
 
 
 def _replaced(part: Mapping[str, Any], files: Mapping[str, Sequence[str]]) -> dict[str, list[dict]]:
@@ -179,8 +182,13 @@ def check_summaries(study: Study, out: str | Path, seed: int) -> None:
 def _inputs(study: Study, part: Part) -> str:
     """A hash of models, mapping and recordings."""
     digest = hashlib.sha256()
-    finer = read_toml(study.map)["robot"].get("accurate")
-    for path in (study.model, study.map, *([study.map.parent / finer] if finer else [])):
+    files = [study.model]
+    if isinstance(study.map, Path):
+        finer = read_toml(study.map)["robot"].get("accurate")
+        files += [study.map, *([study.map.parent / finer] if finer else [])]
+    else:
+        digest.update(repr(study.map).encode())
+    for path in files:
         digest.update(path.read_bytes())
     for recordings in (part.train, part.heldout, part.unseen):
         digest.update(f"{len(recordings)}, {part.after}".encode())
