@@ -18,9 +18,8 @@ from soro_bench.diagnosis import study as module
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison
-from soro_bench.diagnosis.study import STUDIES, Part, Study, errors, load_study, results, run_study
+from soro_bench.diagnosis.study import STUDIES, Part, Study, commands_of_take, errors, load_study, results, run_study
 from soro_bench.recording import published
-from soro_bench.recording.importers.takes import commands_of_take
 from soro_bench.recording.published import PublishedFile, Source, bam_table, fetch, sources, summary
 from soro_bench.recording.recording import RecordingError
 from tests.arm import ARM, MAP, recording

@@ -5,7 +5,9 @@ names recordings to explain, held-out ones and unseen ones, as files with the ch
 mapping. The result of the part that it comes ``after`` is its baseline. Where a table of the recordings has a row for
 each file (``takes``), its numbers become commands of that recording."""
 
+import csv
 import hashlib
+import io
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,13 +32,17 @@ from soro_bench.diagnosis.selection.model_probabilities import Answer
 from soro_bench.files import check_folder, read_json, read_toml, write_json
 from soro_bench.markdown import table
 from soro_bench.recording.importers import import_recording
-from soro_bench.recording.importers.takes import commands_of_take
-from soro_bench.recording.recording import Recording
+from soro_bench.recording.importers.mapping import texts
+from soro_bench.recording.importers.source import check_keys, read_source
+from soro_bench.recording.recording import Recording, RecordingError, Signal
+from soro_bench.recording.untrusted import named_errors, read_bytes
 from soro_bench.sources import method_version
 
 SUMMARY = "summary.json"
 METHOD = method_version()  # of the sources as this process loaded them
 STUDIES = tuple(read_toml(asset_path("studies.toml")))
+_TAKES = ("file", "key", "commands")
+_MAX_BYTES = 1_000_000
 KINDS = ("train", "heldout", "unseen")  # of recordings of a part
 
 
@@ -126,6 +132,40 @@ def _recordings(folder: Path, study: Mapping[str, Any], entries: Sequence[dict])
                 recording = replace(recording, commands={**recording.commands, **commands_of_take(path, takes)})
             found.append(recording)
     return tuple(found)
+
+
+def commands_of_take(path: Path, takes: Mapping[str, Any]) -> dict[str, Signal]:
+    """The commands that a table has for a recording, each one sample at time 0.
+
+    Args:
+        path: of the recording; the table lies in its folder.
+        takes: ``file``, the name of the table; ``key``, its column with the names of recordings without suffix; and
+            ``commands``, a section as in an import mapping for each command.
+
+    Raises:
+        RecordingError: the table has no row for the recording, or several; or a number is none.
+        FileNotFoundError: there is no table.
+    """
+    check_keys("takes", takes, _TAKES)
+    table = path.parent / takes["file"]
+    with named_errors(table):
+        rows = list(csv.DictReader(io.StringIO(read_bytes(table, _MAX_BYTES).decode("utf-8-sig"))))
+        found = [row for row in rows if row.get(takes["key"]) == path.stem]
+        if len(found) != 1:
+            raise RecordingError(f"{len(found)} rows with {takes['key']} {path.stem!a}; expected one")
+        return {name: _command(name, entry, found[0]) for name, entry in takes["commands"].items()}
+
+
+def _command(name: str, entry: Mapping[str, Any], row: Mapping[str, str]) -> Signal:
+    """One command of a row."""
+    source = read_source(entry, ("columns",), False)
+    numbers = []
+    for column in texts(f"{name} columns", entry.get("columns")):
+        try:
+            numbers.append(float(row[column]))
+        except (KeyError, TypeError, ValueError) as error:
+            raise RecordingError(f"commands.{name}: {row.get(column)!a} in {column} is no number") from error
+    return source.signal(np.zeros(1), np.array([numbers]))
 
 
 def run_study(
