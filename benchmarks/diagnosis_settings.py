@@ -236,6 +236,8 @@ def changed(run: CaseRun, settings: Groups, usual: Outcome) -> str:
         return ", ".join(said)
     if abs(now.probability - usual.probability) >= _NOTED:
         said.append(f"probability {usual.probability:.2f} to {now.probability:.2f}")
+    if len(now.numbers) != len(usual.numbers):
+        return ", ".join([*said, f"{len(usual.numbers)} unknowns become {len(now.numbers)}"])
     moved = float(np.max(np.abs(now.numbers - usual.numbers) / usual.deviation, initial=0.0))
     if moved >= _MOVED:
         of_result = f"unknowns by {moved:.1f} deviations"
