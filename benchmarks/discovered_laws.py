@@ -1,4 +1,4 @@
-"""Laws outside the catalogue, hidden in arms that MuJoCo alone simulates (concealed_arms.py): found, written, held out?
+"""Laws outside the catalogue, hidden in arms that MuJoCo alone simulates (hidden_arms.py): found, written, held out?
 
     python benchmarks/discovered_laws.py FOLDER [--seeds 0 1 2 3 4] [--families magnet cogging]
 
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import concealed_arms as arms
+from benchmarks import hidden_arms as arms
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
@@ -32,7 +32,7 @@ ALIKE = 0.9  # correlation from which forms and signs are the same
 CRITERIA = {"flagged": 0.85, "located": 0.85, "explained": 0.8, "form": 0.6, "beats": 0.8}
 
 
-def case(family: str, seed: int) -> tuple[arms.Concealed, list[Recording]]:
+def case(family: str, seed: int) -> tuple[arms.HiddenLaw, list[Recording]]:
     """The law of a case, and recordings of an arm that has it."""
     draw = next(each for each in arms.FAMILIES if each.__name__ == family)
     found = []
@@ -59,7 +59,7 @@ def body_of(location: Location) -> str:
 
 
 def reads(effect: Effect) -> set[str]:
-    """What a law depends on, as ``Concealed.reads`` has it."""
+    """What a law depends on, as ``HiddenLaw.reads`` has it."""
     law = effect.law
     assert law is not None
     used = names_in(law.expression)
@@ -73,7 +73,7 @@ def reads(effect: Effect) -> set[str]:
     return found
 
 
-def same_form(law: arms.Concealed, effects: list[Effect]) -> bool:
+def same_form(law: arms.HiddenLaw, effects: list[Effect]) -> bool:
     """Whether one law reads the same variables as the true one, and rises and falls with them alike."""
     if len(effects) != 1 or reads(effects[0]) != set(law.reads):
         return False
@@ -103,7 +103,7 @@ def _range(effect: Effect, law: CustomLaw, key: str) -> tuple[float, float]:
     raise KeyError(key)
 
 
-def scored(law: arms.Concealed, result: Result) -> dict[str, Any]:
+def scored(law: arms.HiddenLaw, result: Result) -> dict[str, Any]:
     """What is right of a result."""
     found, flagged = result.discovery, result.verdict == "outside_catalogue"
     effects = [effect_from(each, ALL) for each in found.effects] if found else []

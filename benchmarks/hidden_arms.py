@@ -47,7 +47,7 @@ Values = dict[str, Any]  # by "kind element", such as "position elbow"
 
 
 @dataclass(frozen=True)
-class Concealed:
+class HiddenLaw:
     """A law of a case.
 
     family: its kind. where: the body that it acts on. reads: keys of ``Values`` of what it depends on. force: of them
@@ -75,85 +75,85 @@ def _drawn(rng: np.random.Generator) -> tuple[int, int, float]:
     return i, j, float(rng.choice([-1.0, 1.0]))
 
 
-def coupled_bends(rng: np.random.Generator) -> Concealed:
+def coupled_bends(rng: np.random.Generator) -> HiddenLaw:
     """The bend of another joint turns one."""
     i, j, sign = _drawn(rng)
     k = sign * rng.uniform(0.2, 0.5)
     read = f"position {JOINTS[j]}"
-    return Concealed("coupled_bends", BODIES[i], (read,), lambda v: k * v[read])
+    return HiddenLaw("coupled_bends", BODIES[i], (read,), lambda v: k * v[read])
 
 
-def cross_talk(rng: np.random.Generator) -> Concealed:
+def cross_talk(rng: np.random.Generator) -> HiddenLaw:
     """Another motor's command turns a joint."""
     i, j, sign = _drawn(rng)
     k = sign * rng.uniform(0.15, 0.4)
     read = f"command {MOTORS[j]}"
-    return Concealed("cross_talk", BODIES[i], (read,), lambda v: k * v[read])
+    return HiddenLaw("cross_talk", BODIES[i], (read,), lambda v: k * v[read])
 
 
-def world_spring(rng: np.random.Generator) -> Concealed:
+def world_spring(rng: np.random.Generator) -> HiddenLaw:
     """A spring from the forearm to a point of the world."""
     k, rest = rng.uniform(6.0, 15.0), rng.uniform(0.0, 0.05)
     point = tuple(rng.uniform((0.15, -0.2, 0.15), (0.35, 0.2, 0.3)).tolist())
-    return Concealed("world_spring", "lower", ("distance lower",), lambda v: k * (v["distance lower"] - rest), "pull",
+    return HiddenLaw("world_spring", "lower", ("distance lower",), lambda v: k * (v["distance lower"] - rest), "pull",
                      point)  # fmt: skip
 
 
-def magnet(rng: np.random.Generator) -> Concealed:
+def magnet(rng: np.random.Generator) -> HiddenLaw:
     """A magnet near the forearm."""
     c = rng.uniform(0.02, 0.05)
     point = tuple(rng.uniform((0.2, -0.15, 0.05), (0.35, 0.15, 0.15)).tolist())
-    return Concealed("magnet", "lower", ("distance lower",),
+    return HiddenLaw("magnet", "lower", ("distance lower",),
                      lambda v: c / np.maximum(v["distance lower"], 0.03) ** 2, "pull", point)  # fmt: skip
 
 
-def position_friction(rng: np.random.Generator) -> Concealed:
+def position_friction(rng: np.random.Generator) -> HiddenLaw:
     """Friction that grows with the square of the angle."""
     i, _, _ = _drawn(rng)
     c = rng.uniform(0.3, 0.8)
     q, w = f"position {JOINTS[i]}", f"velocity {JOINTS[i]}"
-    return Concealed("position_friction", BODIES[i], (q, w), lambda v: -c * v[q] ** 2 * np.tanh(v[w] / 0.03))
+    return HiddenLaw("position_friction", BODIES[i], (q, w), lambda v: -c * v[q] ** 2 * np.tanh(v[w] / 0.03))
 
 
-def asymmetric_stiffness(rng: np.random.Generator) -> Concealed:
+def asymmetric_stiffness(rng: np.random.Generator) -> HiddenLaw:
     """A spring that resists one way only."""
     i, _, sign = _drawn(rng)
     k = rng.uniform(0.6, 1.5)
     q = f"position {JOINTS[i]}"
-    return Concealed("asymmetric_stiffness", BODIES[i], (q,), lambda v: -k * sign * np.maximum(sign * v[q], 0.0))
+    return HiddenLaw("asymmetric_stiffness", BODIES[i], (q,), lambda v: -k * sign * np.maximum(sign * v[q], 0.0))
 
 
-def periodic_base(rng: np.random.Generator) -> Concealed:
+def periodic_base(rng: np.random.Generator) -> HiddenLaw:
     """The base shakes."""
     a, w, phase = rng.uniform(2.0, 4.0), 2 * np.pi * rng.uniform(0.8, 2.0), rng.uniform(0, 6)
-    return Concealed("periodic_base", "gravity", ("time ",), lambda v: a * np.sin(w * v["time "] + phase), "shake")
+    return HiddenLaw("periodic_base", "gravity", ("time ",), lambda v: a * np.sin(w * v["time "] + phase), "shake")
 
 
-def warming_motor(rng: np.random.Generator) -> Concealed:
+def warming_motor(rng: np.random.Generator) -> HiddenLaw:
     """A motor loses force with time."""
     i, _, _ = _drawn(rng)
     g = rng.uniform(0.04, 0.08)
     f, t = f"force {MOTORS[i]}", "time "
-    return Concealed("warming_motor", BODIES[i], (f, t), lambda v: -g * v[t] * v[f])
+    return HiddenLaw("warming_motor", BODIES[i], (f, t), lambda v: -g * v[t] * v[f])
 
 
-def one_sided_damping(rng: np.random.Generator) -> Concealed:
+def one_sided_damping(rng: np.random.Generator) -> HiddenLaw:
     """Damping of one way of turning."""
     i, _, sign = _drawn(rng)
     c = rng.uniform(0.06, 0.15)
     w = f"velocity {JOINTS[i]}"
-    return Concealed("one_sided_damping", BODIES[i], (w,), lambda v: -c * sign * np.maximum(sign * v[w], 0.0))
+    return HiddenLaw("one_sided_damping", BODIES[i], (w,), lambda v: -c * sign * np.maximum(sign * v[w], 0.0))
 
 
-def command_stiffness(rng: np.random.Generator) -> Concealed:
+def command_stiffness(rng: np.random.Generator) -> HiddenLaw:
     """A joint that another motor's command stiffens."""
     i, j, sign = _drawn(rng)
     k = sign * rng.uniform(0.6, 1.4)
     q, u = f"position {JOINTS[i]}", f"command {MOTORS[j]}"
-    return Concealed("command_stiffness", BODIES[i], (q, u), lambda v: -k * v[q] * v[u])
+    return HiddenLaw("command_stiffness", BODIES[i], (q, u), lambda v: -k * v[q] * v[u])
 
 
-def delayed_coupling(rng: np.random.Generator) -> Concealed:
+def delayed_coupling(rng: np.random.Generator) -> HiddenLaw:
     """The bend of another joint turns one, late."""
     i, j, sign = _drawn(rng)
     k, time = sign * rng.uniform(0.25, 0.5), rng.uniform(0.15, 0.4)
@@ -167,34 +167,34 @@ def delayed_coupling(rng: np.random.Generator) -> Concealed:
         lagged[0] += (float(v[q]) - lagged[0]) * STEP / SUBSTEPS / time
         return k * lagged[0]
 
-    return Concealed("delayed_coupling", BODIES[i], (q,), force, settled=lambda v: k * v[q])
+    return HiddenLaw("delayed_coupling", BODIES[i], (q,), force, settled=lambda v: k * v[q])
 
 
-def quadratic_spring(rng: np.random.Generator) -> Concealed:
+def quadratic_spring(rng: np.random.Generator) -> HiddenLaw:
     """A torque by the square of the angle."""
     i, _, sign = _drawn(rng)
     k = sign * rng.uniform(0.3, 0.6)
     q = f"position {JOINTS[i]}"
-    return Concealed("quadratic_spring", BODIES[i], (q,), lambda v: k * v[q] ** 2)
+    return HiddenLaw("quadratic_spring", BODIES[i], (q,), lambda v: k * v[q] ** 2)
 
 
-def coupled_damping(rng: np.random.Generator) -> Concealed:
+def coupled_damping(rng: np.random.Generator) -> HiddenLaw:
     """The speed of another joint turns one."""
     i, j, sign = _drawn(rng)
     c = sign * rng.uniform(0.05, 0.1)
     w = f"velocity {JOINTS[j]}"
-    return Concealed("coupled_damping", BODIES[i], (w,), lambda v: c * v[w])
+    return HiddenLaw("coupled_damping", BODIES[i], (w,), lambda v: c * v[w])
 
 
-def cogging(rng: np.random.Generator) -> Concealed:
+def cogging(rng: np.random.Generator) -> HiddenLaw:
     """A torque that repeats with the angle."""
     i, _, sign = _drawn(rng)
     a, n = sign * rng.uniform(0.08, 0.15), float(rng.integers(6, 13))
     q = f"position {JOINTS[i]}"
-    return Concealed("cogging", BODIES[i], (q,), lambda v: a * np.sin(n * v[q]))
+    return HiddenLaw("cogging", BODIES[i], (q,), lambda v: a * np.sin(n * v[q]))
 
 
-def gusts(rng: np.random.Generator) -> Concealed:
+def gusts(rng: np.random.Generator) -> HiddenLaw:
     """What no law can carry over: a torque that never comes again."""
     i, _, _ = _drawn(rng)
     state = [0.0]
@@ -203,7 +203,7 @@ def gusts(rng: np.random.Generator) -> Concealed:
         state[0] += -state[0] * 0.01 + 0.02 * rng.standard_normal()
         return state[0]
 
-    return Concealed("gusts", BODIES[i], (), force, of_state=False)
+    return HiddenLaw("gusts", BODIES[i], (), force, of_state=False)
 
 
 FAMILIES = (
@@ -223,7 +223,7 @@ def goals(rng: np.random.Generator) -> np.ndarray:
     return np.array(found[:count])
 
 
-def simulated(law: Concealed, actions: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def simulated(law: HiddenLaw, actions: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """(1 + T, 3) noisy angles [rad] of an arm with other parameters and the law."""
     model = mujoco.MjModel.from_xml_string(MODEL)
     model.opt.timestep = STEP / SUBSTEPS
@@ -251,7 +251,7 @@ def simulated(law: Concealed, actions: np.ndarray, rng: np.random.Generator) -> 
     return np.array(rows) + NOISE * rng.standard_normal((len(rows), 3))
 
 
-def _values(model: mujoco.MjModel, data: mujoco.MjData, law: Concealed) -> Values:
+def _values(model: mujoco.MjModel, data: mujoco.MjData, law: HiddenLaw) -> Values:
     found = {"time ": data.time}
     for i in range(3):
         found[f"position {JOINTS[i]}"], found[f"velocity {JOINTS[i]}"] = data.qpos[i], data.qvel[i]
