@@ -333,13 +333,6 @@ def test_an_error_is_possible_where_nothing_is_held_out(paths, bound):
     assert judge.possible(fitted_to, nominal) is (bound > 0.0)
 
 
-@pytest.mark.parametrize(("left", "nothing"), [(0.99, True), (0.8, False)])
-def test_first_fits_that_explain_little_of_a_possible_error_are_not_refined(given, white, slow, left, nothing):
-    possible = replace(given, model_form=2.0 * ERROR * SIGMA)
-    base, fit = (hypothesis(possible, white + share * slow) for share in (1.0, left))
-    assert FormJudge(None, ()).leaves_nothing(possible, base, [fit]) is nothing
-
-
 @pytest.mark.parametrize(
     ("bound", "gain", "is_tried"), [(100.0, 500.0, True), (1.0, 500.0, False), (100.0, 300.0, False)]
 )

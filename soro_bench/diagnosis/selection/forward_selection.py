@@ -258,10 +258,6 @@ class _Search:
         screened = self.screened
         self.progress(f"refits with {number} effect{'s' * (number > 1)}")
         new = self._first_fits(offered)
-        if number == 1 and self.form.leaves_nothing(self.problem, base, new):
-            self.goes_on, self.tried = False, new
-            self.rounds.append(_round(self.problem, base, offered, new))
-            return
         new = self._with_own_errors(new)
         if self.problem.misfit_dominated:
             self._keep_misfit_dominated(new)

@@ -97,20 +97,3 @@ class FormJudge:
         [nats] than terms do where that is all."""
         form, misfit = UnderModelForm.of(problem, [hypothesis.residual]), problem.misfit(hypothesis.residual)
         return gain < form.least_gain(misfit, problem.settings.discretisation) and self.possible(problem, hypothesis)
-
-    def leaves_nothing(self, problem: Problem, base: Hypothesis, fitted: Sequence[Hypothesis]) -> bool:
-        """Whether what a hypothesis leaves may be model-form error of which first fits of one more term explain far
-        less than a law has to that is there, in all recordings: refining them would change nothing."""
-        settings, best = problem.settings.discretisation, min(fitted, key=lambda h: problem.misfit(h.residual))
-        if problem.misfit_dominated or not self.possible(problem, base):
-            return False
-        form = UnderModelForm.of(problem, [base.residual, best.residual])
-        before, after = (problem.misfit(h.residual) for h in (base, best))
-        if self.heldout is not None:
-            points = [(h.x, h.terms) for h in (base, best)]
-            unfitted, rows = unfitted_under_model_form(self.heldout, self.refined, points)
-            form = form.beside(UnderModelForm.of(unfitted, rows))
-            before, after = before + unfitted.misfit(rows[0]), after + unfitted.misfit(rows[1])
-        least = settings.model_form_first * form.least_gain(before, settings)
-        left = 1.0 - settings.model_form_first * (1.0 - settings.model_form_left)
-        return before - after < least and not form.explain(left).any()

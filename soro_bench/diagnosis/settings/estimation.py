@@ -39,9 +39,6 @@ class DiscretisationSettings:
     model_form_left: float = setting(
         0.7, "1", "share of a possible model-form error that a law may leave: half its power"
     )
-    model_form_first: float = setting(
-        0.5, "1", "share of what counts, below which first fits are not refined; a healthy Cosserat rod: 0.2"
-    )
     model_form_gain: float = setting(0.1, "1", "share of the misfit that a law gains; healthy Cosserat rods: 0.08")
     model_form_gain_of_largest: float = setting(
         0.04, "1", "share of the misfit of the largest model-form error, likewise; healthy Cosserat rods: 0.03"
