@@ -92,8 +92,10 @@ class Diagnosis:
     @property
     def replaces_best(self) -> bool:
         """Whether a law outside the catalogue leaves much less of held-out motion than the catalogue's best answer."""
-        found, settings = self.discovery, self.explanation.problem.settings.discovery
-        return found is not None and found.best is not None and found.beats < settings.beats
+        found = self.discovery
+        if found is None or found.best is None:
+            return False
+        return found.beats < self.explanation.problem.settings.discovery.beats
 
     @property
     def verdict(self) -> str:

@@ -103,6 +103,8 @@ def effect_from(data: object, laws: Mapping[str, type[Acting]]) -> Effect:
     """
     if isinstance(data, dict) and "where" in data and "location" not in data:  # as in the old schema
         data = {"location" if key == "where" else key: value for key, value in data.items()}
+    if isinstance(data, dict) and data.get("law", ...) is None:  # of an Effect that is in the catalogue, as a dict
+        data = {key: value for key, value in data.items() if key != "law"}
     custom = isinstance(data, dict) and data.get("name") == custom_law.NAME
     expected = {"name", "location", "parameters", *(["law"] if custom else [])}
     if not isinstance(data, dict) or data.keys() != expected:

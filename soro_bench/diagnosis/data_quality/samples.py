@@ -204,7 +204,7 @@ def _comes_to_rest(runs: Runs, settings: DataQualitySettings) -> Bools:
     The step into the run itself says nothing, since the end of a range cuts it short.
     """
     steps = np.abs(np.diff(runs.value, prepend=np.nan))
-    last, before = np.r_[np.nan, steps[:-1]], np.r_[np.nan, np.nan, steps[:-2]]
+    last, before = np.r_[np.nan, steps[:-1]], np.r_[np.nan, np.nan, steps[:-2]][: len(steps)]
     same = np.r_[False, False, False, np.diff(runs.value)[:-2] * np.diff(runs.value)[1:-1] > 0][: len(steps)]
     return same & (last < settings.rest_slows * before)
 

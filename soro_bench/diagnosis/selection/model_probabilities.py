@@ -215,7 +215,7 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
                   for after, row in zip(rms, residuals, strict=True)]  # fmt: skip
         of_nominal.append((unfitted, residuals[0]))
         form = form.beside(UnderModelForm.of(unfitted, residuals))
-    # of held-out recordings alone it proves little: parameters that a law moves may suit them by chance
+    # of held-out recordings alone it says little: parameters that a law moves may suit them by chance
     stand_out &= form.stand_out(np.array(misfits), settings.discretisation)
     if form.possible[0] and not stand_out.any():
         gain = 0.0
