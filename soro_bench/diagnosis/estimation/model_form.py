@@ -129,6 +129,19 @@ def largest_model_form_error(problem: Problem, slopes: Floats) -> float:
     return problem.settings.discretisation.model_form_share * problem.sigma * float(size)
 
 
+def may_be_model_form(problem: Problem, residual: Floats, slopes: Floats) -> bool:
+    """Whether what the nominal robot leaves may be model-form error, of the size that the problem has or that its
+    discretisation errors give. Without other simulations these are of time steps only, and of chaotic motion large.
+
+    Args:
+        residual: (M,) of the nominal robot. slopes: (d, M) of it.
+    """
+    if not problem.variants:
+        return False
+    bound = problem.model_form or largest_model_form_error(problem, slopes)
+    return bool(UnderModelForm.of(replace(problem, model_form=bound), [residual]).possible[0])
+
+
 def unfitted_under_model_form(problem: Problem, refined: Sequence[Robot], points: Points) -> tuple[Problem, Floats]:
     """Recordings that nothing was fitted to, with the discretisation and model-form error of their own motion.
 

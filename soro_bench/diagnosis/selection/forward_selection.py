@@ -14,6 +14,7 @@ import numpy as np
 from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.estimation.discretisation import differences
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, fitted_under_discretisation
+from soro_bench.diagnosis.estimation.model_form import may_be_model_form
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.moves import (
@@ -125,7 +126,8 @@ def nominal_fit(
     if problem.misfit_dominated:
         (fit,) = iterate_to_convergence(problem, [fit], SEEDS * seed + len(stages))
         problem, (fit,) = allowing(problem, fit, [fit])
-    if problem.misfit_dominated or is_discrepant(problem, fit):
+    known = may_be_model_form(problem, fit.residual, fit.jacobian)
+    if problem.misfit_dominated or (is_discrepant(problem, fit) and not known):
         other = fitted_in_growing_parts(given, refined, SEEDS * seed + len(stages))
         if other and other[0].left(other[1].residual) < problem.left(fit.residual):
             return other
@@ -220,8 +222,9 @@ class _Search:
         """The nominal robot, fitted and screened."""
         discrepant = is_discrepant(self.problem, self.nominal)
         self._start(refining=not self.problem.misfit_dominated and not discrepant)
-        # parameters may cause so large a misfit after all, if no term is predicted to explain it
-        if not self.problem.misfit_dominated and discrepant and self.remaining_gain < self.worth:
+        # parameters may cause so large a misfit after all, if neither a term nor model form is likely to explain it
+        known = may_be_model_form(self.problem, self.nominal.residual, self.nominal.jacobian)
+        if not self.problem.misfit_dominated and not known and discrepant and self.remaining_gain < self.worth:
             self._start(refining=True)
         self.first, self.predicted_gain = self.screened, self.remaining_gain
 
