@@ -50,10 +50,11 @@ def test_a_file_in_the_folder_answers_at_once_or_when_it_comes(tmp_path):
     save(example(), tmp_path / "next_1.parquet")
     assert_same(source(WANTED, 1), example())
     assert not said and (tmp_path / "next_1.csv").read_text().startswith("time,action.0")
-    later = threading.Timer(0.2, save, (example(), tmp_path / "next_2.parquet"))
+    (tmp_path / "next_2.parquet").write_bytes(b"PAR1 cut")
+    later = threading.Timer(1.0, save, (example(), tmp_path / "next_2.parquet"))
     later.start()
     assert_same(source(WANTED, 2), load(tmp_path / "next_2.parquet"))
-    assert "next_2.parquet" in said[0]
+    assert "next_2.parquet" in said[-1] and "write it again" in said[-1]
 
 
 def test_a_simulated_robot_answers_as_the_first_recording_was_made(tmp_path):
@@ -66,12 +67,25 @@ def test_a_simulated_robot_answers_as_the_first_recording_was_made(tmp_path):
     np.testing.assert_allclose(answer.commands["action"].values, np.array(WANTED.actions), atol=1e-7)
 
 
-@pytest.mark.parametrize("changed, said", [({"env_id": None}, "no 'env_id'"), ({"action": "discrete"}, "discrete")])
+@pytest.mark.parametrize("changed, said", [
+    ({"env_id": None}, "no 'env_id'"),
+    ({"action": "discrete"}, "discrete"),
+    ({"noise": "nan"}, "0 or more is needed"),
+])  # fmt: skip
 def test_other_recordings_are_refused_in_one_line(tmp_path, changed, said):
     about = {"env_id": "TrunkReach-v0", "model": "cable", "action": "continuous", "noise": "0.0"} | changed
     given = replace(example(), metadata={name: value for name, value in about.items() if value})
+    effects = tmp_path / "effects.json"
+    effects.write_text('{"schema": "soro-bench/effects/2", "effects": []}')
     with pytest.raises(ValueError, match=says("first recording", said)):
-        SimulatedAnswer(given, tmp_path / "effects.json")
+        SimulatedAnswer(given, effects)
+
+
+def test_effects_that_are_none_are_refused_before_the_first_diagnosis(tmp_path):
+    about = {"env_id": "TrunkReach-v0", "model": "cable", "action": "continuous", "noise": "0.0"}
+    (tmp_path / "effects.json").write_text('{"effects": ')
+    with pytest.raises(ValueError, match=says("effects.json", "no effects file")):
+        SimulatedAnswer(replace(example(), metadata=about), tmp_path / "effects.json")
 
 
 def test_an_excitation_of_a_model_moves_what_is_commanded_within_its_range(paths):

@@ -306,18 +306,14 @@ DERIVED = {
         "compiler": '<compiler angle="degree" autolimits="true"/>',
         "default": '<default><joint range="-30 30" stiffness="1" springref="10"/></default>',
     },
-    "tendon": {
-        "joint": 'ref="10"',
-        "more": '<tendon><fixed stiffness="3"><joint joint="hinge" coef="1"/></fixed></tendon>',
-    },
+    "tendon": {"joint": 'ref="10"',
+               "more": '<tendon><fixed stiffness="3"><joint joint="hinge" coef="1"/></fixed></tendon>'},
     "free": {"compiler": '<compiler alignfree="true"/>', "bodies": """<body name="ball" pos="1 1 0" euler="10 20 30">
         <freejoint/><geom type="box" size="0.1 0.2 0.3" pos="0.1 0 0"/></body>"""},
     "replicate": {"bodies": """<replicate count="3" offset="0 0.3 0"><body pos="1 0 0"><joint axis="1 0 0"/>
         <geom size="0.05" pos="0 0.1 0"/></body></replicate>"""},
-    "weld": {
-        "bodies": '<body name="ball" pos="1 1 0"><freejoint/><geom size="0.1"/></body>',
-        "more": '<equality><weld body1="ball"/></equality>',
-    },
+    "weld": {"bodies": '<body name="ball" pos="1 1 0"><freejoint/><geom size="0.1"/></body>',
+             "more": '<equality><weld body1="ball"/></equality>'},
     "keyframe": {"more": '<keyframe><key name="home" qpos="0.3 0.2"/></keyframe>'},
 }  # fmt: skip
 

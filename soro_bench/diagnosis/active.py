@@ -5,6 +5,7 @@ A proposal is the motion that best tells the remaining answers apart
 whoever records the real one and puts the file into a folder.
 """
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -18,10 +19,13 @@ from soro_bench.diagnosis.result_parts import NextRecording
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.forward_selection import Progress, silent
 from soro_bench.diagnosis.settings import DEFAULT, Settings
+from soro_bench.effects.catalogue import ALL
+from soro_bench.effects.effect import load_effects
+from soro_bench.files import brief
 from soro_bench.recording.excitation import write_actions
 from soro_bench.recording.known import Told
 from soro_bench.recording.parquet import load
-from soro_bench.recording.recording import Recording
+from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.simulated import record
 
 _POLL = 0.2  # s between looks for a file
@@ -95,14 +99,28 @@ class SimulatedAnswer:
                              "for recordings of soro-bench record only")  # fmt: skip
         if self.recording.metadata["action"] != "continuous":
             raise ValueError("the first recording has discrete actions; a simulated robot answers with continuous ones")
+        _noise(self.recording)  # before a diagnosis, not after it
+        load_effects(self.effects, ALL)
 
     def __call__(self, wanted: NextRecording, number: int) -> Recording:
         """Simulate the proposed actions; the seed of the noise is the number of the proposal."""
         about, actions = self.recording.metadata, np.array(wanted.actions)
         return record(
             about["env_id"], actions, about["model"], params=self.recording.parameters, seed=number,
-            noise=float(about["noise"]), effects=self.effects,
+            noise=_noise(self.recording), effects=self.effects,
         )  # fmt: skip
+
+
+def _noise(recording: Recording) -> float:
+    """Standard deviation of the noise [m] that the metadata of a recording say."""
+    text = recording.metadata["noise"]
+    try:
+        found = float(text)
+    except ValueError:
+        found = math.nan
+    if not 0.0 <= found < math.inf:
+        raise ValueError(f"the noise in the first recording's metadata is {brief(text)}; 0 or more is needed")
+    return found
 
 
 @dataclass(frozen=True)
@@ -121,7 +139,25 @@ class DroppedFile:
         write_actions(actions, wanted.control_timestep, np.array(wanted.actions))
         if not answer.exists():
             self.say(f"{actions}: {wanted.motion}, {wanted.duration_s:g} s. Replay it and write {answer}")
-        size = -1
-        while not answer.exists() or size != (size := answer.stat().st_size):  # until it no longer grows
+        refused: tuple[int, float] | None = None  # size and time of a file that could not be read
+        while True:
+            before = _state(answer)
+            if before is not None and before != refused:
+                time.sleep(_POLL)
+                if _state(answer) != before:  # it still grows
+                    continue
+                try:
+                    return load(answer)
+                except RecordingError as error:
+                    self.say(f"{error}; write it again")
+                    refused = before
             time.sleep(_POLL)
-        return load(answer)
+
+
+def _state(path: Path) -> tuple[int, float] | None:
+    """Size and time of a file; None if there is none."""
+    try:
+        found = path.stat()
+    except FileNotFoundError:
+        return None
+    return found.st_size, found.st_mtime

@@ -149,6 +149,8 @@ class Diagnose:
         if self.next < 0 or (self.answer and not self.next):
             raise ValueError(f"--next {self.next}: 0 or more recordings; --answer needs 1 or more")
         if self.before or self.after:
+            if self.next:
+                raise ValueError("--next is for a diagnosis; --before and --after compare recordings that are there")
             self._compare()
             return
         if not self.recordings:

@@ -25,17 +25,19 @@ def discovered_law(diagnosis: Diagnosis) -> DiscoveredLaw | None:
         return None
     effects = _effects(diagnosis, found.best) if found.best else []
     state, force, law, labels = _curve(found, effects)
+    equations = tuple(map(_equation, effects))
+    others = ["; ".join(map(_equation, _effects(diagnosis, each))) for each in found.others]
     return DiscoveredLaw(
         location=found.location,
         effects=tuple(each.to_json() for each in effects),
-        equations=tuple(_equation(each) for each in effects),
+        equations=equations,
         legend={key: value for each in effects for key, value in _law(each).legend().items()},
         estimates=_estimates(diagnosis, found.best) if found.best else (),
         explained=float(found.explained),
         noise_share=float(found.noise_share),
         nearest=float(1.0 - found.heldout_nearest / found.heldout_before),
         own_test=found.own_test,
-        others=tuple("; ".join(map(_equation, _effects(diagnosis, each))) for each in found.others),
+        others=tuple(each for each in dict.fromkeys(others) if each != "; ".join(equations)),  # some differ in digits
         state=tuple(map(float, state)),
         force=tuple(map(float, force)),
         law=tuple(map(float, law)),

@@ -20,6 +20,7 @@ from soro_bench.effects.effect import Effect, Location
 from soro_bench.inference.statistical_linearisation import LowRank
 
 _FIELDS = ("qpos", "qvel", "act", "ctrl", "actuator_force", "ten_length", "ten_velocity", "xipos")
+Motion = dict[str, Floats]  # fields of MuJoCo, (1 + T, ...) of a recording
 
 
 @dataclass(frozen=True)
@@ -95,11 +96,20 @@ class LocatedInput:
         motion = [*self._motion, *_recorded(tested, self.robot, x, effects, nothing)]
         found = []
         for each in effect.law.variables:
-            if each.of not in ("time", "distance"):
-                values = _values(motion, self.robot, self._dt, each, effect.location)
+            if each.of != "time":
+                values = self._read(motion, each, effect)
                 each = replace(each, low=float(values.min()), high=float(values.max()))
             found.append(each)
         return replace(effect.law, variables=tuple(found))
+
+    def _read(self, motion: Sequence[Motion], variable: Variable, effect: Effect) -> Floats:
+        """(T,) of a variable of an effect."""
+        if variable.of != "distance":
+            return _values(motion, self.robot, self._dt, variable, effect.location)
+        axes = [Variable(axis, "position", 0.0, 0.0, variable.place, axis) for axis in AXES]
+        place = [_values(motion, self.robot, self._dt, each, effect.location) for each in axes]
+        point = [effect.parameters[x] if isinstance(x, str) else x for x in variable.point]
+        return np.asarray(np.linalg.norm(np.stack(place, axis=1) - point, axis=1))
 
     def _respond(self) -> None:
         """Replay a pulse of every component at every node; nodes are as close as replays side by side allow."""
@@ -221,9 +231,6 @@ class LocatedInput:
         matrix, right = across.sum(axis=0), (across @ self.place[:, :, None]).sum(axis=0)[:, 0]
         ridge = 1e-3 * np.trace(matrix) / 3.0
         return np.linalg.solve(matrix + ridge * np.eye(3), right + ridge * self.place.mean(axis=0))
-
-
-Motion = dict[str, Floats]  # fields of MuJoCo, (1 + T, ...) of a recording
 
 
 def _recorded(

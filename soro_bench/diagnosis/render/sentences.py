@@ -262,7 +262,8 @@ def explained(result: Result) -> str:
     if not result.best.effects or math.isnan(found.explained):
         return ""
     do = "add to" if found.is_worse else f"explain {100 * found.explained:.0f} % of"
-    return f"On {which} recordings the effects {do} {BEYOND}."
+    what = "the nearest laws of the catalogue" if result.verdict == "outside_catalogue" else "the effects"
+    return f"On {which} recordings {what} {do} {BEYOND}."
 
 
 def _of_errors(result: Result) -> list[str]:
