@@ -223,7 +223,7 @@ class _Search:
         discrepant = is_discrepant(self.problem, self.nominal)
         self._start(refining=not self.problem.misfit_dominated and not discrepant)
         # parameters may cause so large a misfit after all, if neither a term nor model form is likely to explain it
-        known = may_be_model_form(self.problem, self.nominal.residual, self.nominal.jacobian)
+        known = bool(self.problem.variants) and self.form.possible(self.problem, self.nominal)
         if not self.problem.misfit_dominated and not known and discrepant and self.remaining_gain < self.worth:
             self._start(refining=True)
         self.first, self.predicted_gain = self.screened, self.remaining_gain
