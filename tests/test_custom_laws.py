@@ -11,12 +11,13 @@ import soro_bench  # noqa: F401  (registers environments)
 from benchmarks.hostile_laws import hostile, outcome
 from soro_bench.diagnosis.discovery.discovery import discovered
 from soro_bench.diagnosis.discovery.library import Term, series
-from soro_bench.diagnosis.estimation.fit import Guess, allowing, fitted
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, fitted
 from soro_bench.diagnosis.localisation.ranking import ranked_locations
 from soro_bench.diagnosis.render.html import html
 from soro_bench.diagnosis.render.summary import summary
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.result_parts import DiscoveredLaw, Estimate
+from soro_bench.diagnosis.selection.stopping import explained_beyond_chance
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.custom_law import Memory
 from soro_bench.effects.effect import Effect, EffectError, Location, effect_from, load_effects, save_effects
@@ -228,6 +229,22 @@ def test_a_spring_of_one_side_is_written_down_and_holds_on_what_was_not_fitted(p
     assert found.explained > 0.9
     again = effect_from(written.to_json(), ALL)
     assert replace(again, parameters=written.parameters) == written
+
+
+@pytest.mark.parametrize(
+    ("acts", "share", "expected"),
+    [((0, 3), 0.99, True), ((0, 3), 0.6, False), ((0, 1, 2, 3, 4), 0.6, True), ((2,), 0.99, False)],
+)
+def test_a_law_of_large_angles_is_held_out_in_few_windows(paths, acts, share, expected):
+    """It explains nearly all of two seconds of five; of one second alone, any course may be explained by chance."""
+    given = problem(paths, steps=225)
+    x, (measured,) = np.zeros(3), given.recordings
+    inside = np.abs(measured.time % 1.0 - 0.5) < 0.4
+    off = 0.1 * (inside & np.isin(measured.time // 1.0, acts))[:, None, None]
+    values = given.simulated(given.robot, [(x, ())])[0].reshape(measured.values.shape) + off
+    heldout = replace(given, recordings=(replace(measured, values=values),))
+    nothing = Hypothesis((), x, np.zeros(225), 0.0, np.zeros((3, 225)), np.zeros((0, 225)))
+    assert explained_beyond_chance(heldout, nothing, share) == expected
 
 
 def test_a_result_says_the_law_its_ranges_and_what_it_explains():

@@ -13,7 +13,7 @@ from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, bou
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.localisation.ranking import RankedLocation
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.selection.stopping import falls_beyond_chance
+from soro_bench.diagnosis.selection.stopping import explained_beyond_chance
 from soro_bench.effects.effect import Location
 
 _SEED = 900  # of samples, after those of other stages
@@ -108,7 +108,7 @@ def discovered(
     best = _as_seen(best, fitted_on, test)
     after = _mean_square(test, best.hypothesis)
     share = 1.0 - max(after - 1.0, 0.0) / max(before - 1.0, 1e-9)
-    if share < settings.least_explained or not falls_beyond_chance(test, nominal, best.hypothesis):
+    if share < settings.least_explained or not explained_beyond_chance(test, nominal, share):
         return replace(nothing, heldout_after=after)
     kept = replace(best, hypothesis=_of_problem(with_covariance(fitted_on, best.hypothesis, seed), fitted_on, problem))
     others = tuple(each for each in found if each is not best and each.total < best.total + _slack(best, settings.same))

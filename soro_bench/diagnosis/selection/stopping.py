@@ -46,6 +46,25 @@ def falls_beyond_chance(heldout: Problem, before: Hypothesis, after: Hypothesis)
     return bool(fallen.sum() > max(settings.selection.beyond_chance * error, least))
 
 
+def explained_beyond_chance(heldout: Problem, before: Hypothesis, share: float) -> bool:
+    """Whether so large a share of a held-out residual is not explained by chance.
+
+    The share is the squared correlation of the residual and what explains it, so Student's test of a correlation
+    applies. Windows are independent, and count by their squares: what acts at large angles only may show in two of
+    five. Sums over windows (``falls_beyond_chance``) refuse even a perfect law there, as its gains differ.
+
+    Args:
+        heldout: of recordings that were not fitted to. before: leaves the residual. share: of its mean square.
+    """
+    (row,) = heldout.residuals([(before.x, before.terms)])
+    settings = heldout.settings
+    squares = np.minimum(row, settings.likelihood.diverged) ** 2
+    _, number = np.unique(windows(heldout, settings.localisation.map_window), return_inverse=True)
+    sums = np.bincount(number, squares)
+    independent = float(sums.sum() ** 2 / max((sums**2).sum(), 1e-300))
+    return bool(share * (independent - 1.0) > settings.selection.beyond_chance**2 * (1.0 - share))
+
+
 def is_better(problem: Problem, heldout: Problem | None, before: Hypothesis, after: Hypothesis) -> bool:
     """Whether a hypothesis with more terms is worth having instead of another one."""
     if heldout is not None:
