@@ -120,9 +120,21 @@ def _tree(rng: np.random.Generator, names: list[str], depth: int) -> Any:
         return _odd(rng)
     if (depth > 7 and chance < 0.98) or chance < 0.15 * depth:
         return str(rng.choice(names)) if rng.random() < 0.7 else _number(rng)
+    if chance > 0.95 and names:
+        return _bumps(rng, names)
     name = str(rng.choice(list(FUNCTIONS)))
     least, most, _ = FUNCTIONS[name]
     return [name, *(_tree(rng, names, depth + 1) for _ in range(rng.integers(least, min(most, 3) + 1)))]
+
+
+def _bumps(rng: np.random.Generator, names: list[str]) -> Any:
+    """Mostly of the right form; some are too many, or of numbers that are too large."""
+    of = rng.choice(names, rng.integers(1, 6)).tolist()
+    widths = [abs(_range(rng)) for _ in of]
+    rows: list[Any] = [[_number(rng) for _ in range(len(of) + 1)] for _ in range(rng.integers(0, 70))]
+    if rng.random() < 0.1:
+        rows.append(_odd(rng))
+    return ["bumps", of, widths if rng.random() < 0.9 else _odd(rng), rows]
 
 
 def main() -> None:

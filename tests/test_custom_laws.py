@@ -18,6 +18,7 @@ from soro_bench.diagnosis.render.summary import summary
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.result_parts import DiscoveredLaw, Estimate
 from soro_bench.diagnosis.selection.stopping import explained_beyond_chance
+from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.custom_law import Memory
 from soro_bench.effects.effect import Effect, EffectError, Location, effect_from, load_effects, save_effects
@@ -163,6 +164,9 @@ def test_an_environment_has_it_in_each_of_its_copies(count):
         ({"variables": {"q": {"of": "position", "range": [1, -1]}}}, ("range of q", "rise")),
         ({"variables": {"q": {"of": "weather", "range": WIDE}}}, ("weather", "position")),
         ({"states": {"z": {"of": "play", "input": "q"}}}, ("state z", "width")),
+        ({"expression": ["bumps", ["q"], [0.0], [[0.0, 1.0]]]}, ("width", "1e-09 and more")),
+        ({"expression": ["bumps", ["q"], [1.0], [[0.0]]]}, ("row", "1 numbers and a weight")),
+        ({"expression": ["bumps", ["v"], [1.0], [[0.0, 1.0]]]}, ("name", "v")),
         ({"code": "x"}, ("unit, limit and expression",)),
     ],
 )
@@ -231,6 +235,38 @@ def test_a_spring_of_one_side_is_written_down_and_holds_on_what_was_not_fitted(p
     assert replace(again, parameters=written.parameters) == written
 
 
+WELLS = ["bumps", ["q", "v"], [0.2, 1.0], [[-0.4, 0.0, 0.5], [0.1, 0.0, -0.6], [0.5, 0.0, 0.4]]]
+
+
+def test_bumps_are_summed_and_kept_in_a_file(tmp_path):
+    wells = custom(law(WELLS, {"q": {"of": "position"}, "v": {"of": "velocity"}}))
+    sim = flat(servo([wells]))
+    sim.batch.qpos[0], sim.batch.qvel[0] = 0.3, 0.5
+    centres, weights = np.array([-0.4, 0.1, 0.5]), np.array([0.5, -0.6, 0.4])
+    expected = np.exp(-0.5 * (((0.3 - centres) / 0.2) ** 2 + 0.25)) @ weights
+    assert exerted(sim) == pytest.approx(expected)
+    save_effects([wells], tmp_path / "effects.json")
+    assert load_effects(tmp_path / "effects.json", ALL) == (wells,)
+
+
+def test_a_black_box_describes_what_no_law_does(paths):
+    """Of the grammar one term may act, and none is good enough; the box has not seen the recording that judges it."""
+    read = {"q": {"of": "position"}, "v": {"of": "velocity"}}
+    effects = [custom(law(["multiply", 0.3, WELLS], read))]
+    strict = replace(DEFAULT, discovery=replace(DEFAULT.discovery, least_explained=1.1, singles=1, pairs=0, triples=0))
+    given = problem(paths, effects, steps=225, settings=strict)
+    (base,) = fitted(given, [Guess(np.zeros(3))], (0.7, 0.3, 0.1), seed=0)
+    given, (base,) = allowing(given, base, [base])
+    ranked = [each for each in ranked_locations(given, given.robot, base) if each.location.kind == "body"]
+    heldout = problem(paths, effects, seed=1, steps=225, settings=strict)
+    found = discovered(given, heldout, given.robot, base, base, ranked, seed=0)
+    assert found is not None and found.best is not None and found.best.boxed
+    assert found.explained > 0.75
+    for box in found.best.hypothesis.effects(3):
+        assert box.law.limit == pytest.approx(np.abs(found.located.force).max(), rel=1e-6)
+        assert effect_from(box.to_json(), ALL).law == box.law
+
+
 @pytest.mark.parametrize(
     ("acts", "share", "expected"),
     [((0, 3), 0.99, True), ((0, 3), 0.6, False), ((0, 1, 2, 3, 4), 0.6, True), ((2,), 0.99, False)],
@@ -265,5 +301,22 @@ def test_a_result_says_the_law_its_ranges_and_what_it_explains():
         assert "outside the catalogue, described by F = -0.8 max(q, 0)" in text
         assert "position, seen from -0.5 to 0.7" in text
         assert "96.0 % of the squared error (0.1 % is noise), the nearest law of the catalogue 40.0 %" in text
-    nothing = replace(result, discovery=replace(told, effects=(), equations=(), estimates=()))
-    assert "Its spectrum peaks at 0.5 Hz" in " ".join(summary(nothing).replace("\u00a0", " ").split())
+    box = replace(result, discovery=replace(told, black_box=True))
+    for text in (" ".join(summary(box).split()), " ".join(html(box).split())):
+        assert "described by a black box, F = " in text
+        assert "It is no law: it says where and how much, not why." in text
+
+
+def test_what_is_seen_in_time_only_has_a_spectrum_and_a_recording_to_make():
+    told = DiscoveredLaw(
+        location=Location("joint", "hinge"), effects=(), equations=(), legend={}, estimates=(), explained=0.1,
+        noise_share=0.001, nearest=0.0, own_test=False, others=(), state=(), force=(), law=(), state_label="",
+        force_label="", peak=0.5, peaks=(0.5, 1.25, 3.0),
+    )  # fmt: skip
+    for found, said in (
+        (told, "seen in time only. Its spectrum peaks at 0.5, 1.25 and 3 Hz. Record the same commands twice"),
+        (None, "seen in time only. Record the same commands twice"),
+    ):
+        result = replace(outside_catalogue(), discovery=found)
+        assert said in " ".join(summary(result).split())
+        assert said in " ".join(html(result).split())

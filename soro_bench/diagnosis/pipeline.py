@@ -91,9 +91,10 @@ class Diagnosis:
 
     @property
     def replaces_best(self) -> bool:
-        """Whether a law outside the catalogue leaves much less of held-out motion than the catalogue's best answer."""
+        """Whether a law outside the catalogue leaves much less of held-out motion than the catalogue's best answer. A
+        black box is no answer."""
         found = self.discovery
-        if found is None or found.best is None:
+        if found is None or found.best is None or found.best.boxed:
             return False
         return found.beats < self.explanation.problem.settings.discovery.beats
 

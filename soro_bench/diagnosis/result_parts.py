@@ -238,16 +238,17 @@ class UnknownInput:
 class DiscoveredLaw:
     """A law outside the catalogue as the search for one left it.
 
-    location: where the input acts. effects: the law, in the format of effects.json; none where no law holds on
-        held-out motion. equations: of each effect, one line. legend: what their names are, with the ranges that were
-        seen; outside them a law is held.
+    location: where the input acts. effects: the law, in the format of effects.json; none where neither a law nor a
+        black box holds on held-out motion. black_box: whether it is a sum of bumps of the state instead of a law.
+    equations: of each effect, one line. legend: what their names are, with the ranges that were seen; outside them a
+        law is held.
     estimates: coefficients and shapes with 90 % intervals.
     explained: share of the held-out mean square that the law explains, 1 - sum(r_after^2) / sum(r_before^2).
     noise_share: of that mean square, which is the sensor's noise. nearest: what the catalogue's best answer explains.
     own_test: whether the ends of the recordings were held out, as no recording was.
     others: equations of laws that leave about as much.
     state, force, law: (n,) the main variable, the input and the law, in control steps. state_label, force_label: with
-        units. peak: Hz, of the largest peak of the input's spectrum.
+        units. peak: Hz, of the largest peak of the input's spectrum. peaks: of its largest ones.
     """
 
     location: Location
@@ -266,6 +267,8 @@ class DiscoveredLaw:
     state_label: str
     force_label: str
     peak: float
+    peaks: tuple[float, ...] = ()
+    black_box: bool = False
 
 
 @dataclass(frozen=True)

@@ -43,7 +43,9 @@ def discovered_law(diagnosis: Diagnosis) -> DiscoveredLaw | None:
         law=tuple(map(float, law)),
         state_label=labels[0],
         force_label=labels[1],
-        peak=float(found.peak),
+        peak=float(found.peaks[0]) if found.peaks else 0.0,
+        peaks=tuple(map(float, found.peaks)),
+        black_box=found.best is not None and found.best.boxed,
     )
 
 

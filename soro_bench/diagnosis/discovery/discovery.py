@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from soro_bench.arrays import Floats
+from soro_bench.diagnosis.discovery.black_box import black_box
 from soro_bench.diagnosis.discovery.law_terms import LawTerm, law_terms
 from soro_bench.diagnosis.discovery.located_input import LocatedInput, channels
 from soro_bench.diagnosis.discovery.regression import Structure, structures
@@ -14,7 +15,8 @@ from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.localisation.ranking import RankedLocation
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.stopping import explained_beyond_chance
-from soro_bench.effects.effect import Location
+from soro_bench.effects.effect import Effect, Location
+from soro_bench.effects.expression import bumps_in
 
 _SEED = 900  # of samples, after those of other stages
 _SHARES = (0.5, 1.0)  # of regressed coefficients that are replayed
@@ -34,6 +36,11 @@ class Found:
     heldout_misfit: float
 
     @property
+    def boxed(self) -> bool:
+        """Whether it is a black box instead of a law."""
+        return boxed(self.structure)
+
+    @property
     def total(self) -> float:
         """Misfit of all recordings, with what its unknowns gain by chance [nats]."""
         return self.misfit + self.heldout_misfit + 50.0 * sum(each.size for each in self.hypothesis.terms)
@@ -43,11 +50,11 @@ class Found:
 class Discovery:
     """What became of the search for a law.
 
-    best: the law; None where none holds on held-out motion. others: laws that leave about as much. location: where it
-    acts. heldout_before, heldout_nearest, heldout_after: mean square of the held-out residual, in units of the
-    sensor's noise: of fitted parameters, of the catalogue's best answer, and with the law (NaN if none). own_test:
-    whether the ends of the recordings were held out, as nothing else was. peak: Hz, of the spectrum of the input.
-    located: the input.
+    best: the law, or else a black box; None where neither holds on held-out motion. others: laws that leave about as
+    much. location: where it acts. heldout_before, heldout_nearest, heldout_after: mean square of the held-out residual,
+    in units of the sensor's noise: of fitted parameters, of the catalogue's best answer, and with the law (NaN if
+    none). own_test: whether the ends of the recordings were held out, as nothing else was. peaks: Hz, of the spectrum
+    of the input, the largest first. located: the input.
     """
 
     best: Found | None
@@ -57,7 +64,7 @@ class Discovery:
     heldout_nearest: float
     heldout_after: float
     own_test: bool
-    peak: float
+    peaks: tuple[float, ...]
     located: LocatedInput
 
     @property
@@ -74,6 +81,11 @@ class Discovery:
     def beats(self) -> float:
         """What the law leaves of held-out motion above the noise, over what the catalogue's best answer leaves."""
         return max(self.heldout_after - 1.0, 0.0) / max(self.heldout_nearest - 1.0, 1e-9)
+
+
+def boxed(structure: Structure) -> bool:
+    """Whether a structure is a black box instead of a law."""
+    return any(bumps_in(term.expression) for each in structure.candidates for term in each.terms)
 
 
 def discovered(
@@ -94,26 +106,52 @@ def discovered(
     near = [each for each in near if channels(robot, each.source)][: settings.locations]
     if not near:
         return None
-    fitted_on, own = (problem, False) if tested else (_beginning(problem), True)
+    begun, own = (problem, False) if tested else (_beginning(problem), True)
     test = tested or _end(problem)
     inputs = [LocatedInput(problem, robot, nominal, each) for each in near]
     before, with_nearest = (_mean_square(test, each) for each in (nominal, nearest))
     laws = [each for located in inputs for each in structures(located)]
-    fitted_on, found = _fitted(fitted_on, test, nominal, laws, seed)
-    peak = (inputs[0].periods() or [0.0])[0] / (2.0 * np.pi)
-    nothing = Discovery(None, (), near[0].location, before, with_nearest, np.nan, own, peak, inputs[0])
-    if not found:
-        return nothing
-    best = _simplified(fitted_on, _as_noisy(test, fitted_on), _simplest(found, settings.same), seed)
-    best = _as_seen(best, fitted_on, test)
-    after = _mean_square(test, best.hypothesis)
-    share = 1.0 - max(after - 1.0, 0.0) / max(before - 1.0, 1e-9)
-    if share < settings.least_explained or not explained_beyond_chance(test, nominal, share):
-        return replace(nothing, heldout_after=after)
+    fitted_on, found = _fitted(begun, test, nominal, laws, seed)
+    peaks = tuple(each / (2.0 * np.pi) for each in inputs[0].periods())
+    nothing = Discovery(None, (), near[0].location, before, with_nearest, np.nan, own, peaks, inputs[0])
+    least, best = settings.least_explained, None
+    if found:
+        best = _simplified(fitted_on, _as_noisy(test, fitted_on), _simplest(found, settings.same), seed)
+        best = _as_seen(best, fitted_on, test)
+    after = _mean_square(test, best.hypothesis) if best else np.nan
+    if best is None or not _holds(test, nominal, before, after, least):
+        fitted_on, best = _boxed(begun, test, nominal, inputs, seed)
+        found, least = [], 1.0 - settings.black_box_left**2
+        if best is None:
+            return replace(nothing, heldout_after=after)
+        after = _mean_square(test, best.hypothesis)
+        if not _holds(test, nominal, before, after, least):
+            return replace(nothing, heldout_after=after)
     kept = replace(best, hypothesis=_of_problem(with_covariance(fitted_on, best.hypothesis, seed), fitted_on, problem))
     others = tuple(each for each in found if each is not best and each.total < best.total + _slack(best, settings.same))
-    location = best.structure.location
-    return Discovery(kept, others, location, before, with_nearest, after, own, peak, best.structure.located)
+    location, located = best.structure.location, best.structure.located
+    return Discovery(kept, others, location, before, with_nearest, after, own, peaks, located)
+
+
+def _holds(test: Problem, nominal: Hypothesis, before: float, after: float, least: float) -> bool:
+    """Whether what explains the held-out mean square from ``before`` to ``after`` holds there: it explains at least so
+    large a share above the noise, and not by chance."""
+    share = 1.0 - max(after - 1.0, 0.0) / max(before - 1.0, 1e-9)
+    return share >= least and explained_beyond_chance(test, nominal, share)
+
+
+def _boxed(
+    problem: Problem, test: Problem, nominal: Hypothesis, inputs: Sequence[LocatedInput], seed: int
+) -> tuple[Problem, Found | None]:
+    """The black box at the place where it explains most of the recordings that are fitted to, and their problem.
+
+    Held-out motion has no say in which one it is.
+    """
+    boxes = [box for each in inputs if (box := black_box(each, seed)) is not None]
+    if not boxes:
+        return problem, None
+    problem, found = _fitted(problem, test, nominal, [max(boxes, key=lambda each: each.gain)], seed)
+    return problem, found[0] if found else None
 
 
 def _fitted(
@@ -123,7 +161,7 @@ def _fitted(
     noise is what the best of them leaves where that is more than the sensor's."""
     settings = problem.settings.discovery
     pairs = [(each, law_terms(each)) for each in found]
-    pairs = [pair for pair in pairs if problem.robot.accepts([e for t in pair[1] for e in t.effects(t.simulated)])]
+    pairs = [pair for pair in pairs if _one_a_place(*pair) and problem.robot.accepts(_begun(pair[1]))]
     if not pairs:
         return problem, []
     starts = [(pair, _start(nominal, problem, *pair, share)) for pair in pairs for share in _SHARES]
@@ -133,7 +171,7 @@ def _fitted(
     chosen: list[tuple[tuple[Structure, tuple[LawTerm, ...]], Floats]] = []
     for i in np.argsort(costs, kind="stable").tolist():
         (structure, _), _ = starts[i]
-        size = len(structure.candidates) - 1
+        size = min(len(structure.candidates), len(left)) - 1
         if left[size] and all(structure is not other[0] for other, _ in chosen):
             left[size] -= 1
             chosen.append(starts[i])
@@ -148,6 +186,16 @@ def _fitted(
     better = [min(pair, key=lambda h: h.cost) for pair in zip((r.hypothesis for r in results), more, strict=True)]
     problem, better = allowing(problem, min(better, key=lambda h: h.cost), better)
     return problem, _judged(problem, _as_noisy(test, problem), [each.structure for each in results], better)
+
+
+def _one_a_place(structure: Structure, terms: Sequence[LawTerm]) -> bool:
+    """Whether each of its laws has a place of its own; the force of a black box may have several components."""
+    return boxed(structure) or len({each.location for each in terms}) == len(terms)
+
+
+def _begun(terms: Sequence[LawTerm]) -> list[Effect]:
+    """The effects that a fit begins with."""
+    return [effect for each in terms for effect in each.effects(each.simulated)]
 
 
 def _as_noisy(problem: Problem, other: Problem) -> Problem:

@@ -13,10 +13,11 @@ from soro_bench.diagnosis.discovery.regression import Structure
 from soro_bench.diagnosis.settings import DiscoverySettings
 from soro_bench.effects.custom_law import NAME, CustomLaw, Memory, Variable
 from soro_bench.effects.effect import Effect, Location, Quantity
-from soro_bench.effects.expression import Node
+from soro_bench.effects.expression import Bumps, Node
 
 _POINT = ("px", "py", "pz")
 _APART = 0.05  # m, standard deviation of the prior of a point
+_WIDER = 1.0  # of a range, on both sides of it, until held-out motion has been seen
 _ANYTHING = (-np.inf, np.inf)
 
 
@@ -112,11 +113,13 @@ def _law_term(
         )
         nodes.append(name if term.expression == 1.0 else ("multiply", name, term.expression))
         shapes |= {each.name: each for each in term.shapes}
-        variables |= {each.name: _ranged(each, reads) for each in term.variables}
+        wider = 0.0 if isinstance(term.expression, Bumps) else _WIDER
+        variables |= {each.name: _ranged(each, reads, wider) for each in term.variables}
         states |= {each.name: each for each in term.states}
     unknowns += [_of_shape(each, settings) for each in shapes.values()]
     unknowns += [Unknown(name, "m", at, _APART, False) for name, at in zip(_POINT, point, strict=False)]
-    largest = settings.limit * float(np.abs(located.force).max()) + 1e-9
+    boxed = any(isinstance(term.expression, Bumps) for term, _ in parts)
+    largest = (1.0 if boxed else settings.limit) * float(np.abs(located.force).max()) + 1e-9
     expression: Node = nodes[0] if len(nodes) == 1 else ("add", *nodes)
     law = CustomLaw(
         channel.unit, largest, expression, tuple(variables.values()), tuple(states.values()),
@@ -132,10 +135,10 @@ def _of_shape(shape: Shape, settings: DiscoverySettings) -> Unknown:
     return Unknown(shape.name, shape.unit, shape.value, deviation, shape.positive)
 
 
-def _ranged(variable: Variable, reads: dict[str, Read]) -> Variable:
-    """The variable with thrice the range in which it was seen, as held-out motion may go farther; time goes on."""
+def _ranged(variable: Variable, reads: dict[str, Read], wider: float) -> Variable:
+    """The variable with the range in which it was seen, ``wider`` on both sides of it; time goes on."""
     if variable.of == "time" or variable.name not in reads:
         return replace(variable, low=0.0)
     values = reads[variable.name].values
     low, high = float(values.min()), float(values.max())
-    return replace(variable, low=2.0 * low - high, high=2.0 * high - low)
+    return replace(variable, low=low - wider * (high - low), high=high + wider * (high - low))

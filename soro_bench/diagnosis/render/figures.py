@@ -206,7 +206,7 @@ def discovered(result: Result) -> str:
     figure, axes = pyplot().subplots(figsize=(WIDTH, 3.2), layout="constrained")
     axes.axhline(0.0, color="0.85", lw=1)
     axes.plot(found.state, found.force, ".", ms=3, color=GREY, label="input, free in time")
-    axes.plot(found.state, found.law, ".", ms=3, color=RED, label="law")
+    axes.plot(found.state, found.law, ".", ms=3, color=RED, label="black box" if found.black_box else "law")
     axes.set(xlabel=found.state_label, ylabel=found.force_label)
     axes.legend(frameon=False, ncols=2)
     return image(figure)

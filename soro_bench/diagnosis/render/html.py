@@ -93,8 +93,11 @@ def _figures(result: Result) -> list[Figure]:
         )
         found.append(Figure(f"Force against state: {words.law(curve.effect.name)}", caption, figures.law_curve(result)))
     if (law := result.discovery) and law.effects:
-        caption = f"Points: the input that explains most, free in time. Line: the law, {'; '.join(law.equations)}."
-        found.append(Figure("Force against state: a law outside the catalogue", caption, figures.discovered(result)))
+        label = sentences.label(result)
+        caption = f"Points: the input that explains most, free in time. Red: the {label}, {'; '.join(law.equations)}."
+        found.append(
+            Figure(f"Force against state: a {label} outside the catalogue", caption, figures.discovered(result))
+        )
     if unknown := result.unknown_input:
         form = "linear in commands and shape" if unknown.linear_in else "free in time"
         caption = f"The input at {unknown.location} that explains most, {form}.{which}"

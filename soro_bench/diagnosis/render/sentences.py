@@ -31,6 +31,7 @@ FAR = 3.0  # standard deviations of the prior from which a parameter is called f
 NEAR = 0.9  # of the best location's gain, from which another one explains nearly as much
 CLEAR = 0.7  # probability from which a kind of fault is clear
 AHEAD = 0.05  # by which a kind has to be more probable than the law
+_BLACK_BOX = "black box"
 ROBOTS = {  # whose plain replays are shown
     "nominal": "model as built",
     "fitted": "fitted parameters",
@@ -106,7 +107,8 @@ def headline(result: Result) -> str:
     if result.verdict == "adequate":
         return f"Adequate within {number(_plain_error(result), result.robot.unit)}: no discrepancy detected"
     if equations := described(result):
-        return f"{ANSWERS[result.verdict]}, described by {'; '.join(equations)}"
+        black_box = "a black box, " if label(result) == _BLACK_BOX else ""
+        return f"{ANSWERS[result.verdict]}, described by {black_box}{'; '.join(equations)}"
     return ANSWERS[result.verdict]
 
 
@@ -116,18 +118,39 @@ def described(result: Result) -> tuple[str, ...]:
     return found.equations if found else ()
 
 
+def label(result: Result) -> str:
+    """What describes a discrepancy outside the catalogue: a law, or a black box."""
+    return _BLACK_BOX if result.discovery and result.discovery.black_box else "law"
+
+
+def _in_time_only(result: Result) -> str:
+    """Why no law of state describes what is outside the catalogue, and what to record."""
+    if (found := result.discovery) is None:
+        if not result.locations:
+            return ("No force at one place explains it, so no law was looked for. Record one channel moving at a time: "
+                    "the place shows then.")  # fmt: skip
+        why = f"No law was looked for at {result.locations[0].location}: the difference is seen in time only."
+    else:
+        why = "Neither a law of state nor a black box holds on held-out motion: the force is seen in time only."
+        if peaks := found.peaks or (found.peak,) * bool(found.peak):
+            why += f" Its spectrum peaks at {listed(f'{each:.3g}' for each in peaks)} Hz."
+    return f"{why} Record the same commands twice: what repeats has a law, what does not is a disturbance."
+
+
 def discovered(result: Result) -> list[str]:
     """What a law outside the catalogue reads and explains, or that none holds, in sentences."""
-    if (found := result.discovery) is None or result.verdict != "outside_catalogue":
+    if result.verdict != "outside_catalogue":
         return []
-    if not found.effects:
-        period = f" Its spectrum peaks at {number(found.peak, 'Hz')}." if found.peak else ""
-        return [f"No law of state holds on held-out motion: the force is seen in time only.{period} Record the same "
-                "commands twice: what repeats has a law, what does not is a disturbance."]  # fmt: skip
+    if (found := result.discovery) is None or not found.effects:
+        return [_in_time_only(result)]
     names = "; ".join(f"{name}: {said}" for name, said in found.legend.items())
     test = "the ends of the recordings, which were not fitted to" if found.own_test else "held-out recordings"
     share = f"{100 * found.explained:.1f} % of the squared error"
-    said = [f"With {names}. Outside these ranges it is held.",
+    held = "Outside these ranges it is held."
+    if found.black_box:
+        most = "; ".join(number(each["law"]["limit"], each["law"]["unit"]) for each in found.effects)
+        held = f"{held} It is no law: it says where and how much, not why. It exerts {most} at most."
+    said = [f"With {names}. {held}",
             f"On {test} it explains {share} ({100 * found.noise_share:.1f} % is noise), the nearest law of the "
             f"catalogue {100 * max(found.nearest, 0.0):.1f} %."]  # fmt: skip
     return said + ([f"About as good: {'; or '.join(found.others)}."] if found.others else [])

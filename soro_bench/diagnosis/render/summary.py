@@ -28,7 +28,9 @@ def summary(result: Result) -> str:
     for each in sentences.best_findings(result):
         lines += _finding(each, nearest=result.verdict == "outside_catalogue")
     if result.verdict == "outside_catalogue":
-        lines += [line("" if i else "law", each) for i, each in enumerate(sentences.described(result))]
+        lines += [
+            line("" if i else sentences.label(result), each) for i, each in enumerate(sentences.described(result))
+        ]
         if found := result.discovery:
             lines += [line("", f"{each.name} = {words.estimate(each)}") for each in found.estimates]
         lines += [line("", each) for each in sentences.discovered(result)]

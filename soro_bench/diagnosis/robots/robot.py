@@ -322,10 +322,13 @@ class Robot(Replays):
     def accepts(self, effects: Sequence[Effect]) -> bool:
         """Whether the robot can have these effects at once, beside the known ones. Its simulations stay as they are.
 
-        It cannot have a law twice at a location, unless it adds up, nor two laws on the same spring.
+        It cannot have a law twice at a location, unless it adds up, nor two laws on the same spring. Laws that are data
+        are others where their data are.
         """
-        found = [(e.name, e.location) for e in effects]
-        once = [(e.name, e.location) for e in self.known if e.name in ALL and not getattr(ALL[e.name], "adds", False)]
+        found = [(e.name, e.location, e.law) for e in effects]
+        once = [
+            (e.name, e.location, e.law) for e in self.known if e.name in ALL and not getattr(ALL[e.name], "adds", False)
+        ]
         if len({*once, *found}) < len(once) + len(found):
             return False
         effects = [*self.known, *effects]

@@ -161,6 +161,8 @@ class DiscoverySettings:
     deviation: float = setting(2.0, "1", "of a coefficient's prior, times its regressed value")
     shape_deviation: float = setting(0.4, "1", "of a shape's prior: of its logarithm, or of its typical size")
     least_explained: float = setting(0.6, "1", "of held-out variance above the noise; a sine took 0.48 of gusts")
+    bumps: int = setting(16, "bumps", "of a black box; seconds of motion fill no more")
+    black_box_left: float = setting(0.5, "1", "of the held-out error above the noise, that a black box may leave")
     same: float = setting(0.1, "1", "of the misfit, by which a law may leave more than another and be as good")
     beats: float = setting(0.6, "1", "of the catalogue's misfit, below which a law replaces its best answer")
     limit: float = setting(3.0, "1", "times the largest force that was seen, which a law never exceeds")
