@@ -4,11 +4,14 @@ import json
 from dataclasses import replace
 
 import gymnasium
+import mujoco
 import numpy as np
 import pytest
 
 import soro_bench  # noqa: F401  (registers environments)
 from benchmarks.hostile_laws import hostile, outcome
+from soro_bench.diagnosis.api import with_seeds
+from soro_bench.diagnosis.assembly.discovered import spanned
 from soro_bench.diagnosis.discovery.discovery import discovered
 from soro_bench.diagnosis.discovery.library import Term, series
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, fitted
@@ -23,7 +26,7 @@ from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.custom_law import Memory
 from soro_bench.effects.effect import Effect, EffectError, Location, effect_from, load_effects, save_effects
 from soro_bench.effects.expression import names_in
-from tests.arm import ARM, MAP, problem, says
+from tests.arm import ARM, HAND, MAP, problem, says
 from tests.results import outside_catalogue
 from tests.test_effects_on_a_hinge import flat, servo, turn
 
@@ -320,3 +323,26 @@ def test_what_is_seen_in_time_only_has_a_spectrum_and_a_recording_to_make():
         result = replace(outside_catalogue(), discovery=found)
         assert said in " ".join(summary(result).split())
         assert said in " ".join(html(result).split())
+
+
+def test_bodies_that_cannot_be_told_apart_span_a_region_of_one_branch():
+    model = mujoco.MjModel.from_xml_string(HAND)
+    named = {name: model.body(name).id for name in ("arm", "hand", "finger", "ball")}
+    assert spanned(model, [named["finger"], named["arm"]]) == ("arm", "hand", "finger")
+    assert spanned(model, [named["arm"], named["hand"]]) == ("arm", "hand")
+    assert spanned(model, [named["finger"], named["ball"]]) == ()
+
+
+def test_seeds_that_disagree_are_alternatives_with_their_shares():
+    outside, healthy = outside_catalogue(), replace(outside_catalogue(), verdict="adequate")
+    result = with_seeds([outside, healthy, outside])
+    assert [(each.answer, each.count) for each in result.seeds] == [
+        ("outside the catalogue at body vertebra4", 2), ("adequate", 1)
+    ]  # fmt: skip
+    assert Result.from_json(result.to_json()) == Result.from_json(replace(outside, seeds=result.seeds).to_json())
+    for text in (summary(result), html(result)):
+        said = " ".join(text.replace("\u00a0", " ").split())
+        assert "of 3: outside the catalogue at body vertebra4 (0.67), adequate (0.33)" in said
+        assert "of 3" not in " ".join(summary(outside).split())
+    region = replace(outside, region=("vertebra4", "vertebra5"))
+    assert "bodies vertebra4 to vertebra5, best vertebra4" in summary(region)

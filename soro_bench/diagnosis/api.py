@@ -1,10 +1,13 @@
 """Diagnose a robot: from recordings to a result."""
 
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 from soro_bench.diagnosis.assembly.build import build_result
 from soro_bench.diagnosis.pipeline import Run, run_diagnosis
 from soro_bench.diagnosis.result import Result
+from soro_bench.diagnosis.result_parts import SeedAnswer
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.forward_selection import Progress, silent
 from soro_bench.diagnosis.settings import DEFAULT, Settings
@@ -47,3 +50,14 @@ def diagnose(
     if (found := known_parameters(known, [*recordings, *heldout], names)).values:
         robot = robot.knowing(found)
     return build_result(run_diagnosis(robot, recordings, heldout, Run(seed, progress, settings)))
+
+
+def with_seeds(results: Sequence[Result]) -> Result:
+    """The first of several results of the same recordings, with the answers of all of them, the most frequent first.
+
+    Args:
+        results: of :func:`diagnose` with different seeds.
+    """
+    counts = Counter(each.answer for each in results)
+    found = (SeedAnswer(answer, count, count / len(results)) for answer, count in counts.most_common())
+    return replace(results[0], seeds=tuple(found))

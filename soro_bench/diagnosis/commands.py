@@ -140,14 +140,20 @@ class Diagnose:
     """With --next: JSON file of effects. A simulated robot that has them answers, which is else like that of the first
     recording, one of `soro-bench record`."""
     seed: int = 0
+    seeds: int = 1
+    """Diagnose with so many seeds, from --seed on. The report is of the first one, and says which share of them gives
+    each answer."""
 
     def run(self) -> None:
         from soro_bench.diagnosis.active import diagnose_actively
+        from soro_bench.diagnosis.api import diagnose, with_seeds
         from soro_bench.diagnosis.render import FILES, render
         from soro_bench.recording.parquet import load
 
         if self.next < 0 or (self.answer and not self.next):
             raise ValueError(f"--next {self.next}: 0 or more recordings; --answer needs 1 or more")
+        if self.seeds < 1 or (self.seeds > 1 and (self.next or self.before or self.after)):
+            raise ValueError(f"--seeds {self.seeds}: 1 or more; above 1 without --next, --before and --after")
         if self.before or self.after:
             if self.next:
                 raise ValueError("--next is for a diagnosis; --before and --after compare recordings that are there")
@@ -164,6 +170,10 @@ class Diagnose:
             result, rounds = diagnose_actively(
                 robot, recordings, source, self.next, heldout, self.seed, status, known=joined(self.known)
             )
+            results = [result]
+            for seed in range(self.seed + 1, self.seed + self.seeds):
+                results.append(diagnose(robot, recordings, heldout, seed, status, known=joined(self.known)))
+            result = with_seeds(results) if self.seeds > 1 else result
             status("report")
             text = render(result, self.out)
         console.print(text, soft_wrap=True, highlight=False)

@@ -23,6 +23,7 @@ from soro_bench.diagnosis.result_parts import (
     ParameterEstimate,
     RankedLocation,
     ReachedLimit,
+    SeedAnswer,
     SelectionRound,
     UnknownInput,
 )
@@ -94,6 +95,8 @@ class Result:
     signals: errors of every signal, where several are explained; all other errors are those of the first one.
     model_form: what another simulator of the robot could differ by; None in results before it was estimated.
     discovery: a law outside the catalogue, or that none was found; None where none was looked for.
+    region: bodies that an unknown input cannot be told apart at, from the base on; empty where there is one.
+    seeds: answers of diagnoses with different random numbers; empty where there is one.
     worse_replays: where fitted parameters or the best hypothesis have a larger plain error than the model as built.
     """
 
@@ -141,6 +144,8 @@ class Result:
     model_form: ModelForm | None = None
     worse_replays: tuple[WorseReplay, ...] = ()
     discovery: DiscoveredLaw | None = None
+    region: tuple[str, ...] = ()
+    seeds: tuple[SeedAnswer, ...] = ()
 
     def __post_init__(self) -> None:
         if self.verdict not in VERDICTS:
@@ -152,6 +157,16 @@ class Result:
     def detected(self) -> bool:
         """Whether something is missing or wrong, outliers apart."""
         return self.verdict not in ("adequate", "measurement_fault") or bool(self.best.effects)
+
+    @property
+    def answer(self) -> str:
+        """What it says in short: the laws with their locations, or that there is none."""
+        if self.verdict == "outside_catalogue":
+            law, place = self.discovery, self.locations[0].location if self.locations else None
+            return f"outside the catalogue at {law.location if law else place or 'no single location'}"
+        if not self.best.effects:
+            return self.verdict.replace("_", " ")
+        return " and ".join(sorted(map(str, self.best.effects)))
 
     @property
     def best(self) -> HypothesisSummary:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from soro_bench.effects.effect import Location
 
+NEAR = 0.9  # of the best location's gain, from which another one explains nearly as much
+
 
 @dataclass(frozen=True)
 class Errors:
@@ -213,6 +215,18 @@ class RankedLocation:
 
     location: Location
     gain: float
+
+
+@dataclass(frozen=True)
+class SeedAnswer:
+    """An answer, and how many diagnoses with different random numbers give it: the probability that the seeds show.
+
+    share: ``count`` of all of them.
+    """
+
+    answer: str
+    count: int
+    share: float
 
 
 @dataclass(frozen=True)

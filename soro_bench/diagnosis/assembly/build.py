@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from soro_bench.diagnosis.assembly.agreement import agreement
-from soro_bench.diagnosis.assembly.discovered import discovered_law
+from soro_bench.diagnosis.assembly.discovered import discovered_law, region
 from soro_bench.diagnosis.assembly.errors import PlainReplays, plain_replays, replayed_robots, worse_replays
 from soro_bench.diagnosis.assembly.findings import deviations, findings, prior_values, tempered, unit_at
 from soro_bench.diagnosis.assembly.force_against_state import force_against_state
@@ -102,6 +102,7 @@ def build_result(diagnosis: Diagnosis) -> Result:
         limits=reached_limits(diagnosis),
         signals=_signals(diagnosis, replays),
         discovery=discovered_law(diagnosis),
+        region=region(diagnosis),
         model_form=ModelForm(float(comparison.model_form), float(explanation.problem.model_form)),
     )
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import mujoco
 import numpy as np
 
 from soro_bench.arrays import Floats
@@ -10,7 +11,7 @@ from soro_bench.diagnosis.candidates import slices
 from soro_bench.diagnosis.discovery.discovery import Discovery, Found
 from soro_bench.diagnosis.discovery.law_terms import LawTerm
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.result_parts import DiscoveredLaw, Estimate
+from soro_bench.diagnosis.result_parts import NEAR, DiscoveredLaw, Estimate
 from soro_bench.effects.custom_law import CustomLaw
 from soro_bench.effects.effect import Effect
 from soro_bench.effects.expression import names_in
@@ -47,6 +48,27 @@ def discovered_law(diagnosis: Diagnosis) -> DiscoveredLaw | None:
         peaks=tuple(map(float, found.peaks)),
         black_box=found.best is not None and found.best.boxed,
     )
+
+
+def region(diagnosis: Diagnosis) -> tuple[str, ...]:
+    """Bodies, from the base on, that those at which an input explains nearly as much as at the best one span; empty
+    where there is one such body, or where they are not on one chain."""
+    ranked = diagnosis.ranked_locations
+    near = [each.location for each in ranked if each.gain >= NEAR * ranked[0].gain and each.location.kind == "body"]
+    if len(near) < 2 or ranked[0].location.kind != "body":
+        return ()
+    elements = diagnosis.robot.elements
+    return spanned(elements.model, [elements.id(each) for each in near])
+
+
+def spanned(model: mujoco.MjModel, bodies: Sequence[int]) -> tuple[str, ...]:
+    """Names of the bodies of a chain from the first to the last of some, from the base on; empty where these are on
+    several branches."""
+    last = max(bodies)  # MuJoCo numbers children after their parents
+    chain = [last]
+    while chain[-1] not in (min(bodies), 0):
+        chain.append(int(model.body_parentid[chain[-1]]))
+    return tuple(model.body(i).name for i in reversed(chain)) if set(bodies) <= set(chain) else ()
 
 
 def _effects(diagnosis: Diagnosis, found: Found) -> list[Effect]:

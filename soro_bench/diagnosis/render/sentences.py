@@ -21,14 +21,14 @@ from soro_bench.diagnosis.render.words import (
     terms,
 )
 from soro_bench.diagnosis.result import Result
-from soro_bench.diagnosis.result_parts import Finding, ReachedLimit
+from soro_bench.diagnosis.result_parts import NEAR, Finding, ReachedLimit
 from soro_bench.diagnosis.result_robot import ACCURATE
+from soro_bench.effects.effect import Location
 
 LIKELY = 0.05  # probability from which another hypothesis is mentioned
 VISIBLE = 0.3  # noise deviations from which an error of the model's form is told
 CORRECTED = 1.3  # ratio of plain to corrected errors from which the report warns
 FAR = 3.0  # standard deviations of the prior from which a parameter is called far off
-NEAR = 0.9  # of the best location's gain, from which another one explains nearly as much
 CLEAR = 0.7  # probability from which a kind of fault is clear
 AHEAD = 0.05  # by which a kind has to be more probable than the law
 _BLACK_BOX = "black box"
@@ -184,15 +184,28 @@ def model_form(result: Result) -> str:
 
 
 def where(result: Result) -> str:
-    """The location of a discrepancy outside the catalogue, and of others that explain nearly as much."""
+    """The location of a discrepancy outside the catalogue, or the region of it, and others that explain nearly as
+    much."""
     if not result.locations:
         return "no single location"
     first, *others = result.locations
-    near = [str(each.location) for each in others if each.gain >= NEAR * first.gain]
+    inside = {Location("body", name) for name in result.region}
+    near = [str(each.location) for each in others if each.gain >= NEAR * first.gain and each.location not in inside]
+    said = str(first.location)
+    if result.region:
+        said = f"bodies {result.region[0]} to {result.region[-1]}, best {first.location.name}"
     if not near:
-        return str(first.location)
+        return said
     more = f" and {len(near) - 3} more" if len(near) > 3 else ""
-    return f"{first.location}; nearly as well {', '.join(near[:3])}{more}"
+    return f"{said}; nearly as well {', '.join(near[:3])}{more}"
+
+
+def seeds(result: Result) -> str:
+    """What diagnoses with other random numbers say; empty where there is one."""
+    if not (found := result.seeds):
+        return ""
+    shares = [f"{plain(each.answer)} ({probability(each.share)})" for each in found]
+    return f"of {sum(each.count for each in found)}: {', '.join(shares)}"
 
 
 def data(result: Result) -> list[str]:

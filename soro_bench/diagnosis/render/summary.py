@@ -44,6 +44,8 @@ def summary(result: Result) -> str:
         lines += _detectable(result)
     if also := sentences.alternatives(result):
         lines.append(line("or", "; ".join(also)))
+    if seeds := sentences.seeds(result):
+        lines.append(line("seeds", seeds))
     if kind := sentences.kind(result):
         lines.append(line("kind", kind))
     lines += [line("model", each) for each in sentences.patched_model(result)]
