@@ -2,6 +2,7 @@
 
     python benchmarks/trunk_models.py necks
     python benchmarks/trunk_models.py tips
+    python benchmarks/trunk_models.py rounding [--copies 20]
 
 necks: stiffness of every neck of the compiled models against the finite-element table. The trunk beyond a neck is moved
 rigidly by a small amount (a bend or twist about the neck's middle, a stretch, a sideways shift) and the elastic force
@@ -9,19 +10,27 @@ on it read from MuJoCo's ``qfrc_spring``, at E = 4.5 MPa.
 
 tips: where the tip is after one action from rest, in TrunkReach; the same as a function of the time step and of the
 integrator; tip deflection per newton on one cable, without gravity, and how it depends on Poisson's ratio.
+
+rounding: how much the sequences of TrunkLift depend on the last bit (docs/archive/tasks_and_models.md): each is
+replayed with objects whose masses differ in the twelfth digit.
 """
 
 import argparse
+from pathlib import Path
 
 import gymnasium
 import mujoco
 import numpy as np
+from rich.progress import track
 
 import soro_bench  # noqa: F401  registers the environments
 from soro_bench import parameters as prm
+from soro_bench.leaderboard.strict import read_strict
+from soro_bench.markdown import table
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.simulation import Simulation
+from soro_bench.packed import names
 from soro_bench.parameters import ParameterSet
 
 # motion -> the freejoint coordinate (3 translations, 3 rotations) that it moves and that resists it
@@ -212,10 +221,50 @@ def tips() -> None:
                 print(f"{name:6} {cable}  nu {nu:<5}  x {value:.3f}  ({ratio})  {100 * (value / ratio - 1):+.1f} %")
 
 
+FOLDER = Path(__file__).parents[1] / "baselines" / "lift_sequences"  # or the archive beside it
+SEQUENCES = [FOLDER / name for name in names(FOLDER)]
+RECORDED = "elevation_held_mm", "elevation_end_mm", "lowest_corner_held_mm"  # in the files
+TOLERANCE = 3.0  # mm
+HELD_STEPS = 10  # as in baselines/lift_search.py
+
+
+def copies(sequence: dict, count: int) -> np.ndarray:
+    """(count, 3) what ``RECORDED`` is for objects lighter by 0, 1, 2 ... parts in 1e12; NaN where it diverges."""
+    env = gymnasium.make(f"soro_bench:{sequence['env_id']}", model=sequence["model"], action=sequence["action"])
+    return np.array([_replayed(env, sequence, 1e-12 * k) for k in range(count)])
+
+
+def _replayed(env: gymnasium.Env, sequence: dict, lighter: float) -> list[float]:
+    mass = sequence["params"]["cube_mass"] * (1 - lighter)
+    env.reset(seed=0, options={"params": {**sequence["params"], "cube_mass": mass}})
+    infos = [env.step(np.array(action, np.float32))[-1] for action in sequence["actions"]]
+    if any(info["diverged"] for info in infos):
+        return [np.nan] * len(RECORDED)
+    elevation, clearance = (1e3 * np.array([info[key] for info in infos]) for key in ("elevation", "clearance"))
+    return [elevation[-HELD_STEPS:].min(), elevation[-1], clearance[-HELD_STEPS:].min()]
+
+
+def rounding(count: int) -> None:
+    """How many copies of each sequence lift as recorded."""
+    rows = []
+    for path in track(SEQUENCES, "sequences"):
+        sequence = read_strict(path)
+        recorded, held = sequence[RECORDED[0]], copies(sequence, count)[:, 0]
+        share = np.mean(np.abs(held - recorded) < TOLERANCE)
+        figures = (f"{value:.1f}" for value in (recorded, np.median(held), held.min()))
+        rows.append((path.stem, *figures, f"{share:.0%}"))
+    print(table(("sequence", "recorded [mm]", "median", "least", "within 3 mm"), rows))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("necks", "tips"))
-    {"necks": necks, "tips": tips}[parser.parse_args().what]()
+    parser.add_argument("what", choices=("necks", "tips", "rounding"))
+    parser.add_argument("--copies", type=int, default=20)
+    options = parser.parse_args()
+    if options.what == "rounding":
+        rounding(options.copies)
+    else:
+        {"necks": necks, "tips": tips}[options.what]()
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 import soro_bench
-from benchmarks.lift_rounding import RECORDED, SEQUENCES, TOLERANCE, copies
+from benchmarks.trunk_models import RECORDED, SEQUENCES, TOLERANCE, copies
 from soro_bench.assets import mjcf_path
 from soro_bench.leaderboard.strict import read_strict
 

@@ -9,8 +9,8 @@ from gymnasium import spaces
 
 from soro_bench.effects.effect import Effect, Location
 from soro_bench.policies.policy import Policy, PolicyCard
-from soro_bench.recording import comparison, rerun_runs
 from soro_bench.recording import distances as measured_distances
+from soro_bench.recording import rerun_runs
 from soro_bench.recording.excitation import excitation, shortest, write_actions
 from soro_bench.recording.recording import Signal
 from soro_bench.recording.simulated import parse_params, record, recorded_actions, replay, replay_begins
@@ -205,7 +205,7 @@ def test_comparison_shows_the_measured_points_at_their_times(tmp_path):
     recording = record("TrunkReach-v0", model="cable", steps=5, noise=1e-3)
     keypoints = recording.signals["keypoints"]
     keypoints.values[2, 4] = np.nan
-    comparison.write_comparison(recording, tmp_path / "a.rrd", "a")
+    rerun_runs.write_comparison(recording, tmp_path / "a.rrd", "a")
     chunks = RrdReader(tmp_path / "a.rrd").stream().to_chunks()
     (chunk,) = [c for c in chunks if c.entity_path.endswith("measured/keypoints") and not c.is_static]
     batch = chunk.to_record_batch()
@@ -252,7 +252,7 @@ def test_a_recording_without_places_is_written_without_a_map(tmp_path):
 
     recording = record("TrunkReach-v0", model="cable", steps=3)
     turned = {"link_quaternion": recording.signals["link_quaternion"]}
-    comparison.write_comparison(replace(recording, signals=turned), tmp_path / "a.rrd", "a", {"run": replay(recording)})
+    rerun_runs.write_comparison(replace(recording, signals=turned), tmp_path / "a.rrd", "a", {"run": replay(recording)})
     paths = {chunk.entity_path for chunk in RrdReader(tmp_path / "a.rrd").stream().to_chunks()}
     assert "/run/world/backbone" in paths
     assert not any(path.startswith("/map") for path in paths)

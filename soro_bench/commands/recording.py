@@ -154,8 +154,11 @@ class View:
         if path.suffix == ".rrd" and self.out:
             raise ValueError(f"--out {self.out} is for the .rrd of a .parquet; {path} is one already")
         if path.suffix == ".parquet":
-            from soro_bench.recording.comparison import write_comparison
             from soro_bench.recording.parquet import load
+            from soro_bench.recording.rerun_stream import require_rerun
+
+            require_rerun()
+            from soro_bench.recording.rerun_runs import write_comparison
 
             path = self.out or path.with_suffix(".rrd")
             check_output(path, ".rrd")

@@ -16,8 +16,9 @@ import rerun.blueprint as rrb
 from soro_bench.envs.episode import Episode
 from soro_bench.markdown import table
 from soro_bench.parameters import ALL_PARAMETERS
-from soro_bench.recording.distances import over_points
+from soro_bench.recording.distances import distances, measured_points, over_points
 from soro_bench.recording.drawing import Drawing, Points
+from soro_bench.recording.recording import Recording
 from soro_bench.recording.rerun_entities import (
     blueprint,
     log_columns,
@@ -34,6 +35,7 @@ from soro_bench.recording.rerun_entities import (
 )
 from soro_bench.recording.rerun_log import draw
 from soro_bench.recording.rerun_stream import identity, recorded
+from soro_bench.recording.simulated import replay, replay_begins
 
 _COLORS = ((214, 39, 40), (31, 119, 180))  # before and after, as in the report
 _MEASURED = "measured"
@@ -129,3 +131,16 @@ def _map(name: str, run: str, values: np.ndarray) -> rrb.TensorView:
 def _tab(name: str, drawing: Drawing) -> rrb.Horizontal:
     view = view3d("/", [f"/{name}/world/**", f"/{_MEASURED}/**"], drawing)
     return rrb.Horizontal(view, rrb.Vertical(*plots(f"/{name}", drawing)), column_shares=[5, 4], name=name)
+
+
+def write_comparison(
+    recording: Recording, path: str | Path, title: str, runs: Mapping[str, Episode] | None = None
+) -> None:
+    """Write the measured points of a recording and robots that got its actions into a Rerun file.
+
+    Args:
+        runs: what one or two robots did, by name. By default the replay; ValueError if the recording has none.
+    """
+    runs = runs or {"replay": replay(recording)}
+    measured = measured_points(recording, replay_begins(recording))
+    write_runs(path, title, runs, measured, distances(runs, measured))
