@@ -1,6 +1,6 @@
 """MultiGait: walk forward by inflating chambers."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,6 +16,7 @@ from soro_bench.envs.single import SoftRobotEnv
 from soro_bench.envs.task import ACTION_MODES, Task, checked_flag, effects_of, refuse_arguments
 from soro_bench.envs.vector import SoftRobotVectorEnv
 from soro_bench.models import walker
+from soro_bench.models.simulation import Simulation
 from soro_bench.models.walker_mesh import CHAMBERS, RESOLUTIONS
 from soro_bench.parameters import ParameterSet
 from soro_bench.randomization import TruncatedNormal
@@ -73,6 +74,7 @@ class MultiGaitTask(Task):
         action: str = "discrete",
         observation_noise: bool = False,
         effects: Sequence[Effect] | str | Path | None = None,
+        simulation: Callable[..., Any] = Simulation,
         **unknown: Any,
     ):
         refuse_arguments(unknown, "mesh, action, observation_noise and effects")
@@ -83,15 +85,16 @@ class MultiGaitTask(Task):
         self._noise = checked_flag("observation_noise", observation_noise)
         # its joints are sliders of mesh nodes, which have no springs: nothing to instrument
         model = _compiled(mesh)
-        super().__init__(model, [_parameter_map(mesh)], num_envs, num_threads, effects_of(effects))
+        super().__init__(model, [_parameter_map(mesh)], num_envs, num_threads, effects_of(effects), simulation)
         self._mesh = mesh
         self._discrete = action == "discrete"
         self.single_action_space = spaces.Discrete(6) if self._discrete else spaces.Box(-1.0, 1.0, (3,), np.float32)
         self.single_observation_space = spaces.Box(-1.0, 2.0, (3 + len(CHAMBERS),), np.float64)
-        self._inflation = walker.Inflation(model, mesh)
-        self._share = model.body_mass[1:] / model.body_mass[1:].sum()
+        self._inflation = walker.Inflation(model, mesh, array=self.sim.array)
+        self._share = self.sim.array(model.body_mass[1:] / model.body_mass[1:].sum())
+        self._groups = self.sim.array(GROUPS.astype(float))
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
-        self._start, self._last = np.zeros((2, num_envs))  # m, x of the centre of mass
+        self._start, self._last = self.sim.array(np.zeros((2, num_envs)))  # m, x of the centre of mass
         self.sim.batch.bind("xpos")
 
     def spec(self) -> mujoco.MjSpec:
@@ -103,8 +106,11 @@ class MultiGaitTask(Task):
 
     def center_of_mass(self, ids: Ints) -> Floats:
         """(n, 3) centre of mass [m]."""
+        vertices = self.sim.batch.xpos[ids, 1:]
+        if not isinstance(vertices, np.ndarray):
+            return self._share @ vertices
         # one row at a time, so that a result does not depend on how many are asked for at once
-        return np.stack([self._share @ vertices for vertices in self.sim.batch.xpos[ids, 1:]])
+        return np.stack([self._share @ each for each in vertices])
 
     def inflation(self, ids: Ints) -> Floats:
         """(n, 5) inflation of the chambers, 0 to 1, in the order of CHAMBERS."""
@@ -116,9 +122,7 @@ class MultiGaitTask(Task):
     def _place(self, ids: Ints, starts: Sequence[np.random.Generator]) -> None:
         for i, rng in zip(ids, starts, strict=True):
             self._rngs[i] = rng
-        # The cap on iterations makes MuJoCo warn of its first solve in every step (walker.ITERATIONS). It prints a
-        # warning when it counts the first of its kind, so a count that starts at 1 is silent.
-        self.sim.batch.warning[ids, mujoco.mjtWarning.mjWARN_INERTIA, 1] = 1
+        self.sim.expect(ids, mujoco.mjtWarning.mjWARN_INERTIA)  # in every step, by the cap on walker.ITERATIONS
 
     def _begin(self, ids: Ints) -> None:
         self._start[ids] = self._last[ids] = self.center_of_mass(ids)[:, 0]
@@ -126,29 +130,29 @@ class MultiGaitTask(Task):
     def _controls(self, actions: NDArray[Any]) -> Floats:
         limit = INFLATION_PER_ACTION / self.control_timestep  # 1/s
         if self._discrete:
-            rate = np.where(actions < 3, limit, -limit)
-            return rate[:, None] * GROUPS[actions % 3]
-        return actions.astype(float) @ GROUPS * limit
+            rate = self.xp.where(actions < 3, limit, -limit)
+            return rate[:, None] * self._groups[actions % 3]
+        return self.xp.astype(actions, self._groups.dtype) @ self._groups * limit
 
     def _advance(self, ids: Ints) -> None:
         batch, last = self.sim.batch, self._substeps - RAMP_SUBSTEPS
         for step in range(0, self._substeps, RAMP_SUBSTEPS):
-            batch.plastic[np.ix_(ids, self._inflation.columns)] = self._inflation.plastic(batch.act[ids])
+            batch.plastic[ids[:, None], self._inflation.columns] = self._inflation.plastic(batch.act[ids])
             stage = mujoco.mjtStage.mjSTAGE_VEL if step == last else mujoco.mjtStage.mjSTAGE_NONE
             self.sim.step(ids, RAMP_SUBSTEPS, stage)
 
     def _observe(self, ids: Ints) -> Floats:
-        observation = np.concatenate([self.center_of_mass(ids), self.inflation(ids)], axis=1)
+        observation = self.xp.concat([self.center_of_mass(ids), self.inflation(ids)], axis=1)
         if self._noise:
             scale = np.concatenate([np.full(3, POSITION_NOISE), INFLATION_NOISE])
-            observation += scale * np.stack([self._rngs[i].standard_normal(len(scale)) for i in ids])
+            observation += self.sim.array(scale * np.stack([self._rngs[i].standard_normal(len(scale)) for i in ids]))
         return observation
 
     def _score(self, ids: Ints) -> tuple[dict[str, Floats], Bools]:
         x = self.center_of_mass(ids)[:, 0]
         forward = 1e3 * (x - self._last[ids])  # mm
         self._last[ids] = x
-        return {"reward_forward": forward}, np.zeros(len(ids), bool)
+        return {"reward_forward": forward}, self.xp.zeros_like(forward, dtype=self.xp.bool)
 
     def _info(self, ids: Ints) -> dict[str, Any]:
         return {**super()._info(ids), "displacement": self.center_of_mass(ids)[:, 0] - self._start[ids]}

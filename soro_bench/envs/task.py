@@ -5,6 +5,8 @@ simulations, so there is one code path for both.
 """
 
 import copy
+import functools
+import operator
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -115,7 +117,7 @@ class Task(ABC):
     control_timestep: ClassVar[float]  # s
     inferred_from: ClassVar[tuple[str, ...]]  # the signals that parameters are inferred from: what is observed
     moves: ClassVar[np.ndarray]  # (A, nu) 1 where a number of a continuous action moves an actuator, else 0
-    single_observation_space: spaces.Box
+    single_observation_space: spaces.Box  # with the same bounds for all numbers
     single_action_space: spaces.Discrete | spaces.Box
 
     def __init__(
@@ -125,6 +127,7 @@ class Task(ABC):
         num_envs: int,
         num_threads: int,
         effects: Sequence[Effect] | None = None,
+        simulation: type[Simulation] | Callable[..., Any] = Simulation,
     ):
         for name, value, least in (("num_envs", num_envs, 1), ("num_threads", num_threads, 0)):
             if not isinstance(value, int | np.integer) or value < least:
@@ -132,7 +135,8 @@ class Task(ABC):
         self.num_envs = num_envs
         self.model = model
         self.effects = effects
-        self.sim = Simulation(model, self.parameters, maps, num_envs, num_threads, effects)
+        self.sim: Simulation = simulation(model, self.parameters, maps, num_envs, num_threads, effects)
+        self.xp = self.sim.xp
         self._distribution: Distribution | None = None
         self._substeps = round(self.control_timestep / model.opt.timestep)
 
@@ -150,23 +154,32 @@ class Task(ABC):
         Returns:
             (n, k) observations and a dict of (n,) info arrays.
         """
+        self.begin(ids, *self.draw(rngs, options))
+        return self._observe(ids), self._info(ids)
+
+    def draw(
+        self, rngs: Sequence[np.random.Generator], options: Sequence[Mapping[str, Any]]
+    ) -> tuple[list[Any], Floats]:
+        """What n new episodes start from, and their parameters (n, d); arguments as those of ``reset``."""
         checked = [self._checked_options(option) for option in options]
         starts = [self._sample_start(rng, option) for rng, option in zip(rngs, checked, strict=True)]
-        params = [self._sample_params(rng, option) for rng, option in zip(rngs, checked, strict=True)]
-        batch = self.sim.batch
-        self.sim.set_params(ids, np.array(params))
-        batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
+        return starts, np.array([self._sample_params(rng, option) for rng, option in zip(rngs, checked, strict=True)])
+
+    def begin(self, ids: Ints, starts: Sequence[Any], params: Floats) -> None:
+        """Begin episodes in simulations ``ids`` with what ``draw`` gave."""
+        self.sim.set_params(ids, params)
+        self.sim.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._place(ids, starts)
         self.sim.begin(ids)
         self._begin(ids)
-        return self._observe(ids), self._info(ids)
 
     def step(self, ids: Ints, actions: NDArray[Any]) -> Step:
         """Apply one checked action to each simulation of ``ids`` for ``control_timestep``."""
         observation, diverged = self.hold(ids, actions)
         reward_terms, success = self._score(ids)
         info = {**self._info(ids), **reward_terms, "is_success": success, "diverged": diverged}
-        return Step(observation, sum(reward_terms.values(), start=np.zeros(len(ids))), success, diverged, info)
+        reward = functools.reduce(operator.add, reward_terms.values())
+        return Step(observation, reward, success, diverged, info)
 
     def hold(self, ids: Ints, actions: NDArray[Any]) -> tuple[Floats, Bools]:
         """The same without rewards: (n, k) observations, and (n,) whether the simulations have diverged."""
@@ -177,8 +190,9 @@ class Task(ABC):
         observation, space = self._observe(ids), self.single_observation_space
         # A state on its way to infinity leaves the space before the engine calls it bad; a unit quaternion does by
         # rounding. What is no number is outside too.
-        inside = np.clip(observation, space.low, space.high)
-        diverged |= ~(np.abs(observation - inside) <= 1e-6).all(axis=1)
+        xp, low, high = self.xp, float(space.low.min()), float(space.high.max())
+        inside = xp.clip(observation, low, high)
+        diverged |= ~xp.all(xp.abs(observation - inside) <= 1e-6, axis=1)
         return inside, diverged
 
     @property

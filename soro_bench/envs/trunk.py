@@ -1,6 +1,6 @@
 """What the three trunk tasks share: cable actions, keypoints, goals and the published reward."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, ClassVar
@@ -17,7 +17,7 @@ from soro_bench.envs.task import ACTION_MODES, Task, effects_of, refuse_argument
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.scene import ContactFriction, ObjectMass
-from soro_bench.models.simulation import ParameterMap
+from soro_bench.models.simulation import ParameterMap, Simulation
 
 NUM_KEYPOINTS = len(geo.KEYPOINT_Z)
 SUCCESS_DISTANCE = 0.001  # m, published
@@ -25,10 +25,15 @@ TIME_PENALTY = 0.05  # per step, published
 REACH_LIMIT = 0.3  # m, how far from the clamp a goal may be given
 
 
-def potential(distance: ArrayLike) -> Floats:
-    """The published potential P(d) = -0.006 d^2 - 500 ln(d^2 + 0.001) of a distance d [m], which it takes in mm."""
-    d = 1000.0 * np.asarray(distance)
-    return -0.006 * d**2 - 500.0 * np.log(d**2 + 0.001)
+def potential(distance: ArrayLike, xp: Any = np) -> Floats:
+    """The published potential P(d) = -0.006 d^2 - 500 ln(d^2 + 0.001) of a distance d [m], which it takes in mm.
+
+    Args:
+        distance: of any shape.
+        xp: its array library.
+    """
+    d = 1000.0 * xp.asarray(distance)
+    return -0.006 * d**2 - 500.0 * xp.log(d**2 + 0.001)
 
 
 @lru_cache(maxsize=8)
@@ -69,6 +74,7 @@ class TrunkTask(Task):
         model: str = "flex",
         action: str = "discrete",
         effects: Sequence[Effect] | str | Path | None = None,
+        simulation: Callable[..., Any] = Simulation,
         **unknown: Any,
     ):
         refuse_arguments(unknown, "model, action and effects")
@@ -79,7 +85,7 @@ class TrunkTask(Task):
         effects = effects_of(effects)
         compiled = _compiled(self.scene, model, effects is not None)
         maps = [trunk.TrunkParameters(compiled), *self._scene_parameters(compiled)]
-        super().__init__(compiled, maps, num_envs, num_threads, effects)
+        super().__init__(compiled, maps, num_envs, num_threads, effects, simulation)
         self._variant = model
         cables = len(geo.CABLE_NAMES)
         self._discrete = action == "discrete"
@@ -87,10 +93,12 @@ class TrunkTask(Task):
             spaces.Discrete(2 * cables) if self._discrete else spaces.Box(-1.0, 1.0, (cables,), np.float32)
         )
         self.single_observation_space = spaces.Box(-1.0, 1.0, (self._observation_size(),), np.float64)
-        self._keypoints = [compiled.site(f"keypoint{i}").id for i in range(NUM_KEYPOINTS)]
+        self._keypoints = self.sim.array([compiled.site(f"keypoint{i}").id for i in range(NUM_KEYPOINTS)])
         self._goal_mocap = compiled.body("goal").mocapid[0]
-        self.goal = np.zeros((num_envs, 3))  # m
-        self._initial_distance = np.ones(num_envs)  # m
+        self.goal = self.sim.array(np.zeros((num_envs, 3)))  # m
+        self._initial_distance = self.sim.array(np.ones(num_envs))  # m
+        rates = geo.CABLE_RATE * np.eye(cables)  # of the discrete actions: pull each cable, then release each
+        self._rates = self.sim.array(np.concat([rates, np.where(rates > 0, -rates, 0.0)]))
         self._links = [compiled.body("base").id, *(compiled.body(f"vertebra{k}").id for k in range(geo.NUM_NECKS))]
         for field in ("site_xpos", "xpos", "xquat", "actuator_length", "actuator_velocity"):
             self.sim.batch.bind(field)
@@ -123,7 +131,7 @@ class TrunkTask(Task):
 
     def keypoints(self, ids: Ints) -> Floats:
         """(n, 21, 3) keypoint positions [m], from the clamp to the tip."""
-        return self.sim.batch.site_xpos[np.asarray(ids)[:, None], self._keypoints]
+        return self.sim.batch.site_xpos[self.sim.array(ids)[:, None], self._keypoints]
 
     def tip(self, ids: Ints) -> Floats:
         """(n, 3) tip position [m]: the last keypoint."""
@@ -155,34 +163,27 @@ class TrunkTask(Task):
         raise NotImplementedError
 
     def _place(self, ids: Ints, starts: Sequence[Floats]) -> None:
-        self.goal[ids] = starts
-        self.sim.batch.mocap_pos[ids, self._goal_mocap] = starts
+        self.goal[ids] = self.sim.array(np.array(starts))
+        self.sim.batch.mocap_pos[ids, self._goal_mocap] = self.goal[ids]
 
     def _begin(self, ids: Ints) -> None:
         self._initial_distance[ids] = self.distance(ids)
         if (solved := self._initial_distance[ids] <= SUCCESS_DISTANCE).any():
             raise ValueError(f"goal {self.goal[ids][solved][0].tolist()} is reached at reset; choose another")
 
-    def _discrete_controls(self, actions: Ints) -> Floats:
-        cables = len(geo.CABLE_NAMES)
-        rates = np.zeros((len(actions), cables))
-        rates[np.arange(len(actions)), actions % cables] = np.where(actions < cables, geo.CABLE_RATE, -geo.CABLE_RATE)
-        return rates
-
-    def _continuous_controls(self, actions: Floats) -> Floats:
-        return geo.CABLE_RATE * actions.astype(float)
-
     def _controls(self, actions: NDArray[Any]) -> Floats:
-        return self._discrete_controls(actions) if self._discrete else self._continuous_controls(actions)
+        if self._discrete:
+            return self._rates[actions]
+        return geo.CABLE_RATE * self.xp.astype(actions, self._rates.dtype)
 
     def _observe(self, ids: Ints) -> Floats:
-        return np.concatenate([self.keypoints(ids).reshape(len(ids), -1), self.goal[ids]], axis=1)
+        return self.xp.concat([self.keypoints(ids).reshape(len(ids), -1), self.goal[ids]], axis=1)
 
     def _score(self, ids: Ints) -> tuple[dict[str, Floats], Bools]:
-        distance, initial = self.distance(ids), potential(self._initial_distance[ids])
+        distance, initial = self.distance(ids), potential(self._initial_distance[ids], self.xp)
         terms = {
-            "reward_progress": (initial - potential(distance)) / initial,
-            "reward_time": np.full(len(ids), -TIME_PENALTY),
+            "reward_progress": (initial - potential(distance, self.xp)) / initial,
+            "reward_time": self.xp.full_like(distance, -TIME_PENALTY),
         }
         return terms, distance <= SUCCESS_DISTANCE
 
@@ -217,7 +218,7 @@ class ObjectTask(TrunkTask):
     def _object_pose(self, ids: Ints) -> Floats:
         """(n, 7) centre [m] and orientation x, y, z, w of the object."""
         pose = self.sim.batch.qpos[ids, self._object_qpos : self._object_qpos + 7]
-        return np.concatenate([pose[:, :3], pose[:, 4:], pose[:, 3:4]], axis=1)
+        return self.xp.concat([pose[:, :3], pose[:, 4:], pose[:, 3:4]], axis=1)
 
     def _scene_parameters(self, model: mujoco.MjModel) -> Sequence[ParameterMap]:
         return (ContactFriction(model), ObjectMass(model))
@@ -226,4 +227,4 @@ class ObjectTask(TrunkTask):
         return super()._observation_size() + 7
 
     def _observe(self, ids: Ints) -> Floats:
-        return np.concatenate([super()._observe(ids), self._object_pose(ids)], axis=1)
+        return self.xp.concat([super()._observe(ids), self._object_pose(ids)], axis=1)

@@ -33,8 +33,8 @@ class TrunkLiftTask(ObjectTask):
 
     def distance(self, ids: Ints) -> Floats:
         position = self.object_position(ids)
-        lift = np.abs(position[:, 1] - self.goal[ids, 1])
-        approach = np.linalg.norm(self.tip(ids) - position, axis=1)
+        lift = self.xp.abs(position[:, 1] - self.goal[ids, 1])
+        approach = self.xp.linalg.vector_norm(self.tip(ids) - position, axis=1)
         return LIFT_WEIGHT * lift + APPROACH_WEIGHT * approach
 
     def elevation(self, ids: Ints) -> Floats:
@@ -44,13 +44,13 @@ class TrunkLiftTask(ObjectTask):
 
     def clearance(self, ids: Ints) -> Floats:
         """(n,) rise of the object's lowest corner [m] above its rest: zero where it is tipped, not lifted."""
-        half = self.model.geom("object").size
-        return self.elevation(ids) + half[1] - (np.abs(self.vertical(ids)) * half).sum(axis=1)
+        half = self.sim.array(self.model.geom("object").size)
+        return self.elevation(ids) + half[1] - self.xp.sum(self.xp.abs(self.vertical(ids)) * half, axis=1)
 
     def vertical(self, ids: Ints) -> Floats:
         """(n, 3) unit vector up, in the object's frame."""
         x, y, z, w = self._object_pose(ids)[:, 3:].T
-        return np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=1)
+        return self.xp.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=1)
 
     def signals(self, ids: Ints) -> dict[str, Floats]:
         """As for every object task, elevation (n,) and clearance (n,) [m]."""

@@ -20,7 +20,7 @@ class TrunkPushTask(ObjectTask):
     randomized = (CUBE_MASS, FRICTION, TRUNK_MASS, POISSON_RATIO, YOUNG_MODULUS)
 
     def distance(self, ids: Ints) -> Floats:
-        return np.linalg.norm((self.object_position(ids) - self.goal[ids])[:, [0, 2]], axis=1)
+        return self.xp.linalg.vector_norm((self.object_position(ids) - self.goal[ids])[:, ::2], axis=1)
 
     def _sample_goal(self, rng: np.random.Generator) -> Floats:
         return GOAL

@@ -28,7 +28,7 @@ class TrunkReachTask(TrunkTask):
     evaluation = tuple({"goal": goal} for goal in EVALUATION_GOALS)
 
     def distance(self, ids: Ints) -> Floats:
-        return np.linalg.norm(self.tip(ids) - self.goal[ids], axis=1)
+        return self.xp.linalg.vector_norm(self.tip(ids) - self.goal[ids], axis=1)
 
     def _sample_goal(self, rng: np.random.Generator) -> Floats:
         return rng.uniform(GOAL_LOW, GOAL_HIGH)

@@ -89,7 +89,12 @@ class Simulation:
         nthread: threads, 0 for all processors. Results do not depend on it.
         effects: physics that the model leaves out, for all simulations (``assign_effects`` gives each its own); the
             model has to be prepared by :func:`soro_bench.effects.elements.instrument`. None for one that is not.
+
+    Attributes:
+        xp: the array library of the state, as the array API standard has it: NumPy here, PyTorch on a GPU.
     """
+
+    xp: Any = np
 
     def __init__(
         self,
@@ -153,6 +158,21 @@ class Simulation:
         if self._effects is None:
             raise RuntimeError("the model is not prepared for effects; see soro_bench.effects.elements.instrument")
         return self._effects
+
+    def array(self, values: Any) -> Any:
+        """Numbers from the host as an array of the state's library."""
+        return np.asarray(values)
+
+    def on_host(self, values: Any) -> Any:
+        """The same, an array or a dict of them, as NumPy arrays in double precision."""
+        return values
+
+    def expect(self, ids: Ints, warning: mujoco.mjtWarning) -> None:
+        """Be silent about a warning that these simulations give in every step.
+
+        MuJoCo prints a warning when it counts the first of its kind; a count that starts at 1 is silent.
+        """
+        self.batch.warning[ids, warning, 1] = 1
 
     @quiet()
     def set_params(self, ids: Ints, params: Floats) -> None:

@@ -10,8 +10,8 @@ The inflation of a chamber, from 0 to 1, is the activation of an integrating act
 is the rate [1/s]. :class:`Inflation` turns activations into the plastic state.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
@@ -151,9 +151,15 @@ class Inflation:
     to (1 + G) e, so MuJoCo's offset of its squared rest length is 2 e·G e + |G e|².
     """
 
-    def __init__(self, model: mujoco.MjModel, mesh: str, growth: tuple[float, float] | None = None):
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        mesh: str,
+        growth: tuple[float, float] | None = None,
+        array: Callable[[Any], Any] = np.asarray,  # of the library that plastic() computes in
+    ):
         centre, leg = GROWTH[mesh] if growth is None else growth
-        self._growth = np.array([centre, leg, leg, leg, leg])
+        self._growth = array(np.array([centre, leg, leg, leg, leg]))
         body = build_mesh(RESOLUTIONS[mesh])
         inflated = np.flatnonzero(body.chamber >= 0)
         chamber = body.chamber[inflated]
@@ -162,11 +168,11 @@ class Inflation:
         edges = _element_edges(model, ecoflex, body)[inflated]  # (E, 6, 3)
         grown = axis[:, None] * np.einsum("eki,ei->ek", edges, axis)[..., None]
         grown[..., 2] += UPWARD_GROWTH * edges[..., 2]
-        self._chamber = np.repeat(chamber, 6)
-        self._linear = 2 * (edges * grown).sum(axis=-1).ravel()
-        self._quadratic = (grown**2).sum(axis=-1).ravel()
+        self._chamber = array(np.repeat(chamber, 6))
+        self._linear = array(2 * (edges * grown).sum(axis=-1).ravel())
+        self._quadratic = array((grown**2).sum(axis=-1).ravel())
         first = model.flex_plasticadr[ecoflex]
-        self.columns = (first + 6 * inflated[:, None] + np.arange(6)).ravel()
+        self.columns = array((first + 6 * inflated[:, None] + np.arange(6)).ravel())
 
     def plastic(self, inflation: Floats) -> Floats:
         """(n, len(columns)) m^2, what belongs into ``columns`` of the plastic state; ``inflation`` is (n, 5)."""
