@@ -1,6 +1,7 @@
 """The Gymnasium vector environment: a task with many simulations on a thread pool."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -32,6 +33,9 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
         render_mode: None, or "rgb_array" (480 x 640 pixels for each simulation).
         autoreset_mode: Gymnasium's "NextStep" (default), "SameStep" or "Disabled".
         flat_info: whether ``info`` has parameters as param_<name> and no dict of them, for libraries such as TorchRL.
+        backend: "mujoco" (default), or "warp" for a GPU, by MuJoCo Warp (docs/how_to/gpu.md). TorchVectorEnv
+            (torch_vector.py) is the same without copies to the CPU.
+        device: of "warp": "cuda:0" (default), another GPU, or "cpu".
         task_options: what the task takes: model (or mesh), action, effects.
     """
 
@@ -45,13 +49,17 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         flat_info: bool = False,
+        backend: str = "mujoco",
+        device: str | None = None,
         **task_options: Any,
     ):
         need_vector_environments()
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode {render_mode!r}: of vector environments allowed are None and 'rgb_array'")
         self._flat_info = checked_flag("flat_info", flat_info)
-        self._task_options = {"num_envs": num_envs, "num_threads": num_threads, **task_options}
+        self._task_options = {
+            "num_envs": num_envs, "num_threads": num_threads, **_simulation(backend, device), **task_options
+        }  # fmt: skip
         self.task = self._build_task()
         self.num_envs = num_envs
         self.render_mode = render_mode
@@ -125,12 +133,13 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
         terminated, truncated = np.zeros((2, self.num_envs), bool)
         info: dict[str, Any] = {}
         if len(ids):
-            step = self.task.step(ids, actions[ids])
+            sim = self.task.sim
+            step = self.task.step(sim.array(ids), sim.array(actions[ids]))
             self._elapsed[ids] += 1
-            self._observation[ids], reward[ids] = step.observation, step.reward
-            terminated[ids] = step.terminated
-            truncated[ids] = step.diverged | (self._elapsed[ids] >= self._max_steps)
-            _scatter(info, shown(step.info, self._flat_info), ids, self.num_envs)
+            self._observation[ids], reward[ids] = sim.on_host(step.observation), sim.on_host(step.reward)
+            terminated[ids] = sim.on_host(step.terminated)
+            truncated[ids] = sim.on_host(step.diverged) | (self._elapsed[ids] >= self._max_steps)
+            _scatter(info, shown(sim.on_host(step.info), self._flat_info), ids, self.num_envs)
         self._restart(restarting, [{}] * len(restarting), info)
         self._done = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
@@ -196,7 +205,8 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
         if len(ids) == 0:
             return
         self._begun[ids] = False  # if the task refuses, say a goal that is reached at reset, nothing has begun
-        self._observation[ids], rows = self.task.reset(ids, [self._rngs[i] for i in ids], options)
+        found = self.task.reset(self.task.sim.array(ids), [self._rngs[i] for i in ids], options)
+        self._observation[ids], rows = (self.task.sim.on_host(each) for each in found)
         self._elapsed[ids] = 0
         self._done[ids] = False
         self._begun[ids] = True
@@ -280,6 +290,19 @@ class OneOfMany:
             return self._added[name]
         names = [*(own for own in dir(type(self)) if not own.startswith("_")), *self._added]
         raise AttributeError(f"one simulation of a vector environment has no {name!r}; it has {', '.join(names)}")
+
+
+def _simulation(backend: str, device: str | None) -> dict[str, Any]:
+    """What a task is told of what simulates it."""
+    if backend not in ("mujoco", "warp"):
+        raise ValueError(f"backend {backend!r}: allowed are 'mujoco' and 'warp'")
+    if backend == "mujoco":
+        if device is not None:
+            raise ValueError(f"device={device!r} is for backend='warp'; MuJoCo simulates on the CPU")
+        return {}
+    from soro_bench.models.warp_simulation import WarpSimulation  # which few have installed
+
+    return {"simulation": partial(WarpSimulation, device="cuda:0" if device is None else device, on_nan="truncate")}
 
 
 def _mode(autoreset_mode: str | AutoresetMode) -> AutoresetMode:

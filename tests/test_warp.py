@@ -1,0 +1,147 @@
+"""Environments in MuJoCo Warp, which also runs on a CPU; skipped without the gpu extra."""
+
+import pickle
+
+import gymnasium
+import numpy as np
+import pytest
+
+import soro_bench
+from soro_bench.randomization import search_box
+from soro_bench.registration import task_type
+
+pytest.importorskip("mujoco_warp")
+torch = pytest.importorskip("torch")
+
+from soro_bench.envs.torch_vector import TorchVectorEnv  # noqa: E402
+from soro_bench.models.warp_simulation import WorldError  # noqa: E402
+
+WORLDS = 3
+SLACK = -1e-6  # m: at rest cables are neither slack nor taut, and rounding decides which
+
+
+def torch_env(env_id="TrunkReach-v0", **options):
+    return TorchVectorEnv(env_id, WORLDS, device="cpu", **options)
+
+
+def vector_env(env_id="TrunkReach-v0", **options):
+    kind = task_type(env_id)
+    return gymnasium.make_vec(env_id, WORLDS, vectorization_mode="vector_entry_point",
+                              **{kind.variant_name: kind.cheap}, **options)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def reach():
+    return torch_env(distribution=search_box(task_type("TrunkReach-v0").randomized), max_episode_steps=3)
+
+
+def test_starts_are_those_of_the_cpu(reach):
+    """Goals and parameters of all episodes, also of those that begin in a step."""
+    envs = vector_env(action="continuous", max_episode_steps=3, autoreset_mode="SameStep")
+    envs.task.randomize(search_box(envs.task.randomized))
+    _, info = envs.reset(seed=5)
+    _, found = reach.reset(seed=5)
+    actions = np.zeros((WORLDS, 8), np.float32)
+    for step in range(7):
+        for name, values in info["params"].items():
+            if not name.startswith("_"):
+                np.testing.assert_allclose(found["params"][name].numpy(), values, rtol=1e-6)
+        np.testing.assert_allclose(reach.task.goal.numpy(), envs.task.goal, atol=1e-7)
+        _, _, _, truncated, info = envs.step(actions)
+        *_, cut, found = reach.step(torch.as_tensor(actions))
+        assert cut.tolist() == truncated.tolist() == [step % 3 == 2] * WORLDS
+        if truncated.any():
+            found = reach.task._info(reach._everyone)
+
+
+@pytest.mark.parametrize("env_id", soro_bench.ENV_IDS[:3])
+def test_moves_as_mujoco(env_id):
+    """Randomised where the device can; to 1e-5 m before contact, where single precision leaves 1e-7 m."""
+    cpu, device = (
+        vector_env(env_id, action="continuous"),
+        vector_env(env_id, action="continuous", backend="warp", device="cpu"),
+    )
+    for envs in (cpu, device):
+        envs.task.randomize(search_box(envs.task.randomized))
+        envs.reset(seed=3)
+        envs.task.sim.batch.bind("act")[:] = SLACK
+        envs.task.sim.begin(envs.task.sim.array(np.arange(WORLDS)))
+    rng = np.random.default_rng(0)
+    for _ in range(2):
+        actions = rng.uniform(-1, 1, (WORLDS, 8)).astype(np.float32)
+        (expected, reward, *_), (found, gained, *_) = cpu.step(actions), device.step(actions)
+        np.testing.assert_allclose(found[:, :63], expected[:, :63], atol=1e-5)
+        np.testing.assert_allclose(gained, reward, atol=1e-3)
+
+
+def test_effects_in_model_fields_act(reach):
+    """A payload bends the trunk by as much as on the CPU."""
+    payload = [{"name": "payload", "location": {"kind": "body", "name": "vertebra9"}, "parameters": {"mass": 0.05}}]
+    cpu = vector_env(action="continuous", effects=payload)
+    device = torch_env(effects=payload)
+    expected, _ = cpu.reset(seed=1)
+    device.reset(seed=1)
+    for envs in (cpu, device):
+        envs.task.sim.batch.bind("act")[:] = SLACK
+    actions = np.zeros((WORLDS, 8), np.float32)
+    expected = cpu.step(actions)[0]
+    found = device.step(torch.as_tensor(actions))[0]
+    np.testing.assert_allclose(found.numpy()[:, :63], expected[:, :63], atol=1e-5)
+
+
+def test_effects_between_time_steps_are_refused():
+    delay = [{"name": "actuator_delay", "location": {"kind": "actuator", "name": "L0"}, "parameters": {"delay": 0.1}}]
+    with pytest.raises(ValueError, match="actuator_delay: some act between time steps"):
+        torch_env(effects=delay)
+
+
+def test_parameters_that_all_worlds_share_are_refused():
+    kind = task_type("MultiGait-v0")
+    with pytest.raises(ValueError, match="flex_stiffness is the same for all worlds"):
+        torch_env("MultiGait-v0", distribution=search_box(kind.randomized)).reset(seed=0)
+
+
+def test_no_number_is_raised_with_world_and_step(reach, tmp_path):
+    """And written down with the state before."""
+    reach.reset(seed=0)
+    sim = reach.task.sim
+    sim.guard, sim._steps = tmp_path, 0
+    sim.batch.bind("qvel")[1, 0] = float("nan")
+    with pytest.raises(WorldError, match="world 1 is no number after control step 1"):
+        reach.step(torch.zeros(WORLDS, 8))
+    with np.load(tmp_path / "world_1_step_1.npz") as written:
+        assert np.isnan(written["qvel"][0])
+        assert written["param_trunk_mass"] > 0
+    sim.guard = None
+    reach.reset(seed=0)
+
+
+def test_overflow_is_raised_with_the_world():
+    envs = torch_env("TrunkPush-v0", room={"nconmax": 1})
+    envs.reset(seed=0)
+    with pytest.raises(WorldError, match=r"world \d overflows at control step .*more room"):
+        for _ in range(20):  # the cube falls to the floor
+            envs.step(torch.zeros(WORLDS, 8))
+
+
+def test_same_bytes_twice(reach):
+    """With the deterministic option of Warp; on a CPU without."""
+
+    def run():
+        observation, _ = reach.reset(seed=4)
+        for _ in range(4):
+            observation, *_ = reach.step(0.5 * torch.ones(WORLDS, 8))
+        return observation.numpy().tobytes()
+
+    assert run() == run()
+
+
+def test_wrong_arguments_are_refused_in_one_line():
+    with pytest.raises(ValueError, match="there is no such device here; there are cpu"):
+        TorchVectorEnv("TrunkReach-v0", 2, device="cuda:7")
+    with pytest.raises(ValueError, match="backend 'jax': allowed are 'mujoco' and 'warp'"):
+        vector_env(backend="jax")
+    with pytest.raises(ValueError, match="is for backend='warp'"):
+        vector_env(device="cuda:0")
+    with pytest.raises(TypeError, match="cannot be copied"):
+        pickle.dumps(vector_env(backend="warp", device="cpu"))
