@@ -117,7 +117,7 @@ def scored(law: arms.HiddenLaw, result: Result, arm: ModelRobot, unseen: list[Re
     found, flagged = result.discovery, result.verdict == "outside_catalogue"
     effects = [effect_from(each, ALL) for each in found.effects] if found else []
     location = found.location if found else (result.locations[0].location if result.locations else None)
-    described = bool(flagged and effects)
+    described, black_box = bool(flagged and effects), bool(found and found.black_box)
     return {
         "family": law.family,
         "of_state": law.of_state,
@@ -128,12 +128,13 @@ def scored(law: arms.HiddenLaw, result: Result, arm: ModelRobot, unseen: list[Re
         "flagged": flagged,
         "located": location is not None and body_of(location) == law.where,
         "described": described,
+        "black_box": black_box,
         "explained": explained_unseen(result, arm, unseen) if described else 0.0,
         "heldout": found.explained if found and described else 0.0,
         "nearest": found.nearest if found else None,
         "noise_share": found.noise_share if found else None,
-        "form": bool(described and same_form(law, effects)),
-        "beats": bool(found and described and found.explained > found.nearest),  # held out
+        "form": bool(described and not black_box and same_form(law, effects)),
+        "beats": bool(found and described and not black_box and found.explained > found.nearest),  # held out
         "equations": list(found.equations) if found else [],
         "others": list(found.others) if found else [],
         "truth": [law.where, *law.reads],
@@ -166,6 +167,7 @@ def summary(cases: list[dict[str, Any]]) -> str:
         value = float(np.median(values) if name == "explained" else np.mean(values))
         how = "median, of unseen motion" if name == "explained" else f"{sum(values):.0f} of {len(values)}"
         lines.append(f"{name:10} {value:.3f} ({how}), required {least}: {'met' if value >= least else 'missed'}")
+    lines.append(f"{sum(each.get('black_box', False) for each in state)} of {len(state)} described by a black box")
     if rest := [each for each in cases if not each["of_state"]]:
         lines.append(f"{sum(not each['described'] for each in rest)} of {len(rest)} disturbances left without a law")
     return "\n".join(lines)

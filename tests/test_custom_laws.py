@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import soro_bench  # noqa: F401  (registers environments)
+from benchmarks.discovered_laws import case
 from benchmarks.hostile_laws import hostile, outcome
+from benchmarks.law_baselines import Data, error, nothing, parameters_only, sindy
 from soro_bench.diagnosis.api import with_seeds
 from soro_bench.diagnosis.assembly.discovered import spanned
 from soro_bench.diagnosis.discovery.discovery import discovered
@@ -268,6 +270,16 @@ def test_a_black_box_describes_what_no_law_does(paths):
     for box in found.best.hypothesis.effects(3):
         assert box.law.limit == pytest.approx(np.abs(found.located.force).max(), rel=1e-6)
         assert effect_from(box.to_json(), ALL).law == box.law
+
+
+def test_a_rival_finds_the_polynomial_that_a_joint_feels():
+    """The bend of one joint turns another: sparse regression leaves a fifth of what parameters alone leave."""
+    _, recordings = case("coupled_bends", 1)
+    fitted_to, tested, unseen = map(Data.of, recordings)
+    parameters = parameters_only(fitted_to)
+    alone = error(parameters, nothing, unseen)
+    assert error([0.0, 0.0], nothing, fitted_to) > error(parameters, nothing, fitted_to)
+    assert error(*sindy(fitted_to, tested, parameters), unseen) < 0.2 * alone
 
 
 @pytest.mark.parametrize(

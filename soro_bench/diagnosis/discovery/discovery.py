@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from soro_bench.arrays import Floats
-from soro_bench.diagnosis.discovery.black_box import black_box
 from soro_bench.diagnosis.discovery.law_terms import LawTerm, law_terms
 from soro_bench.diagnosis.discovery.located_input import LocatedInput, channels
-from soro_bench.diagnosis.discovery.regression import Structure, structures
+from soro_bench.diagnosis.discovery.regression import Structure, black_box, structures
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, bounds, fitted, with_covariance
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.localisation.ranking import RankedLocation
