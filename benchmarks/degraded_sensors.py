@@ -3,9 +3,9 @@
     python benchmarks/degraded_sensors.py --out FOLDER [--models FOLDER] [--robots arm trunk] [--seeds 2]
 
 The robots are the arm of the tests, the servo of the real studies, the trunk, and six public models, which lie in the
-FOLDER of --models (see model_zoo.py). Each has other parameters than its model, within their priors, and a shorter time
-step; nothing is hidden in it. Writes one JSON file per case into the folder, and goes on where it was stopped. Prints a
-table; with all robots it writes docs/results/measured.json.
+FOLDER of --models (see public_models.py). Each has other parameters than its model, within their priors, and a shorter
+time step; nothing is hidden in it. Writes one JSON file per case into the folder, and goes on where it was stopped.
+Prints a table; with all robots it writes docs/results/measured.json.
 """
 
 import argparse

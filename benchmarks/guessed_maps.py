@@ -16,7 +16,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from benchmarks.model_zoo import zoo
+from benchmarks.public_models import zoo
 from soro_bench.diagnosis.robots.guessed_map import guess_map
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.models.simulation import quiet

@@ -2,11 +2,10 @@
 
     python benchmarks/hidden_effects.py --models FOLDER --out FOLDER [--only payload]
 
-Twelve fixed models of model_zoo.py are small, have no free body and move smoothly under their commands. Each robot has
-other masses and damping than its model, within their priors, and one hidden effect. It is simulated by MuJoCo alone
+Twelve fixed models of public_models.py are small, have no free body and move smoothly under their commands. Each robot
+has other masses and damping than its model, within their priors, and one hidden effect. It is simulated by MuJoCo alone
 with a quarter of the time step; the laws are coded here, apart from those of the catalogue. One JSON file for each
-case; the same command goes on with what is missing. Prints a table and writes docs/results/measured.json.
-"""
+case; the same command goes on with what is missing. Prints a table and writes docs/results/measured.json."""
 
 import argparse
 import json
@@ -18,7 +17,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from benchmarks.model_zoo import ZooModel, zoo
+from benchmarks.public_models import ZooModel, zoo
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.robots.model_file import load_model
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
@@ -229,7 +228,7 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     models: dict[str, ZooModel] = {each.name: each for each in zoo(options.models)}
     if missing := sorted({case.model for case in CASES} - models.keys()):
-        raise SystemExit(f"{', '.join(missing)} are not installed; see model_zoo.py")
+        raise SystemExit(f"{', '.join(missing)} are not installed; see public_models.py")
     found = []
     for case in CASES:
         path = options.out / f"{case.name}.json"

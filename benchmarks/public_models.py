@@ -1,34 +1,103 @@
 """Patched models of public MuJoCo models: are they written, do they load, do they move as the fitted simulation?
 
+    python benchmarks/public_models.py --models FOLDER                 # prints the models, and what cannot be one
     python benchmarks/public_models.py --models FOLDER --out FOLDER    # resumable: one JSON file for each model
 
-Each model (model_zoo.py has the list) is patched as it is, and with every mass, all damping and all gains changed by
+FOLDER of --models is a site-packages folder or any folder with MJCF files; without it the packages of this Python are
+searched. They are neither imported nor run. These have models:
+
+    pip install --no-deps --target FOLDER gymnasium gymnasium-robotics dm_control robosuite metaworld gym-aloha \
+        gym-xarm gym-hil
+
+Each model is patched as it is, and with every mass, all damping and all gains changed by
 random factors. Its MJCF is then replayed beside the simulation with those factors under random commands: for 2 s, or
 0.2 s where a change by 1e-10 grows beyond 1e-6. Prints a table, and every model that is not alike with the reason;
 writes docs/results/measured.json.
 """
 
 import argparse
+import hashlib
+import importlib.util
 import json
 import zlib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
 from rich.progress import track
 
-from benchmarks.model_zoo import ZooModel, zoo
 from soro_bench.diagnosis.assembly.model_export import ALIKE, PatchError, exported, motion_difference
 from soro_bench.diagnosis.robots.model_file import ModelError, load_model
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.files import read_json, write_json
 from soro_bench.markdown import table
+from soro_bench.models.simulation import quiet
 
 RESULTS = Path(__file__).parents[1] / "docs" / "results" / "measured.json"
 CASES = ("nominal", "changed")
 CONTROL = 0.02  # s, how long a command is held, about
 _FACTORS = 0.5, 2.0  # of masses, damping and gains
 _ONE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+
+
+PACKAGES = (
+    "gymnasium", "gymnasium_robotics", "dm_control", "robosuite", "metaworld", "gym_aloha", "gym_xarm", "gym_hil",
+)  # fmt: skip
+_HEAD = 20_000  # characters, in which a file says that it is a model
+
+
+@dataclass(frozen=True)
+class ZooModel:
+    """A model that loads, moves and has actuators. name: package and path within it, without its suffix."""
+
+    name: str
+    path: Path
+
+    @property
+    def package(self) -> str:
+        return self.name.split("/")[0]
+
+
+def zoo(folder: Path | None = None) -> list[ZooModel]:
+    """The models of a folder or of the installed packages, sorted by name; of files with the same bytes one."""
+    return [model for model, reason in surveyed(folder) if not reason]
+
+
+def surveyed(folder: Path | None = None) -> Iterator[tuple[ZooModel, str]]:
+    """Every MJCF file with the reason why it is no model of the zoo, empty if it is one."""
+    seen: set[str] = set()
+    for root, path in _files(folder):
+        text = path.read_bytes()
+        if b"<mujoco" not in text[:_HEAD] or b"<mujocoinclude" in text[:_HEAD]:
+            continue
+        model = ZooModel(str(path.relative_to(root).with_suffix("")), path)
+        digest = hashlib.sha256(text).hexdigest()
+        yield model, "the same bytes as another file" if digest in seen else unfit(path)
+        seen.add(digest)
+
+
+def _files(folder: Path | None) -> Iterator[tuple[Path, Path]]:
+    """Folders to which names are relative, and MJCF files."""
+    if folder is not None:
+        yield from ((folder, path) for path in sorted(folder.rglob("*.xml")))
+        return
+    for package in sorted(PACKAGES):
+        spec = importlib.util.find_spec(package)  # of a package without a dot it imports nothing
+        for place in (spec.submodule_search_locations or []) if spec else []:
+            yield from ((Path(place).parent, path) for path in sorted(Path(place).rglob("*.xml")))
+
+
+def unfit(path: Path) -> str:
+    """Why a file is no model that can be driven, in one line; empty if it is one."""
+    try:
+        with quiet():
+            model = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        return str(error).splitlines()[0]
+    return "" if model.nv and model.nu else "it has no degree of freedom" if not model.nv else "it has no actuator"
 
 
 def mapping(model: mujoco.MjModel) -> str:
@@ -107,9 +176,12 @@ def case(zoo_model: ZooModel, folder: Path, seed: int) -> dict:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--models", type=Path)
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--out", type=Path)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
+    if options.out is None:
+        survey(options.models)
+        return
     options.out.mkdir(parents=True, exist_ok=True)
     found = []
     for model in track(zoo(options.models), "models"):
@@ -119,6 +191,15 @@ def main() -> None:
         found.append(read_json(path))
     write_json(RESULTS, read_json(RESULTS) | {"public_models": found})
     print(summary(found))
+
+
+def survey(folder: Path | None) -> None:
+    """Print the models, and what cannot be one with the reason."""
+    found = list(surveyed(folder))
+    for model, reason in found:
+        print(f"{model.name}: {reason}" if reason else model.name)
+    counts = Counter(model.package for model, reason in found if not reason)
+    print(f"{counts.total()} models: {', '.join(f'{name} {count}' for name, count in counts.items())}")
 
 
 def summary(found: list[dict]) -> str:
