@@ -24,7 +24,6 @@ from soro_bench.evaluation import evaluate
 from soro_bench.files import read_json, write_json
 from soro_bench.policies.policy import Policy
 from soro_bench.randomization import Uniform
-from soro_bench.training import ppo
 from soro_bench.training.ppo import TRAINER, PPOConfig, train
 
 CONFIG = PPOConfig(
@@ -63,15 +62,21 @@ def test_interrupted_training_ends_with_the_same_bytes(trained, tmp_path):
     assert _bytes(tmp_path) == _bytes(trained)
 
 
-def test_learning_rate_and_exploration_end_with_the_training_and_not_with_a_segment(tmp_path, monkeypatch):
-    seen = []
+def test_learning_rate_and_exploration_end_with_the_training_and_not_with_a_segment(tmp_path):
+    """As the checkpoints of all segments have them."""
+    import torch
 
-    def look(folder, segment, agent, env, curve):
-        seen.append((agent.policy.optimizer.param_groups[0]["lr"], float(agent.policy.log_std.detach().mean())))
+    seen = {}
 
-    monkeypatch.setattr(ppo, "_save_checkpoint", look)
-    train(replace(CONFIG, initial_log_std=-1.0, final_log_std=-2.0), tmp_path)
-    rates, deviations = zip(*seen, strict=True)
+    def look(*_):
+        if (path := tmp_path / "checkpoint.pt").exists():
+            found = torch.load(path, weights_only=True)
+            rate = found["optimizer"]["param_groups"][0]["lr"]
+            seen[found["segment"]] = rate, float(found["policy"]["log_std"].mean())
+
+    train(replace(CONFIG, initial_log_std=-1.0, final_log_std=-2.0), tmp_path, progress=look)
+    look()
+    rates, deviations = zip(*seen.values(), strict=True)
     assert rates == pytest.approx([CONFIG.learning_rate * share for share in (2 / 3, 1 / 3, 0)])
     assert deviations == pytest.approx([-1.0, -1.5, -2.0])
 
@@ -249,11 +254,11 @@ def test_exported_policy_acts_as_the_trained_network(trained):
     """The numpy policy gives the actions of Stable-Baselines3's deterministic policy."""
     import torch
 
-    from soro_bench.training.ppo import _Curve, _load_checkpoint, make_agent, make_env
+    from soro_bench.training.ppo import CheckpointFolder, Curve, _restore, make_agent, make_env
 
     env = make_env(CONFIG, None)
     agent = make_agent(CONFIG, env)
-    _load_checkpoint(trained, CONFIG, agent, env, _Curve())
+    CheckpointFolder(trained, CONFIG, Curve()).load(lambda found: _restore(found, agent, env))
     env.training = False
     observations = np.random.default_rng(0).uniform(-0.2, 0.2, (50, 66))
     with torch.no_grad():

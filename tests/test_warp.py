@@ -15,6 +15,7 @@ torch = pytest.importorskip("torch")
 
 from soro_bench.envs.torch_vector import TorchVectorEnv  # noqa: E402
 from soro_bench.models.warp_simulation import WorldError  # noqa: E402
+from soro_bench.training.ppo import train  # noqa: E402
 
 WORLDS = 3
 SLACK = -1e-6  # m: at rest cables are neither slack nor taut, and rounding decides which
@@ -134,6 +135,36 @@ def test_same_bytes_twice(reach):
         return observation.numpy().tobytes()
 
     assert run() == run()
+
+
+def test_training_is_resumed_and_its_policy_is_that_of_the_cpu(tmp_path):
+    """The same bytes as without a break; and an evaluation on the CPU like any other."""
+    pytest.importorskip("rsl_rl")
+    from soro_bench.policies.policy import Policy
+    from soro_bench.training.device import train_on_device
+    from soro_bench.training.ppo import default_config
+
+    config = default_config("TrunkReach-v0", num_envs=WORLDS, rollout_steps=4, rollouts_per_segment=1, batch_size=6,
+                            epochs=1, total_steps=24, episode_steps=4, hidden=(8,))  # fmt: skip
+
+    class Stop(Exception):
+        pass
+
+    def stop(steps, total, row):
+        if steps > config.segment_steps:
+            raise Stop
+
+    train_on_device(config, tmp_path / "whole", device="cpu")
+    with pytest.raises(Stop):
+        train_on_device(config, tmp_path / "broken", progress=stop, device="cpu")
+    later = []
+    train_on_device(config, tmp_path / "broken", progress=lambda *row: later.append(row[0]), device="cpu")
+    assert later == [24]
+    policies = [Policy.load(tmp_path / name) for name in ("whole", "broken")]
+    assert policies[0].to_bytes() == policies[1].to_bytes()
+    assert policies[0].act(np.zeros((2, 66))).shape == (2, 8)
+    with pytest.raises(ValueError, match="another learner"):
+        train(config, tmp_path / "whole")
 
 
 def test_wrong_arguments_are_refused_in_one_line():

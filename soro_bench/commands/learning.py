@@ -1,6 +1,7 @@
 """``soro-bench infer`` and ``train``."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -111,6 +112,8 @@ class Train:
     """The environment's model or mesh to train on; the cheap one by default."""
     action: Literal["discrete", "continuous"] | None = None
     """What the environment is best learned with by default."""
+    device: str = "cpu"
+    """cpu, or a GPU such as cuda, by MuJoCo Warp and rsl_rl (docs/how_to/gpu.md)."""
     out: Path = Path("runs/train")
 
     def run(self) -> None:
@@ -125,9 +128,15 @@ class Train:
         name = self.name or ("own" if self.randomization or self.effects else self.method)
         check_name("name", name)
         check_seed(self.seed)
-        config = default_config(self.env, self.steps, method=name, seed=self.seed, **changes)
+        config = default_config(self.env, self.steps, self.device, method=name, seed=self.seed, **changes)
         box = METHODS[self.method].distribution(self.env, self.seed, self.out)
         distribution = load(self.randomization) if self.randomization else box
         with TrainingBars() as bar:
-            train(config, self.out, distribution, lambda *progress: bar(f"{name} seed {self.seed}", *progress))
+            shown = partial(bar, f"{name} seed {self.seed}")
+            if self.device == "cpu":
+                train(config, self.out, distribution, shown)
+            else:
+                from soro_bench.training.device import train_on_device
+
+                train_on_device(config, self.out, distribution, shown, self.device)
         console.print(f"policy in {self.out}")

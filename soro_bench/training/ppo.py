@@ -123,13 +123,30 @@ _TASK_DEFAULTS: dict[str, dict[str, Any]] = {
 }
 
 
-def default_config(env_id: str, steps: int | None = None, **changes: Any) -> PPOConfig:
-    """The configuration found best for an environment, with ``changes``; ``steps`` replaces its number of steps."""
+# What differs on a GPU, where thousands of worlds cost as much as one: many short rollouts, and larger batches
+_DEVICE_DEFAULTS: dict[str, Any] = {
+    "action": "continuous",
+    "num_envs": 4096,
+    "rollout_steps": 25,
+    "rollouts_per_segment": 8,
+    "batch_size": 25_600,
+    "epochs": 5,
+    "total_steps": 16_384_000,
+}
+
+
+def default_config(env_id: str, steps: int | None = None, device: str = "cpu", **changes: Any) -> PPOConfig:
+    """The configuration found best for an environment, with ``changes``; ``steps`` replaces its number of steps.
+
+    Args:
+        device: "cpu", or another, on which there are more environments side by side.
+    """
     if steps is not None:
         if steps < 1:
             raise ValueError(f"{steps} steps of training; at least 1 is needed")
         changes["total_steps"] = steps
-    return PPOConfig(env_id, **{"model": task_type(env_id).cheap, **_TASK_DEFAULTS.get(env_id, {}), **changes})
+    many = {} if device == "cpu" else _DEVICE_DEFAULTS
+    return PPOConfig(env_id, **{"model": task_type(env_id).cheap, **_TASK_DEFAULTS.get(env_id, {}), **many, **changes})
 
 
 @quiet()
@@ -149,35 +166,62 @@ def train(
             row of the curve.
     """
     folder = Path(folder)
-    described, old = _claim(folder, config, distribution)
+    described, old = claim(folder, config, distribution)
     torch.set_num_threads(1)  # sums would depend on the number; networks this small gain nothing from more
     env = make_env(config, distribution)
-    registered = gymnasium.spec(config.env_id).max_episode_steps
-    steps = registered if config.episode_steps is None else config.episode_steps
-    if steps is None or not 1 <= steps <= config.rollout_steps * config.rollouts_per_segment:
-        raise ValueError(f"no episode of {steps} steps ends in a segment; raise rollout_steps or rollouts_per_segment")
+    episode_steps(config)
     agent = make_agent(config, env)
     for path in old:  # only now: what cannot be trained claims no folder
         path.unlink(missing_ok=True)
     write_json(folder / "config.json", described)
-    curve = _Curve()
-    first = _load_checkpoint(folder, config, agent, env, curve) if (folder / "checkpoint.pt").exists() else 0
-    for segment in range(first, config.num_segments):
+    curve = Curve()
+    kept = CheckpointFolder(folder, config, curve)
+    for segment in range(kept.load(lambda found: _restore(found, agent, env)), config.num_segments):
         _run_segment(config, segment, agent, env, curve, progress)
-        _save_checkpoint(folder, segment + 1, agent, env, curve)
+        kept.save(segment + 1, _state(agent, env))
     env.close()
     policy = _export(config, agent, env)
     policy.save(folder)
     return policy
 
 
-def _claim(folder: Path, config: PPOConfig, distribution: Distribution | None) -> tuple[dict[str, Any], list[Path]]:
+def episode_steps(config: PPOConfig) -> int:
+    """Steps of an episode; ValueError if none ends in a segment."""
+    registered = gymnasium.spec(config.env_id).max_episode_steps
+    steps = registered if config.episode_steps is None else config.episode_steps
+    if steps is None or not 1 <= steps <= config.rollout_steps * config.rollouts_per_segment:
+        raise ValueError(f"no episode of {steps} steps ends in a segment; raise rollout_steps or rollouts_per_segment")
+    return steps
+
+
+def exploration(config: PPOConfig, segment: int) -> float:
+    """The logarithm of the standard deviation of continuous actions in a segment, where PPO does not learn it."""
+    last = config.initial_log_std if config.final_log_std is None else config.final_log_std
+    done = segment / max(1, config.num_segments - 1)
+    return (1 - done) * config.initial_log_std + done * last
+
+
+def card(config: PPOConfig) -> PolicyCard:
+    """What the policy of a whole training is."""
+    steps = config.num_segments * config.segment_steps
+    return PolicyCard(config.env_id, config.model, config.action, config.method, config.seed, steps)
+
+
+def claim(
+    folder: Path, config: PPOConfig, distribution: Distribution | None, learner: str | None = None
+) -> tuple[dict[str, Any], list[Path]]:
     """What is trained into a folder, and files of an older trainer, whose run is trained anew; ValueError if the folder
-    has another run."""
+    has another run.
+
+    Args:
+        learner: the library whose PPO it is, if it is not Stable-Baselines3's.
+    """
     described = config.settings() | {"distribution": distribution.to_dict() if distribution else None}
     if config.effects:
         described["effects"] = [effect.to_json() for effect in effects_of(config.effects) or ()]
     described["trainer"] = TRAINER
+    if learner:
+        described["learner"] = learner
     path = folder / "config.json"
     if not path.exists() or (found := read_json(path)) == described:
         return described, []
@@ -240,7 +284,7 @@ def make_agent(config: PPOConfig, env: VecNormalize, device: str = "cpu") -> PPO
 
 
 def _run_segment(
-    config: PPOConfig, segment: int, agent: PPO, env: VecNormalize, curve: "_Curve", progress: Progress
+    config: PPOConfig, segment: int, agent: PPO, env: VecNormalize, curve: "Curve", progress: Progress
 ) -> None:
     """Train for one segment, from episodes and generators that begin anew."""
     seed = int(np.random.SeedSequence([config.seed, segment]).generate_state(1)[0])
@@ -248,9 +292,7 @@ def _run_segment(
     env.seed(seed)
     agent._last_obs = None  # makes learn() reset the environments
     if config.final_log_std is not None and config.action == "continuous":
-        done = segment / max(1, config.num_segments - 1)
-        log_std = (1 - done) * config.initial_log_std + done * config.final_log_std
-        agent.policy.log_std.requires_grad_(False).fill_(log_std)
+        agent.policy.log_std.requires_grad_(False).fill_(exploration(config, segment))
     agent.num_timesteps = segment * config.segment_steps
     total = config.num_segments * config.segment_steps
     # what SB3 takes for the progress is that of this segment only
@@ -259,7 +301,7 @@ def _run_segment(
     agent.learn(config.segment_steps, callback=callback, reset_num_timesteps=False)
 
 
-class _Curve:
+class Curve:
     """Rows of the training curve, one per rollout."""
 
     def __init__(self) -> None:
@@ -274,7 +316,7 @@ class _Curve:
 class _Watch(BaseCallback):
     """Gathers finished episodes and adds a row to the curve after every rollout."""
 
-    def __init__(self, curve: _Curve, progress: Progress, total: int, metric: str):
+    def __init__(self, curve: Curve, progress: Progress, total: int, metric: str):
         super().__init__()
         self._metric_key = metric_key(metric)
         self._curve, self._progress, self._total = curve, progress, total
@@ -307,60 +349,79 @@ def _observed(env: VecNormalize) -> RunningMeanStd:
     return env.obs_rms
 
 
-def _save_checkpoint(folder: Path, segment: int, agent: PPO, env: VecNormalize, curve: _Curve) -> None:
-    """OSError that says how to go on if the folder takes no more."""
-    checkpoint = {
-        "segment": segment,
+class CheckpointFolder:
+    """Where a training keeps its curve and its last checkpoint.
+
+    Args:
+        folder: of the run. config: what is trained. curve: its rows so far, which loading replaces.
+    """
+
+    def __init__(self, folder: Path, config: PPOConfig, curve: Curve):
+        self._folder, self._path, self._config, self._curve = folder, folder / "checkpoint.pt", config, curve
+
+    def save(self, segment: int, state: dict[str, Any]) -> None:
+        """Write that ``segment`` comes next, and the state of networks and observations; OSError that says how to go
+        on if the folder takes no more."""
+        torch.save({"segment": segment, **state, "curve": self._curve.rows}, buffer := io.BytesIO())
+        try:
+            # the curve first: with a later checkpoint than its rows it would stay short
+            with replacing(self._folder / "curve.csv") as temporary, temporary.open("w", newline="") as file:
+                writer = csv.DictWriter(file, self._curve.rows[0])
+                writer.writeheader()
+                writer.writerows(self._curve.rows)
+            with replacing(self._path) as temporary:
+                temporary.write_bytes(buffer.getbuffer())
+        except OSError as error:
+            raise OSError(
+                f"{self._path} cannot be written: {one_line(error)}; make room, and repeat the command: it goes on "
+                "from the checkpoint before"
+            ) from error
+
+    def load(self, restore: Callable[[dict[str, Any]], None]) -> int:
+        """The segment that comes next, 0 without a checkpoint, once ``restore`` has taken the state over. Tensors and
+        plain values are read, never pickled objects; ValueError for anything else."""
+        if not self._path.exists():
+            return 0
+        try:
+            data = io.BytesIO(read_bytes(self._path, _CHECKPOINT_BYTES))
+            if not zipfile.is_zipfile(data):
+                raise ValueError("it is cut off, or another program has written it")
+            data.seek(0)
+            return self._take(torch.load(data, weights_only=True), restore)
+        except Exception as error:  # torch raises errors of nearly any type for bytes that it has not written
+            raise ValueError(
+                f"{self._path} is no checkpoint of this training: {one_line(error)[:200]}; remove checkpoint.pt to "
+                "train from the beginning"
+            ) from error
+
+    def _take(self, checkpoint: Any, restore: Callable[[dict[str, Any]], None]) -> int:
+        keys = {"segment", "updates", "policy", "optimizer", "mean", "var", "count", "curve"}
+        if not isinstance(checkpoint, dict) or checkpoint.keys() != keys:
+            raise ValueError(f"it has not just {', '.join(sorted(keys))}")
+        segment, most = checkpoint["segment"], self._config.num_segments
+        if type(segment) is not int or not 1 <= segment <= most:
+            raise ValueError(f"segment {brief(segment)}; 1 to {most} are those of this training")
+        restore(checkpoint)
+        if not (isinstance(rows := checkpoint["curve"], list) and all(isinstance(row, dict) for row in rows)):
+            raise ValueError(f"its curve is {brief(rows)}")
+        self._curve.rows = rows
+        return segment
+
+
+def _state(agent: PPO, env: VecNormalize) -> dict[str, Any]:
+    """What a checkpoint holds of networks and observations."""
+    return {
         "updates": agent._n_updates,
         "policy": agent.policy.state_dict(),
         "optimizer": agent.policy.optimizer.state_dict(),
         "mean": torch.from_numpy(_observed(env).mean.copy()),
         "var": torch.from_numpy(_observed(env).var.copy()),
         "count": float(_observed(env).count),
-        "curve": curve.rows,
     }
-    torch.save(checkpoint, buffer := io.BytesIO())
-    try:
-        # the curve first: with a later checkpoint than its rows it would stay short
-        with replacing(folder / "curve.csv") as temporary, temporary.open("w", newline="") as file:
-            writer = csv.DictWriter(file, curve.rows[0])
-            writer.writeheader()
-            writer.writerows(curve.rows)
-        with replacing(folder / "checkpoint.pt") as temporary:
-            temporary.write_bytes(buffer.getbuffer())
-    except OSError as error:
-        raise OSError(
-            f"{folder / 'checkpoint.pt'} cannot be written: {one_line(error)}; make room, and repeat the command: it "
-            "goes on from the checkpoint before"
-        ) from error
 
 
-def _load_checkpoint(folder: Path, config: PPOConfig, agent: PPO, env: VecNormalize, curve: _Curve) -> int:
-    """The segment that comes next, with agent, environments and curve as the checkpoint has them. Tensors and plain
-    values are read, never pickled objects; ValueError for anything else."""
-    path = folder / "checkpoint.pt"
-    try:
-        data = io.BytesIO(read_bytes(path, _CHECKPOINT_BYTES))
-        if not zipfile.is_zipfile(data):
-            raise ValueError("it is cut off, or another program has written it")
-        data.seek(0)
-        checkpoint = torch.load(data, weights_only=True)
-        _restore(checkpoint, config, agent, env, curve)
-    except Exception as error:  # torch raises errors of nearly any type for bytes that it has not written
-        raise ValueError(
-            f"{path} is no checkpoint of this training: {one_line(error)[:200]}; remove checkpoint.pt to train "
-            "from the beginning"
-        ) from error
-    return checkpoint["segment"]
-
-
-def _restore(checkpoint: Any, config: PPOConfig, agent: PPO, env: VecNormalize, curve: _Curve) -> None:
-    keys = {"segment", "updates", "policy", "optimizer", "mean", "var", "count", "curve"}
-    if not isinstance(checkpoint, dict) or checkpoint.keys() != keys:
-        raise ValueError(f"it has not just {', '.join(sorted(keys))}")
-    segment, observed = checkpoint["segment"], _observed(env)
-    if type(segment) is not int or not 1 <= segment <= config.num_segments:
-        raise ValueError(f"segment {brief(segment)}; 1 to {config.num_segments} are those of this training")
+def _restore(checkpoint: dict[str, Any], agent: PPO, env: VecNormalize) -> None:
+    observed = _observed(env)
     agent.policy.load_state_dict(checkpoint["policy"])
     agent.policy.optimizer.load_state_dict(checkpoint["optimizer"])
     agent._n_updates = checkpoint["updates"]
@@ -368,9 +429,6 @@ def _restore(checkpoint: Any, config: PPOConfig, agent: PPO, env: VecNormalize, 
     if mean.shape != observed.mean.shape or var.shape != observed.var.shape:
         raise ValueError(f"observations of shapes {mean.shape} and {var.shape}; {observed.mean.shape} is needed")
     observed.mean, observed.var, observed.count = mean, var, checkpoint["count"]
-    if not (isinstance(rows := checkpoint["curve"], list) and all(isinstance(row, dict) for row in rows)):
-        raise ValueError(f"its curve is {brief(rows)}")
-    curve.rows = rows
 
 
 def _export(config: PPOConfig, agent: PPO, env: VecNormalize) -> Policy:
@@ -380,6 +438,4 @@ def _export(config: PPOConfig, agent: PPO, env: VecNormalize) -> Policy:
     for i, layer in enumerate([*layers, cast("torch.nn.Linear", policy.action_net)]):
         tensors[f"w{i}"] = layer.weight.detach().numpy()
         tensors[f"b{i}"] = layer.bias.detach().numpy()
-    steps = config.num_segments * config.segment_steps
-    card = PolicyCard(config.env_id, config.model, config.action, config.method, config.seed, steps)
-    return Policy(card, tensors)
+    return Policy(card(config), tensors)
