@@ -19,6 +19,7 @@ from soro_bench.effects.effect import EVERY, Effect, Location, Quantity
 _OF_CLOCKS = ("sensor_delay", "clock_skew")
 PNEUMATIC = ("pressure_leak", "pressure_asymmetry", "supply_coupling")
 _DEFAULT = PriorSettings()
+_OFFSET_SHARE = 0.02  # of the range of a signal beside the first: a typical offset of it
 _SHARE_REMOVED = 0.5  # of what the model has, at most, that a screened term takes away
 
 
@@ -219,7 +220,7 @@ def term(robot: Robot, name: str, location: Location, settings: PriorSettings = 
             magnitudes.append(i == 0 or (q.null == 0.0 and q.bounds[0] < 0))
             size = q.typical * (elements.scale(one, q.of) if physics else 1.0)
             of_range = q.unit == "signal" and signal.reach > 0
-            typical.append(settings.offset_share * signal.reach if of_range else size)
+            typical.append(_OFFSET_SHARE * signal.reach if of_range else size)
     return Term(name, location, tuple(typical), tuple(magnitudes), idle, settings)
 
 

@@ -54,7 +54,7 @@ def fitted_again(
 ) -> tuple[Problem, Hypothesis, Outliers]:
     """The problem without outliers and with the noise that the nominal fit leaves, and that fit.
 
-    It is made anew without the outliers of the fit before, and where sparse samples first seemed far noisier.
+    It is made anew without the outliers of the fit before.
 
     Args:
         untouched: the problem before any fit.
@@ -62,22 +62,16 @@ def fitted_again(
         least: noise of each signal [its unit].
         spoilt: whether samples were left out before any fit.
     """
-    settings, turns = problem.settings.data_quality, problem.settings.selection.turns
+    turns = problem.settings.selection.turns
     for again in range(turns + 1):
         far = far_points(problem, nominal.residual, spoilt) & (problem.weight > 0)
         quiet = problem, nominal
         if not problem.misfit_dominated:
             quiet = _with_noise(problem, nominal, least, spoilt)
-        sigmas = zip(quiet[0].sigmas, untouched.sigmas, strict=True)
-        noisier = spoilt and any(now < settings.refit_noise * before for now, before in sigmas)
-        if again == turns or not (far.any() or noisier):
+        if again == turns or not far.any():
             break
-        if far.any():
-            found = _with_more(found, problem, nominal, far, untouched.weight)
-            untouched = masked(untouched, far)
-        if noisier:
-            basis = LowRank(untouched.discretisation.basis * untouched.factor_to(quiet[0]))
-            untouched = replace(untouched, sigma=quiet[0].sigma, others=quiet[0].others, discretisation=basis)
+        found = _with_more(found, problem, nominal, far, untouched.weight)
+        untouched = masked(untouched, far)
         problem, nominal = nominal_fit(untouched, refined, seed, progress)
     if far.any():  # of the last fit
         found, problem = _with_more(found, problem, nominal, far, untouched.weight), masked(problem, far)

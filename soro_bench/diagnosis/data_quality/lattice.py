@@ -68,17 +68,16 @@ def _in_distinct(samples: Floats, step: float, settings: DataQualitySettings) ->
     """Whether the same holds of samples without repetitions; True where too few changes are left to tell."""
     distinct = samples[np.r_[True, np.diff(samples) != 0]]
     changes = np.abs(np.diff(distinct, n=2)) > 0.5 * step
-    return bool(changes.sum() < settings.least_evidence) or _in_changes(distinct, step, settings)
+    return bool(changes.sum() < settings.least_samples) or _in_changes(distinct, step, settings)
 
 
 def _in_changes(samples: Floats, step: float, settings: DataQualitySettings) -> bool:
     """Whether changes of the increment of samples (T,) are multiples of a step."""
     changes = np.diff(samples, n=2)
     changes = changes[np.abs(changes) > 0.5 * step]
-    if len(changes) < settings.least_evidence:
+    if len(changes) < settings.least_samples:
         return False
-    least = max(settings.by_chance / math.sqrt(len(changes)), settings.least_sharpness)
-    return bool(np.cos(2 * np.pi * changes / step).mean() > least)
+    return bool(np.cos(2 * np.pi * changes / step).mean() > chance(len(changes), settings))
 
 
 def _widened(samples: Floats, step: float, settings: DataQualitySettings) -> float:
@@ -91,8 +90,12 @@ def _widened(samples: Floats, step: float, settings: DataQualitySettings) -> flo
 
 def _limit(count: int, tried: int, settings: DataQualitySettings) -> float:
     """Absolute value that the characteristic function of samples without levels hardly exceeds at any frequency."""
-    chance = math.sqrt((math.log(tried) + settings.level_evidence) / max(count, 1))
-    return max(settings.level_sharpness, chance)
+    return max(settings.level_sharpness, chance(count, settings, tried))
+
+
+def chance(count: int, settings: DataQualitySettings, tried: int = 1) -> float:
+    """Absolute value that the largest of means of ``count`` random phases, or a correlation, hardly exceeds."""
+    return math.sqrt((math.log(tried) + settings.evidence) / max(count, 1))
 
 
 def _characteristic(samples: Floats, frequencies: Floats) -> np.ndarray:

@@ -17,6 +17,7 @@ from functools import partial
 import numpy as np
 
 from soro_bench.arrays import Bools, Floats, Ints
+from soro_bench.diagnosis.data_quality.lattice import chance
 from soro_bench.diagnosis.data_quality.texts import text
 from soro_bench.diagnosis.result_robot import DataFinding
 from soro_bench.diagnosis.robots.measured import Drive, Measured
@@ -27,6 +28,7 @@ from soro_bench.recording.recording import RecordingError
 
 _MOST_NAMES = 5  # in a sentence
 _EMPTY = 1e-6  # of a whole response, that is seen in what lacks of a command without any; it is then not known
+_STEPS = 10  # of a descent, at most
 _SMALLEST = 1e-300  # sum of squares, of which there is a logarithm
 
 
@@ -148,8 +150,8 @@ class _Comparison:
             return bool(np.ptp(x) == 0)
         about = x - x.mean()
         correlation = float(about[1:] @ about[:-1] / (about @ about))  # of white noise 0, deviation 1 / root T
-        white = abs(correlation) < settings.by_chance / np.sqrt(len(x))
-        return bool(x.std() < (settings.still_noise if white else settings.still_motion) * motion)
+        white = abs(correlation) < chance(len(x), settings)
+        return bool(white and x.std() < settings.still_noise * motion)
 
     def _replays_as_arrived(self, expected: Floats) -> Iterator[Floats]:
         """Hold commands that nothing follows. The replay (T, P, D) then, and the one of all commands if it differs: a
@@ -200,7 +202,7 @@ class _Comparison:
         settings, misfits = self.method, partial(self._misfits, measured)
         low, high = np.array([prior.reach(settings.priors.limit) for prior in self.robot.priors]).reshape(-1, 2).T
         x, best, width = self.nominal, misfits(self.nominal[None])[0], settings.covariance.width
-        for _ in range(settings.descent.steps if len(x) and np.isfinite(best).all() else 0):
+        for _ in range(_STEPS if len(x) and np.isfinite(best).all() else 0):
             step = np.where(x + width <= high, width, -width)
             slopes = (misfits(x + np.diag(step)) - best) / step[:, None]
             level = float(np.sqrt(np.mean(best**2)))

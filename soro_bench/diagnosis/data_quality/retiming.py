@@ -11,6 +11,8 @@ from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import DataQualitySettings
 from soro_bench.recording.recording import Recording, Signal
 
+_CLOCK_RATE = 5e-4  # deviation of a rebuilt clock's rate; a crystal is within 1e-4
+
 
 @dataclass(frozen=True)
 class RecordedSignal:
@@ -46,9 +48,9 @@ class RecordedSignal:
                 # all are older than this by the same time, and none is as old as the row before its own; the first one
                 # may be from before the recording
                 width = max(spacing - float((self.signal.time[rows] - time)[1:].max()), 0.0)
-                time, error, rate = time - 0.5 * width, width / np.sqrt(12), self.settings.clock_rate
+                time, error, rate = time - 0.5 * width, width / np.sqrt(12), _CLOCK_RATE
             elif rebuilt:
-                error, rate = found.error, self.settings.clock_rate
+                error, rate = found.error, _CLOCK_RATE
                 given, time = self.signal.time[rows], self._snapped(found)
                 recording = _with_commands(recording, given, time, self.settings)
         if spacing is not None and not rate:  # a fresh value may be as old as the interval between two rows

@@ -48,7 +48,7 @@ def placeholder(point: Floats, noise: float, settings: DataQualitySettings) -> t
         x = point[others]
         far = np.maximum(
             settings.spike_changes * _changes_beside(x, np.searchsorted(others, here)),
-            max(settings.outlier_deviations * noise, settings.spike_reach * float(np.ptp(x, axis=0).max())),
+            settings.outlier_deviations * noise,
         )
         before, after = _around(others, here)
         off = np.minimum(*(np.linalg.norm(point[each] - value, axis=1) for each in (before, after))) > far
@@ -236,7 +236,7 @@ def stale(channel: Channel, settings: DataQualitySettings) -> tuple[Bools, str]:
         lengths = runs.length[long]
         even = len(lengths) and (np.abs(lengths - np.median(lengths)) <= 1).mean() > settings.mostly
         # a sensor that is far slower than its log repeats nearly all values; few long runs are a robot at rest
-        slow = len(lengths) and np.median(lengths) > settings.rest_repeats
+        slow = len(lengths) and np.median(lengths) > settings.least_repeats
         share = settings.mostly if slow else settings.held_share
         if long.sum() >= settings.least_repeats and even and long.sum() >= share * moving.sum():
             return repeated, "held"

@@ -48,7 +48,7 @@ def stamps(time: Floats, values: Floats, settings: DataQualitySettings, late: bo
         return None
     number = np.round(interval / period)
     regular = time[1:] if late else time  # what a logger holds at first may be from before the recording
-    even = number.sum() >= len(number) + settings.least_evidence and _is_even(regular, period, settings)
+    even = number.sum() >= len(number) + settings.least_samples and _is_even(regular, period, settings)
     if (
         not even
         and (number >= 1).all()
@@ -138,7 +138,7 @@ def _many_at_once(late: Floats, settings: DataQualitySettings) -> bool:
     Args:
         late: (T,) s, less the line along the earliest stamps.
     """
-    at_once = np.abs(late) < settings.at_once_spread * np.quantile(late, 0.98)
+    at_once = np.abs(late) < settings.whole * np.quantile(late, 0.98)
     return bool(at_once.mean() > settings.at_once)
 
 
@@ -181,8 +181,7 @@ def _lasting(
     while True:
         edges = [0, *steps, len(late)]
         beside = [
-            (late[max(first, at - settings.level_windows * window) : at],
-             late[at : min(last, at + settings.level_windows * window)])
+            (late[first:at], late[at:last])
             for first, at, last in zip(edges, edges[1:], edges[2:], strict=False)
         ]  # fmt: skip
         sizes = np.array([after.min() - before.min() for before, after in beside])

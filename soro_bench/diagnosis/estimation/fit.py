@@ -234,6 +234,7 @@ def _hessian(discretisation: LowRank, jacobian: Floats) -> Floats:
 
 # --- Levenberg-Marquardt descent ---
 
+_STEPS = 10  # at most; the gain of a step ends most descents
 _POWERS = 10.0 ** np.arange(6.0)  # of the damping, tried side by side
 
 
@@ -248,7 +249,7 @@ def descended(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[Hypoth
     factors = settings.smallest_damping * _POWERS
     found, damping = list(hypotheses), np.ones(len(hypotheses))
     going = [i for i, h in enumerate(hypotheses) if len(h.x)]
-    for _ in range(settings.steps if going else 0):
+    for _ in range(_STEPS if going else 0):
         lines = _with_jacobians(problem, [found[i] for i in going])
         trials = [_steps(problem, h, damping[i] * factors) for i, h in zip(going, lines, strict=True)]
         improved = []
@@ -291,6 +292,7 @@ def _steps(problem: Problem, h: Hypothesis, dampings: Floats) -> list[Floats]:
 
 # --- posterior covariance ---
 
+_ROUNDS = 4  # of samples, each as wide as the covariance before it
 _LEAST_WIDTH = 1e-6  # prior deviations; keeps the first samples apart
 
 
@@ -311,7 +313,7 @@ def with_covariance(problem: Problem, hypothesis: Hypothesis, seed: int) -> Hypo
     x, terms, n = hypothesis.x, hypothesis.terms, len(hypothesis.x)
     low, high = bounds(problem, terms)
     root = np.diag(_first_widths(problem, hypothesis))
-    for k in range(settings.rounds):
+    for k in range(_ROUNDS):
         normal = sample_around(np.zeros(n), 1.0, settings.samples + 2 * n, [seed, k])
         points = np.clip(x + normal @ root.T, low, high)
         rows = problem.residuals([(point, terms) for point in points])

@@ -15,6 +15,8 @@ from soro_bench.inference.statistical_linearisation import LowRank
 
 Points = Sequence[tuple[Floats, Sequence[Term]]]  # unknowns, and the candidate terms that they belong to
 
+DIVERGED = 1e3  # noise deviations, residual of a sample where the simulation diverged: far above any other
+
 
 class SimulationError(ValueError):
     """The nominal robot cannot be simulated."""
@@ -171,8 +173,7 @@ class Problem:
     def residuals_of(self, simulated: Floats) -> Floats:
         """(N, M) measured less simulated (N, M) [signal's unit], in units of sigma."""
         residual = (np.nan_to_num(self.measured) - simulated) / self.sigma
-        diverged = self.settings.likelihood.diverged
-        return np.nan_to_num(residual, nan=diverged, posinf=diverged, neginf=-diverged) * self.weight
+        return np.nan_to_num(residual, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED) * self.weight
 
     def first(self, steps: Sequence[int]) -> "Problem":
         """The same problem of the first control steps of each recording."""

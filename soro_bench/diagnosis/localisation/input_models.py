@@ -13,6 +13,8 @@ from scipy.linalg import block_diag
 
 from soro_bench.diagnosis.estimation.problem import Problem
 
+CORRELATION_TIMES = (0.2, 0.6, 2.0)  # s, of a free input, Matern 3/2; the best one counts
+SCALES = 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0  # unit inputs, prior deviations that are tried
 _JITTER = 1e-9  # of a covariance, so that its Cholesky factor exists
 
 
@@ -87,7 +89,6 @@ class Free:
 
     def __init__(self, problem: Problem, components: int):
         settings, steps = problem.settings.localisation, sum(len(each.values) for each in problem.recordings)
-        self._correlation_times = settings.correlation_times
         self.nodes = Nodes(problem, math.ceil(components * steps / settings.most_values))
         self.size = len(self.nodes.time)
 
@@ -113,7 +114,7 @@ class Free:
     def covariances(self) -> list[np.ndarray]:
         """(n, n) prior covariances of one component, for each correlation time: Matern 3/2 in each recording."""
         covariances = []
-        for correlation in self._correlation_times:
+        for correlation in CORRELATION_TIMES:
             blocks = []
             for time in np.split(self.nodes.time, np.cumsum(self.nodes.counts)[:-1]):
                 lag = np.abs(np.subtract.outer(time, time)) / correlation

@@ -23,10 +23,10 @@ from scipy.linalg import block_diag
 
 from soro_bench.diagnosis.estimation.fit import Hypothesis, normal_equations
 from soro_bench.diagnosis.estimation.problem import Problem
-from soro_bench.diagnosis.localisation.input_models import Linear, Nodes
+from soro_bench.diagnosis.localisation.input_models import SCALES, Linear, Nodes
 from soro_bench.diagnosis.localisation.residual_maps import windows
 from soro_bench.diagnosis.localisation.test_inputs import Source, sources
-from soro_bench.diagnosis.localisation.unknown_inputs import Estimate, Search
+from soro_bench.diagnosis.localisation.unknown_inputs import FINALISTS, LEAST_GAIN, ROUNDS, Estimate, Search
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import SelectionSettings
 from soro_bench.effects.effect import Location
@@ -131,21 +131,19 @@ class _Rounds:
 
     def enter(self, entrants: Sequence[Estimate]) -> None:
         """A round of new estimates, the best of which go on."""
-        settings = self._search.problem.settings.localisation
         new = sorted(self._search.better(entrants), key=lambda estimate: -estimate.gain)
         self.estimates += new
-        self._last_gains += [e.gain if i < settings.finalists else 0.0 for i, e in enumerate(new)]
+        self._last_gains += [e.gain if i < FINALISTS else 0.0 for i, e in enumerate(new)]
 
     def run(self) -> None:
         """Rounds of all that would become the best if they gained once more what they gained last.
 
         Where an obstacle is hit, the next round gains two thirds of the last one.
         """
-        settings = self._search.problem.settings.localisation
-        for _ in range(settings.rounds):
+        for _ in range(ROUNDS):
             gains, last = np.array([e.gain for e in self.estimates]), np.array(self._last_gains)
             best = gains.argmax()
-            chosen = np.flatnonzero((gains + last >= gains.max()) & (last > settings.least_gain))
+            chosen = np.flatnonzero((gains + last >= gains.max()) & (last > LEAST_GAIN))
             alone = set(chosen) == {best} and last[best] < gains[best]  # and not in its first round
             if alone or not len(chosen):
                 break
@@ -225,8 +223,7 @@ def _predicted_gain(problem: Problem, base: Hypothesis, rows: np.ndarray, featur
     values, vectors = np.linalg.eigh(0.5 * (information + information.T))
     values, turned = np.maximum(values, 0.0), vectors.T @ pull
     return max(
-        0.5 * float((turned**2 / (values + scale**-2)).sum() - np.log1p(scale**2 * values).sum())
-        for scale in settings.scales
+        0.5 * float((turned**2 / (values + scale**-2)).sum() - np.log1p(scale**2 * values).sum()) for scale in SCALES
     )
 
 

@@ -20,6 +20,7 @@ from soro_bench.effects.effect import Effect, Location
 from soro_bench.effects.elements import Elements
 
 AXES = "xyz"
+_WEIGHT_SHARE = 0.02  # of a robot's weight, first size of a force on a body, which is then scaled
 _SETPOINT = "pretension", "offset"  # the law that moves a setpoint, and its quantity
 
 # adds ``factor`` times an input to the wrenches (nbody, 6) on bodies and generalised forces (nv,) of simulation ``row``
@@ -178,11 +179,10 @@ class Source:
 
 def sources(problem: Problem, robot: Robot, base: Hypothesis) -> list[Source]:
     """Every test input of a robot with the effects of a hypothesis."""
-    share = problem.settings.localisation.weight_share
     return [
         *(Source((pull,)) for pull in _on_tendons(robot)),
-        *_on_bodies(robot, share),
-        *(Source(accelerations) for accelerations in _on_everything(robot, share)),
+        *_on_bodies(robot, _WEIGHT_SHARE),
+        *(Source(accelerations) for accelerations in _on_everything(robot, _WEIGHT_SHARE)),
         *(Source((offset,)) for offset in _on_setpoints(problem, robot, base)),
         *(Source(offsets) for offsets in _on_sensor(problem)),
     ]

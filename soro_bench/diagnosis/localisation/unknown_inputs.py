@@ -20,15 +20,20 @@ import scipy.sparse as sp
 from scipy.linalg import solve_triangular
 
 from soro_bench.diagnosis.estimation.fit import Hypothesis, normal_equations
-from soro_bench.diagnosis.estimation.problem import Problem
-from soro_bench.diagnosis.localisation.input_models import Free, Linear
+from soro_bench.diagnosis.estimation.problem import DIVERGED, Problem
+from soro_bench.diagnosis.localisation.input_models import SCALES, Free, Linear
 from soro_bench.diagnosis.localisation.test_inputs import Acting, Source, replayed, setpoints
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.settings import LocalisationSettings
 from soro_bench.effects.effect import Location
 from soro_bench.inference.statistical_linearisation import LowRank
 
 Rows: TypeAlias = np.ndarray | sp.csr_array  # responses, sparse where each value changes few samples
+
+FINALISTS = 8  # locations that go on after the first round, and are replayed side by side
+ROUNDS = 8  # of Gauss-Newton steps at most, and steps of a round with the same Jacobian
+LEAST_GAIN = 1.0  # nats, of a round or a step that is worth another one
+_STEPS = (0.1, 0.4, 1.0)  # shares of a step that are replayed; cables fall slack
+_SMALLER = 16.0  # times smaller than predicted inputs are tried too
 
 
 class Covariance:
@@ -148,8 +153,7 @@ class Search:
 
     def better(self, estimates: Sequence[Estimate]) -> list[Estimate]:
         """The estimates a round further; never worse after their first round, which only sorts out."""
-        together = self._settings.finalists
-        parts = [estimates[first : first + together] for first in range(0, len(estimates), together)]
+        parts = [estimates[first : first + FINALISTS] for first in range(0, len(estimates), FINALISTS)]
         return [new for part in parts for new in (self._first if part[0].root is None else self._further)(part)]
 
     def _first(self, estimates: Sequence[Estimate]) -> list[Estimate]:
@@ -215,8 +219,7 @@ class Search:
 
     def _finite(self, residual: np.ndarray) -> np.ndarray:
         """(M,) a residual where a simulation may have diverged."""
-        diverged = self.problem.settings.likelihood.diverged
-        return np.nan_to_num(residual, nan=diverged, posinf=diverged, neginf=-diverged)
+        return np.nan_to_num(residual, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED)
 
     def _responses(self, estimate: Estimate) -> tuple[np.ndarray, Rows]:
         """(d, M) and (n K, M) change of the residual by the parameters, and by each value of the input."""
@@ -252,12 +255,12 @@ class Search:
             here.append(there if there.root is None else self._weighed(there))
             rows.append(response)
         going = list(range(len(estimates)))
-        for _ in range(self._settings.rounds):
+        for _ in range(ROUNDS):
             new = finished(self._stepped([here[i] for i in going], [rows[i] for i in going]))
             ahead = {
                 i: estimate
                 for i, estimate in zip(going, new, strict=True)
-                if here[i].root is None or estimate.gain > here[i].gain + self._settings.least_gain
+                if here[i].root is None or estimate.gain > here[i].gain + LEAST_GAIN
             }
             here, going = [ahead.get(i, estimate) for i, estimate in enumerate(here)], list(ahead)
         return here
@@ -265,7 +268,7 @@ class Search:
     def _stepped(self, estimates: Sequence[Estimate], rows: Sequence[Rows]) -> list[Estimate]:
         """The best of some trials of each, which are replayed together."""
         trials = [
-            self._trials(estimate, _FirstOrder(estimate, own, Covariance(self._basis(estimate)), self._settings))
+            self._trials(estimate, _FirstOrder(estimate, own, Covariance(self._basis(estimate))))
             for estimate, own in zip(estimates, rows, strict=True)
         ]
         simulated: Iterator[np.ndarray] = iter(
@@ -276,15 +279,14 @@ class Search:
 
     def _trials(self, estimate: Estimate, first_order: "_FirstOrder") -> list[Estimate]:
         """Points on the way to where the evidence is largest, to first order; and to smaller inputs."""
-        settings = self._settings
         origin = self._residual(estimate) - first_order.changed(estimate.values)  # without an input, to first order
         aims = first_order.aims(origin)
         trials, most = [], max(aims, key=lambda aim: aim.gain).scale
-        for smaller in (1.0, settings.smaller_inputs):
-            limit = max(1.01 * most / smaller, min(settings.scales))
+        for smaller in (1.0, _SMALLER):
+            limit = max(1.01 * most / smaller, min(SCALES))
             aim = max((aim for aim in aims if aim.scale <= limit), key=lambda aim: aim.gain)
             x = self._parameters(estimate, origin + first_order.changed(aim.values))
-            for share in settings.step_shares:
+            for share in _STEPS:
                 values = estimate.values + share * (aim.values - estimate.values)
                 there = estimate.x + share * (x - estimate.x)
                 trials.append(replace(estimate, x=there, values=values, root=aim.scale * aim.root, occam=aim.occam))
@@ -324,10 +326,9 @@ class _FirstOrder:
         covariance: of everything else.
     """
 
-    def __init__(self, estimate: Estimate, rows: Rows, covariance: Covariance, settings: LocalisationSettings):
+    def __init__(self, estimate: Estimate, rows: Rows, covariance: Covariance):
         self._rows, self._covariance, self._white = rows, covariance, covariance.white(rows)
         self._shape = estimate.values.shape
-        self._scales = settings.scales
         products = rows @ rows.T
         dense = products if isinstance(products, np.ndarray) else products.toarray()
         information = dense - self._white @ self._white.T
@@ -345,7 +346,7 @@ class _FirstOrder:
         aims = []
         for root, eigenvalues, vectors in self._systems:
             size, turned = np.maximum(eigenvalues, 0.0), vectors.T @ (root.T @ pull)
-            for scale in self._scales:
+            for scale in SCALES:
                 occam = 0.5 * float(np.log1p(scale**2 * size).sum())
                 gain = 0.5 * float((turned**2 / (size + scale**-2)).sum()) - occam
                 values = -root @ (vectors @ (turned / (size + scale**-2)))

@@ -13,6 +13,7 @@ from soro_bench.diagnosis.settings import Settings
 
 _STARTS = (0.3, 1.0, 3.0)  # times the predicted size; a law's effect is not linear in it
 _DAMPINGS = np.array([0.01, 0.1, 1.0, 100.0])  # of the Hessian's diagonal, tried side by side
+_STEPS = 10  # of a descent, at most
 _TOGETHER = 64  # replays side by side
 _EDGE = 1e-9  # of an interval, by which a start lies inside its bounds
 
@@ -176,7 +177,7 @@ def _descended(
     found = [np.clip(v, b[0] + e, b[1] - e) for v, b, e in zip(starts, bounds, edges, strict=True)]
     jacobians: list[Floats] = [np.zeros((0, 0))] * len(found)
     damping, going = np.ones(len(found)), list(range(len(found)))
-    for _ in range(settings.descent.steps):
+    for _ in range(_STEPS):
         rows = _in_parts(
             residuals, [(i, v) for i in going for v in (found[i], *_beside(found[i], bounds[i], settings))]
         )

@@ -12,6 +12,7 @@ import numpy as np
 
 from soro_bench.arrays import Bools, Floats
 from soro_bench.diagnosis.candidates import Term, effects_at
+from soro_bench.diagnosis.estimation.problem import DIVERGED
 from soro_bench.diagnosis.paired.changes import LawChange, ParameterChange, Side
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
@@ -104,12 +105,12 @@ class PairedProblem:
 
     def residuals(self, points: Sequence[Point]) -> Floats:
         """(N, 2 M) residuals before and of the difference, each number counting as its independent share."""
-        found, diverged = [], self.settings.likelihood.diverged
+        found = []
         for values, given, seen, sigma, share in zip(
             self.simulated(points), self.measured, self.seen, self.sigma, self.share, strict=True
         ):
             off = np.where(seen, (np.nan_to_num(given) - values) / sigma, 0.0)
-            off = np.clip(np.nan_to_num(off, nan=diverged, posinf=diverged, neginf=-diverged), -diverged, diverged)
+            off = np.clip(np.nan_to_num(off, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED), -DIVERGED, DIVERGED)
             found.append(off * np.sqrt(share))
         return np.hstack(found)
 

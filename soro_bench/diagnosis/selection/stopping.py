@@ -8,7 +8,7 @@ import numpy as np
 
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.model_form import UnderModelForm, unfitted_under_model_form
-from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.estimation.problem import DIVERGED, Problem
 from soro_bench.diagnosis.localisation.residual_maps import windows
 from soro_bench.diagnosis.robots.robot import Robot
 
@@ -37,7 +37,7 @@ def falls_beyond_chance(heldout: Problem, before: Hypothesis, after: Hypothesis)
     """
     rows = heldout.residuals([(h.x, h.terms) for h in (before, after)])
     settings = heldout.settings
-    squares = np.minimum(rows**2, settings.likelihood.diverged**2)
+    squares = np.minimum(rows**2, DIVERGED**2)
     _, number = np.unique(windows(heldout, settings.localisation.map_window), return_inverse=True)
     fallen = 0.5 * np.bincount(number, squares[0] - squares[1])  # nats
     fallen = fallen[np.bincount(number, heldout.weight) > 0]  # of windows that were measured

@@ -3,7 +3,8 @@
 There is one frozen dataclass per stage, and ``Settings`` holds one of each. A problem carries the settings of its
 diagnosis (``Problem.settings``). Functions without a problem take the settings of their stage as an argument.
 
-``benchmarks/diagnosis_settings.py`` halves and doubles each value in turn. It writes docs/reference/settings.md.
+``benchmarks/diagnosis_settings.py`` and ``benchmarks/settings_tests.py`` halve and double each value in turn; their
+results are in docs/reference/settings.md.
 """
 
 from collections.abc import Iterator
@@ -82,10 +83,14 @@ class Settings:
     report: ReportSettings = field(default_factory=ReportSettings)
     paired: PairedSettings = field(default_factory=PairedSettings)
 
+    def groups(self) -> dict[str, Any]:
+        """The settings of every stage, by its name."""
+        return {stage.name: getattr(self, stage.name) for stage in fields(self)}
+
     def listed(self) -> Iterator[tuple[str, str, Any, str, str]]:
         """Stage, name, value, unit and reason of every setting."""
-        for stage in fields(self):
-            yield from listed(stage.name, getattr(self, stage.name))
+        for stage, group in self.groups().items():
+            yield from listed(stage, group)
 
 
 DEFAULT = Settings()

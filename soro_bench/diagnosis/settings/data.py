@@ -10,7 +10,7 @@ class DataQualitySettings:
     """Which recordings are usable, their noise and outliers, what sensors and loggers do to signals, and whether these
     answer to commands."""
 
-    least_samples: int = setting(20, "samples", "fewer samples, or levels, say nothing of a noise, sensor or clock")
+    least_samples: int = setting(20, "samples", "fewer samples, changes or levels say nothing of a sensor or clock")
     mostly: float = setting(0.9, "1", "share of samples, runs or evidence for which a rule has to hold")
     # noise and outliers (data_quality/noise.py)
     window: int = setting(6, "samples", "in which a polynomial that leaves one number for noise describes the motion")
@@ -21,22 +21,21 @@ class DataQualitySettings:
     outlier_deviations: float = setting(6.0, "noise deviations", "normal noise goes so far once in 10^9 samples")
     outlier_times_usual: float = setting(4.0, "1", "times the usual jump nearby; fast motion has many")
     outlier_return: float = setting(0.5, "1", "share of the jump by which the samples before and after may differ")
-    refit_noise: float = setting(0.5, "1", "share of the noise before a fit, below which the fit is made again")
     # steps of a quantised signal (data_quality/lattice.py)
     least_step: float = setting(
         0.3, "noise deviations", "of a step; rounding to smaller ones adds nothing to the noise"
     )
     fewest_levels: int = setting(4, "levels", "in the range of a signal; of coarser ones nothing can be told")
-    whole: float = setting(0.05, "1", "by which a number of steps, ticks or periods may differ from a whole one")
+    whole: float = setting(
+        0.05, "1", "by which a number of steps, ticks or periods may differ from a whole one; and of delays, from none"
+    )
     level_sharpness: float = setting(0.5, "1", "of the characteristic function; noise of 0.2 steps leaves 0.45")
-    least_evidence: int = setting(12, "changes or gaps", "of the increment for levels, of stamps for a coarse clock")
-    least_sharpness: float = setting(0.15, "1", "of the same function of many changes; noise of 0.12 steps leaves it")
-    by_chance: float = setting(3.0, "deviations", "that a mean of cosines, or a correlation, goes by chance")
-    level_evidence: float = setting(7.0, "nats", "against levels by chance, beside the number of steps that are tried")
+    evidence: float = setting(7.0, "nats", "against levels, or motion in noise, by chance: one in 1000")
     # samples that a sensor or a logger has spoilt (data_quality/samples.py)
-    least_repeats: int = setting(4, "samples or runs", "of one value; noise hardly repeats itself so often")
+    least_repeats: int = setting(
+        4, "samples or runs", "of one value, as a held sensor has; noise hardly repeats itself"
+    )
     spike_changes: float = setting(3.0, "1", "times the changes beside them; bounces change these too")
-    spike_reach: float = setting(0.02, "1", "share of the range that a value for missing samples is off at least")
     wrap_tolerance: float = setting(0.25, "1", "share of a turn that an angle may move between two samples")
     jump_steps: float = setting(3.0, "steps", "of a jump; slow motion takes one level after the other")
     jump_reach: float = setting(
@@ -44,27 +43,22 @@ class DataQualitySettings:
     )
     clip_times: float = setting(6.0, "1", "times as long on the last level as on those beside it; rest begins slowly")
     rest_slows: float = setting(0.7, "1", "share of the step before, below which motion comes to rest before its end")
-    rest_repeats: int = setting(4, "samples", "of one value, above which a held sensor would repeat nearly all values")
     random_flips: float = setting(0.42, "1", "share of sign changes of differences; 0.6 in noise, 0.25 without any")
     held_share: float = setting(0.03, "1", "share of the samples; rounding to six digits repeats 0.1 % by chance")
     # time stamps (data_quality/stamps.py)
     regular: float = setting(0.01, "1", "share of the period by which stamps may differ; 0.2 ms at 50 Hz")
     one_sided: float = setting(2.0, "1", "times as far as stamps are early, that they are late in bursts")
     at_once: float = setting(0.12, "1", "share of stamps received at once, likewise; many are, of few that are late")
-    at_once_spread: float = setting(0.05, "1", "share of the spread of stamps that such ones are late at most")
     level_step: float = setting(0.3, "1", "share of the period that a clock is set by, at least")
-    level_windows: int = setting(3, "windows", "beside a step in which it lasts; bursts of 40 % end before")
     same_time: float = setting(1e-3, "1", "share of a control step by which a sample or a period may differ")
     cubic_error: float = setting(
         0.3, "1", "share of its distance from the line that a cubic errs by where motion begins"
     )
-    clock_rate: float = setting(5e-4, "1", "deviation of a clock's rate where stamps are rebuilt; crystals have 1e-4")
     # whether the signal answers to commands, beside replays (data_quality/responses.py), and its unit
     least_known: float = setting(
         0.1, "1", "share of the widest motion, of less nothing is known; and deviation of a missing share, of more"
     )
-    still_motion: float = setting(0.01, "1", "share of a replay's motion below which a coordinate stands still")
-    still_noise: float = setting(0.3, "1", "the same share of white noise, which is no motion")
+    still_noise: float = setting(0.3, "1", "share of a replay's motion below which white noise is no motion")
     unanswered: float = setting(
         0.3, "1", "by which the missing share of a response may differ from all of it; share of the misfit without it"
     )

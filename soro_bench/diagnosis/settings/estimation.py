@@ -50,7 +50,6 @@ class LikelihoodSettings:
     """What is taken for noise."""
 
     misfit_dominated: float = setting(10.0, "noise deviations", "rms misfit above which the model's error is the noise")
-    diverged: float = setting(1e3, "noise deviations", "residual of a sample where the simulation diverged")
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,6 @@ class PriorSettings:
     limit: float = setting(4.0, "prior deviations", "farthest that a parameter or a law's shape may be from its prior")
     same_robot: float = setting(0.1, "prior deviations", "drift of a parameter since the baseline diagnosis")
     magnitude_deviation: float = setting(5.0, "typical magnitudes", "of an effect; wide, as any may be there")
-    offset_share: float = setting(0.02, "1", "share of the range of a signal beside the first: a typical offset of it")
     common_share: float = setting(0.8, "1", "of the prior variance of magnitudes, that like elements have in common")
     shape_deviation: float = setting(0.7, "1", "of the logarithm of a time, rate or exponent of a law: a factor of 2")
 
@@ -79,7 +77,6 @@ class DescentSettings:
     """Levenberg-Marquardt descent from a fit, where the misfit dominates."""
 
     difference: float = setting(0.01, "prior deviations", "of an unknown, for its column of the Jacobian")
-    steps: int = setting(10, "steps", "at most")
     least_gain: float = setting(0.003, "1", "share of the cost that a step has to gain for another one")
     smallest_damping: float = setting(0.01, "1", "factor of the damping tried first; five more follow, each times 10")
 
@@ -91,7 +88,6 @@ class CovarianceSettings:
     width: float = setting(
         0.3, "prior deviations", "of the first samples, as narrow ones see jumps only; share of an effect's magnitude"
     )
-    rounds: int = setting(4, "rounds", "of samples, each as wide as the covariance before it")
     samples: int = setting(64, "replays", "of a round, beside two for each unknown")
 
 

@@ -107,7 +107,6 @@ class LocalisationSettings:
     at as candidates are fitted (``SelectionSettings.candidates``)."""
 
     # test inputs
-    weight_share: float = setting(0.02, "1", "of a robot's weight, first size of a force on a body")
     reach: float = setting(4.0, "noise deviations", "rms motion under a unit input; large enough to be seen")
     # input models
     node_spacing: float = setting(0.1, "s", "of piecewise linear inputs; a base may rock at 2 Hz")
@@ -115,20 +114,9 @@ class LocalisationSettings:
     most_values: int = setting(
         1000, "values", "of an input at one location; nodes of long recordings are farther apart"
     )
-    correlation_times: tuple[float, ...] = setting(
-        (0.2, 0.6, 2.0), "s", "of a free input, Matern 3/2; the best one counts"
-    )
     shapes: int = setting(8, "principal components", "of the signal, in which an input may be linear")
-    scales: tuple[float, ...] = setting(
-        (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0), "unit inputs", "prior deviations that are tried"
-    )
     # unknown-input estimation
-    finalists: int = setting(8, "locations", "that go on after the first round, and are replayed side by side")
-    rounds: int = setting(8, "rounds", "of Gauss-Newton steps at most, and steps of a round with the same Jacobian")
-    step_shares: tuple[float, ...] = setting((0.1, 0.4, 1.0), "1", "of a step that are replayed; cables fall slack")
-    smaller_inputs: float = setting(16.0, "1", "times smaller than predicted inputs are tried too")
     pulse: float = setting(0.5, "unit inputs", "of a pulse, for a column of the Jacobian")
-    least_gain: float = setting(1.0, "nats", "of a round or a step that is worth another one")
     # maps of the residual
     map_window: float = setting(1.0, "s", "of maps over time; short beside a recording")
     shown_share: float = setting(0.8, "1", "of the improvement that lies in the intervals that are named")
