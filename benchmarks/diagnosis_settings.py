@@ -1,229 +1,184 @@
-"""Halve and double every setting of the diagnosis, and record what changes on development robots.
+"""Halve and double every setting of the diagnosis, and record what changes.
 
-    python benchmarks/diagnosis_settings.py [--anew] [--stages selection fit ...] [--quick]
+    python benchmarks/diagnosis_settings.py [--anew] [--stages selection fit ...]
     python docs/generate.py
 
-The first command takes an hour of one core and can be stopped: it goes on with the settings that
-docs/results/measured.json lacks, or begins again with --anew. The second one writes docs/reference/settings.md.
+The first command takes an hour of one core and can be stopped: it goes on with what docs/results/measured.json lacks,
+or begins again with --anew. The second one writes docs/reference/settings.md.
 
-The robots are an arm of one joint: healthy, with a payload, with a delayed motor, and with dry friction. A healthy arm
-with spikes, coarse levels and late stamps serves the data quality; an arm that something pushes at random serves the
-localisation of what no law explains; and one that has got a payload serves the comparison of pairs.
-
-Each case runs once with settings that note where they are read. A setting that nobody has read can change nothing, and
-is not varied. The spoilt and the pushed arm are for settings that are first read in their stages, or nowhere else: all
-others the first four cases show.
-
-What changes nothing there is varied in harder cases (harder_settings.py), if not --quick: many settings at once, and
-of those that change something halves, until single ones are left. Two that cancel each other would stay unseen.
+The cases (settings_cases.py) come one after the other, quick ones first, and a setting is varied until it changes
+something. Each case runs once as it is, and once with settings that note when they are read. Where one is first read,
+the process is copied: the copy goes on with the setting halved or doubled, and all that was done before counts for it
+too. What no case shows, the tests of its stage may need (settings_tests.py).
 """
 
 import argparse
+import json
+import os
+import signal
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.settings_cases import (
-    CASES,
-    PAIRED,
-    CaseRun,
-    Groups,
-    Outcome,
-    RememberingRobot,
-    arm_files,
-    harder_cases,
-    runner,
-)
+from benchmarks.settings_cases import CaseRun, Groups, Outcome, cases
+from benchmarks.settings_tests import FACTORS, RESULTS, apart, values_of
 from soro_bench.diagnosis.settings import DEFAULT, listed
 from soro_bench.files import read_json, write_json
 
-RESULTS = Path(__file__).parents[1] / "docs" / "results" / "measured.json"
-NOT_READ = "not read in these cases"
-FACTORS = {"halved": 0.5, "doubled": 2.0}
+ENDLESS = 10.0  # times as long as with default settings, of a run that is stopped
 _NOTED = 0.01  # of a probability, from which a change is noted
 _MOVED = 0.1  # posterior standard deviations of an unknown, and share of that deviation, likewise
+_FIGURE = 0.1  # share of a figure, likewise
 _TOLD = 2  # changes of one case that are told, beside the number of others
 
 
-@dataclass
-class Reads:
-    """Where settings were first read: stages by "group.name"."""
-
-    stage: str = "data quality"
-    first: dict[str, str] = field(default_factory=dict)
-
-    def begin(self, stage: str) -> None:
-        """A stage begins."""
-        self.stage = stage
-
-    def watched(self, name: str, group: Any) -> Any:
-        """The same settings, but for that they note when they are read."""
-        kind = type(group)
-        names = {each.name for each in fields(kind)}
-
-        def read(settings: Any, attribute: str) -> Any:
-            if attribute in names:
-                self.first.setdefault(f"{name}.{attribute}", self.stage)
-            return object.__getattribute__(settings, attribute)
-
-        watched = type(kind.__name__, (kind,), {"__getattribute__": read})
-        return watched(**{each: getattr(group, each) for each in names})
-
-
 def main() -> None:
+    """Vary the settings that are asked for in all cases."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--stages", nargs="*", help="groups of settings, such as selection; all by default")
-    parser.add_argument("--quick", action="store_true", help="leave out the harder cases")
     parser.add_argument("--anew", action="store_true", help="forget what was measured of these groups")
     options = parser.parse_args()
-    defaults = {each.name: getattr(DEFAULT, each.name) for each in fields(DEFAULT)}
+    defaults = DEFAULT.groups()
     if unknown := sorted({*(options.stages or [])} - {*defaults}):
         parser.error(f"no group {unknown[0]}; there are {', '.join(defaults)}")
     groups = options.stages or [*defaults]
     measured = read_json(RESULTS)
-    known = measured["settings_sensitivity"]
-    names = {f"{group}.{each[1]}" for group, settings in defaults.items() for each in listed(group, settings)}
-    for key in [each for each in known if each not in names or (options.anew and each.split(".")[0] in groups)]:
+    known, done = measured["settings_sensitivity"], measured.setdefault("settings_cases", {})
+    names = [f"{group}.{each[1]}" for group, settings in defaults.items() for each in listed(group, settings)]
+    forgotten = {key for key in known if key not in names or (options.anew and key.split(".")[0] in groups)}
+    for key in forgotten:
         del known[key]
-    harder = measured.setdefault("settings_harder", {})
-    for done in (by_label[label] for by_label in harder.values() for label in by_label):
-        done[:] = [key for key in done if key in known]
+
+    def seen(key: str) -> bool:
+        """Whether a setting changes something."""
+        return any(known.get(key, {}).values())
+
+    def prune() -> None:
+        """Keep for every case only the settings that have changed nothing anywhere."""
+        done.update({case: [key for key in keys if key in known and not seen(key)] for case, keys in done.items()})
+
+    prune()
+    asked = [key for key in names if key.split(".")[0] in groups]
+
+    def idle(case: str, without: Sequence[str] = ()) -> list[str]:
+        """Settings to vary in a case."""
+        return [
+            key
+            for key in asked
+            if not seen(key) and key not in done.setdefault(case, []) and key.split(".")[0] not in without
+        ]
+
+    def note(case: str, keys: Sequence[str], found: dict[str, str]) -> None:
+        """Write what a case has shown."""
+        for key in keys:
+            for label in FACTORS:
+                texts = known.setdefault(key, {}).setdefault(label, {})
+                if text := found.get(f"{key} {label}"):
+                    texts[case] = text
+                    print(key, label, case, text, flush=True)
+        done[case] += keys
+        prune()
+        write_json(RESULTS, measured)
+
     with tempfile.TemporaryDirectory() as folder:
-        paths = arm_files(Path(folder))
-        runs = {name: runner(paths, case) for name, case in CASES.items() if (name == PAIRED) <= (PAIRED in groups)}
-        usual, read = with_defaults(runs, defaults)
-        remembered = RememberingRobot.replays
-        for key, label, settings in varied(defaults, groups):
-            RememberingRobot.replays = dict(remembered)  # of the defaults only, to bound the memory
-            if label in known.get(key, {}):
-                continue
-            reading = [name for name in runs if key in read[name]]
-            if isinstance(settings, ValueError):
-                found: Any = {"all": f"refused, {settings}"}
-            elif not reading:
-                found = NOT_READ
-            else:
-                texts = {name: changed(runs[name], settings, usual[name]) for name in reading}
-                found = {name: text for name, text in texts.items() if text}
-            known.setdefault(key, {})[label] = found
-            write_json(RESULTS, measured)
-            print(key, label, found or "no change", flush=True)
-        if not options.quick:
-            vary_harder(Path(folder), defaults, known, harder, lambda: write_json(RESULTS, measured))
+        for name, case in cases(Path(folder)).items():
+            if keys := idle(name, case.without):
+                print(f"{name}: {len(keys)} settings", flush=True)
+                note(name, keys, apart(partial(vary, case.build, defaults, keys, Path(folder))))
 
 
-def vary_harder(folder: Path, defaults: Groups, known: Groups, harder: Groups, save: Callable[[], None]) -> None:
-    """Vary in harder cases what changes nothing so far.
+@dataclass
+class Copies:
+    """Settings, and a copy of the process for each that is varied.
 
-    Args:
-        known: by setting and factor, what changes in each case. harder: by case and factor, the settings that were
-            varied there. save: writes both.
+    keys: "group.name" of settings to vary. folder: of the outcomes. seconds: after which a copy is stopped. found: what
+    is said of those that are refused or stopped. copied: which setting this process varies, if it is a copy.
     """
-    for name, build in harder_cases(folder).items():
-        run, usual, read = None, None, set[str]()
-        for label, factor in FACTORS.items():
-            done = harder.setdefault(name, {}).setdefault(label, [])
-            idle = [key for key in known if key not in done and not seen(known[key]) and key.split(".")[0] in defaults]
-            if not idle:
-                continue
-            if run is None or usual is None:
-                run, reads = build(), Reads()
-                watched = {group: reads.watched(group, each) for group, each in defaults.items()}
-                reads.first.clear()
-                usual, read = run(watched, reads.begin), {*reads.first}
-            asked = [key for key in idle if key in read]
-            for key, text in bisected(run, usual, defaults, asked, factor).items():
-                known[key][label] = {**(known[key][label] if isinstance(known[key][label], dict) else {}), name: text}
-                print(key, label, name, text, flush=True)
-            for key in asked:
-                known[key][label] = {} if known[key][label] == NOT_READ else known[key][label]
-            done += idle
-            save()
 
+    defaults: Groups
+    keys: Sequence[str]
+    folder: Path
+    seconds: float
+    found: dict[str, str] = field(default_factory=dict)
+    copied: Path | None = None
+    read: set[str] = field(default_factory=set)
+    watching: bool = False
 
-def seen(changes: Groups) -> bool:
-    """Whether a setting changes anything."""
-    return any(isinstance(each, dict) and each for each in changes.values())
+    def groups(self) -> Groups:
+        """The same settings, but for that they are varied when they are first read."""
+        groups = {name: self._watched(name, group) for name, group in self.defaults.items()}
+        self.watching = True
+        return groups
 
+    def _watched(self, group: str, settings: Any) -> Any:
+        kind, names = type(settings), {each.name for each in fields(settings)}
 
-def bisected(run: CaseRun, usual: Outcome, defaults: Groups, keys: Sequence[str], factor: float) -> dict[str, str]:
-    """What changes by which settings, of some that are varied together."""
-    if not keys:
-        return {}
-    groups: dict[str, Groups] = {name: {} for name in defaults}
-    for key in keys:
+        def read(watched: Any, attribute: str) -> Any:
+            key = f"{group}.{attribute}"
+            if attribute in names and self.watching and not self.copied and key not in self.read:
+                self.read.add(key)
+                if key in self.keys:
+                    self._vary(key, watched)
+            return object.__getattribute__(watched, attribute)
+
+        return type(kind.__name__, (kind,), {"__getattribute__": read})(**asdict(settings))
+
+    def _vary(self, key: str, watched: Any) -> None:
+        """Copy the process once for each factor; a copy returns with another value."""
         group, name = key.split(".")
-        groups[group][name] = times(getattr(defaults[group], name), factor)
+        for label, value in values_of(self.defaults, key).items():
+            try:
+                replace(self.defaults[group], **{name: value})
+            except ValueError as error:
+                self.found[f"{key} {label}"] = f"refused, {error}"
+                continue
+            path = self.folder / f"{key} {label}.json"
+            path.unlink(missing_ok=True)
+            if not (child := os.fork()):
+                self.copied = path
+                object.__setattr__(watched, name, value)
+                signal.alarm(int(self.seconds))
+                return
+            os.waitpid(child, 0)
+            if not path.exists():
+                self.found[f"{key} {label}"] = "does not end"
+
+
+def vary(build: Callable[[], CaseRun], defaults: Groups, keys: Sequence[str], folder: Path) -> Groups:
+    """What changes in a case by each setting halved and doubled ("group.name halved"); none of those not read."""
+    start, run = time.perf_counter(), build()
+    usual = run(defaults, lambda stage: None)
+    copies = Copies(defaults, keys, folder, ENDLESS * (time.perf_counter() - start) + 60.0)
     try:
-        text = changed(run, {name: replace(defaults[name], **each) for name, each in groups.items()}, usual)
-    except ValueError as error:
-        text = f"refused, {error}"
-    if not text or len(keys) == 1:
-        return {keys[0]: text} if text else {}
-    half = len(keys) // 2
-    return {
-        **bisected(run, usual, defaults, keys[:half], factor),
-        **bisected(run, usual, defaults, keys[half:], factor),
-    }
-
-
-def with_defaults(runs: dict[str, CaseRun], defaults: Groups) -> tuple[dict[str, Outcome], dict[str, set[str]]]:
-    """Outcomes of all cases with default settings, and the settings that are varied in each."""
-    usual, stages = {}, {}
-    for name, run in runs.items():
-        reads = Reads()
-        watched = {group: reads.watched(group, each) for group, each in defaults.items()}
-        reads.first.clear()  # as they were made
-        usual[name] = run(watched, reads.begin)
-        stages[name] = reads.first
-    return usual, varied_in(stages)
-
-
-def varied_in(stages: dict[str, dict[str, str]]) -> dict[str, set[str]]:
-    """The settings that are varied in each case.
-
-    Args:
-        stages: by case, where each setting was first read.
-    """
-    everywhere = {key for name, first in stages.items() if not CASES[name].stages for key in first}
-    return {
-        name: {key for key, stage in first.items() if stage in CASES[name].stages or key not in everywhere}
-        if CASES[name].stages
-        else {*first}
-        for name, first in stages.items()
-    }
-
-
-def varied(defaults: Groups, groups: Sequence[str]) -> Iterator[tuple[str, str, Groups | ValueError]]:
-    """Name of a setting, name of the factor, and settings with that one times the factor, or why they are refused."""
-    for group in groups:
-        for _, name, value, _, _ in listed(group, defaults[group]):
-            for label, factor in FACTORS.items():
-                try:
-                    changed = replace(defaults[group], **{name: times(value, factor)})
-                except ValueError as error:
-                    yield f"{group}.{name}", label, error
-                else:
-                    yield f"{group}.{name}", label, {**defaults, group: changed}
-
-
-def times(value: Any, factor: float) -> Any:
-    """A setting times a factor; whole numbers stay whole."""
-    if isinstance(value, tuple):
-        return tuple(times(each, factor) for each in value)
-    return round(value * factor) if isinstance(value, int) else value * factor
-
-
-def changed(run: CaseRun, settings: Groups, usual: Outcome) -> str:
-    """What changes in a case; nothing where all that is said, its probability and the unknowns stay."""
-    try:
-        now = run(settings, lambda stage: None)
+        outcome = asdict(run(copies.groups(), lambda stage: None))
     except (ValueError, ArithmeticError, LookupError, TypeError, np.linalg.LinAlgError) as error:
-        return f"refused: {error}".split("\n")[0][:80]
+        if not copies.copied:
+            raise
+        outcome = {"refused": f"refused: {error}".split("\n")[0][:80]}
+    if copies.copied:
+        write_json(copies.copied, {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in outcome.items()})
+        os._exit(0)
+    found: Groups = dict(copies.found)
+    for key in keys:
+        for label in FACTORS:
+            path = folder / f"{key} {label}.json"
+            if path.exists():
+                found[f"{key} {label}"] = changed(json.loads(path.read_text()), usual)
+                path.unlink()
+    return found
+
+
+def changed(outcome: dict[str, Any], usual: Outcome) -> str:
+    """What changes in a case; nothing where all that is said, its probability and the unknowns stay."""
+    if "refused" in outcome:
+        return str(outcome["refused"])
+    now = Outcome(**{**outcome, **{name: np.array(outcome[name]) for name in ("numbers", "deviation")}})
     pairs = {about: (usual.said[about], now.said[about]) for about in usual.said}
     said = [
         f"{before} becomes {after}" if about == "answer" else f"{about}: {before} becomes {after}"
@@ -236,6 +191,9 @@ def changed(run: CaseRun, settings: Groups, usual: Outcome) -> str:
         return ", ".join(said)
     if abs(now.probability - usual.probability) >= _NOTED:
         said.append(f"probability {usual.probability:.2f} to {now.probability:.2f}")
+    for name, before in usual.figures.items():
+        if abs((after := now.figures.get(name, 0.0)) - before) > _FIGURE * abs(before):
+            said.append(f"{name} {before:.2g} to {after:.2g}")
     if len(now.numbers) != len(usual.numbers):
         return ", ".join([*said, f"{len(usual.numbers)} unknowns become {len(now.numbers)}"])
     moved = float(np.max(np.abs(now.numbers - usual.numbers) / usual.deviation, initial=0.0))

@@ -1,18 +1,21 @@
-"""The cases of benchmarks/diagnosis_settings.py: arms of one joint, and harder ones.
+"""The cases of benchmarks/diagnosis_settings.py, quick ones first.
 
-Harder are logs by degraded sensors, of which only the data quality is looked at; two recordings between which an arm
-has become heavier; and a trunk with a weak cable. Of the last two the whole result is looked at.
+An arm of one joint is healthy, or has a payload, a delayed motor or dry friction, which is compared with the healthy
+one too; or a spoilt sensor; or something pushes it at random. Of logs by degraded sensors only the data quality is
+looked at. Of the last ones the whole result: two recordings between which an arm has become heavier, arms of three
+joints with a law outside the catalogue (hidden_arms.py), and a trunk with a weak cable.
 """
 
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
+from benchmarks import discovered_laws
 from benchmarks.degraded_sensors import SENSORS, arm, degraded, trunk
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.assembly.build import build_result
@@ -29,11 +32,11 @@ from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.robots.variants import Variant
 from soro_bench.diagnosis.selection.forward_selection import Progress
 from soro_bench.diagnosis.settings import Settings
-from soro_bench.effects.effect import Effect, Location
+from soro_bench.effects.catalogue import ALL
+from soro_bench.effects.effect import Effect, Location, effect_from
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from tests.arm import ARM, MAP, SIGMA, TRUTH
 
-PAIRED = "paired"  # the group of the comparison of pairs
 GOALS, HELD, STEP = 8, 15, 0.02  # of the arm, control steps of each, s
 LEVEL, SPIKE, SPIKES = 0.004, 0.5, 4  # rad, rad, samples
 LATE = 0.006  # s, of one sample in five
@@ -41,6 +44,8 @@ PUSH = 0.05  # N m, standard deviation
 TRUNK_STEPS, TRUNK_NOISE, WEAK = 60, 5e-4, 0.7  # control steps, m, gain of a cable
 REMEMBERED = 5000  # replays, at most; of a trunk 150 MB
 TRUNK_SENSORS = "150 levels", "1 % spikes", "4 % zeros", "held 1.5", "frozen", "25 % late"
+NOT_WHOLE = "data_quality", "paired"  # groups that are not varied where diagnoses are slow
+HIDDEN = ("quadratic_spring",)  # families of laws
 Groups = dict[str, Any]  # settings by the names of their stages
 Paths = tuple[Path, Path]
 
@@ -48,25 +53,23 @@ Paths = tuple[Path, Path]
 @dataclass(frozen=True)
 class Case:
     """hidden: effects of the arm. spoilt: by its sensor. pushed: by something outside the catalogue. paired: compared
-    with the arm without the effects. stages: of settings that are varied in it, by where they are first read; all if
-    empty."""
+    with the arm without the effects."""
 
     hidden: tuple[Effect, ...] = ()
     spoilt: bool = False
     pushed: bool = False
     paired: bool = False
-    stages: tuple[str, ...] = ()
 
 
 _PAYLOAD = Effect("payload", Location("body", "arm"), {"mass": 0.1})
-CASES = {
+ARMS = {
     "healthy": Case(),
     "payload": Case((_PAYLOAD,)),
+    "paired": Case((_PAYLOAD,), paired=True),
+    "spoilt": Case(spoilt=True),
     "delay": Case((Effect("actuator_delay", Location("actuator", "motor"), {"delay": 0.03}),)),
     "friction": Case((Effect("coulomb_friction", Location("joint", "hinge"), {"friction": 0.05}),)),
-    "spoilt": Case(spoilt=True, stages=("data quality",)),
-    "pushed": Case(pushed=True, stages=("localisation", "next recording", "limits")),
-    PAIRED: Case((_PAYLOAD,), paired=True),
+    "pushed": Case(pushed=True),
 }
 
 
@@ -147,15 +150,25 @@ class RememberingTrunk(SuiteRobot):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What is said of a case, by what it is about; a probability; numbers, and how far each may move unnoticed."""
+    """What is said of a case, by what it is about; a probability; numbers, and how far each may move unnoticed; and
+    figures, of which a tenth is told."""
 
     said: dict[str, str]
     probability: float
     numbers: Floats
     deviation: Floats
+    figures: dict[str, float] = field(default_factory=dict)
 
 
 CaseRun = Callable[[Groups, Progress], Outcome]
+
+
+@dataclass(frozen=True)
+class Planned:
+    """A case: what builds it, and the groups of settings that are not varied in it, as others are for these."""
+
+    build: Callable[[], CaseRun]
+    without: tuple[str, ...] = ()
 
 
 def arm_files(folder: Path) -> Paths:
@@ -216,8 +229,14 @@ def of_diagnosis(found: Diagnosis, limits: str) -> Outcome:
         "next recording": found.proposal.motion.words if found.proposal else "none",
         "limits": limits or "none",
     }
+    figures = {}
+    if found.ranked_locations:
+        figures["error with an input at the location"] = found.ranked_locations[0].force.remaining_rms
+    if found.proposal:
+        moves = float(np.abs(np.diff(found.proposal.motion.actions, axis=0)).sum())
+        figures |= {"evidence of the next recording": found.proposal.evidence, "its moves": moves}
     covariance = best.hypothesis.covariance(found.explanation.problem)
-    return Outcome(said, best.probability, best.hypothesis.x, np.sqrt(np.diag(covariance)))
+    return Outcome(said, best.probability, best.hypothesis.x, np.sqrt(np.diag(covariance)), figures)
 
 
 def of_pair(robot: Robot, before: Recording, after: Recording, settings: Settings, stage: Progress) -> Outcome:
@@ -235,15 +254,20 @@ def of_pair(robot: Robot, before: Recording, after: Recording, settings: Setting
     return Outcome(said, probability, np.array([each.value for each in estimates]), np.array(widths) / 3.29)
 
 
-# --- harder cases ---
-
-
-def harder_cases(folder: Path) -> dict[str, Callable[[], CaseRun]]:
-    """What builds each harder case."""
-    return {
-        "logs": partial(logs, folder),
-        "two recordings": partial(two_recordings, arm_files(folder)),
+def cases(folder: Path) -> dict[str, Planned]:
+    """All cases by name, in the order in which settings are varied in them."""
+    paths = arm_files(folder)
+    arms = {name: partial(runner, paths, case) for name, case in ARMS.items()}
+    quick, slow = dict(list(arms.items())[:5]), dict(list(arms.items())[5:])
+    whole: dict[str, Callable[[], CaseRun]] = {
+        "two recordings": partial(two_recordings, paths),
+        **{f"hidden {family}": partial(hidden_arm, folder, family) for family in HIDDEN},
         "trunk": weak_cable,
+    }
+    return {
+        **{name: Planned(build) for name, build in quick.items()},
+        "logs": Planned(partial(logs, folder)),
+        **{name: Planned(build, NOT_WHOLE) for name, build in {**slow, **whole}.items()},
     }
 
 
@@ -294,7 +318,7 @@ def _of_log(robot: Robot, given: Recording, settings: Settings) -> tuple[str, tu
 def two_recordings(paths: Paths) -> CaseRun:
     """An arm that has become heavier between two recordings."""
     robot = RememberingRobot(*paths, threads=1)
-    train = [recording(paths, Case(), 0), recording(paths, Case(CASES["payload"].hidden), 2)]
+    train = [recording(paths, Case(), 0), recording(paths, Case(ARMS["payload"].hidden), 2)]
     return partial(_whole, robot, train, [recording(paths, Case(), 1)])
 
 
@@ -316,6 +340,13 @@ def weak_cable() -> CaseRun:
     return partial(_whole, RememberingTrunk(), found[:1], found[1:])
 
 
+def hidden_arm(folder: Path, family: str) -> CaseRun:
+    """An arm of three joints with a law that the catalogue lacks."""
+    (folder / family).mkdir(exist_ok=True)
+    _, recordings = discovered_laws.case(family, 0)
+    return partial(_whole, discovered_laws.robot(folder / family), recordings[:1], recordings[1:2])
+
+
 def _whole(
     robot: Robot, train: Sequence[Recording], heldout: Sequence[Recording], groups: Groups, stage: Progress
 ) -> Outcome:
@@ -326,5 +357,10 @@ def _whole(
     outcome.said["verdict"] = result.verdict
     outcome.said["when"] = "; ".join(f"{each.condition} {each.intervals}" for each in result.findings[:1])
     outcome.said["changes"] = ", ".join(each.name for each in result.agreement if each.changes) or "nothing"
+    laws = [effect_from(each, ALL) for each in result.discovery.effects] if result.discovery else []
+    outcome.said["law"] = "; ".join(f"{each.law.expression} at {each.location}" for each in laws if each.law) or "none"
+    outcome.said["other laws"] = str(len(result.discovery.others) if result.discovery else 0)
+    outcome.figures["limit of the law"] = max((each.law.limit for each in laws if each.law), default=0.0)
+    outcome.figures.update({f"{name} of the law": value for each in laws for name, value in each.parameters.items()})
     outcome.said["replays"] = str(len(result.worse_replays))
     return outcome

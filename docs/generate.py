@@ -14,7 +14,6 @@ import textwrap
 import types
 import typing
 import warnings
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -161,30 +160,26 @@ OTHER_SETTINGS = {"robots": RobotSettings()}  # which Settings does not hold
 
 def settings() -> str:
     """A table for every stage."""
-    groups = {field.name: getattr(DEFAULT, field.name) for field in dataclasses.fields(DEFAULT)}
-    tables = [_settings(stage, group) for stage, group in {**groups, **OTHER_SETTINGS}.items()]
+    tables = [_settings(stage, group) for stage, group in {**DEFAULT.groups(), **OTHER_SETTINGS}.items()]
     return "\n\n".join([_settings_counts(), *tables])
 
 
 def _settings_counts() -> str:
-    """How many settings of a diagnosis change something, in one sentence."""
-    changes, counts = measured("settings_sensitivity"), Counter()
-    for stage, name, *_ in DEFAULT.listed():
-        halved, doubled = (changes.get(f"{stage}.{name}", {}).get(factor) for factor in ("halved", "doubled"))
-        counts["measured" if halved is not None and doubled is not None else ""] += 1
-        counts["change something"] += any(isinstance(each, dict) and bool(each) for each in (halved, doubled))
-        counts["read"] += any(isinstance(each, dict) for each in (halved, doubled))
+    """How many settings change something, in one sentence."""
+    changes, groups = measured("settings_sensitivity"), {**DEFAULT.groups(), **OTHER_SETTINGS}
+    keys = [f"{stage}.{name}" for stage, group in groups.items() for _, name, *_ in listed(stage, group)]
+    known = [key for key in keys if key in changes]
+    changing = sum(any(changes[key].values()) for key in known)
     return (
-        f"Of {len([*DEFAULT.listed()])} settings, {counts['measured']} are measured: {counts['change something']} "
-        f"change something, {counts['read'] - counts['change something']} are read and change nothing in these cases, "
-        f"and {counts['measured'] - counts['read']} are not read in them."
+        f"Of {len(keys)} settings, {changing} change something, {len(known) - changing} change nothing in these cases "
+        f"and tests, and {len(keys) - len(known)} are not measured."
     )
 
 
 def _settings(stage: str, group) -> str:
     changes = measured("settings_sensitivity")
     rows = [
-        (f"`{name}`", f"{value}", unit, reason, *_changes(changes.get(f"{stage}.{name}", {}), stage == "robots"))
+        (f"`{name}`", f"{value}", unit, reason, *_changes(changes.get(f"{stage}.{name}", {})))
         for _, name, value, unit, reason in listed(stage, group)
     ]
     summary = re.sub(r"\s+", " ", inspect.getdoc(group))
@@ -192,16 +187,11 @@ def _settings(stage: str, group) -> str:
     return f"## {title}\n\n{summary}\n\n{table(('setting', 'value', 'unit', 'reason', 'halved', 'doubled'), rows)}"
 
 
-def _changes(measured: dict[str, dict[str, str] | str], of_robot: bool) -> Iterator[str]:
-    """What changes when a setting is halved, and doubled, in the cases of benchmarks/diagnosis_settings.py; or that no
-    case reads it."""
+def _changes(measured: dict[str, dict[str, str]]) -> Iterator[str]:
+    """What changes when a setting is halved, and doubled, in the cases and tests that it was varied in."""
     for factor in ("halved", "doubled"):
-        if factor not in measured:
-            yield "not a part of a diagnosis" if of_robot else "not measured"
-        elif isinstance(found := measured[factor], str):
-            yield found
-        else:
-            yield "; ".join(f"{case}: {text}" for case, text in found.items()) or "no change"
+        texts = [f"{case}: {text}" for case, text in measured.get(factor, {}).items()]
+        yield "; ".join(texts) or ("no change" if factor in measured else "not measured")
 
 
 # --- result.json ---
