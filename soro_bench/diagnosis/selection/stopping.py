@@ -50,7 +50,7 @@ def explained_beyond_chance(heldout: Problem, before: Hypothesis, share: float) 
     """Whether so large a share of a held-out residual is not explained by chance.
 
     The share is the squared correlation of the residual and what explains it, so Student's test of a correlation
-    applies. Windows are independent, and count by their squares: what acts at large angles only may show in two of
+    applies. Windows are independent, and count by their squares: a law of large angles may show in two of
     five. Sums over windows (``falls_beyond_chance``) refuse even a perfect law there, as its gains differ.
 
     Args:
