@@ -71,7 +71,11 @@ class WarpBatch:
         self.model_of: Callable[..., mujoco.MjModel] = lambda row, into: model
         with wp.ScopedDevice(device):
             # before a graph is captured, which goes on reading the arrays that there are now
-            self.warp_model = mjw.put_model(model, batch_sizes=dict.fromkeys(fields, nsim))
+            sizes = dict.fromkeys(fields, nsim)
+            self.warp_model = mjw.put_model(model, batch_sizes=sizes)
+            if self.warp_model.has_non_simple_flex or not self.warp_model.flex_interp_assemblable:
+                model.opt.solver = mujoco.mjtSolver.mjSOL_CG  # Newton's is refused where flex nodes turn with bodies
+                self.warp_model = mjw.put_model(model, batch_sizes=sizes)
             self.warp_data = mjw.make_data(model, nworld=nsim, **room)
         self.warp_model.opt.warn_overflow = 0  # raised instead
         if deterministic:
@@ -191,8 +195,6 @@ class WarpSimulation:
             self._host.batch.expand(name)
         self.model = self._host.batch.get_model(0)
         self._common = {name: np.array(_field(self.model, name)) for name in self._shared}
-        if self.model.opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE and self.model.nflex:
-            self.model.opt.solver = mujoco.mjtSolver.mjSOL_CG  # Newton's is refused where nodes turn with bodies
         self.batch = WarpBatch(self.model, nsim, self._own, device, deterministic, dict(room or {}))
         self.batch.model_of = self._model_of
         self.params = self.array(np.tile(parameters.nominal, (nsim, 1)))
