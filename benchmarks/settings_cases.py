@@ -257,7 +257,7 @@ def of_pair(robot: Robot, before: Recording, after: Recording, settings: Setting
 def cases(folder: Path) -> dict[str, Planned]:
     """All cases by name, in the order in which settings are varied in them."""
     paths = arm_files(folder)
-    arms = {name: partial(runner, paths, case) for name, case in ARMS.items()}
+    arms: dict[str, Callable[[], CaseRun]] = {name: partial(runner, paths, case) for name, case in ARMS.items()}
     quick, slow = dict(list(arms.items())[:5]), dict(list(arms.items())[5:])
     whole: dict[str, Callable[[], CaseRun]] = {
         "two recordings": partial(two_recordings, paths),

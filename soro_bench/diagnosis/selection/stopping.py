@@ -58,7 +58,7 @@ def explained_beyond_chance(heldout: Problem, before: Hypothesis, share: float) 
     """
     (row,) = heldout.residuals([(before.x, before.terms)])
     settings = heldout.settings
-    squares = np.minimum(row, settings.likelihood.diverged) ** 2
+    squares = np.minimum(row**2, DIVERGED**2)
     _, number = np.unique(windows(heldout, settings.localisation.map_window), return_inverse=True)
     sums = np.bincount(number, squares)
     independent = float(sums.sum() ** 2 / max((sums**2).sum(), 1e-300))
