@@ -23,7 +23,6 @@ import mujoco
 import numpy as np
 from scipy.optimize import least_squares
 
-from soro_bench.assets import mjcf_path
 from soro_bench.diagnosis.baseline import baseline
 from soro_bench.diagnosis.data_quality.noise import data_quality
 from soro_bench.diagnosis.estimation.problem import Problem
@@ -31,7 +30,7 @@ from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import FITTED
 from soro_bench.diagnosis.selection.forward_selection import nominal_fit
-from soro_bench.files import read_toml
+from soro_bench.files import mjcf_path, read_toml
 from soro_bench.models import silicone_beam as beam
 from soro_bench.recording.importers import import_recording
 

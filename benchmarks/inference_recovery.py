@@ -20,8 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from soro_bench.assets import asset_path
-from soro_bench.files import read_json, write_json
+from soro_bench.files import asset_path, read_json, write_json
 from soro_bench.inference import bayes_sim
 from soro_bench.inference.methods import infer
 from soro_bench.inference.replay import Replay

@@ -18,14 +18,13 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from soro_bench.assets import asset_path
 from soro_bench.diagnosis.paired.api import compare
 from soro_bench.diagnosis.paired.result import Change, PairedResult
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.effects.effect import Effect, Location
-from soro_bench.files import read_json, read_toml, write_json
+from soro_bench.files import asset_path, read_json, read_toml, write_json
 from soro_bench.markdown import table
 from soro_bench.recording.importers import import_recording
 from soro_bench.recording.recording import Recording, Signal

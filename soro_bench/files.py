@@ -1,4 +1,4 @@
-"""Writing files so that nobody ever sees half of one, and reading them whatever they hold."""
+"""Where the files of `assets` are; writing files so that nobody sees half of one; reading them whatever they hold."""
 
 import hashlib
 import json
@@ -18,6 +18,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+_PACKAGE = Path(__file__).parent
 _HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]
 _TEMPORARY = re.compile(r"\..+\.([0-9a-f]{8})-(\d+)-[0-9a-f]{8}\.part")  # host and process of what is being written
 _WRITING, _FORGOTTEN = 60.0, 86400.0  # s since the last change: a file may be written to, none is any more
@@ -205,3 +206,16 @@ def _finite(text: str) -> float:
     if not math.isfinite(number := float(text)):
         raise ValueError(f"{text[:80]} is no finite number")
     return number
+
+
+def asset_path(name: str) -> Path:
+    """Path of ``assets/<name>``: beside the package in a checkout, inside it in a wheel."""
+    for root in (_PACKAGE / "assets", _PACKAGE.parent / "assets"):
+        if (path := root / name).exists():
+            return path
+    raise FileNotFoundError(f"no asset {name!r} in soro_bench's assets")
+
+
+def mjcf_path(name: str) -> Path:
+    """Path of ``assets/mjcf/<name>``."""
+    return asset_path(f"mjcf/{name}")

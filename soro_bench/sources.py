@@ -6,8 +6,7 @@ from collections.abc import Iterable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from soro_bench.assets import mjcf_path
-from soro_bench.files import is_temporary, replacing
+from soro_bench.files import is_temporary, mjcf_path, replacing
 
 SIMULATION = ("parameters.py", "rotation.py", "models/*.py", "envs/*.py", "effects/*.py")  # of an episode; and scenes
 METHOD = (*SIMULATION, "diagnosis/**/*.py", "recording/*.py", "inference/statistical_linearisation.py")

@@ -4,11 +4,11 @@ import mujoco
 import numpy as np
 import pytest
 
-from soro_bench.assets import mjcf_path
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.effects.catalogue import PHYSICS
 from soro_bench.effects.effect import Effect, EffectError, Location
 from soro_bench.effects.elements import Elements, instrument
+from soro_bench.files import mjcf_path
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import ParameterSet
 

@@ -18,7 +18,7 @@ import pytest
 
 import soro_bench
 from benchmarks.trunk_models import RECORDED, SEQUENCES, TOLERANCE, copies
-from soro_bench.assets import mjcf_path
+from soro_bench.files import mjcf_path
 from soro_bench.leaderboard.strict import read_strict
 
 ROOT = Path(__file__).parents[1]
@@ -138,7 +138,7 @@ def test_assets_inside_the_package(tmp_path):
     """As in an installed wheel, the package works with its assets inside it and no checkout around it."""
     shutil.copytree(CHECKOUT / "soro_bench", tmp_path / "soro_bench", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copytree(CHECKOUT / "assets", tmp_path / "soro_bench" / "assets", dirs_exist_ok=True)
-    found = run_python(f"{USE}; from soro_bench.assets import mjcf_path; print(mjcf_path('push.xml'))", tmp_path)
+    found = run_python(f"{USE}; from soro_bench.files import mjcf_path; print(mjcf_path('push.xml'))", tmp_path)
     assert Path(found).resolve() == (tmp_path / "soro_bench/assets/mjcf/push.xml").resolve()
 
 

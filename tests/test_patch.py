@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from soro_bench.assets import mjcf_path
 from soro_bench.diagnosis.assembly.errors import rms_as_it_is
 from soro_bench.diagnosis.assembly.model_export import (
     LONG,
@@ -29,6 +28,7 @@ from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.effects.elements import AUXILIARY, FOUND, instrument, without_unused_springs
 from soro_bench.envs.trunk import NUM_KEYPOINTS
+from soro_bench.files import mjcf_path
 from soro_bench.models.trunk_geometry import CABLE_RATE
 from tests.arm import ARM, MAP
 from tests.arm import problem as arm_problem

@@ -7,10 +7,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from soro_bench.assets import mjcf_path
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.effects.effect import Effect, Location
-from soro_bench.files import read_toml
+from soro_bench.files import mjcf_path, read_toml
 from soro_bench.models import silicone_beam as beam
 from soro_bench.models.real_robots import ASL, OPENCR, ROBOTS
 from soro_bench.models.tentacle import OFFSET, TAPER, TIED, YOUNG, radius, tentacle

@@ -160,7 +160,7 @@ def test_a_table_of_takes_gives_each_recording_its_constant_commands(tmp_path):
 def test_files_of_a_study_are_there(name):
     import tomllib
 
-    from soro_bench.assets import asset_path
+    from soro_bench.files import asset_path
 
     table = tomllib.loads(asset_path("studies.toml").read_text())[name]
     files = [table[key] for key in ("model", "map", "import") if isinstance(table[key], str)]

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from soro_bench.assets import asset_path
 from soro_bench.campaign.inputs import inferred
 from soro_bench.campaign.run import Run
 from soro_bench.envs.multigait import PUBLISHED_RANDOMIZATION
+from soro_bench.files import asset_path
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.parameters import ALL_PARAMETERS, WALL_OFFSET
 from soro_bench.randomization import TruncatedNormal, search_box

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 
-from soro_bench.assets import asset_path
 from soro_bench.diagnosis.assembly.build import build_result
 from soro_bench.diagnosis.baseline import baseline
 from soro_bench.diagnosis.estimation.fit import Hypothesis
@@ -29,7 +28,7 @@ from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.forward_selection import Progress, silent
 from soro_bench.diagnosis.selection.model_probabilities import Answer
-from soro_bench.files import check_folder, read_json, read_toml, write_json
+from soro_bench.files import asset_path, check_folder, read_json, read_toml, write_json
 from soro_bench.markdown import table
 from soro_bench.recording.importers import import_recording
 from soro_bench.recording.importers.mapping import texts

@@ -17,7 +17,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from soro_bench.assets import mjcf_path
+from soro_bench.files import mjcf_path
 
 
 @dataclass(frozen=True)

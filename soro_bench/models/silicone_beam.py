@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from soro_bench.assets import mjcf_path
+from soro_bench.files import mjcf_path
 
 # [authors]: github.com/srl-ethz/diffPD_sim2real, python/realbeam_experiments/real_beam_ds10_load_1_V2.py.
 # [recordings]: what beam_gravity_V2_a.csv and beam_load52_V2_a.csv say; x is up, and z goes from the clamp to the end.

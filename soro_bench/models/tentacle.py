@@ -12,7 +12,7 @@ their motion capture: y points down.
 import mujoco
 import numpy as np
 
-from soro_bench.assets import mjcf_path
+from soro_bench.files import mjcf_path
 
 GRAVITY = 9.81  # m/s^2
 LENGTH, RADIUS, TAPER = 0.36, 0.01541, 0.0295  # m; m at the base; m per m, to 4.80 mm at the tip

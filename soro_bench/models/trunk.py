@@ -21,7 +21,7 @@ import numpy as np
 
 from soro_bench import parameters as prm
 from soro_bench.arrays import Floats
-from soro_bench.assets import mjcf_path
+from soro_bench.files import mjcf_path
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.simulation import FieldWrite
 from soro_bench.models.trunk_geometry import add_skin

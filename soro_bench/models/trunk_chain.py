@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from soro_bench import parameters as prm
-from soro_bench.assets import mjcf_path
+from soro_bench.files import mjcf_path
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from soro_bench import parameters as prm
 from soro_bench.arrays import Floats, Ints
-from soro_bench.assets import mjcf_path
+from soro_bench.files import mjcf_path
 from soro_bench.models.simulation import FieldWrite
 from soro_bench.models.walker_mesh import CHAMBERS, RESOLUTIONS, Mesh, build_mesh, chamber_axes
 

@@ -11,8 +11,7 @@ from pathlib import Path, PurePosixPath
 from urllib.parse import quote
 from urllib.request import urlopen
 
-from soro_bench.assets import mjcf_path
-from soro_bench.files import read_toml, replacing
+from soro_bench.files import mjcf_path, read_toml, replacing
 
 _COLUMNS = {  # of the table: field of the log, and decimals
     "t_s": ("timestamp", 6),
