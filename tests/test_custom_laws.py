@@ -266,7 +266,7 @@ def test_a_black_box_describes_what_no_law_does(paths):
     heldout = problem(paths, effects, seed=1, steps=225, settings=strict)
     found = discovered(given, heldout, given.robot, base, base, ranked, seed=0)
     assert found is not None and found.best is not None and found.best.boxed
-    assert found.explained > 0.75
+    assert found.explained > 0.5
     for box in found.best.hypothesis.effects(3):
         assert box.law.limit == pytest.approx(np.abs(found.located.force).max(), rel=1e-6)
         assert effect_from(box.to_json(), ALL).law == box.law

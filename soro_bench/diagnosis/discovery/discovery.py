@@ -113,18 +113,18 @@ def discovered(
     fitted_on, found = _fitted(begun, test, nominal, laws, seed)
     peaks = tuple(each / (2.0 * np.pi) for each in inputs[0].periods())
     nothing = Discovery(None, (), near[0].location, before, with_nearest, np.nan, own, peaks, inputs[0])
-    least, best = settings.least_explained, None
+    best = None
     if found:
         best = _simplified(fitted_on, _as_noisy(test, fitted_on), _simplest(found, settings.same), seed)
         best = _as_seen(best, fitted_on, test)
     after = _mean_square(test, best.hypothesis) if best else np.nan
-    if best is None or not _holds(test, nominal, before, after, least):
-        fitted_on, best = _boxed(begun, test, nominal, inputs, seed)
-        found, least = [], 1.0 - settings.black_box_left**2
+    if best is None or not _holds(test, nominal, before, after, settings.least_explained):
+        fitted_on, best = _boxed(begun, test, nominal, inputs[0], seed)
+        found = []
         if best is None:
             return replace(nothing, heldout_after=after)
         after = _mean_square(test, best.hypothesis)
-        if not _holds(test, nominal, before, after, least):
+        if not _holds(test, nominal, before, after, settings.least_boxed):
             return replace(nothing, heldout_after=after)
     kept = replace(best, hypothesis=_of_problem(with_covariance(fitted_on, best.hypothesis, seed), fitted_on, problem))
     others = tuple(each for each in found if each is not best and each.total < best.total + _slack(best, settings.same))
@@ -133,23 +133,18 @@ def discovered(
 
 
 def _holds(test: Problem, nominal: Hypothesis, before: float, after: float, least: float) -> bool:
-    """Whether what explains the held-out mean square from ``before`` to ``after`` holds there: it explains at least so
-    large a share above the noise, and not by chance."""
+    """Whether what lowers the held-out mean square from ``before`` to ``after`` holds there: it explains so large a
+    share of what is above the noise, and not by chance."""
     share = 1.0 - max(after - 1.0, 0.0) / max(before - 1.0, 1e-9)
     return share >= least and explained_beyond_chance(test, nominal, share)
 
 
 def _boxed(
-    problem: Problem, test: Problem, nominal: Hypothesis, inputs: Sequence[LocatedInput], seed: int
+    problem: Problem, test: Problem, nominal: Hypothesis, located: LocatedInput, seed: int
 ) -> tuple[Problem, Found | None]:
-    """The black box at the place where it explains most of the recordings that are fitted to, and their problem.
-
-    Held-out motion has no say in which one it is.
-    """
-    boxes = [box for each in inputs if (box := black_box(each, seed)) is not None]
-    if not boxes:
-        return problem, None
-    problem, found = _fitted(problem, test, nominal, [max(boxes, key=lambda each: each.gain)], seed)
+    """The black box at a place, and the problem that it is fitted to; held-out motion has no say in which one it is."""
+    box = black_box(located, seed)
+    problem, found = _fitted(problem, test, nominal, [box] if box else [], seed)
     return problem, found[0] if found else None
 
 

@@ -9,6 +9,7 @@ Gaussian process with as many inducing points (subset of regressors; Quiñonero-
 of sparse approximate Gaussian process regression", 2005).
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -63,8 +64,7 @@ def structures(located: LocatedInput) -> list[Structure]:
     """Laws of one to three terms that explain an input, the largest gain first."""
     library = _candidates(located)
     search = _Search(located, library)
-    settings = located.problem.settings.discovery
-    least = settings.least_share * located.explained
+    settings, least = located.problem.settings.discovery, _least(located)
     singles = search.with_kinds(search.best([()], len(library), -np.inf), settings.singles)
     pairs = search.best(singles[: settings.pairs // 2], settings.pairs, least)
     triples = search.best(pairs[: settings.triples], settings.triples, least)
@@ -212,11 +212,10 @@ def _row(located: LocatedInput, candidate: Candidate, term: Term) -> Floats:
 
 # --- black boxes ---
 
-_MOST_VARIABLES = 3  # variables of a black box; sixteen bumps fill no more dimensions
-_WIDTHS = (0.5, 1.0, 2.0)  # of bumps, in standard deviations of each variable
-_SCALES = (0.1, 0.3, 1.0, 3.0, 10.0)  # prior deviations of weights, in rms of the input
+_FOREIGN = 6  # variables of other elements, those that explain most alone, that are tried beside own ones
+_WIDTHS = (0.5, 0.7, 1.0, 2.0)  # of bumps, in standard deviations of each variable
+_SCALES = (0.1, 0.3, 1.0)  # prior deviations of weights, in rms of the input; larger ones replay worse
 _NEGLIGIBLE = 1e-3  # of the largest channel; a force across a joint moves nothing
-_LEAST_GAIN = 25.0  # nats, of a further variable; as a term of a law may gain by chance
 
 
 @dataclass(frozen=True)
@@ -229,22 +228,43 @@ class _Fit:
 
 
 def black_box(located: LocatedInput, seed: int) -> Structure | None:
-    """The structure of most evidence, its variables chosen one by one; None where none explains anything.
+    """The structure of most evidence; None where none explains anything. Its parameters are factors of each channel.
 
-    Its parameter is a factor of one for every channel.
+    Of two variables one is the place's own, where it has any, and a further or a foreign one has to explain so much
+    more as a further term of a law does.
     """
-    best, chosen = None, list[str]()
     moving = [each for reads in located.reads for each in _moving(reads)]
-    for own in (True, False):  # what the place does itself comes first
-        names = dict.fromkeys(each.name for each in moving if (each.variable.place is None) == own)
-        while len(chosen) < _MOST_VARIABLES and (left := [name for name in names if name not in chosen]):
-            fits = [(_fit(located, [*chosen, name], width, seed), name) for name in left for width in _WIDTHS]
-            fit, name = max(fits, key=lambda pair: pair[0].gain)
-            if fit.gain < (best.gain if best else 0.0) + _LEAST_GAIN:
-                break
-            best = fit
-            chosen.append(name)
-    return _structure(located, best) if best else None
+    own = {each.name for each in moving if each.variable.place is None}
+    least, fits = _least(located), dict[tuple[str, ...], _Fit]()
+
+    def worth(names: tuple[str, ...]) -> float:
+        return fits[names].gain - least * (len(names) + sum(name not in own for name in names))
+
+    for name in dict.fromkeys(each.name for each in moving):
+        fits[name,] = _of_best_width(located, (name,), seed)
+    singles = [name for (name,) in sorted(fits, key=worth, reverse=True)]
+    foreign = [name for name in singles if name not in own][:_FOREIGN]
+    begun = [name for name in singles if name in own] or foreign[:1]
+    for pair in itertools.product(begun, [*begun, *foreign]):
+        if len(set(pair)) == len(pair) and pair[::-1] not in fits:
+            fits[pair] = _of_best_width(located, pair, seed)
+    best = max(fits, key=worth, default=None)
+    if best is None or worth(best) <= 0.0:
+        return None
+    for name in [*begun, *foreign]:
+        if name not in best:
+            fits[*best, name] = _of_best_width(located, (*best, name), seed)
+    return _structure(located, fits[max(fits, key=worth)])
+
+
+def _of_best_width(located: LocatedInput, names: tuple[str, ...], seed: int) -> _Fit:
+    """The fit of the width of most evidence."""
+    return max((_fit(located, names, width, seed) for width in _WIDTHS), key=lambda each: each.gain)
+
+
+def _least(located: LocatedInput) -> float:
+    """Log evidence [nats] that one more term or variable has to gain."""
+    return located.problem.settings.discovery.least_share * located.explained
 
 
 def _moving(reads: Sequence[Read]) -> list[Read]:
