@@ -319,7 +319,7 @@ def test_a_result_says_the_law_its_ranges_and_what_it_explains():
     box = replace(result, discovery=replace(told, black_box=True))
     for text in (" ".join(summary(box).split()), " ".join(html(box).split())):
         assert "described by a black box, F = " in text
-        assert "It is no law: it says where and how much, not why." in text
+        assert "It is no law: g is a sum of bumps that says where and how much, not why, 10 N m at most." in text
 
 
 def test_what_is_seen_in_time_only_has_a_spectrum_and_a_recording_to_make():

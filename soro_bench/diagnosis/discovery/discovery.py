@@ -119,13 +119,11 @@ def discovered(
         best = _as_seen(best, fitted_on, test)
     after = _mean_square(test, best.hypothesis) if best else np.nan
     if best is None or not _holds(test, nominal, before, after, settings.least_explained):
+        nothing = replace(nothing, heldout_after=after)
         fitted_on, best = _boxed(begun, test, nominal, inputs[0], seed)
-        found = []
-        if best is None:
-            return replace(nothing, heldout_after=after)
-        after = _mean_square(test, best.hypothesis)
-        if not _holds(test, nominal, before, after, settings.least_boxed):
-            return replace(nothing, heldout_after=after)
+        found, after = [], _mean_square(test, best.hypothesis) if best else np.nan
+        if best is None or not _holds(test, nominal, before, after, settings.least_boxed):
+            return nothing
     kept = replace(best, hypothesis=_of_problem(with_covariance(fitted_on, best.hypothesis, seed), fitted_on, problem))
     others = tuple(each for each in found if each is not best and each.total < best.total + _slack(best, settings.same))
     location, located = best.structure.location, best.structure.located

@@ -149,7 +149,7 @@ def discovered(result: Result) -> list[str]:
     held = "Outside these ranges it is held."
     if found.black_box:
         most = "; ".join(number(each["law"]["limit"], each["law"]["unit"]) for each in found.effects)
-        held = f"{held} It is no law: it says where and how much, not why. It exerts {most} at most."
+        held = f"{held} It is no law: g is a sum of bumps that says where and how much, not why, {most} at most."
     said = [f"With {names}. {held}",
             f"On {test} it explains {share} ({100 * found.noise_share:.1f} % is noise), the nearest law of the "
             f"catalogue {100 * max(found.nearest, 0.0):.1f} %."]  # fmt: skip
