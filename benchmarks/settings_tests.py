@@ -38,7 +38,7 @@ FILES = (
 )  # fmt: skip
 LONGEST, TOGETHER = 20.0, 90.0  # s of a test, and of all that run for a setting
 ROBOTS = "robots"  # a group that Settings does not hold
-_UNREAD = "listed", "replace", "_replace", "asdict", "_asdict_inner"  # functions that copy or compare settings
+_UNREAD = "listed", "replace", "_replace", "asdict", "_asdict_inner", "__eq__", "__repr__"  # copy, compare or show
 Groups = dict[str, Any]  # settings by the names of their stages
 
 
@@ -98,7 +98,7 @@ class Reads:
         def read(settings: Any, attribute: str) -> Any:
             if attribute in names:
                 caller = sys._getframe(1).f_code.co_name
-                if caller not in _UNREAD and not caller.startswith("__"):
+                if caller not in _UNREAD:
                     found = self.by.setdefault(self.inside[-1], set()) if self.inside else self.all
                     found.add(f"{group}.{attribute}")
             return object.__getattribute__(settings, attribute)

@@ -357,7 +357,7 @@ def test_a_prediction_that_diverges_is_no_evidence(two_samples):
 
 @pytest.mark.parametrize(
     ("probabilities", "count"),
-    [((0.6, 0.3, 0.01), 2), ((0.93, 0.06), 2), ((0.6, 0.01, 0.01, 0.01), 1), ((0.01, 0.01), 1)],
+    [((0.6, 0.3, 0.01), 2), ((0.93, 0.06), 2), ((0.6, 0.01, 0.01, 0.01), 1), ((0.01, 0.01), 1), ((0.2,) * 5, 3)],
 )
 def test_answers_compete_that_are_not_improbable(probabilities, count):
     assert len(competing(Comparison(tuple(several(*probabilities)), 0.0, 1e-6))) == count
