@@ -18,6 +18,7 @@ from soro_bench.effects.effect import Effect, Location
 from soro_bench.effects.expression import bumps_in
 
 _SEED = 900  # of samples, after those of other stages
+_AGAIN = 2  # fitted laws that are fitted once more, those that leave least of held-out motion
 _SHARES = (0.5, 1.0)  # of regressed coefficients that are replayed
 _TESTED_PART = 0.3  # of a recording, its end, where nothing was held out
 
@@ -159,7 +160,7 @@ def _fitted(
     starts = [(pair, _start(nominal, problem, *pair, share)) for pair in pairs for share in _SHARES]
     rows = problem.residuals([(x, terms) for (_, terms), x in starts])
     costs = [float((problem.discretisation.without(row) ** 2).sum()) for row in rows]
-    left = list(settings.fitted)
+    left = [each // 2 for each in settings.replayed]
     chosen: list[tuple[tuple[Structure, tuple[LawTerm, ...]], Floats]] = []
     for i in np.argsort(costs, kind="stable").tolist():
         (structure, _), _ = starts[i]
@@ -172,7 +173,7 @@ def _fitted(
     once = fitted(problem, guesses, radii, seed + _SEED)
     problem, once = allowing(problem, min(once, key=lambda h: h.cost), once)
     test = _as_noisy(test, problem)
-    results = _judged(problem, test, [pair[0] for pair, _ in chosen], once)[: settings.last]
+    results = _judged(problem, test, [pair[0] for pair, _ in chosen], once)[:_AGAIN]
     again = [Guess(each.hypothesis.x, each.hypothesis.terms) for each in results]
     more = fitted(problem, again, radii[1:], seed + _SEED + 1)
     better = [min(pair, key=lambda h: h.cost) for pair in zip((r.hypothesis for r in results), more, strict=True)]

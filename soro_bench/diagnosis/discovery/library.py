@@ -15,6 +15,9 @@ from soro_bench.effects.effect import Location
 from soro_bench.effects.expression import Node, evaluated
 
 _FAR = 1e6  # s or m, of ranges that are not known yet
+# where fits of shapes begin: s, of lags and Maxwell elements; shares of a range of position, of play and hysteresis;
+# periods in that range; and shares of a range of velocity, in which the sign of a law changes
+_TIMES, _WIDTHS, _WAVES, _SMOOTHINGS = (0.1, 0.3, 1.0), (0.05, 0.2), (1.0, 1.5, 2.0, 3.0), (0.005, 0.02)
 _OWN = {"position": "q", "velocity": "v"}
 _OTHER = {"position": "q", "velocity": "v", "command": "u", "force": "f"}
 
@@ -112,7 +115,7 @@ def _named(of: str, element: str) -> str:
     return f"{_OTHER[of]}_{re.sub(r'[^0-9A-Za-z]', '_', element)[:16]}"
 
 
-def groups(reads: Sequence[Read], periods: Sequence[float], settings: DiscoverySettings) -> list[Group]:
+def groups(reads: Sequence[Read], periods: Sequence[float]) -> list[Group]:
     """All terms of the grammar.
 
     Args:
@@ -122,19 +125,19 @@ def groups(reads: Sequence[Read], periods: Sequence[float], settings: DiscoveryS
     by = {each.name: each for each in moving}
     found: list[Group] = [(Term(1.0, "1"),)]
     for each in moving:
-        found += [(term,) for term in _of_one(each, settings)]
+        found += [(term,) for term in _of_one(each)]
     time = by.get("t")
     own = [by[name] for name in ("q", "v") if name in by]
     for one, other in _pairs(moving, own):
         found.append((_product(one, other),))
     for each in own:
-        found += _memories(each, settings)
-        found += _frictions(each, moving, settings)
+        found += _memories(each)
+        found += _frictions(each, moving)
     for each in moving:
         if each.variable.of in ("position", "command") and each not in own:
-            found += _memories(each, settings, lags_only=True)
+            found += _memories(each, lags_only=True)
         if each.variable.of == "position":
-            found += _waves(each, settings)
+            found += _waves(each)
     found += _periodic(time, periods) if time else []
     return found
 
@@ -143,7 +146,7 @@ def _simple(read: Read, expression: Node, unit: str, *shapes: Shape) -> Term:
     return Term(expression, unit, (read.variable,), (), shapes)
 
 
-def _of_one(each: Read, settings: DiscoverySettings) -> Iterator[Term]:
+def _of_one(each: Read) -> Iterator[Term]:
     """Powers, sides and signs of a variable."""
     x, unit = each.name, each.unit
     yield _simple(each, x, unit)
@@ -160,13 +163,13 @@ def _of_one(each: Read, settings: DiscoverySettings) -> Iterator[Term]:
     yield _simple(each, ("positive", x), unit)
     yield _simple(each, ("negative", x), unit)
     if each.variable.of == "velocity":
-        for shape in _smooth(each, settings):
+        for shape in _smooth(each):
             yield _simple(each, ("sign", x, shape.name), "1", shape)
 
 
-def _smooth(each: Read, settings: DiscoverySettings) -> list[Shape]:
+def _smooth(each: Read) -> list[Shape]:
     """Within which a sign changes."""
-    return [Shape(f"s_{each.name}"[:24], share * each.span, each.unit) for share in settings.smoothings]
+    return [Shape(f"s_{each.name}"[:24], share * each.span, each.unit) for share in _SMOOTHINGS]
 
 
 def _pairs(moving: Sequence[Read], own: Sequence[Read]) -> Iterator[tuple[Read, Read]]:
@@ -188,12 +191,12 @@ def _product(one: Read, other: Read) -> Term:
     return Term(("multiply", one.name, other.name), f"{one.unit} {other.unit}", (one.variable, other.variable))
 
 
-def _frictions(own: Read, moving: Sequence[Read], settings: DiscoverySettings) -> list[Group]:
+def _frictions(own: Read, moving: Sequence[Read]) -> list[Group]:
     """Friction whose size depends on something, and damping that does; ``own`` is a velocity."""
     if own.variable.of != "velocity":
         return []
     found: list[Group] = []
-    signs: list[tuple[Node, Shape]] = [(("sign", own.name, each.name), each) for each in _smooth(own, settings)]
+    signs: list[tuple[Node, Shape]] = [(("sign", own.name, each.name), each) for each in _smooth(own)]
     for each in moving:
         if each is own or each.variable.of in ("velocity", "time"):
             continue
@@ -207,15 +210,15 @@ def _frictions(own: Read, moving: Sequence[Read], settings: DiscoverySettings) -
     return found
 
 
-def _memories(each: Read, settings: DiscoverySettings, lags_only: bool = False) -> list[Group]:
+def _memories(each: Read, lags_only: bool = False) -> list[Group]:
     x, found = each.name, list[Group]()
-    for time in settings.times:
+    for time in _TIMES:
         found.append((_memory("lag", each, Shape(f"T_{x}", time, "s"), each.unit),))
         if not lags_only:
             found.append((_memory("maxwell", each, Shape(f"T_{x}", time, "s"), each.unit),))
     if each.variable.of != "position" or lags_only:
         return found
-    for share in settings.widths:
+    for share in _WIDTHS:
         shape = Shape(f"w_{x}", share * each.span, each.unit)
         found.append((_memory("play", each, shape, each.unit),))
         found.append((_memory("bouc_wen", each, shape, "1"),))
@@ -229,10 +232,10 @@ def _memory(of: str, each: Read, shape: Shape, unit: str) -> Term:
     return Term(name, unit, (each.variable,), (state,), (shape,))
 
 
-def _waves(each: Read, settings: DiscoverySettings) -> list[Group]:
+def _waves(each: Read) -> list[Group]:
     """Periodic in a position, as cogging is."""
     found = list[Group]()
-    for count in settings.waves:
+    for count in _WAVES:
         shape = Shape(f"n_{each.name}"[:24], float(np.pi * count / each.span), f"1/{each.unit}")
         turned: Node = ("multiply", shape.name, each.name)
         found.append((_simple(each, ("sin", turned), "1", shape), _simple(each, ("cos", turned), "1", shape)))

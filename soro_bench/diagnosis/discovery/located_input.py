@@ -19,6 +19,7 @@ from soro_bench.effects.custom_law import CustomLaw, Variable
 from soro_bench.effects.effect import Effect, Location
 from soro_bench.inference.statistical_linearisation import LowRank
 
+_PEAKS = 3  # of the input's spectrum, that a periodic law may have
 _FIELDS = ("qpos", "qvel", "act", "ctrl", "actuator_force", "ten_length", "ten_velocity", "xipos")
 Motion = dict[str, Floats]  # fields of MuJoCo, (1 + T, ...) of a recording
 
@@ -211,7 +212,7 @@ class LocatedInput:
         power[frequencies < 1.0 / (longest * dt)] = 0.0
         inner = (power[1:-1] >= power[:-2]) & (power[1:-1] >= power[2:])
         peaks = 1 + np.flatnonzero(inner)
-        order = peaks[np.argsort(-power[peaks], kind="stable")][: self.problem.settings.discovery.frequencies]
+        order = peaks[np.argsort(-power[peaks], kind="stable")][:_PEAKS]
         return [2.0 * np.pi * float(frequencies[i]) for i in order]
 
     def pulls(self, point: Floats, power: float) -> Floats:

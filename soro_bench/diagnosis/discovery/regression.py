@@ -64,19 +64,18 @@ def structures(located: LocatedInput) -> list[Structure]:
     """Laws of one to three terms that explain an input, the largest gain first."""
     library = _candidates(located)
     search = _Search(located, library)
-    settings, least = located.problem.settings.discovery, _least(located)
-    singles = search.with_kinds(search.best([()], len(library), -np.inf), settings.singles)
-    pairs = search.best(singles[: settings.pairs // 2], settings.pairs, least)
-    triples = search.best(pairs[: settings.triples], settings.triples, least)
+    (one, two, three), least = located.problem.settings.discovery.replayed, _least(located)
+    singles = search.with_kinds(search.best([()], len(library), -np.inf), one)
+    pairs = search.best(singles[: two // 2], two, least)
+    triples = search.best(pairs[:three], three, least)
     found = [search.structure(each) for each in (*singles, *pairs, *triples)]
     return sorted(found, key=lambda each: -each.gain)
 
 
 def _candidates(located: LocatedInput) -> list[Candidate]:
-    settings, periods = located.problem.settings.discovery, located.periods()
-    found = []
+    periods, found = located.periods(), []
     for channel, reads in enumerate(located.reads):
-        found += [Candidate(group, channel) for group in groups(reads, periods, settings)]
+        found += [Candidate(group, channel) for group in groups(reads, periods)]
     for point in _points(located):
         found += [Candidate((_central(power),), 0, point) for power in _FALLS]
     return found

@@ -22,12 +22,12 @@ from soro_bench.diagnosis.settings.estimation import (
     PriorSettings,
     RobotSettings,
 )
-from soro_bench.diagnosis.settings.paired import PairedSettings
 from soro_bench.diagnosis.settings.search import (
     DiscoverySettings,
     ExperimentDesignSettings,
     LimitSettings,
     LocalisationSettings,
+    PairedSettings,
     ProbabilitySettings,
     ReportSettings,
     ScreeningSettings,

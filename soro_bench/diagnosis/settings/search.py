@@ -131,20 +131,9 @@ class DiscoverySettings:
     locations: int = setting(3, "locations", "where a law is looked for, the best ones; nearby ones look alike")
     location_share: float = setting(0.8, "1", "of the best location's gain, below which none is looked at")
     elements: int = setting(12, "elements", "of each kind that a law may read, the nearest first")
-    times: tuple[float, ...] = setting((0.1, 0.3, 1.0), "s", "of lags and Maxwell elements, to begin with")
-    widths: tuple[float, ...] = setting((0.05, 0.2), "1", "of a range, of play and hysteresis, to begin with")
-    waves: tuple[float, ...] = setting((1.0, 1.5, 2.0, 3.0), "periods", "in a range of position, to begin with")
-    frequencies: int = setting(3, "peaks", "of the input's spectrum that a periodic law may have")
-    smoothings: tuple[float, ...] = setting(
-        (0.005, 0.02), "1", "of a range of velocity, in which the sign of a law changes, to begin with"
+    replayed: tuple[int, ...] = setting(
+        (6, 5, 2), "laws", "of one to three terms that are replayed; half of them, that leave least, are fitted"
     )
-    singles: int = setting(6, "laws", "of one term that are replayed")
-    pairs: int = setting(5, "laws", "of two terms that are replayed")
-    triples: int = setting(2, "laws", "of three terms that are replayed")
-    fitted: tuple[int, ...] = setting(
-        (3, 2, 1), "laws", "of one, two and three terms that are fitted, those that leave least with regressed values"
-    )
-    last: int = setting(2, "laws", "that are fitted once more, those that leave least of held-out motion")
     least_share: float = setting(0.02, "1", "of what the input explains, that a further term has to")
     deviation: float = setting(2.0, "1", "of a coefficient's prior, times its regressed value")
     shape_deviation: float = setting(0.4, "1", "of a shape's prior: of its logarithm, or of its typical size")
@@ -189,3 +178,29 @@ class ReportSettings:
         0.05, "1", "of an answer whose intervals are computed and that is told apart; of an unknown law, to locate it"
     )
     same_error: float = setting(0.01, "1", "share; a replay that is further from the printed error is noted")
+
+
+@dataclass(frozen=True)
+class PairedSettings:
+    """When commands are the same, when a difference is a change, and how sure its explanation is. Candidates and fits
+    are those of a diagnosis."""
+
+    # commands
+    same_commands: float = setting(0.02, "1", "share of a command's range, rms, by which the same commands may differ")
+    least_overlap: float = setting(0.5, "1", "share of the shorter recording that both have to have")
+    # model-free difference
+    blocks: int = setting(
+        10, "blocks", "of time, of as many samples at least, taken for independent; longer than motion lasts"
+    )
+    alpha: float = setting(0.01, "1", "p-value below which a difference is a change")
+    beyond: float = setting(2.0, "1", "times the noise, or what runs of one robot differ by, that a difference has")
+    # explanation
+    most_steps: int = setting(1500, "control steps", "of all pairs that are simulated; the rest is compared without it")
+    least_share: float = setting(
+        0.03, "1", "share of the whole difference that one more change explains; changes that differ by less are alike"
+    )
+    least_gain: float = setting(5.0, "nats", "of evidence that one more change has to gain")
+    unknown_share: float = setting(
+        0.5, "1", "share of the difference left, where an unknown change is as likely as not"
+    )
+    unknown_width: float = setting(0.1, "1", "of that share, of the logistic function")
