@@ -70,6 +70,11 @@ ARMS = {
     "delay": Case((Effect("actuator_delay", Location("actuator", "motor"), {"delay": 0.03}),)),
     "friction": Case((Effect("coulomb_friction", Location("joint", "hinge"), {"friction": 0.05}),)),
     "pushed": Case(pushed=True),
+    "three effects": Case((
+        _PAYLOAD,
+        Effect("actuator_delay", Location("actuator", "motor"), {"delay": 0.03}),
+        Effect("coulomb_friction", Location("joint", "hinge"), {"friction": 0.05}),
+    )),
 }
 
 

@@ -13,6 +13,7 @@ from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.result_robot import Outliers
 from soro_bench.diagnosis.robots.measured import Measured
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.selection.experiment_design import (
     competing,
     motions,
@@ -228,6 +229,14 @@ def test_answers_are_never_certain_and_probabilities_add_up(given, misfit):
     mistaken = DEFAULT.probabilities.wrong_when_certain
     assert mistaken <= found.unknown <= 1.0 - mistaken
     assert found.unknown + sum(a.probability for a in found.answers) == pytest.approx(1.0)
+
+
+def test_what_is_known_of_a_robot_of_the_suite_before_any_recording(robot):
+    """Stiffness and mass to a quarter, Poisson's ratio to 0.03, and a wall to a centimetre."""
+    lifting = SuiteRobot("TrunkLift-v0", threads=1)
+    found = {prior.name: prior.deviation for prior in (*robot.priors, *lifting.priors)}
+    names = "young_modulus", "trunk_mass", "poisson_ratio", "wall_offset"
+    assert [found[name] for name in names] == [0.25, 0.25, 0.03, 0.01]
 
 
 STEPS, L2 = 40, Location("tendon", "L2")

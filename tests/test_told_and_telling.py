@@ -184,6 +184,12 @@ def test_chance_counts_every_pair_and_every_unknown(values, spreads, compared, p
     assert (found.p_value, found.overlap) == (pytest.approx(p_value, rel=1e-3), overlap)
 
 
+@pytest.mark.parametrize(("compared", "change"), [(8, True), (15, False)])
+def test_values_that_one_in_twenty_diagnoses_has_apart_are_no_change(compared, change):
+    """Values that are 2.8 deviations apart, by chance with p = 0.037 of eight and 0.07 of 15 unknowns."""
+    assert difference((0.0, 4.0), (1.0, 1.0), compared).is_change(DEFAULT.agreement.alpha) == change
+
+
 def test_healthy_values_are_called_a_change_no_oftener_than_allowed():
     rng, runs = np.random.default_rng(0), 4000
     alarms = 0

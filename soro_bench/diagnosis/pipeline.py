@@ -40,6 +40,8 @@ from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
 from soro_bench.recording.recording import Recording, RecordingError
 
+_MOST_NUMBERS = 300_000  # of all recordings: four minutes of a trunk; every candidate term adds as many
+
 
 @dataclass(frozen=True)
 class Run:
@@ -126,7 +128,7 @@ def run_diagnosis(
     robot, inspections = explaining(robot, inspections, settings)
     fitted = robot.shortened(settings.discretisation.fitted_refinement)
     refined = robot.refined(settings.discretisation.reference_refinement)
-    measured, tested = _measured(robot, settings.report.most_numbers, *inspections)
+    measured, tested = _measured(robot, *inspections)
     measured, tested, answers = answers_of(robot, measured, tested, settings)
     looked_at = tuple(each for group in inspections for each in group)
     qualities = qualities_of(robot, (*measured, *tested), looked_at, settings)
@@ -213,7 +215,7 @@ def _inspected(
     return tuple(found[: len(recordings)]), tuple(found[len(recordings) :])
 
 
-def _measured(robot: Robot, most_numbers: int, *groups: Sequence[Inspected]) -> list[tuple[Measured, ...]]:
+def _measured(robot: Robot, *groups: Sequence[Inspected]) -> list[tuple[Measured, ...]]:
     """What the diagnosis sees of the recordings to explain, and of held-out ones."""
     names = iter(labels(*groups))
     found = [tuple(named(next(names), robot.measured, each.recording) for each in group) for group in groups]
@@ -222,8 +224,8 @@ def _measured(robot: Robot, most_numbers: int, *groups: Sequence[Inspected]) -> 
         if _same(robot, one, other):
             raise RecordingError(f"{first} and {second} are the same; what is explained twice is no more certain, and "
                                  "held-out recordings have to be others than those that are explained")  # fmt: skip
-    if (size := sum(each.columns.size for group in found for each in group)) > most_numbers:
-        raise RecordingError(f"{size} numbers to explain; at most {most_numbers}, so cut the recordings")
+    if (size := sum(each.columns.size for group in found for each in group)) > _MOST_NUMBERS:
+        raise RecordingError(f"{size} numbers to explain; at most {_MOST_NUMBERS}, so cut the recordings")
     return found
 
 

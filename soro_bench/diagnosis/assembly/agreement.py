@@ -43,7 +43,7 @@ def agreement(diagnosis: Diagnosis) -> tuple[Agreement, ...]:
                 estimates=tuple(make(one) for one in ends),
                 p_value=each.p_value,
                 overlap=each.overlap,
-                changes=each.p_value < alpha and not each.overlap,
+                changes=each.is_change(alpha),
             )
         )
     return tuple(told)

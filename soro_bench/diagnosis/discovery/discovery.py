@@ -18,7 +18,6 @@ from soro_bench.effects.effect import Effect, Location
 from soro_bench.effects.expression import bumps_in
 
 _SEED = 900  # of samples, after those of other stages
-_AGAIN = 2  # fitted laws that are fitted once more, those that leave least of held-out motion
 _SHARES = (0.5, 1.0)  # of regressed coefficients that are replayed
 _TESTED_PART = 0.3  # of a recording, its end, where nothing was held out
 
@@ -173,7 +172,7 @@ def _fitted(
     once = fitted(problem, guesses, radii, seed + _SEED)
     problem, once = allowing(problem, min(once, key=lambda h: h.cost), once)
     test = _as_noisy(test, problem)
-    results = _judged(problem, test, [pair[0] for pair, _ in chosen], once)[:_AGAIN]
+    results = _judged(problem, test, [pair[0] for pair, _ in chosen], once)[: settings.replayed[-1]]
     again = [Guess(each.hypothesis.x, each.hypothesis.terms) for each in results]
     more = fitted(problem, again, radii[1:], seed + _SEED + 1)
     better = [min(pair, key=lambda h: h.cost) for pair in zip((r.hypothesis for r in results), more, strict=True)]

@@ -39,6 +39,14 @@ class Difference:
     p_value: float
     overlap: bool
 
+    def is_change(self, alpha: float) -> bool:
+        """Whether a difference is none by chance.
+
+        Args:
+            alpha: chance of any difference that is called a change, of all that are compared.
+        """
+        return self.p_value < alpha and not self.overlap
+
 
 def fitted_alone(problem: Problem, joint: Hypothesis, seed: int) -> list[Alone]:
     """The unknowns of a joint fit, fitted to each recording alone from there by Gauss-Newton steps; the discretisation

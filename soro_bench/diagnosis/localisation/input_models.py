@@ -15,6 +15,7 @@ from soro_bench.diagnosis.estimation.problem import Problem
 
 CORRELATION_TIMES = (0.2, 0.6, 2.0)  # s, of a free input, Matern 3/2; the best one counts
 SCALES = 0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0  # unit inputs, prior deviations that are tried
+_SHAPES = 8  # principal components of the signal, in which an input may be linear
 _JITTER = 1e-9  # of a covariance, so that its Cholesky factor exists
 
 
@@ -142,7 +143,7 @@ class Linear:
         commanded = np.concatenate(setpoints)
         shape = np.concatenate([each.values.reshape(len(each.values), -1) for each in problem.recordings])
         shape = np.nan_to_num(shape - np.nanmean(shape, axis=0))  # missing samples count as the mean
-        shape = shape @ np.linalg.svd(shape, full_matrices=False)[2][: problem.settings.localisation.shapes].T
+        shape = shape @ np.linalg.svd(shape, full_matrices=False)[2][:_SHAPES].T
         features = [np.ones((len(commanded), 1)), commanded - commanded.mean(axis=0), shape]
         unscaled = np.concatenate(features, axis=1)
         self.features = unscaled / np.maximum(np.sqrt((unscaled**2).mean(axis=0)), 1e-12)

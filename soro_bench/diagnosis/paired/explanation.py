@@ -30,6 +30,7 @@ from soro_bench.diagnosis.selection.forward_selection import Progress, nominal_f
 from soro_bench.diagnosis.settings import Settings
 from soro_bench.effects.effect import Location
 
+_MOST_STEPS = 1500  # control steps of all pairs that are simulated; the rest is compared without it
 _DRAWS = 400  # of the posterior, for intervals of sizes that are not linear in the unknowns
 
 
@@ -71,7 +72,7 @@ def _measured(
 ) -> tuple[tuple[Measured, ...], tuple[Measured, ...], list[str]]:
     """Both sides of all pairs, as long as each other; the beginnings of long ones."""
     first, second, notes = [], [], []
-    most = max(settings.paired.most_steps // len(pairs), 1)
+    most = max(_MOST_STEPS // len(pairs), 1)
     for pair in pairs:
         one, two = robot.measured(pair.before), robot.measured(pair.after)
         count = min(len(one.time), len(two.time))

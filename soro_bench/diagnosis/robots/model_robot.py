@@ -46,6 +46,8 @@ from soro_bench.recording.known import Known
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 
 _MOST_STEPS = 100_000  # of a recording; bounds the memory of its replays
+_MOST_SIMULATIONS, _MOST_FREEDOMS = 256, 2000  # side by side, and degrees of freedom of all of them
+_DIVERGED = 1e6  # unit of the signal, of a simulation that has diverged
 _MOST_NAMES = 10  # in a note
 _SETTINGS = RobotSettings()
 _NOTHING = Known()
@@ -114,8 +116,8 @@ class ModelRobot(Robot):
         self.notes = tuple(self._said(own, set(fixed), unused_keyframes(compiled, table["initial"], self._initial)))
         scales = [Prior(name, "1", 1.0, 1.0, True, (0.0, np.inf)) for name in scaled]
         parameters = [Parameter(p.name, p.unit, p.nominal, p.bounds, p.bounds, "") for p in (*self.priors, *scales)]
-        many = max(_SETTINGS.degrees_of_freedom // max(compiled.nv, 1), SIMULATIONS)
-        count = min(many, _SETTINGS.most_simulations)
+        many = max(_MOST_FREEDOMS // max(compiled.nv, 1), SIMULATIONS)
+        count = min(many, _MOST_SIMULATIONS)
         with quiet():
             self.simulation = Simulation(compiled, ParameterSet(*parameters), [fields], count, threads, ())
             self._remember(baseline)
@@ -377,7 +379,7 @@ class ModelRobot(Robot):
     def _read_signal(self, name: str, count: int) -> Floats:
         """(count, P, D) a signal of the first ``count`` simulations now."""
         values = self._signals[name].read(self.simulation.batch, count)
-        return np.where(np.abs(values) < _SETTINGS.diverged, values, np.nan)
+        return np.where(np.abs(values) < _DIVERGED, values, np.nan)
 
 
 def _listed(model: mujoco.MjModel, kind: mujoco.mjtObj, ids: Sequence[int]) -> str:

@@ -8,14 +8,13 @@ import numpy as np
 
 from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.diagnosis.robots.measured import Drive, ObservedSignal
-from soro_bench.diagnosis.settings import RobotSettings
 from soro_bench.effects.catalogue import MEASUREMENT, between_steps
 from soro_bench.effects.effect import Effect
 from soro_bench.effects.measurement import distorted
 from soro_bench.models.simulation import Simulation
 from soro_bench.parallel import side_by_side
 
-SIMULATIONS = RobotSettings().simulations
+SIMULATIONS = 128  # side by side at least; replays of a fit fill them
 
 
 class Replays(ABC):

@@ -9,19 +9,9 @@ from soro_bench.diagnosis.settings.setting import setting
 class RobotSettings:
     """Simulations of a robot and its commands. A robot has them before it is diagnosed (``Robot.settings``)."""
 
-    simulations: int = setting(128, "simulations", "side by side at least; replays of a fit fill them")
-    most_simulations: int = setting(256, "simulations", "side by side at most")
-    degrees_of_freedom: int = setting(2000, "1", "of all simulations; smaller models run more of them side by side")
     suite_deviation: float = setting(0.25, "1", "prior deviation of the logarithm of a suite robot's stiffness or mass")
     poisson_deviation: float = setting(0.03, "1", "prior deviation of a suite robot's Poisson's ratio")
     wall_deviation: float = setting(0.01, "m", "prior deviation of the wall's offset")
-    solver_tolerance: float = setting(
-        1e-5, "1", "of the suite's simulations; keypoints move by 0.1 um, steps cost less"
-    )
-    walker_duration: float = setting(
-        36.0, "s", "of a recording of MultiGait that is explained: all channels move; a replay of 130 s takes 6 s"
-    )
-    diverged: float = setting(1e6, "unit of the signal", "a simulation with a larger signal has diverged")
     test_range: float = setting(0.3, "1", "share of an actuator's range that a proposed motion uses")
     command_changes: int = setting(3, "changes", "of a command in a control step; more would be left out")
     range_tolerance: float = setting(1e-3, "1", "share of an actuator's range by which a command may exceed it")

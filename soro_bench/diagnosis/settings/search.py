@@ -114,7 +114,6 @@ class LocalisationSettings:
     most_values: int = setting(
         1000, "values", "of an input at one location; nodes of long recordings are farther apart"
     )
-    shapes: int = setting(8, "principal components", "of the signal, in which an input may be linear")
     # unknown-input estimation
     pulse: float = setting(0.5, "unit inputs", "of a pulse, for a column of the Jacobian")
     # maps of the residual
@@ -132,7 +131,7 @@ class DiscoverySettings:
     location_share: float = setting(0.8, "1", "of the best location's gain, below which none is looked at")
     elements: int = setting(12, "elements", "of each kind that a law may read, the nearest first")
     replayed: tuple[int, ...] = setting(
-        (6, 5, 2), "laws", "of one to three terms that are replayed; half of them, that leave least, are fitted"
+        (6, 5, 2), "laws", "of one to three terms that are replayed; half are fitted; as many as the last, again"
     )
     least_share: float = setting(0.02, "1", "of what the input explains, that a further term has to")
     deviation: float = setting(2.0, "1", "of a coefficient's prior, times its regressed value")
@@ -173,7 +172,6 @@ class LimitSettings:
 class ReportSettings:
     """What is accepted, and which hypotheses and locations are worth more work at the end."""
 
-    most_numbers: int = setting(300_000, "numbers", "four minutes of a trunk; every candidate term adds as many")
     least_probability: float = setting(
         0.05, "1", "of an answer whose intervals are computed and that is told apart; of an unknown law, to locate it"
     )
@@ -195,7 +193,6 @@ class PairedSettings:
     alpha: float = setting(0.01, "1", "p-value below which a difference is a change")
     beyond: float = setting(2.0, "1", "times the noise, or what runs of one robot differ by, that a difference has")
     # explanation
-    most_steps: int = setting(1500, "control steps", "of all pairs that are simulated; the rest is compared without it")
     least_share: float = setting(
         0.03, "1", "share of the whole difference that one more change explains; changes that differ by less are alike"
     )
