@@ -32,11 +32,10 @@ ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results" / "measured.json"
 FACTORS = {"halved": 0.5, "doubled": 2.0}
 FILES = (
-    "active", "any_model", "custom_laws", "data_quality", "diagnosis", "effect_answers", "localisation",
-    "many_effects", "model_probabilities", "model_robot", "model_robot_recordings", "moves", "paired", "patch",
-    "replay_check", "robot_map", "search", "settings", "sizing", "sysid_bridge",
+    "custom_laws", "data_quality", "model_probabilities", "model_robot", "moves", "paired", "search", "settings",
+    "told_and_telling",
 )  # fmt: skip
-LONGEST, TOGETHER = 20.0, 90.0  # s of a test, and of all that run for a setting
+LONGEST, TOGETHER = 10.0, 40.0  # s of a test, and of all that run for a setting
 ROBOTS = "robots"  # a group that Settings does not hold
 _UNREAD = "listed", "replace", "_replace", "asdict", "_asdict_inner", "__eq__", "__repr__"  # copy, compare or show
 Groups = dict[str, Any]  # settings by the names of their stages
