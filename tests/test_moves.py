@@ -12,7 +12,7 @@ import pytest
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.candidates import term, terms
 from soro_bench.diagnosis.data_quality.responses import answered
-from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, descended, fitted
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, descended, fitted, linearised_at
 from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.selection.forward_selection import explained, nominal_fit
@@ -26,7 +26,7 @@ from soro_bench.diagnosis.selection.moves import (
     unique,
     without_one,
 )
-from soro_bench.diagnosis.selection.rounds import fitted_in_growing_parts
+from soro_bench.diagnosis.selection.rounds import fitted_from_priors, fitted_in_growing_parts, may_imitate
 from soro_bench.diagnosis.selection.screening import ScreenedCandidate, evidence, responses
 from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.effect import EVERY, Effect, Location
@@ -130,6 +130,23 @@ def test_a_law_begun_at_a_neighbour_ends_at_its_location(robot, actions, began):
     (payload,) = refitted(given, [screened.guess(candidate)], screened, 1)[0].effects(given.parameters)
     assert payload.location == hidden.location
     assert payload.parameters["mass"] == pytest.approx(0.04, rel=0.1)
+
+
+def test_what_parameters_have_moved_far_to_imitate_is_found_from_their_priors(robot, actions):
+    hidden = Effect("payload", Location("body", "vertebra6"), {"mass": 0.04})
+    given = trunk_problem(robot, actions, [hidden])
+    base = linearised_at(given, Guess(np.array([3.0, 0.0, -2.0, 0.0, 0.0])), 0.05, 0)
+    assert may_imitate(given, base)
+    assert not may_imitate(given, replace(base, x=0.2 * base.x))
+    locations = [Location("body", f"vertebra{k}") for k in (3, 6, 9)]
+    candidates = [term(robot, name, each) for name in ("local_stiffness", "payload") for each in locations]
+    beside = evidence(given, base, candidates, responses(given, base, candidates, robot))
+    _, fits = fitted_from_priors(given, robot, base, beside, candidates, 0)
+    best = min(fits, key=lambda h: h.cost)
+    (payload,) = best.effects(given.parameters)
+    assert best.cost < 0.5 * base.cost
+    assert (payload.name, payload.location) == (hidden.name, hidden.location)
+    assert payload.parameters["mass"] == pytest.approx(0.04, rel=0.3)
 
 
 def test_coordinates_of_a_term_lead_to_its_effect_and_back(robot):

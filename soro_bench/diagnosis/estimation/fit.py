@@ -140,6 +140,18 @@ def fitted_under_discretisation(
     return problem, fitted(problem, guesses, scales, seed, _split(found, samples))
 
 
+def linearised_at(problem: Problem, guess: Guess, scale: float, seed: int) -> Hypothesis:
+    """The hypothesis at a guess (n,) itself, not fitted, with the slopes of samples around it.
+
+    Args:
+        scale: standard deviation of the samples, in standard deviations of the priors.
+    """
+    samples = np.concatenate([guess.x[None], _sample(problem, guess, scale, [seed, 0])])
+    (rows,) = replayed(problem, [guess], [samples])
+    line = linearised(guess.x, samples, rows)
+    return _hypotheses(problem, guess, [guess.x], rows[:1], line)[0]
+
+
 def _hypotheses(
     problem: Problem, guess: Guess, points: Sequence[Floats], residuals: Floats, line: Line
 ) -> list[Hypothesis]:

@@ -27,15 +27,19 @@ from soro_bench.diagnosis.selection.moves import (
     without_one,
 )
 from soro_bench.diagnosis.selection.rounds import (
+    Round,
     at_each_element,
     cheapest,
     compatible,
+    fitted_from_priors,
     fitted_in_growing_parts,
     generalised,
     guesses_of,
     is_discrepant,
+    may_imitate,
     refined_in_turns,
     replayed_anew,
+    round_of,
     under_present_error,
     with_own_discretisation,
     worth,
@@ -51,19 +55,6 @@ Progress = Callable[[str], None]  # is told the name of each stage
 
 def silent(stage: str) -> None:
     """Progress that nobody looks at."""
-
-
-@dataclass(frozen=True)
-class Round:
-    """What one more term was predicted to gain, and what became of it.
-
-    on: the terms beside which it was looked for. predicted_gain: the best candidates, with the log evidence that each
-    was predicted to gain. fitted: the terms of every hypothesis that was kept, with its misfit.
-    """
-
-    on: tuple[Term, ...]
-    predicted_gain: tuple[tuple[Term, float], ...]
-    fitted: tuple[tuple[tuple[Term, ...], float], ...]
 
 
 @dataclass(frozen=True)
@@ -185,7 +176,8 @@ class _Search:
     robot can have beside the best hypothesis. responses: theirs. screened: their predicted gains, the largest of which
     is ``remaining_gain``. first: the same beside the nominal robot. local_minimum: the first term has only led to
     parameters that explain as much without it, and those are now the nominal ones. goes_on: whether the last term was
-    worth having, if it had to be. form: tells what may be model-form error.
+    worth having, if it had to be. form: tells what may be model-form error. from_priors: where the next round begins
+    if parameters had moved too far to see what is missing: predicted gains at their priors, and fits from there.
     """
 
     problem: Problem
@@ -200,6 +192,7 @@ class _Search:
     rounds: list[Round] = field(default_factory=list)
     local_minimum: bool = False
     goes_on: bool = True
+    from_priors: tuple[Evidence, list[Hypothesis]] | None = None
     form: FormJudge = field(init=False)
     best: Hypothesis = field(init=False)
     possible: Sequence[Term] = ()
@@ -247,15 +240,33 @@ class _Search:
             self._screen(compatible(self.robot, self.best, self.candidates))  # where the best hypothesis is
         if self.rounds:
             only = self.form.covers(self.problem, self.best, self.remaining_gain)
-            return self.remaining_gain >= self.worth and not only
+            return (self.remaining_gain >= self.worth and not only) or self._is_worth_it_from_priors()
         least = self.problem.settings.selection.least_gain
         small = not self.problem.misfit_dominated and self.remaining_gain >= least
-        return self.remaining_gain >= self.worth or (small and self.form.possible(self.problem, self.best))
+        promised = self.remaining_gain >= self.worth or (small and self.form.possible(self.problem, self.best))
+        return promised or self._is_worth_it_from_priors()
+
+    def _is_worth_it_from_priors(self) -> bool:
+        """Whether a law that promises nothing here explains more as fitted from the priors of parameters."""
+        problem, best = self.problem, self.best
+        promising = {each.terms[-1].name for each in singles(self.screened) if each.gain >= self.worth}
+        others = [one for one in self.candidates if one.name not in promising]
+        if not others or not may_imitate(problem, best):
+            return False
+        if self.rounds and not self.form.stands_out(problem, self.nominal, best, self.worth):
+            return False  # what was found may be model-form error
+        self.progress("fits from the parameters' priors")
+        screened, fits = fitted_from_priors(problem, self.robot, best, self.screened, others, next(self.seeds))
+        # how much better a further term is, only its own discretisation errors tell
+        better = [h for h in fits if h.cost < best.cost - (0.0 if self.rounds else self.worth)]
+        self.from_priors = (screened, better) if better else None
+        return bool(better)
 
     def add_one_term(self) -> None:
         """One round: fit the best candidates, compare them with earlier hypotheses, and screen beside the best."""
-        base, offered, number = self.best, singles(self.screened), len(self.rounds) + 1
-        screened = self.screened
+        base, screened, number = self.best, self.screened, len(self.rounds) + 1
+        unpromised = self.from_priors is not None and number > 1
+        offered = singles(self.from_priors[0] if self.from_priors else screened)
         self.progress(f"refits with {number} effect{'s' * (number > 1)}")
         new = self._first_fits(offered)
         new = self._with_own_errors(new)
@@ -265,17 +276,22 @@ class _Search:
             self._keep(new)
         self.best = self.tried[0]
         self._predict_gains()
-        self.rounds.append(_round(self.problem, base, offered, self.tried[: len(new)]))
+        self.rounds.append(round_of(self.problem, base, offered, self.tried[: len(new)]))
         self.nominal = under_present_error(self.problem, self.nominal)
         without = without_one(self.problem, self.best, self.nominal, next(self.seeds))
         others = without if number > 1 else []
         known = {laws(h) for h in self.tried}
         others += swap_delays(self.problem, [self.best, *others], self.candidates, known, next(self.seeds))
         self.tried[1:1] = others
-        if number >= self.problem.settings.selection.unchecked_terms and not self._is_better_than(base):
+        unchecked, before = self.problem.settings.selection.unchecked_terms, self._as_tried(base)
+        if unpromised:
+            better = self.form.stands_out(self.problem, before, self.best, worth(self.problem, self.nominal, before))
+        else:
+            better = number < unchecked or is_better(self.problem, self.heldout, before, self.best)
+        if not better:
             self.goes_on = False
-            if number > self.problem.settings.selection.unchecked_terms:
-                self._take(self._as_tried(base), screened)
+            if unpromised or number > unchecked:
+                self._take(before, screened)
         if number == 1:
             before, self.nominal = self.nominal, min(self.nominal, *without, key=lambda h: h.cost)
             by_parameters, by_term = before.cost - self.nominal.cost, self.nominal.cost - self.best.cost
@@ -307,10 +323,6 @@ class _Search:
             self.progress(f"without {len(self.best.terms)} effects")
             self._take(fewer, None)
 
-    def _is_better_than(self, base: Hypothesis) -> bool:
-        """Whether the best hypothesis is worth having instead of that of the round before."""
-        return is_better(self.problem, self.heldout, self._as_tried(base), self.best)
-
     def _as_tried(self, hypothesis: Hypothesis) -> Hypothesis:
         """A hypothesis of an earlier round, as it is under the present problem."""
         same = (h for h in (*self.tried, self.nominal) if laws(h) == laws(hypothesis))
@@ -340,14 +352,19 @@ class _Search:
 
     def _first_fits(self, offered: Sequence[ScreenedCandidate]) -> list[Hypothesis]:
         """Hypotheses of the best candidates, the most probable first, without discretisation errors of their own."""
-        guesses = guesses_of(self.problem, self.screened, offered)
-        guesses += at_each_element(self.problem, self.screened, offered)
-        guesses += generalised(self.problem, self.screened, self.candidates, self.worth)
-        if len(self.rounds) == 1 and not self.problem.misfit_dominated:
-            guesses += guesses_of(self.problem, self.first, pairs(self.first))
-        best = self.best
+        screened, best = self.screened, self.best
+        if self.from_priors:
+            screened, fits = self.from_priors
+            guesses = [Guess(h.x, h.terms, h.jacobian) for h in fits]
+            self.from_priors = None
+        else:
+            guesses = guesses_of(self.problem, screened, offered)
+            guesses += at_each_element(self.problem, screened, offered)
+            guesses += generalised(self.problem, screened, self.candidates, self.worth)
+            if len(self.rounds) == 1 and not self.problem.misfit_dominated:
+                guesses += guesses_of(self.problem, self.first, pairs(self.first))
         rough = self.problem.with_longer_steps(self.robot, best.x, best.terms, best.residual)
-        new = replayed_anew(self.problem, refitted(rough, guesses, self.screened, next(self.seeds)))
+        new = replayed_anew(self.problem, refitted(rough, guesses, screened, next(self.seeds)))
         if self.rounds:
             new += revisit_rivals(self.problem, new[0], self.tried, next(self.seeds))
         if self.problem.misfit_dominated:
@@ -380,15 +397,3 @@ class _Search:
         self.problem, (self.nominal, *self.tried) = allowing(self.problem, new[0], others)
         self.possible = compatible(self.robot, self.tried[0], self.candidates)
         self.responses = list(screen(self.problem, self.tried[0], self.possible, self.robot).responses)
-
-
-def _round(
-    problem: Problem, base: Hypothesis, offered: Sequence[ScreenedCandidate], fitted: Sequence[Hypothesis]
-) -> Round:
-    """What is told of a round that began at ``base``."""
-    best = offered[: problem.settings.selection.candidates]
-    return Round(
-        base.terms,
-        tuple((candidate.terms[-1], candidate.gain) for candidate in best),
-        tuple((h.terms, problem.misfit(h.residual)) for h in fitted),
-    )

@@ -46,7 +46,7 @@ def refitted(problem: Problem, guesses: Sequence[Guess], screened: Evidence, see
         screened: the responses of all candidates, for terms that move to another location.
     """
     settings = problem.settings.selection
-    hypotheses = fitted(problem, _begun_best(problem, guesses), (settings.fit_radius,), seed)
+    hypotheses = fitted(problem, begun_best(problem, guesses), (settings.fit_radius,), seed)
     hypotheses = unique(sorted(hypotheses, key=lambda h: h.cost))
     hypotheses = _shift_location(problem, _warm_start_nested(problem, hypotheses, seed), screened, seed + 1)
     ranked = unique(sorted(hypotheses, key=lambda h: -h.log_evidence(problem)))
@@ -322,7 +322,7 @@ def _at_neighbours(problem: Problem, hypothesis: Hypothesis, responses: Mapping[
     return guesses
 
 
-def _begun_best(problem: Problem, guesses: Sequence[Guess]) -> list[Guess]:
+def begun_best(problem: Problem, guesses: Sequence[Guess]) -> list[Guess]:
     """The laws that explain most when they are replayed, each begun where it explains most.
 
     That may be at a share of its estimated magnitudes. A law that sets in at a threshold may do nothing there, so it

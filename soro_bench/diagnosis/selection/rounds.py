@@ -6,21 +6,62 @@ responses are those of its elements together, so that it is screened without a r
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.candidates import Term, effects_at, slices, typical
 from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
-from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, descended, fitted, fitted_under_discretisation
+from soro_bench.diagnosis.estimation.fit import (
+    Guess,
+    Hypothesis,
+    descended,
+    fitted,
+    fitted_under_discretisation,
+    linearised_at,
+)
 from soro_bench.diagnosis.estimation.problem import Problem, SimulationError
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.selection.moves import Laws, distinct, indistinguishable, laws, move_radii, refine, unique
-from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate, beyond_chance
+from soro_bench.diagnosis.selection.moves import (
+    Laws,
+    begun_best,
+    distinct,
+    indistinguishable,
+    laws,
+    move_radii,
+    refine,
+    unique,
+)
+from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate, beyond_chance, screen, singles
 from soro_bench.diagnosis.spread_terms import SpreadTerm, alike, is_single, law_of, spread
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import Location
+
+
+@dataclass(frozen=True)
+class Round:
+    """What one more term was predicted to gain, and what became of it.
+
+    on: the terms beside which it was looked for. predicted_gain: the best candidates, with the log evidence that each
+    was predicted to gain. fitted: the terms of every hypothesis that was kept, with its misfit.
+    """
+
+    on: tuple[Term, ...]
+    predicted_gain: tuple[tuple[Term, float], ...]
+    fitted: tuple[tuple[tuple[Term, ...], float], ...]
+
+
+def round_of(
+    problem: Problem, base: Hypothesis, offered: Sequence[ScreenedCandidate], fitted: Sequence[Hypothesis]
+) -> Round:
+    """What is told of a round that began at ``base``."""
+    best = offered[: problem.settings.selection.candidates]
+    return Round(
+        base.terms,
+        tuple((candidate.terms[-1], candidate.gain) for candidate in best),
+        tuple((h.terms, problem.misfit(h.residual)) for h in fitted),
+    )
 
 
 def at_each_element(problem: Problem, screened: Evidence, offered: Sequence[ScreenedCandidate]) -> list[Guess]:
@@ -249,6 +290,48 @@ def guesses_of(problem: Problem, screened: Evidence, offered: Sequence[ScreenedC
     ]
     best += [candidate for candidate in others if problem.robot.accepts(candidate.effects)]
     return [screened.guess(candidate) for candidate in best]
+
+
+def may_imitate(problem: Problem, hypothesis: Hypothesis) -> bool:
+    """Whether the parameters of a hypothesis may imitate what is missing: it leaves much, and one of them is farther
+    from its prior than it would be by chance."""
+    if problem.misfit_dominated or not is_discrepant(problem, hypothesis):
+        return False
+    moved = np.abs(hypothesis.x[: problem.parameters])
+    return bool((moved > problem.settings.selection.moved_far).any())
+
+
+def fitted_from_priors(
+    problem: Problem,
+    robot: Robot,
+    best: Hypothesis,
+    beside: Evidence,
+    candidates: Sequence[Term],
+    seed: int,
+) -> tuple[Evidence, list[Hypothesis]]:
+    """A hypothesis with one more term, screened and fitted from where all parameters are at their priors.
+
+    Parameters may imitate what is missing, as a body's mass does a payload. Where they have moved far to do so, a line
+    beside the hypothesis predicts nothing of the missing law, and a fit of it does not lead back.
+
+    Args:
+        robot: with the time steps of its model.
+        beside: what candidates say beside the hypothesis itself. candidates: that may be the term.
+
+    Returns:
+        What the candidates say there, and fits of the best of them.
+    """
+    settings, d = problem.settings.selection, problem.parameters
+    x = np.where(np.arange(len(best.x)) < d, 0.0, best.x)
+    rough = problem.with_longer_steps(robot, best.x, best.terms, best.residual)
+    there = linearised_at(rough, Guess(x, best.terms), settings.nominal_radius_last, seed)
+    known = dict(zip(beside.candidates, beside.responses, strict=True))
+    screened = screen(problem, there, compatible(robot, there, candidates), robot, known)
+    guesses = guesses_of(problem, screened, singles(screened))
+    # the parameters of the estimate are as far off as the line is wrong
+    guesses = [replace(each, x=np.concatenate([x, each.x[len(x) :]])) for each in guesses]
+    fits = fitted(rough, begun_best(rough, guesses), (settings.fit_radius,), seed)
+    return screened, replayed_anew(problem, fits)
 
 
 def worth(problem: Problem, nominal: Hypothesis, best: Hypothesis) -> float:

@@ -116,3 +116,8 @@ class FormJudge:
         [nats] than terms do where that is all."""
         form, misfit = UnderModelForm.of(problem, [hypothesis.residual]), problem.misfit(hypothesis.residual)
         return gain < form.least_gain(misfit, problem.settings.discretisation) and self.possible(problem, hypothesis)
+
+    def stands_out(self, problem: Problem, before: Hypothesis, after: Hypothesis, least: float) -> bool:
+        """Whether a hypothesis has so much less cost [nats] than another one, and than model form can do."""
+        gain = before.cost - after.cost
+        return gain >= least and not self.covers(problem, before, gain)

@@ -39,6 +39,7 @@ class SelectionSettings:
     unchecked_terms: int = setting(3, "terms", "before each must lower held-out error; recordings of 30 s show so many")
     least_gain: float = setting(400.0, "nats", "predicted gain that is worth a fit; 40 healthy cases reach 85, but one")
     least_gain_of_misfit: float = setting(0.05, "1", "share of the misfit, likewise; small shares come of unknown laws")
+    moved_far: float = setting(2.0, "prior deviations", "of a parameter that may imitate a law; 1 in 20 by chance")
     beyond_chance: float = setting(2.0, "standard errors", "by which held-out error has to fall for another term")
     # fits
     fit_radius: float = setting(0.15, "prior deviations", "of samples once most of the motion is explained")
