@@ -117,6 +117,16 @@ def test_no_number_is_raised_with_world_and_step(reach, tmp_path):
     reach.reset(seed=0)
 
 
+def test_a_world_that_is_no_number_may_be_truncated():
+    """What is observed and rewarded stays finite, and the others go on."""
+    envs = torch_env(on_nan="truncate")
+    envs.reset(seed=0)
+    envs.task.sim.batch.bind("qvel")[1, 0] = float("nan")
+    observation, reward, _, truncated, info = envs.step(torch.zeros(WORLDS, 8))
+    assert truncated.tolist() == info["diverged"].tolist() == [False, True, False]
+    assert all(bool(each.isfinite().all()) for each in (observation, reward, info["final_obs"]))
+
+
 def test_overflow_is_raised_with_the_world():
     envs = torch_env("TrunkPush-v0", room={"nconmax": 1})
     envs.reset(seed=0)

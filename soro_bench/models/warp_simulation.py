@@ -253,7 +253,7 @@ class WarpSimulation:
         self._steps += 1
 
     def bad_states(self, ids: Ints) -> torch.Tensor:
-        """(n,) whether a state is no number.
+        """(n,) whether a state is no number; such worlds are back at the model's initial state.
 
         Raises:
             WorldError: so it is, and ``on_nan`` is "raise"; or a world has more contacts or constraints than fit.
@@ -270,6 +270,8 @@ class WarpSimulation:
                     "constraints than fit; give more room, such as room={'njmax': 256, 'nconmax': 64}"
                 )
             self._guard(int(bad.nonzero()[0]))
+            self.batch.reset(bad.nonzero().flatten())  # as MuJoCo does: what is observed of them are numbers
+            self.batch.forward(ids)
         return bad[self.array(ids)]
 
     def _guard(self, world: int) -> None:
