@@ -78,6 +78,8 @@ class TorchVectorEnv:
         self._rngs: list[np.random.Generator] = []
         self._next: dict[int, tuple[Any, np.ndarray]] = {}  # start and parameters of worlds' next episodes
         self._missing: list[int] = []  # worlds without
+        sim: Any = self.task.sim
+        sim.meanwhile = self._draw_ahead
 
     def reset(
         self, seed: int | None = None, options: Sequence[Mapping[str, Any]] | None = None
@@ -120,7 +122,6 @@ class TorchVectorEnv:
         if isinstance(space, gymnasium.spaces.Box):
             actions = actions.clamp(-1.0, 1.0)
         step = self.task.step(self._everyone, actions)
-        self._draw_ahead()  # while the device works
         self.elapsed += 1
         truncated = (self.elapsed >= self.max_episode_steps) | step.diverged
         done = truncated | step.terminated

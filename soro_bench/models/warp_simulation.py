@@ -200,6 +200,7 @@ class WarpSimulation:
         self.params = self.array(np.tile(parameters.nominal, (nsim, 1)))
         self._params = np.full((nsim, len(parameters.nominal)), np.nan)  # on the host; not written yet
         self._steps = 0
+        self.meanwhile: Callable[[], None] = lambda: None  # work of the host while the device simulates
         self.set_params(np.arange(nsim), np.tile(parameters.nominal, (nsim, 1)))
         self._before: dict[str, torch.Tensor] = {}
 
@@ -251,6 +252,7 @@ class WarpSimulation:
             self._before = {name: self.batch.bind(name).clone() for name in _STATE}
         self.batch.step(ids, nstep)
         self._steps += 1
+        self.meanwhile()
 
     def bad_states(self, ids: Ints) -> torch.Tensor:
         """(n,) whether a state is no number; such worlds are back at the model's initial state.
@@ -270,7 +272,9 @@ class WarpSimulation:
                     "constraints than fit; give more room, such as room={'njmax': 256, 'nconmax': 64}"
                 )
             self._guard(int(bad.nonzero()[0]))
-            self.batch.reset(bad.nonzero().flatten())  # as MuJoCo does: what is observed of them are numbers
+            self.batch.reset(
+                bad.nonzero().flatten().cpu().numpy()
+            )  # as MuJoCo does: what is observed of them are numbers
             self.batch.forward(ids)
         return bad[self.array(ids)]
 
