@@ -13,6 +13,7 @@ pytest.importorskip("scipy", reason="needs the infer extra")
 from soro_bench.diagnosis.active import DroppedFile, SimulatedAnswer, diagnose_actively
 from soro_bench.diagnosis.paired.alignment import aligned
 from soro_bench.diagnosis.paired.api import compare
+from soro_bench.diagnosis.paired.explanation import probabilities
 from soro_bench.diagnosis.paired.result import PairedResult
 from soro_bench.diagnosis.render.paired import summary
 from soro_bench.diagnosis.result_parts import NextRecording
@@ -217,3 +218,11 @@ def test_an_excitation_of_a_model_moves_what_is_commanded_within_its_range(paths
     paths[0].write_text(ARM.replace('name="motor"', 'name="motor" ctrlrange="-0.5 0.5"'))
     controls = ModelRobot(*paths, threads=1).excited(duration=10.0)
     assert controls.shape == (500, 1) and 0.1 < np.abs(controls).max() <= 0.5
+
+
+def test_a_change_that_explains_a_little_is_chance_where_hundreds_are_possible():
+    counts = np.array([0, 1, 2])
+    one, many = (probabilities(np.array([0.0, 4.0, 5.0]), counts, possible) for possible in (1, 300))
+    assert one.argmax() == 2 and many.argmax() == 0
+    assert many.sum() == pytest.approx(1.0)
+    assert probabilities(np.array([0.0, 400.0, 402.0]), counts, 300).argmax() == 1

@@ -223,14 +223,15 @@ class _Search:
             -0.5 * independent * np.log(max(nothing[1], 1e-300)),
             *(each.evidence for each in (*singles, *several)),
         ])
-        weights = np.exp(evidences - evidences.max())
+        counts = np.array([0, *(len(each.changes) for each in (*singles, *several))])
+        weights = probabilities(evidences, counts, len(self.changes))
         left = self.best.squares[1] if self.best else nothing[1]
         floor = count * 2.0 * self.noise**2
         share = max(left - floor, 0.0) / max(nothing[1] - floor, 1e-300) if nothing[1] > floor else 0.0
         unknown = float(expit((share - self.settings.paired.unknown_share) / self.settings.paired.unknown_width))
         certain = self.settings.probabilities.wrong_when_certain
-        unknown = certain + (1.0 - certain) * unknown * (1.0 - weights[0] / weights.sum())
-        chances = (1.0 - unknown) * weights / weights.sum()
+        unknown = certain + (1.0 - certain) * unknown * (1.0 - weights[0])
+        chances = (1.0 - unknown) * weights
         candidates = _merged([
             self._change(each, 0, float(chance), nothing[1])
             for each, chance in zip(singles, chances[1 : 1 + len(singles)], strict=True)
@@ -279,6 +280,17 @@ class _Search:
         estimates = _of_law(self.problem.robot, change, z, np.clip(zs, *change.bounds))
         return result.Change(change.kind, change.term.name, change.term.location, estimates, False,
                              change.removed(z), explained, probability)  # fmt: skip
+
+
+def probabilities(evidences: Floats, counts: Floats, possible: int) -> Floats:
+    """(H,) probabilities of hypotheses, by their log evidence (H,) and their numbers of changes (H,).
+
+    A change is as likely as none, and each of the ``possible`` ones as likely as another: of hundreds, some explain a
+    little by chance (Scott, Berger, "Bayes and empirical-Bayes multiplicity adjustment", 2010).
+    """
+    found = evidences - counts * np.log(max(possible, 1))
+    weights = np.exp(found - found.max())
+    return np.asarray(weights / weights.sum(), float)
 
 
 def _interval(name: str, unit: str, value: float, draws: Floats) -> Estimate:
