@@ -15,7 +15,7 @@ from benchmarks.law_baselines import Data, error, nothing, parameters_only, sind
 from soro_bench.diagnosis.api import with_seeds
 from soro_bench.diagnosis.assembly.discovered import spanned
 from soro_bench.diagnosis.discovery.discovery import discovered
-from soro_bench.diagnosis.discovery.library import Term, series
+from soro_bench.diagnosis.discovery.library import Term, series, variables_at
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, fitted
 from soro_bench.diagnosis.localisation.ranking import ranked_locations
 from soro_bench.diagnosis.render.html import html
@@ -343,6 +343,18 @@ def test_bodies_that_cannot_be_told_apart_span_a_region_of_one_branch():
     assert spanned(model, [named["finger"], named["arm"]]) == ("arm", "hand", "finger")
     assert spanned(model, [named["arm"], named["hand"]]) == ("arm", "hand")
     assert spanned(model, [named["finger"], named["ball"]]) == ()
+
+
+@pytest.mark.parametrize(("joints", "read"), [(11, 10), (19, 0)])
+def test_a_law_reads_other_joints_where_there_are_a_dozen(robot_of, joints, read):
+    bodies = "".join(
+        f'<body><joint name="j{i}" type="slide" damping="1"/><geom size="0.01"/></body>' for i in range(joints)
+    )
+    mapping = '[robot]\ncontrol_timestep = 0.02\n[signal]\nname = "x"\njoints = ["j0"]\nunit = "m"\n'
+    mapping += '[parameters.damping]\nfields = ["dof_damping:j0"]\ndeviation = 0.3\n'
+    robot = robot_of(mapping, f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    found = variables_at(robot, Location("joint", "j0"), DEFAULT.discovery)
+    assert sum(variable.of == "position" for variable, _ in found) == 1 + read
 
 
 def test_seeds_that_disagree_are_alternatives_with_their_shares():

@@ -6,7 +6,7 @@ than the model as built, there is no patched model.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from soro_bench.diagnosis.assembly.errors import plain, rms_as_it_is
 from soro_bench.diagnosis.assembly.model_export import ExportedModel, PatchError, exported
 from soro_bench.diagnosis.assembly.native_laws import LAWS
 from soro_bench.diagnosis.candidates import Term, slices, term
-from soro_bench.diagnosis.estimation.fit import Hypothesis, descended
+from soro_bench.diagnosis.estimation.fit import LEAST_GAIN, Hypothesis, descended
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.result_robot import ReplayError
@@ -141,11 +141,9 @@ def _refitted(diagnosis: Diagnosis) -> Iterator[ExportedModel]:
     start after the other; the last one with fitted parameters only. A fit ends where a step changes the rms by less
     than what counts as the same error."""
     robot, problem = diagnosis.robot, plain(diagnosis.explanation.problem, diagnosis.robot)
-    settings = problem.settings
-    descent = replace(settings.descent, least_gain=max(settings.descent.least_gain, 2.0 * settings.report.same_error))
-    problem = replace(problem, settings=replace(settings, descent=descent))
+    least_gain = max(LEAST_GAIN, 2.0 * problem.settings.report.same_error)
     for start in _begun(diagnosis, problem):
-        (each,) = descended(problem, [start])
+        (each,) = descended(problem, [start], least_gain)
         effects = (*robot.known, *each.effects(problem.parameters))
         try:
             yield exported(robot, robot.parameters(each.x), effects, _REFITTED)

@@ -29,6 +29,7 @@ from soro_bench.recording.recording import RecordingError
 _MOST_NAMES = 5  # in a sentence
 _EMPTY = 1e-6  # of a whole response, that is seen in what lacks of a command without any; it is then not known
 _STEPS = 10  # of a descent, at most
+_STEP = 0.3  # prior deviations, for a slope by replays; narrow ones see jumps only
 _SMALLEST = 1e-300  # sum of squares, of which there is a logarithm
 
 
@@ -167,7 +168,7 @@ class _Comparison:
         misfit = (self.measured.values - expected)[seen]
         if not misfit.any():
             return expected
-        step = self.method.covariance.width
+        step = _STEP
         slopes = np.zeros((0, *expected.shape))
         if len(self.nominal):
             slopes = (self._replays([self.measured.drive], step * np.eye(len(self.nominal))) - expected) / step
@@ -201,7 +202,7 @@ class _Comparison:
         """
         settings, misfits = self.method, partial(self._misfits, measured)
         low, high = np.array([prior.reach(settings.priors.limit) for prior in self.robot.priors]).reshape(-1, 2).T
-        x, best, width = self.nominal, misfits(self.nominal[None])[0], settings.covariance.width
+        x, best, width = self.nominal, misfits(self.nominal[None])[0], _STEP
         for _ in range(_STEPS if len(x) and np.isfinite(best).all() else 0):
             step = np.where(x + width <= high, width, -width)
             slopes = (misfits(x + np.diag(step)) - best) / step[:, None]

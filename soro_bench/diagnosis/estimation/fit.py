@@ -247,15 +247,19 @@ def _hessian(discretisation: LowRank, jacobian: Floats) -> Floats:
 # --- Levenberg-Marquardt descent ---
 
 _STEPS = 10  # at most; the gain of a step ends most descents
+LEAST_GAIN = 0.003  # share of the cost that a step has to gain for another one
 _POWERS = 10.0 ** np.arange(6.0)  # of the damping, tried side by side
 
 
-def descended(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+def descended(problem: Problem, hypotheses: Sequence[Hypothesis], least_gain: float = LEAST_GAIN) -> list[Hypothesis]:
     """The hypotheses, each at the local minimum of its cost; none is worse than before. They go side by side.
 
     It serves fits of real robots, whose misfit is larger than the ruggedness of the simulation. The samples of other
     fits are too wide where the phase of an oscillation runs away: that is linear near a point only. SciPy's method
     would replay one point after the other.
+
+    Args:
+        least_gain: share of the cost that a step has to gain for another one.
     """
     settings = problem.settings.descent
     factors = settings.smallest_damping * _POWERS
@@ -272,7 +276,7 @@ def descended(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[Hypoth
             if costs[best] < h.cost:
                 found[i] = replace(h, x=points[best], residual=rows[best], cost=costs[best])
                 damping[i] *= factors[best]
-            if costs[best] < (1.0 - settings.least_gain) * h.cost:
+            if costs[best] < (1.0 - least_gain) * h.cost:
                 improved.append(i)
         if not (going := improved):
             break
@@ -305,6 +309,8 @@ def _steps(problem: Problem, h: Hypothesis, dampings: Floats) -> list[Floats]:
 # --- posterior covariance ---
 
 _ROUNDS = 4  # of samples, each as wide as the covariance before it
+_SAMPLES = 64  # replays of a round, beside two for each unknown
+_WIDTH = 0.3  # prior deviations of the first samples, as narrow ones see jumps only; share of an effect's magnitude
 _LEAST_WIDTH = 1e-6  # prior deviations; keeps the first samples apart
 
 
@@ -321,12 +327,11 @@ def with_covariance(problem: Problem, hypothesis: Hypothesis, seed: int) -> Hypo
     """
     if len(hypothesis.error) or not len(hypothesis.x):
         return hypothesis
-    settings = problem.settings.covariance
     x, terms, n = hypothesis.x, hypothesis.terms, len(hypothesis.x)
     low, high = bounds(problem, terms)
     root = np.diag(_first_widths(problem, hypothesis))
     for k in range(_ROUNDS):
-        normal = sample_around(np.zeros(n), 1.0, settings.samples + 2 * n, [seed, k])
+        normal = sample_around(np.zeros(n), 1.0, _SAMPLES + 2 * n, [seed, k])
         points = np.clip(x + normal @ root.T, low, high)
         rows = problem.residuals([(point, terms) for point in points])
         inverse = np.linalg.inv(root)
@@ -339,7 +344,6 @@ def with_covariance(problem: Problem, hypothesis: Hypothesis, seed: int) -> Hypo
 
 def _first_widths(problem: Problem, hypothesis: Hypothesis) -> Floats:
     """(n,) standard deviations of the first samples."""
-    settings = problem.settings.covariance
     magnitudes = np.array([*[False] * problem.parameters, *(m for s in hypothesis.terms for m in s.magnitudes)])
-    small = np.clip(settings.width * np.abs(hypothesis.x), _LEAST_WIDTH, settings.width)
-    return np.where(magnitudes, small, settings.width)
+    small = np.clip(_WIDTH * np.abs(hypothesis.x), _LEAST_WIDTH, _WIDTH)
+    return np.where(magnitudes, small, _WIDTH)

@@ -188,7 +188,7 @@ class _Search:
         (joint,) = fitted_together(self._scaled(problem, best.point), [best], self.settings)
         problem = self._scaled(problem, joint.point)
         old, new = self._weighed(self.best, problem), self._weighed(joint, problem)
-        if new.evidence < old.evidence + self.settings.paired.least_gain:
+        if new.evidence < old.evidence:
             return False
         self.problem, self.best = problem, new
         return True

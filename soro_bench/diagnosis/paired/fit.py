@@ -14,6 +14,7 @@ from soro_bench.diagnosis.settings import Settings
 _STARTS = (0.3, 1.0, 3.0)  # times the predicted size; a law's effect is not linear in it
 _DAMPINGS = np.array([0.01, 0.1, 1.0, 100.0])  # of the Hessian's diagonal, tried side by side
 _STEPS = 10  # of a descent, at most
+_LEAST_GAIN = 0.003  # share of the cost that a step has to gain for another one
 _TOGETHER = 64  # replays side by side
 _EDGE = 1e-9  # of an interval, by which a start lies inside its bounds
 
@@ -201,7 +202,7 @@ def _descended(
             if tried[part][best] < costs[i]:
                 found[i] = trials[k * len(_DAMPINGS) + best][1]
                 damping[i] *= float(_DAMPINGS[best] / _DAMPINGS[1])
-            if tried[part][best] < (1.0 - settings.descent.least_gain) * costs[i]:
+            if tried[part][best] < (1.0 - _LEAST_GAIN) * costs[i]:
                 improved.append(i)
         if not (going := improved):
             break

@@ -76,7 +76,7 @@ def proposed(
         for i in finalists
     ]
     best = max(range(len(separated)), key=lambda i: _rated(rivals, separated[i], tempered_by))
-    enough = math.log(settings.separating_odds) * tempered_by
+    enough = -math.log(problem.settings.report.least_probability) * tempered_by  # then one of the two is improbable
     return _proposal(tried[finalists[best]], rivals, separated[best], enough)
 
 

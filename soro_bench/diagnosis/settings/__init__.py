@@ -14,7 +14,6 @@ from typing import Any
 from soro_bench.diagnosis.settings.data import DataQualitySettings
 from soro_bench.diagnosis.settings.estimation import (
     AgreementSettings,
-    CovarianceSettings,
     DescentSettings,
     DiscretisationSettings,
     FitSettings,
@@ -38,7 +37,6 @@ from soro_bench.diagnosis.settings.setting import listed, setting
 __all__ = [
     "DEFAULT",
     "AgreementSettings",
-    "CovarianceSettings",
     "DataQualitySettings",
     "DescentSettings",
     "DiscoverySettings",
@@ -71,7 +69,6 @@ class Settings:
     priors: PriorSettings = field(default_factory=PriorSettings)
     fit: FitSettings = field(default_factory=FitSettings)
     descent: DescentSettings = field(default_factory=DescentSettings)
-    covariance: CovarianceSettings = field(default_factory=CovarianceSettings)
     screening: ScreeningSettings = field(default_factory=ScreeningSettings)
     selection: SelectionSettings = field(default_factory=SelectionSettings)
     probabilities: ProbabilitySettings = field(default_factory=ProbabilitySettings)

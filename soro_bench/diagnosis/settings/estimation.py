@@ -67,18 +67,7 @@ class DescentSettings:
     """Levenberg-Marquardt descent from a fit, where the misfit dominates."""
 
     difference: float = setting(0.01, "prior deviations", "of an unknown, for its column of the Jacobian")
-    least_gain: float = setting(0.003, "1", "share of the cost that a step has to gain for another one")
     smallest_damping: float = setting(0.01, "1", "factor of the damping tried first; five more follow, each times 10")
-
-
-@dataclass(frozen=True)
-class CovarianceSettings:
-    """Posterior covariance from replays that are as wide as the posterior."""
-
-    width: float = setting(
-        0.3, "prior deviations", "of the first samples, as narrow ones see jumps only; share of an effect's magnitude"
-    )
-    samples: int = setting(64, "replays", "of a round, beside two for each unknown")
 
 
 @dataclass(frozen=True)

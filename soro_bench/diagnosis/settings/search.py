@@ -153,7 +153,6 @@ class ExperimentDesignSettings:
     hold: float = setting(4.0, "s", "of each position of a staircase; creep and leaks show then")
     rivals: int = setting(3, "answers", "that are told apart, at most")
     finalists: int = setting(2, "motions", "that are simulated again, along as many directions of the posterior")
-    separating_odds: float = setting(20.0, "1", "tempered odds that tell two answers apart")
     rest: float = setting(0.05, "1", "share of the duration, at rest before and after a motion")
     stroke: int = setting(3, "control steps", "at full rate, of a fast triangle")
     slow: int = setting(10, "1", "times slower than that, of slow motions")
@@ -174,7 +173,9 @@ class ReportSettings:
     """What is accepted, and which hypotheses and locations are worth more work at the end."""
 
     least_probability: float = setting(
-        0.05, "1", "of an answer whose intervals are computed and that is told apart; of an unknown law, to locate it"
+        0.05,
+        "1",
+        "of an answer whose intervals are computed and that is told apart; of an unknown law, to locate it",
     )
     same_error: float = setting(0.01, "1", "share; a replay that is further from the printed error is noted")
 
@@ -197,7 +198,6 @@ class PairedSettings:
     least_share: float = setting(
         0.03, "1", "share of the whole difference that one more change explains; changes that differ by less are alike"
     )
-    least_gain: float = setting(5.0, "nats", "of evidence that one more change has to gain")
     unknown_share: float = setting(
         0.5, "1", "share of the difference left, where an unknown change is as likely as not"
     )
