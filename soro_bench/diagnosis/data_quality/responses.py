@@ -28,6 +28,7 @@ from soro_bench.recording.recording import RecordingError
 
 _MOST_NAMES = 5  # in a sentence
 _EMPTY = 1e-6  # of a whole response, that is seen in what lacks of a command without any; it is then not known
+_MOVES = 0.1  # share of the widest motion, of less nothing is known
 _STEPS = 10  # of a descent, at most
 _STEP = 0.3  # prior deviations, for a slope by replays; narrow ones see jumps only
 _SMALLEST = 1e-300  # sum of squares, of which there is a logarithm
@@ -134,7 +135,7 @@ class _Comparison:
     def _still(self, expected: Floats, noisy: bool) -> Ints:
         """Numbers of the points of :meth:`_leave_out_still`."""
         values, motion = self.measured.values, expected.std(axis=0)
-        moves = motion > self.settings.least_known * motion.max()
+        moves = motion > _MOVES * motion.max()
         still = np.array([
             [self._is_still(values[:, p, i], expected[:, p, i], noisy) for i in range(values.shape[2])]
             for p in range(values.shape[1])
@@ -226,7 +227,7 @@ class _Comparison:
     def _unanswered(self, misfit: Floats, slopes: Floats, lacking: Floats) -> tuple[Bools, Bools]:
         """(A,) whether nothing follows each command, and whether something surely does; see :func:`_shares`."""
         never, deviation = _shares(misfit, slopes, lacking)
-        known, missing = deviation < self.settings.least_known, np.abs(never - 1.0) < self.settings.unanswered
+        known, missing = 3.0 * deviation < self.settings.unanswered, np.abs(never - 1.0) < self.settings.unanswered
         return known & missing, known & ~missing
 
     def _held(self) -> tuple[Floats, Floats]:

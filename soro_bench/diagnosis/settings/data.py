@@ -55,12 +55,9 @@ class DataQualitySettings:
         0.3, "1", "share of its distance from the line that a cubic errs by where motion begins"
     )
     # whether the signal answers to commands, beside replays (data_quality/responses.py), and its unit
-    least_known: float = setting(
-        0.1, "1", "share of the widest motion, of less nothing is known; and deviation of a missing share, of more"
-    )
     still_noise: float = setting(0.3, "1", "share of a replay's motion below which white noise is no motion")
     unanswered: float = setting(
-        0.3, "1", "by which the missing share of a response may differ from all of it; share of the misfit without it"
+        0.3, "1", "by which the missing share of a response may be off, by 3 deviations; share of the misfit without it"
     )
     unit_tolerance: float = setting(
         0.15, "1", "of the ratio of motions to that of a wrong unit, and of their correlation; parameters change less"
