@@ -321,6 +321,15 @@ def test_a_command_that_a_model_mostly_clips_is_refused(
         assert len(robot.measured(given).time)
 
 
+def test_a_proposed_motion_keeps_to_a_third_of_a_range(tmp_path: Path) -> None:
+    """Of a setpoint from -1 to 1."""
+    (tmp_path / "arm.xml").write_text(arm.ARM.replace('kv="0.05"', 'kv="0.05" ctrlrange="-1 1"'))
+    (tmp_path / "map.toml").write_text(arm.MAP)
+    robot = ModelRobot(tmp_path / "arm.xml", tmp_path / "map.toml", threads=1)
+    rates = np.where(np.arange(40) < 20, 1.0, -1.0)[:, None]
+    assert np.abs(robot.commanded(rates, np.zeros((40, 1)))).max() == pytest.approx(0.6)
+
+
 @pytest.mark.parametrize(("steps", "told"), [(3, set()), (8, {"force_limit"})])
 def test_a_limit_is_told_that_is_reached_for_a_twentieth_of_the_time(
     steps: int, told: set[str], arm_paths: tuple[Path, Path]
