@@ -258,7 +258,7 @@ def test_a_black_box_describes_what_no_law_does(paths):
     """Of the grammar one term may act, and none is good enough; the box has not seen the recording that judges it."""
     read = {"q": {"of": "position"}, "v": {"of": "velocity"}}
     effects = [custom(law(["multiply", 0.3, WELLS], read))]
-    strict = replace(DEFAULT, discovery=replace(DEFAULT.discovery, least_explained=1.1, singles=1, pairs=0, triples=0))
+    strict = replace(DEFAULT, discovery=replace(DEFAULT.discovery, least_explained=1.1, replayed=(2, 1, 1)))
     given = problem(paths, effects, steps=225, settings=strict)
     (base,) = fitted(given, [Guess(np.zeros(3))], (0.7, 0.3, 0.1), seed=0)
     given, (base,) = allowing(given, base, [base])

@@ -163,10 +163,12 @@ def _fitted(
     chosen: list[tuple[tuple[Structure, tuple[LawTerm, ...]], Floats]] = []
     for i in np.argsort(costs, kind="stable").tolist():
         (structure, _), _ = starts[i]
-        size = min(len(structure.candidates), len(left)) - 1
+        size = 0 if boxed(structure) else len(structure.candidates) - 1
         if left[size] and all(structure is not other[0] for other, _ in chosen):
             left[size] -= 1
             chosen.append(starts[i])
+    if not chosen:
+        return problem, []
     radii = problem.settings.selection.fit_radius, problem.settings.selection.fit_radius_last
     guesses = [Guess(x, terms) for (_, terms), x in chosen]
     once = fitted(problem, guesses, radii, seed + _SEED)
