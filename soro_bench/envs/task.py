@@ -136,7 +136,6 @@ class Task(ABC):
         self.model = model
         self.effects = effects
         self.sim: Simulation = simulation(model, self.parameters, maps, num_envs, num_threads, effects)
-        self.xp = self.sim.xp
         self._distribution: Distribution | None = None
         self._substeps = round(self.control_timestep / model.opt.timestep)
 
@@ -194,6 +193,11 @@ class Task(ABC):
         inside = xp.clip(observation, low, high)
         diverged |= ~xp.all(xp.abs(observation - inside) <= 1e-6, axis=1)
         return inside, diverged
+
+    @property
+    def xp(self) -> Any:
+        """The array library of the state: NumPy, or PyTorch on a GPU."""
+        return self.sim.xp
 
     @property
     def distribution(self) -> Distribution | None:
