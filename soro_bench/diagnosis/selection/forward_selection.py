@@ -249,9 +249,11 @@ class _Search:
     def _is_worth_it_from_priors(self) -> bool:
         """Whether a law that promises nothing here explains more as fitted from the priors of parameters."""
         problem, best = self.problem, self.best
+        if not self.candidates or not may_imitate(problem, best):
+            return False
         promising = {each.terms[-1].name for each in singles(self.screened) if each.gain >= self.worth}
         others = [one for one in self.candidates if one.name not in promising]
-        if not others or not may_imitate(problem, best):
+        if not others:
             return False
         if self.rounds and not self.form.stands_out(problem, self.nominal, best, self.worth):
             return False  # what was found may be model-form error
