@@ -22,6 +22,8 @@ from soro_bench.effects.effect import Location
 from soro_bench.inference.statistical_linearisation import LowRank
 from soro_bench.recording.excitation import in_turn, loops, multisine, step_and_hold, triangles
 
+_SEPARATED = 20.0  # tempered odds, from which one of two answers is improbable
+
 
 @dataclass(frozen=True)
 class Motion:
@@ -76,7 +78,7 @@ def proposed(
         for i in finalists
     ]
     best = max(range(len(separated)), key=lambda i: _rated(rivals, separated[i], tempered_by))
-    enough = -math.log(problem.settings.report.least_probability) * tempered_by  # then one of the two is improbable
+    enough = math.log(_SEPARATED) * tempered_by
     return _proposal(tried[finalists[best]], rivals, separated[best], enough)
 
 
