@@ -135,6 +135,12 @@ def test_overflow_is_raised_with_the_world():
             envs.step(torch.zeros(WORLDS, 8))
 
 
+def test_actions_of_a_wrong_shape_are_refused(reach):
+    reach.reset(seed=0)
+    with pytest.raises(ValueError, match=r"actions have shape \(3, 7\); expected \(3, 8\)"):
+        reach.step(torch.zeros(WORLDS, 7))
+
+
 def test_same_bytes_twice(reach):
     """With the deterministic option of Warp; on a CPU without."""
 
@@ -182,6 +188,8 @@ def test_wrong_arguments_are_refused_in_one_line():
         TorchVectorEnv("TrunkReach-v0", 2, device="cuda:7")
     with pytest.raises(ValueError, match="backend 'jax': allowed are 'mujoco' and 'warp'"):
         vector_env(backend="jax")
+    with pytest.raises(ValueError, match="max_episode_steps=-1: 1 or more"):
+        torch_env(max_episode_steps=-1)
     with pytest.raises(ValueError, match="is for backend='warp'"):
         vector_env(device="cuda:0")
     with pytest.raises(TypeError, match="cannot be copied"):

@@ -39,7 +39,7 @@ class TorchVectorEnv:
         deterministic: the same bytes from run to run on one kind of GPU; slower.
         on_nan: "raise" an error where a state is no number, or "truncate" the episode.
         guard: folder for the state and parameters of such a world.
-        room: most contacts "nconmax" and constraint rows "njmax" of a world.
+        room: contacts of a world on average, "nconmax", and most constraint rows of each, "njmax".
 
     Raises:
         ValueError: what the device cannot simulate, or an argument that is not allowed.
@@ -72,6 +72,8 @@ class TorchVectorEnv:
         self.num_envs, self.device = num_envs, torch.device(device)
         self.single_observation_space = self.task.single_observation_space
         self.single_action_space = self.task.single_action_space
+        if max_episode_steps is not None and max_episode_steps < 1:
+            raise ValueError(f"max_episode_steps={max_episode_steps}: 1 or more is needed")
         self.max_episode_steps = max_episode_steps or gymnasium.spec(env_id).max_episode_steps or 0
         self.elapsed = torch.zeros(num_envs, dtype=torch.int64, device=device)  # steps of the present episodes
         self._everyone = torch.arange(num_envs, device=device)
@@ -112,14 +114,18 @@ class TorchVectorEnv:
         """Apply an action to every world for one control step.
 
         Args:
-            actions: (N, a) from -1 to 1, or (N,) integers; those beyond their bounds are clipped.
+            actions: (N, a) from -1 to 1, or (N,) integers from 0 on; those beyond their bounds are clipped.
 
         Returns:
             observations (N, k), rewards (N,), terminated (N,), truncated (N,), and info. Where an episode has ended the
             observation is that of the next one, and ``info["final_obs"]`` (N, k) has the last one.
         """
         space = self.single_action_space
-        if isinstance(space, gymnasium.spaces.Box):
+        if (found := tuple(actions.shape)) != (expected := (self.num_envs, *(space.shape or ()))):
+            raise ValueError(f"actions have shape {found}; expected {expected}")
+        if isinstance(space, gymnasium.spaces.Discrete):
+            actions = actions.clamp(0, int(space.n) - 1)
+        else:
             actions = actions.clamp(-1.0, 1.0)
         step = self.task.step(self._everyone, actions)
         self.elapsed += 1

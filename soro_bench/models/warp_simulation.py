@@ -55,7 +55,7 @@ class WarpBatch:
         fields: model fields that each world has its own values of.
         device: of Warp and PyTorch, such as "cuda:0" or "cpu".
         deterministic: whether results are the same from run to run on one kind of GPU.
-        room: most contacts and constraints of a world, "nconmax" and "njmax"; MuJoCo Warp's defaults without them.
+        room: see :class:`WarpSimulation`; MuJoCo Warp's defaults where it is empty.
     """
 
     def __init__(
@@ -157,7 +157,8 @@ class WarpSimulation:
         deterministic: whether results are the same from run to run on one kind of GPU; slower.
         on_nan: "raise" a WorldError where a state is no number, or "truncate" the episode, as the CPU does.
         guard: folder that such a world is written to, with its state before the step and its parameters.
-        room: most contacts ("nconmax", of all worlds) and constraint rows ("njmax", of a world).
+        room: contacts of a world on average ("nconmax"; worlds share the room), and most constraint rows of each
+            ("njmax").
 
     Raises:
         ValueError: what the device cannot simulate; says what to do.
@@ -187,7 +188,7 @@ class WarpSimulation:
         if not self._host.native:
             names = ", ".join(sorted({effect.name for effect in effects or ()}))
             raise ValueError(f"effects {names}: some act between time steps, which a GPU does not; use the CPU's "
-                             "environments for them (backend='numpy')")  # fmt: skip
+                             "environments for them (backend='mujoco')")  # fmt: skip
         written = [name for name in MODEL_FIELDS if self._host.batch.expanded(name) is not None]
         self._own = [name for name in (*written, *_DERIVED) if _is_per_world(name)]
         self._shared = [name for name in written if name not in self._own]
@@ -339,7 +340,9 @@ def _check(device: str, on_nan: str, room: Mapping[str, int]) -> None:
     if unknown := set(room) - set(_ROOM):
         raise ValueError(f"room has no {', '.join(sorted(unknown))}; it has {', '.join(_ROOM)}")
     try:
-        wp.get_device(device)
-    except ValueError as error:
-        found = ", ".join(each.alias for each in wp.get_devices())
-        raise ValueError(f"device {device!r}: there is no such device here; there are {found}") from error
+        found = wp.get_device(device)
+    except (ValueError, RuntimeError) as error:
+        known = ", ".join(each.alias for each in wp.get_devices())
+        raise ValueError(f"device {device!r}: there is no such device here; there are {known}") from error
+    if found.is_cuda and not torch.cuda.is_available():
+        raise ValueError(f"device {device!r} needs a CUDA build of torch; this is {torch.__version__}")

@@ -12,10 +12,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from rsl_rl.algorithms import PPO
-from rsl_rl.models import MLPModel
-from rsl_rl.storage import RolloutStorage
-from tensordict import TensorDict
 
 from soro_bench.envs.torch_vector import TorchVectorEnv
 from soro_bench.files import write_json
@@ -33,6 +29,14 @@ from soro_bench.training.ppo import (
     episode_steps,
     exploration,
 )
+
+try:
+    from rsl_rl.algorithms import PPO
+    from rsl_rl.models import MLPModel
+    from rsl_rl.storage import RolloutStorage
+    from tensordict import TensorDict
+except ImportError as error:
+    raise ImportError(f"training on a GPU needs the gpu extra: pip install 'soro_bench[gpu]' ({error})") from error
 
 _GROUPS = {"actor": ["policy"], "critic": ["policy"]}  # what networks see, in rsl_rl's terms
 
