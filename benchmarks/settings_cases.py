@@ -78,6 +78,12 @@ ARMS = {
 }
 
 
+class Asked:
+    """How many replays were asked for, remembered ones too: the cost of a diagnosis."""
+
+    replays: ClassVar[int] = 0
+
+
 class RememberingRobot(ModelRobot):
     """A robot that simulates each replay once: most settings leave most replays as they were."""
 
@@ -97,6 +103,7 @@ def _remembered(
     physics: Any, before_step: Any,
 ) -> Floats:  # fmt: skip
     """Replays by a robot ``which``, those that are new simulated."""
+    Asked.replays += len(drives)
     if before_step:
         return roll_out(drives, parameters, physics, before_step)
     columns = zip(drives, parameters, physics, strict=True)
@@ -147,6 +154,7 @@ class RememberingTrunk(SuiteRobot):
         return self._built["variants"]
 
     def _by_variant(self, number: int, variant: Variant, drives: Any, parameters: Floats) -> list[Floats]:
+        Asked.replays += len(drives)
         key = "variant", number, *(each.actions.tobytes() for each in drives), parameters.tobytes()
         if key not in self._built:
             self._built[key] = variant(drives, parameters)
@@ -156,7 +164,7 @@ class RememberingTrunk(SuiteRobot):
 @dataclass(frozen=True)
 class Outcome:
     """What is said of a case, by what it is about; a probability; numbers, and how far each may move unnoticed; and
-    figures, of which a tenth is told."""
+    figures, of which a tenth is told, as of the replays that it took."""
 
     said: dict[str, str]
     probability: float
@@ -270,10 +278,22 @@ def cases(folder: Path) -> dict[str, Planned]:
         "trunk": weak_cable,
     }
     return {
-        **{name: Planned(build) for name, build in quick.items()},
+        **{name: Planned(partial(counted, build)) for name, build in quick.items()},
         "logs": Planned(partial(logs, folder)),
-        **{name: Planned(build, NOT_WHOLE) for name, build in {**slow, **whole}.items()},
+        **{name: Planned(partial(counted, build), NOT_WHOLE) for name, build in {**slow, **whole}.items()},
     }
+
+
+def counted(build: Callable[[], CaseRun]) -> CaseRun:
+    """A case that tells how many replays it takes."""
+    run = build()
+
+    def counting(groups: Groups, stage: Progress) -> Outcome:
+        before = Asked.replays
+        outcome = run(groups, stage)
+        return replace(outcome, figures={**outcome.figures, "replays": float(Asked.replays - before)})
+
+    return counting
 
 
 def logs(folder: Path) -> CaseRun:
