@@ -43,7 +43,7 @@ fields = ["dof_damping:yaw", "dof_damping:shoulder", "dof_damping:elbow"]
 deviation = 0.3
 """
 
-Values = dict[str, Any]  # by "kind element", such as "position elbow"
+Values = dict[str, Any]  # by "kind element", such as "position elbow"; "chance " is drawn anew at every substep
 
 
 @dataclass(frozen=True)
@@ -195,15 +195,16 @@ def cogging(rng: np.random.Generator) -> HiddenLaw:
 
 
 def gusts(rng: np.random.Generator) -> HiddenLaw:
-    """What no law can carry over: a torque that never comes again."""
+    """What no law can carry over: a torque that never comes again, as each recording has chances of its own."""
     i, _, _ = _drawn(rng)
     state = [0.0]
 
     def force(v: Values) -> float:
-        state[0] += -state[0] * 0.01 + 0.02 * rng.standard_normal()
+        """An Ornstein-Uhlenbeck process that forgets in half a second."""
+        state[0] += -state[0] * 0.01 + 0.02 * float(v["chance "])
         return state[0]
 
-    return HiddenLaw("gusts", BODIES[i], (), force, of_state=False)
+    return HiddenLaw("gusts", BODIES[i], (), force, of_state=False, settled=lambda v: 0.0)
 
 
 FAMILIES = (
@@ -232,13 +233,13 @@ def simulated(law: HiddenLaw, actions: np.ndarray, rng: np.random.Generator) -> 
     model.dof_damping[:] *= 0.85
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    rows = [data.qpos.copy()]
+    rows, (chance,) = [data.qpos.copy()], rng.spawn(1)  # leaves what rng draws as it is
     body = None if law.kind == "shake" else model.body(law.where).id
     for action in actions:
         data.ctrl[:] = action
         for _ in range(SUBSTEPS):
             data.qfrc_applied[:], data.xfrc_applied[:] = 0.0, 0.0
-            force = float(law.force(_values(model, data, law)))
+            force = float(law.force({**_values(model, data, law), "chance ": chance.standard_normal()}))
             if law.kind == "torque":
                 data.qfrc_applied[model.body_dofadr[body]] = force
             elif law.kind == "pull":

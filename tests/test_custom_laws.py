@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import soro_bench  # noqa: F401  (registers environments)
+from benchmarks import hidden_arms as arms
 from benchmarks.discovered_laws import case
 from benchmarks.hostile_laws import hostile, outcome
 from benchmarks.law_baselines import Data, error, nothing, parameters_only, sindy
@@ -280,6 +281,17 @@ def test_a_rival_finds_the_polynomial_that_a_joint_feels():
     alone = error(parameters, nothing, unseen)
     assert error([0.0, 0.0], nothing, fitted_to) > error(parameters, nothing, fitted_to)
     assert error(*sindy(fitted_to, tested, parameters), unseen) < 0.2 * alone
+
+
+def test_gusts_never_come_again_and_a_shaken_base_does():
+    """Two recordings of the same commands differ by gusts, and by no more than noise where the base shakes."""
+    goals = arms.goals(np.random.default_rng(0))
+
+    def apart(family):
+        runs = [arms.simulated(family(np.random.default_rng(3)), goals, np.random.default_rng(k)) for k in (1, 2)]
+        return np.abs(runs[0] - runs[1]).max()
+
+    assert apart(arms.periodic_base) < 8 * arms.NOISE < 100 * arms.NOISE < apart(arms.gusts)
 
 
 @pytest.mark.parametrize(

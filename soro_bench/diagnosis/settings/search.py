@@ -137,7 +137,7 @@ class DiscoverySettings:
     least_share: float = setting(0.02, "1", "of what the input explains, that a further term has to")
     deviation: float = setting(2.0, "1", "of a coefficient's prior, times its regressed value")
     shape_deviation: float = setting(0.4, "1", "of a shape's prior: of its logarithm, or of its typical size")
-    least_explained: float = setting(0.6, "1", "of held-out variance above the noise; a sine took 0.48 of gusts")
+    least_explained: float = setting(0.6, "1", "of held-out variance above the noise; laws took up to 0.40 of gusts")
     bumps: int = setting(32, "bumps", "of a black box; half as many left 50 instead of 30 % of waves in two angles")
     least_boxed: float = setting(0.5, "1", "likewise, by a black box: held-out motion had no say in which one it is")
     same: float = setting(0.1, "1", "of the misfit, by which a law may leave more than another and be as good")
