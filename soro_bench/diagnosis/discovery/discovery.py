@@ -118,11 +118,11 @@ def discovered(
         best = _simplified(fitted_on, _as_noisy(test, fitted_on), _simplest(found, settings.same), seed)
         best = _as_seen(best, fitted_on, test)
     after = _mean_square(test, best.hypothesis) if best else np.nan
-    if best is None or not _holds(test, nominal, before, after, settings.least_explained):
+    if best is None or not _holds(test, nominal, best, settings.least_explained):
         nothing = replace(nothing, heldout_after=after)
         fitted_on, best = _boxed(begun, test, nominal, inputs[0], seed)
         found, after = [], _mean_square(test, best.hypothesis) if best else np.nan
-        if best is None or not _holds(test, nominal, before, after, settings.least_boxed):
+        if best is None or not _holds(test, nominal, best, settings.least_boxed):
             return nothing
     kept = replace(best, hypothesis=_of_problem(with_covariance(fitted_on, best.hypothesis, seed), fitted_on, problem))
     others = tuple(each for each in found if each is not best and each.total < best.total + _slack(best, settings.same))
@@ -130,11 +130,15 @@ def discovered(
     return Discovery(kept, others, location, before, with_nearest, after, own, peaks, located)
 
 
-def _holds(test: Problem, nominal: Hypothesis, before: float, after: float, least: float) -> bool:
-    """Whether what lowers the held-out mean square from ``before`` to ``after`` holds there: it explains so large a
-    share of what is above the noise, and not by chance."""
+def _holds(test: Problem, nominal: Hypothesis, found: Found, least: float) -> bool:
+    """Whether a law holds on held-out motion: it explains so large a share of what is above the noise, and not by
+    chance. What its parameters explain without it, where they do so better than the nominal ones, does not count."""
+    law = found.hypothesis
+    rows = test.residuals([(nominal.x, nominal.terms), (law.x[: test.parameters], ()), (law.x, law.terms)])
+    nothing, alone, after = (_in_noise(test, row) for row in rows)
+    before, row = (alone, rows[1]) if alone < nothing else (nothing, rows[0])
     share = 1.0 - max(after - 1.0, 0.0) / max(before - 1.0, 1e-9)
-    return share >= least and explained_beyond_chance(test, nominal, share)
+    return share >= least and explained_beyond_chance(test, row, share, min(1.0 / before, 1.0))
 
 
 def _boxed(
@@ -281,7 +285,11 @@ def _complexity(found: Found) -> tuple[int, bool, float]:
 
 def _mean_square(problem: Problem, hypothesis: Hypothesis) -> float:
     """Of the residual of a hypothesis, in units of the sensor's noise."""
-    (residual,) = problem.residuals([(hypothesis.x, hypothesis.terms)])
+    return _in_noise(problem, problem.residuals([(hypothesis.x, hypothesis.terms)])[0])
+
+
+def _in_noise(problem: Problem, residual: Floats) -> float:
+    """Mean square of a residual (M,), in units of the sensor's noise."""
     in_noise = residual * (problem.of_samples(problem.of_columns(problem.sigmas) / problem.of_columns(problem.sensors)))
     return float((in_noise**2).sum() / problem.weight.sum())
 

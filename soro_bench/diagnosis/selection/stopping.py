@@ -5,7 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.signal import correlate
+from scipy.stats import f as f_distribution
+from scipy.stats import norm as normal
 
+from soro_bench.arrays import Floats
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.model_form import UnderModelForm, unfitted_under_model_form
 from soro_bench.diagnosis.estimation.problem import DIVERGED, Problem
@@ -46,23 +50,48 @@ def falls_beyond_chance(heldout: Problem, before: Hypothesis, after: Hypothesis)
     return bool(fallen.sum() > max(settings.selection.beyond_chance * error, least))
 
 
-def explained_beyond_chance(heldout: Problem, before: Hypothesis, share: float) -> bool:
-    """Whether so large a share of a held-out residual is not explained by chance.
+def explained_beyond_chance(heldout: Problem, residual: Floats, share: float, noise: float = 0.0) -> bool:
+    """Whether a law explains so large a share of a held-out residual not only by chance.
 
-    The share is the squared correlation of the residual and what explains it, so Student's test of a correlation
-    applies. Windows are independent, and count by their squares: a law of large angles may show in two of
-    five. Sums over windows (``falls_beyond_chance``) refuse even a perfect law there, as its gains differ.
+    By chance, what acts in the recordings fitted to and in held-out ones are two draws p, r of one random process: of
+    gusts, or of a hum of any phase. With n independent normal values each, p explains the share s of r where (1 - s)
+    |r|^2 > |r - p|^2. That is a difference of two chi-squares of n degrees of freedom, weighted by the eigenvalues of
+    the form, so its probability is that of an F distribution.
 
     Args:
-        heldout: of recordings that were not fitted to. before: leaves the residual. share: of its mean square.
+        heldout: of recordings that were not fitted to. residual: (M,) of them without the law. share: of its squares
+        above the noise. noise: share of its squares that is the sensor's noise.
     """
-    (row,) = heldout.residuals([(before.x, before.terms)])
-    settings = heldout.settings
-    squares = np.minimum(row**2, DIVERGED**2)
-    _, number = np.unique(windows(heldout, settings.localisation.map_window), return_inverse=True)
-    sums = np.bincount(number, squares)
-    independent = float(sums.sum() ** 2 / max((sums**2).sum(), 1e-300))
-    return bool(share * (independent - 1.0) > settings.selection.beyond_chance**2 * (1.0 - share))
+    root = float(np.hypot(1.0 - share, 2.0))
+    independent = independent_values(heldout.rows(np.clip(residual, -DIVERGED, DIVERGED)), noise)
+    chance = f_distribution.cdf((root - 1.0 - share) / (root + 1.0 + share), independent, independent)
+    return bool(chance < normal.sf(heldout.settings.selection.beyond_chance))
+
+
+def independent_values(parts: Sequence[Floats], noise: float = 0.0) -> float:
+    """How many independent values residuals (T, C) of several recordings have, at least.
+
+    These are the degrees of freedom of their sum of squares, tr(G)^2 / tr(G^2) of their covariance G [Satterthwaite
+    1946]: a force that lasts has one, a sine two. G is |r_t| |r_s| times the autocorrelation at t - s, as sizes change
+    in time. An autocorrelation of one recording errs upwards, so that values are too few rather than too many.
+
+    Args:
+        noise: share of the squares that is white noise, which lowers the autocorrelation and does not count.
+    """
+    total, of_pairs = 0.0, 0.0
+    for rows in parts:
+        squares = (rows**2).sum(axis=1)
+        products = sum(_lagged(column) for column in rows.T)
+        early, late = np.cumsum(squares)[::-1], np.cumsum(squares[::-1])[::-1]  # of the parts that a lag compares
+        alike = np.minimum(products**2 / np.maximum((1.0 - noise) ** 2 * early * late, 1e-300), 1.0)
+        pairs = alike * np.maximum(_lagged(squares), 0.0)
+        total, of_pairs = total + float(squares.sum()), of_pairs + float(2.0 * pairs.sum() - pairs[0])
+    return max(total**2 / max(of_pairs, 1e-300), 1.0)
+
+
+def _lagged(values: Floats) -> Floats:
+    """(T,) sums of products of values (T,) so many samples apart."""
+    return np.asarray(correlate(values, values, method="fft")[len(values) - 1 :])
 
 
 def is_better(problem: Problem, heldout: Problem | None, before: Hypothesis, after: Hypothesis) -> bool:
