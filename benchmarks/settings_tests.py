@@ -32,8 +32,8 @@ ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results" / "measured.json"
 FACTORS = {"halved": 0.5, "doubled": 2.0}
 FILES = (
-    "custom_laws", "data_quality", "model_probabilities", "model_robot", "moves", "paired", "search", "settings",
-    "told_and_telling",
+    "custom_laws", "data_quality", "model_probabilities", "model_robot", "moves", "paired", "replay_check", "search",
+    "settings", "told_and_telling",
 )  # fmt: skip
 LONGEST, TOGETHER = 10.0, 40.0  # s of a test, and of all that run for a setting
 ROBOTS = "robots"  # a group that Settings does not hold

@@ -189,6 +189,14 @@ def test_a_model_that_has_changed_is_named_with_the_errors_that_differ(diagnosed
     )
 
 
+@pytest.mark.parametrize(("share", "named"), [(0.007, False), (0.015, True)])
+def test_an_error_is_another_one_from_a_hundredth_on(diagnosed_arm, read, share, named):
+    (printed,) = (each.train for each in read.robots if each.name == "nominal")
+    result = changed(read, "nominal", train=(1.0 + share) * printed)
+    found = check_replays(result, robot_of(read)[0], {"run": diagnosed_arm.recordings[0]})
+    assert any(each.startswith("nominal, fitted to") for each in found.notes) == named
+
+
 def changed(result, name, **changes):
     robots = tuple(replace(each, **changes) if each.name == name else each for each in result.robots)
     return replace(result, robots=robots)

@@ -99,10 +99,10 @@ def discovered(
         nearest: the catalogue's best answer.
         ranked: locations, the best first.
     """
-    settings = problem.settings.discovery
+    settings, alike = problem.settings.discovery, problem.settings.selection.turn_gain
     estimates = sorted((each for site in ranked for each in site.estimates), key=lambda each: -each.gain)
     near = [each for each in estimates if each.gain > settings.location_share * estimates[0].gain]
-    near = [each for each in near if channels(robot, each.source)][: settings.locations]
+    near = [each for each in near if channels(robot, each.source)][: problem.settings.selection.kept]
     if not near:
         return None
     begun, own = (problem, False) if tested else (_beginning(problem), True)
@@ -115,7 +115,7 @@ def discovered(
     nothing = Discovery(None, (), near[0].location, before, with_nearest, np.nan, own, peaks, inputs[0])
     best = None
     if found:
-        best = _simplified(fitted_on, _as_noisy(test, fitted_on), _simplest(found, settings.same), seed)
+        best = _simplified(fitted_on, _as_noisy(test, fitted_on), _simplest(found, alike), seed)
         best = _as_seen(best, fitted_on, test)
     after = _mean_square(test, best.hypothesis) if best else np.nan
     if best is None or not _holds(test, nominal, best, settings.least_explained):
@@ -125,7 +125,7 @@ def discovered(
         if best is None or not _holds(test, nominal, best, settings.least_boxed):
             return nothing
     kept = replace(best, hypothesis=_of_problem(with_covariance(fitted_on, best.hypothesis, seed), fitted_on, problem))
-    others = tuple(each for each in found if each is not best and each.total < best.total + _slack(best, settings.same))
+    others = tuple(each for each in found if each is not best and each.total < best.total + _slack(best, alike))
     location, located = best.structure.location, best.structure.located
     return Discovery(kept, others, location, before, with_nearest, after, own, peaks, located)
 
@@ -224,9 +224,9 @@ def _start(
     return np.concatenate([x, *(share * each.simulated for each in terms)])
 
 
-def _slack(best: Found, same: float) -> float:
+def _slack(best: Found, alike: float) -> float:
     """By how much another law may leave more than the best one and be as good [nats]."""
-    return same * max(best.misfit + best.heldout_misfit, 0.0) + 100.0
+    return alike * max(best.misfit + best.heldout_misfit, 0.0) + 100.0
 
 
 def _simplified(problem: Problem, test: Problem, whole: Found, seed: int) -> Found:
@@ -237,7 +237,7 @@ def _simplified(problem: Problem, test: Problem, whole: Found, seed: int) -> Fou
         selection = problem.settings.selection
         fits = fitted(problem, guesses, (selection.fit_radius, selection.fit_radius_last), seed + _SEED + 2)
         best = _judged(problem, test, [structure for structure, _, _ in less], fits)[0]
-        if best.total > whole.total + _slack(whole, problem.settings.discovery.same):
+        if best.total > whole.total + _slack(whole, problem.settings.selection.turn_gain):
             break
         whole = best
     return whole
@@ -270,10 +270,10 @@ def _without(found: Found, which: int, parameters: int) -> tuple[Structure, tupl
     return less, terms, np.concatenate([found.hypothesis.x[:parameters], starts])
 
 
-def _simplest(found: Sequence[Found], same: float) -> Found:
+def _simplest(found: Sequence[Found], alike: float) -> Found:
     """Of the laws that are about as good as the best one, that with the fewest unknowns; forces before setpoints."""
     best = found[0]
-    close = [each for each in found if each.total <= best.total + _slack(best, same)]
+    close = [each for each in found if each.total <= best.total + _slack(best, alike)]
     return min(close, key=_complexity)
 
 

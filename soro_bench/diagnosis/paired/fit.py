@@ -96,7 +96,7 @@ def finalists(found: Sequence[Screened], settings: Settings) -> list[Screened]:
     """The changes that are worth a fit, a few of each law."""
     kept: list[Screened] = []
     counts: Counter[str] = Counter()
-    least = settings.selection.least_share_of_gain * max(found[0].gain, 0.0) if found else 0.0
+    least = settings.screening.least_share * max(found[0].gain, 0.0) if found else 0.0
     for each in found:
         name = each.change.key[0]
         if len(kept) == settings.selection.candidates or each.gain <= least:

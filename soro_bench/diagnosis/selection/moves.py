@@ -133,7 +133,7 @@ def revisit_rivals(problem: Problem, best: Hypothesis, tried: Sequence[Hypothesi
     for rival in tried:
         k = len(rival.terms) - 1
         won = best.terms[: k + 1]
-        if 0 <= k < len(best.terms) - 1 and _differ_in_last_law(rival.terms, won) and _is_close(problem, rival, tried):
+        if 0 <= k < len(best.terms) - 1 and _differ_in_last_law(rival.terms, won) and is_rival(problem, rival, tried):
             later = best.x[slices(best.terms, d)[k].stop :]
             terms = (*rival.terms, *best.terms[k + 1 :])
             for parameters in (best.x[:d], rival.x[:d]):
@@ -174,8 +174,8 @@ def _differ_in_last_law(first: Sequence[Term], second: Sequence[Term]) -> bool:
     return before == before_other and one.location == other.location and one.name != other.name
 
 
-def _is_close(problem: Problem, hypothesis: Hypothesis, tried: Sequence[Hypothesis]) -> bool:
-    """Whether its misfit is hardly larger than that of the best one with as many terms."""
+def is_rival(problem: Problem, hypothesis: Hypothesis, tried: Sequence[Hypothesis]) -> bool:
+    """Whether the misfit of a hypothesis is hardly larger than that of the best one with as many terms."""
     settings = problem.settings.selection
     least = min(problem.misfit(h.residual) for h in tried if len(h.terms) == len(hypothesis.terms))
     return problem.misfit(hypothesis.residual) < settings.rival_misfit * max(least, settings.healthy_misfit)

@@ -280,7 +280,7 @@ def guesses_of(problem: Problem, screened: Evidence, offered: Sequence[ScreenedC
     Predicted gains are linear: one law may be predicted to gain more than another one that fits better.
     """
     settings = problem.settings.selection
-    limit = settings.least_share_of_gain * offered[0].gain if offered else 0.0
+    limit = problem.settings.screening.least_share * offered[0].gain if offered else 0.0
     best = [candidate for candidate in distinct(offered, problem.robot, settings) if candidate.gain > limit]
     taken = {candidate.chosen for candidate in best}
     others = [
@@ -298,7 +298,7 @@ def may_imitate(problem: Problem, hypothesis: Hypothesis) -> bool:
     if problem.misfit_dominated or not is_discrepant(problem, hypothesis):
         return False
     moved = np.abs(hypothesis.x[: problem.parameters])
-    return bool((moved > problem.settings.selection.moved_far).any())
+    return bool((moved > problem.settings.selection.beyond_chance).any())
 
 
 def fitted_from_priors(

@@ -175,9 +175,8 @@ def _to_simulate(problem: Problem, rough: Evidence, assumed: set[Term], alike: C
     most."""
     settings, gains = rough.settings, [each.gain for each in _alone(rough)]
     order = sorted(range(len(gains)), key=lambda i: -gains[i])
-    limit = settings.simulated_share * gains[order[0]]
+    limit = settings.least_share * gains[order[0]]
     chosen = [rough.candidates[i] for i in order if gains[i] > limit and rough.candidates[i] in assumed]
-    chosen = chosen[: settings.simulated_again]
     least = gains[order[0]] + problem.settings.selection.least_gain
     for members in spread_terms.alike(rough.candidates):
         if set(members) & assumed and beyond_chance(problem, rough.at_each(spread(members))) > least:
@@ -256,10 +255,10 @@ def _alone(screened: Evidence) -> list[ScreenedCandidate]:
 
 
 def pairs(screened: Evidence) -> list[ScreenedCandidate]:
-    """Two candidates at a time, the largest predicted gain first: each of the best singles with every other one."""
-    gains = [each.gain for each in _alone(screened)]
+    """Two candidates at a time, the largest predicted gain first: each that gains something with every other one."""
+    gains = np.array([each.gain for each in _alone(screened)])
     order = np.argsort(gains)[::-1]
-    firsts = order[: screened.settings.paired]
+    firsts = order[gains[order] > screened.settings.least_share * gains[order[0]]]
     paired = [screened.screened_candidate([i, j]) for n, i in enumerate(firsts) for j in order[n + 1 :]]
     return sorted(paired, key=lambda candidate: -candidate.gain)
 

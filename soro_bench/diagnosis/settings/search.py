@@ -10,9 +10,9 @@ class ScreeningSettings:
     """What each candidate term would gain, to first order."""
 
     largest_step: float = setting(1.0, "prior deviations", "of a parameter beside added terms; linear only so far")
-    simulated_again: int = setting(48, "candidate terms", "at most, whose response is assumed, that are simulated too")
-    simulated_share: float = setting(0.1, "1", "share of the largest predicted gain below which none of them is")
-    paired: int = setting(20, "candidate terms", "that gain most alone; each is paired with every other one")
+    least_share: float = setting(
+        0.3, "1", "of the largest predicted gain, below which no term is tried, paired, or simulated if it was assumed"
+    )
     largest_response: float = setting(
         10.0,
         "times the misfit",
@@ -35,19 +35,21 @@ class SelectionSettings:
     # which terms are tried
     candidates: int = setting(6, "screened candidates", "that are fitted in a round, and hypotheses that are compared")
     candidates_per_law: int = setting(2, "screened candidates", "of the same laws, and laws at each element of a kind")
-    least_share_of_gain: float = setting(0.3, "1", "share of the best predicted gain below which none is tried")
     unchecked_terms: int = setting(3, "terms", "before each must lower held-out error; recordings of 30 s show so many")
     least_gain: float = setting(400.0, "nats", "predicted gain that is worth a fit; 40 healthy cases reach 85, but one")
     least_gain_of_misfit: float = setting(0.05, "1", "share of the misfit, likewise; small shares come of unknown laws")
-    moved_far: float = setting(2.0, "prior deviations", "of a parameter that may imitate a law; 1 in 20 by chance")
-    beyond_chance: float = setting(2.0, "standard errors", "by which held-out error has to fall for another term")
+    beyond_chance: float = setting(
+        2.0,
+        "standard deviations",
+        "of a fall of held-out error that is worth a term; of a parameter that may imitate one",
+    )
     # fits
     fit_radius: float = setting(0.15, "prior deviations", "of samples once most of the motion is explained")
     fit_radius_last: float = setting(0.07, "prior deviations", "of the samples of the last fit of a hypothesis")
     move_radius: float = setting(0.3, "prior deviations", "of samples after a move or a first fit; cables fall slack")
     move_radius_second: float = setting(0.1, "prior deviations", "of the next samples after a move")
     fitted: int = setting(4, "laws", "of the tried ones that are fitted, after a replay of each")
-    kept: int = setting(3, "laws", "of the fitted ones that are kept")
+    kept: int = setting(3, "laws", "of the fitted ones that are kept; locations where others are looked for")
     starts: tuple[float, ...] = setting(
         (0.1, 0.3, 1.0, 3.0, 10.0), "1", "times magnitudes from which fits may begin; of a simpler law also larger ones"
     )
@@ -58,7 +60,9 @@ class SelectionSettings:
     discrepant_misfit: float = setting(10_000.0, "nats", "that parameters hardly cause; then terms come before fits")
     discrepant_misfit_per_sample: float = setting(0.26, "nats", "likewise, of a sample of a long recording")
     turns: int = setting(5, "fits", "in a row, without outliers, or of terms scaled down, at most")
-    turn_gain: float = setting(0.1, "1", "share of the cost or misfit that a turn has to remove for another one")
+    turn_gain: float = setting(
+        0.1, "1", "of the cost or misfit that a turn removes if another one follows; laws that differ by less are alike"
+    )
 
     def __post_init__(self) -> None:
         """Refuse parts that do not grow.
@@ -126,9 +130,9 @@ class LocalisationSettings:
 
 @dataclass(frozen=True)
 class DiscoverySettings:
-    """Laws at the located place: from a grammar of terms to one that holds on held-out motion."""
+    """Laws at the located place: from a grammar of terms to one that holds on held-out motion. It is looked for at as
+    many locations as laws are kept (``SelectionSettings.kept``)."""
 
-    locations: int = setting(3, "locations", "where a law is looked for, the best ones; nearby ones look alike")
     location_share: float = setting(0.8, "1", "of the best location's gain, below which none is looked at")
     elements: int = setting(12, "elements", "of each kind that a law may read, the nearest first")
     replayed: tuple[int, ...] = setting(
@@ -140,7 +144,6 @@ class DiscoverySettings:
     least_explained: float = setting(0.6, "1", "of held-out variance above the noise; laws took up to 0.40 of gusts")
     bumps: int = setting(32, "bumps", "of a black box; half as many left 50 instead of 30 % of waves in two angles")
     least_boxed: float = setting(0.5, "1", "likewise, by a black box: held-out motion had no say in which one it is")
-    same: float = setting(0.1, "1", "of the misfit, by which a law may leave more than another and be as good")
     beats: float = setting(0.6, "1", "of the catalogue's misfit, below which a law replaces its best answer")
     limit: float = setting(3.0, "1", "times the largest force that was seen, which a law never exceeds")
 
