@@ -76,7 +76,7 @@ def times(value: Any, factor: float) -> Any:
     return round(value * factor) if isinstance(value, int) else value * factor
 
 
-@dataclass
+@dataclass(eq=False)  # pytest puts plugins into sets
 class Reads:
     """A plugin of pytest that notes which settings each test reads, by itself and by its fixtures.
 
@@ -154,7 +154,7 @@ class Reads:
         return chosen
 
 
-@dataclass
+@dataclass(eq=False)
 class Failures:
     """A plugin of pytest that notes the first test that fails."""
 
