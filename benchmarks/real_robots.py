@@ -1,6 +1,7 @@
 """What the diagnosis says of recordings of real robots, with several seeds.
 
     python benchmarks/real_robots.py --data data/real [--only bam_servo ...] [--seeds 3] [--alone]
+    python benchmarks/real_robots.py --only bam_servo --fit coulomb_friction:joint:hinge [--fit ...]
 
 Every part of a study is a folder in --work, and the same command goes on with what is missing. Prints tables and writes
 docs/results/real_robots.json, which has the numbers of docs/archive/real_robots.md. A study whose data are missing or
@@ -8,6 +9,10 @@ cannot be diagnosed is named, and the others go on; then the exit status is 1.
 
 --alone diagnoses nothing: it replays every patched_model.xml of --work alone on the recordings of its study, beside the
 model as built. The exit status is 1 where one is worse on training or held-out recordings.
+
+--fit fits laws whether or not a diagnosis would try them, and says what they leave of all recordings. Each is laws that
+act together, each LAW:KIND:NAME of where it acts. The robot's parameters are fitted with them, as hypotheses of a
+diagnosis are, and alone in the first row.
 """
 
 import argparse
@@ -15,13 +20,22 @@ import re
 import sys
 from collections.abc import Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
+from soro_bench.diagnosis.candidates import Term, terms
+from soro_bench.diagnosis.data_quality.noise import data_quality
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, fitted
+from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.pipeline import unexplained
+from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
-from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.study import STUDIES, check_summaries, load_study, named, results, run_study
+from soro_bench.diagnosis.robots.robot import FITTED, Robot
+from soro_bench.diagnosis.selection.forward_selection import nominal_fit
+from soro_bench.diagnosis.selection.moves import iterate_to_convergence
+from soro_bench.diagnosis.study import STUDIES, check_summaries, errors_of, load_study, named, results, run_study
 from soro_bench.files import read_json, write_json
 from soro_bench.markdown import table
 from soro_bench.recording.recording import Recording
@@ -29,6 +43,7 @@ from soro_bench.recording.recording import Recording
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results" / "real_robots.json"
 DATA = ("train", "heldout", "unseen")
+RADII = (0.7, 0.3)  # prior deviations, of samples around fits of --fit
 
 
 UNITS = {"m": (1000, "mm"), "rad": (1, "rad"), "N": (1, "N")}  # of a table: factor and name
@@ -73,9 +88,13 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--threads", type=int, default=0)
     parser.add_argument("--alone", action="store_true")
+    parser.add_argument("--fit", nargs="+", action="append", default=[], metavar="LAW:KIND:NAME")
     options = parser.parse_args()
     if options.alone:
         sys.exit(1 if print_alone(options) else 0)
+    if options.fit:
+        print_fits(parser, options)
+        return
     studies = {name: load_study(name, options.data) for name in options.only}
     runs = [(study, options.work / f"{name}_{seed}", seed) for name, study in studies.items()
             for seed in range(options.seeds)]  # fmt: skip
@@ -128,6 +147,58 @@ def replay_rms(robot: Robot, recordings: Sequence[Recording]) -> float:
         (values,) = robot.simulate(drive.actions, parameters, [()], drive.start, settings=drive.settings)
         found.append((values - measured.values).ravel())
     return float(np.sqrt(np.nanmean(np.concatenate(found) ** 2)))
+
+
+def print_fits(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
+    """A table of what laws leave of the studies asked for, in the signal's unit; a row as soon as it is there."""
+    for name in options.only:
+        study = load_study(name, options.data)
+        robot = ModelRobot(study.model, study.map, options.threads)
+        fits = [[_term(parser, robot, text) for text in texts] for texts in options.fit]
+        for part in study.parts:
+            sets = {key: tuple(map(robot.measured, getattr(part, key))) for key in DATA if getattr(part, key)}
+            sigma = min(data_quality(each).sigma for each in sets["train"])
+            cells = [f"{key}: {error}" for key in sets for error in ("mean absolute", "rms")]
+            print(f"\n{name}, {part.name}\n\n| laws | seed | " + " | ".join(cells) + " | excess [nats] | |")
+            print("|" + "---|" * (len(cells) + 4))
+            for seed in range(options.seeds):
+                problem = unexplained(robot.shortened(FITTED), sets["train"], sigma)
+                problem, nominal = nominal_fit(problem, robot.refined(), seed)
+                _print_row(problem, sets, nominal, seed)
+                for some in fits:
+                    starts = product(*map(_starts, some))
+                    guesses = [Guess(np.concatenate([nominal.x, *x]), tuple(some)) for x in starts]
+                    found = iterate_to_convergence(problem, fitted(problem, guesses, RADII, seed), seed)
+                    _print_row(problem, sets, min(found, key=lambda h: h.cost), seed)
+
+
+def _starts(term: Term) -> list[np.ndarray]:
+    """Typical magnitudes, and their opposites where the law has such: softer as well as stiffer."""
+    return [x for x in (term.simulated, -term.simulated) if (x >= term.bounds[0]).all()]
+
+
+def _term(parser: argparse.ArgumentParser, robot: Robot, text: str) -> Term:
+    known: dict[tuple[str, ...], Term] = {}
+    for one in terms(robot):  # the first of the signatures that a law may have there
+        if one.location.index is None:
+            known.setdefault((one.name, one.location.kind, one.location.name), one)
+    if (key := tuple(text.split(":"))) in known:
+        return known[key]
+    if len(key) != 3:
+        parser.error(f"{text!r} is no LAW:KIND:NAME")
+    parser.error(
+        f"no {text}; of that law there are {', '.join(':'.join(k) for k in known if k[0] == key[0]) or 'none'}"
+    )
+
+
+def _print_row(problem: Problem, sets: dict[str, tuple[Measured, ...]], hypothesis: Hypothesis, seed: int) -> None:
+    errors = errors_of(problem.robot, sets, hypothesis)
+    cells = [f"{errors[key][error]:.4g}" for key in sets for error in ("mean_absolute", "rms")]
+    laws = " + ".join(f"{s.name} at {s.location.name}" for s in hypothesis.terms) or "parameters alone"
+    values = "; ".join(str(dict(e.parameters)) for e in hypothesis.effects(problem.parameters))
+    print(
+        f"| {laws} | {seed} | {' | '.join(cells)} | {problem.misfit(hypothesis.residual):.0f} | {values} |", flush=True
+    )
 
 
 def write_results(found: list[dict]) -> None:
