@@ -3,6 +3,7 @@
     python benchmarks/trunk_models.py necks
     python benchmarks/trunk_models.py tips
     python benchmarks/trunk_models.py rounding [--copies 20]
+    python benchmarks/trunk_models.py reference --recordings FOLDER
 
 necks: stiffness of every neck of the compiled models against the finite-element table. The trunk beyond a neck is moved
 rigidly by a small amount (a bend or twist about the neck's middle, a stretch, a sideways shift) and the elastic force
@@ -13,6 +14,10 @@ integrator; tip deflection per newton on one cable, without gravity, and how it 
 
 rounding: how much the sequences of TrunkLift depend on the last bit (docs/archive/tasks_and_models.md): each is
 replayed with objects whose masses differ in the twelfth digit.
+
+reference: how far both models are from recordings of TrunkReach and TrunkPush by the reference simulator. Each .npz
+file of the folder has ``actions`` (T,), from 0 to 15, and ``observations`` and ``next_observations`` (T, 66 or 73) in
+mm, as those of the environments. The actions are replayed from reset with nominal parameters.
 """
 
 import argparse
@@ -256,12 +261,58 @@ def rounding(count: int) -> None:
     print(table(("sequence", "recorded [mm]", "median", "least", "within 3 mm"), rows))
 
 
+KINDS = {66: "TrunkReach-v0", 73: "TrunkPush-v0"}  # environments by how many numbers they observe
+
+
+def reference(folder: Path) -> None:
+    """How far the models are from every recording of the reference simulator."""
+    rows = []
+    for name, env_id, actions, seen in track(recordings_of(folder), "recordings"):
+        for model in trunk.VARIANTS:
+            error = np.linalg.norm(points_of(replayed_actions(env_id, model, actions)) - points_of(seen), axis=2)
+            keypoints, others = error[:, :21], error[:, 21:]
+            end = f"{others[-1, 0]:.1f}" if others.size else ""
+            rows.append((name, model, f"{np.sqrt((keypoints**2).mean()):.1f}", f"{error[-1, 20]:.1f}", end))
+    print(table(("recording", "model", "keypoints, rms [mm]", "tip at the end [mm]", "object at the end [mm]"), rows))
+
+
+def recordings_of(folder: Path) -> list[tuple[str, str, np.ndarray, np.ndarray]]:
+    """Of each .npz file of a folder: its name, the environment, (T,) actions and (T + 1, k) observations in mm."""
+    found = []
+    for path in sorted(folder.glob("*.npz")):
+        with np.load(path, allow_pickle=False) as file:
+            actions, seen = file["actions"], np.concatenate([file["observations"][:1], file["next_observations"]])
+        if seen.shape[1] not in KINDS or len(seen) != len(actions) + 1:
+            raise SystemExit(f"{path}: observations of shape {seen.shape} for {len(actions)} actions; "
+                             f"{' or '.join(map(str, KINDS))} numbers each are needed")  # fmt: skip
+        found.append((path.stem, KINDS[seen.shape[1]], actions.astype(int), seen))
+    return found
+
+
+def points_of(observations: np.ndarray) -> np.ndarray:
+    """(T, 21 or 22, 3) keypoints, and the object's centre if there is one."""
+    return np.concatenate([observations[:, :63], observations[:, 66:69]], axis=1).reshape(len(observations), -1, 3)
+
+
+def replayed_actions(env_id: str, model: str, actions: np.ndarray) -> np.ndarray:
+    """(T + 1, k) observations in mm."""
+    env = gymnasium.make(f"soro_bench:{env_id}", model=model, max_episode_steps=len(actions) + 1)
+    observations = [env.reset(seed=0)[0], *(env.step(int(action))[0] for action in actions)]
+    env.close()
+    return 1e3 * np.array(observations)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("necks", "tips", "rounding"))
+    parser.add_argument("what", choices=("necks", "tips", "rounding", "reference"))
     parser.add_argument("--copies", type=int, default=20)
+    parser.add_argument("--recordings", type=Path, help="the folder of reference")
     options = parser.parse_args()
-    if options.what == "rounding":
+    if options.what == "reference":
+        if not options.recordings or not sorted(options.recordings.glob("*.npz")):
+            parser.error(f"--recordings {options.recordings}: a folder with .npz files is needed")
+        reference(options.recordings)
+    elif options.what == "rounding":
         rounding(options.copies)
     else:
         {"necks": necks, "tips": tips}[options.what]()
