@@ -2,7 +2,9 @@
 
 import itertools
 from abc import ABC, abstractmethod
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -15,6 +17,30 @@ from soro_bench.models.simulation import Simulation
 from soro_bench.parallel import side_by_side
 
 SIMULATIONS = 128  # side by side at least; replays of a fit fill them
+_REMEMBERED = 64_000_000  # bytes of replays that a robot remembers: about 300 of a trunk that moves for 20 s
+
+_Job = tuple[int, int]  # a replay: the numbers of its drive, and of its parameters and effects
+
+
+class Memory:
+    """The replays that were asked for last, by what they depend on."""
+
+    def __init__(self) -> None:
+        self._values: OrderedDict[object, Floats] = OrderedDict()
+        self._size = 0
+
+    def get(self, key: object) -> Floats | None:
+        """What is remembered; None if nothing is."""
+        if (found := self._values.get(key)) is not None:
+            self._values.move_to_end(key)
+        return found
+
+    def keep(self, key: object, values: Floats) -> None:
+        """Remember new values, and forget the oldest beyond a limit of memory."""
+        self._values[key] = values
+        self._size += values.nbytes
+        while self._size > _REMEMBERED:
+            self._size -= self._values.popitem(last=False)[1].nbytes
 
 
 class Replays(ABC):
@@ -117,25 +143,66 @@ class Replays(ABC):
         effects = [(*self.known, *each) for each in effects]
         # what differs only in the sensor is simulated once
         physics = [tuple(e for e in each if e.location.kind != "sensor") for each in effects]
-        keys = [(row.tobytes(), repr(each)) for row, each in zip(parameters, physics, strict=True)]
-        first = range(len(keys)) if before_step else [keys.index(key) for key in keys]
-        work = {i: 0 if before_step else between_steps(physics[i]) for i in sorted(set(first))}
+        values = self._replayed(drives, parameters, physics, before_step)
+        times = [np.asarray(self.control_timestep * np.arange(len(drive.actions) + 1), float) for drive in drives]
+        return [
+            np.stack([self._recorded(each, time, values[k, i])[1:] for i, each in enumerate(effects)])
+            for k, time in enumerate(times)
+        ]
 
-        def alike(job: tuple[int, int]) -> tuple[int, int]:
+    @cached_property
+    def _memory(self) -> Memory:
+        """Of its replays; fits, comparisons and reports ask for some of them again."""
+        return Memory()
+
+    def _replayed(
+        self,
+        drives: Sequence[Drive],
+        parameters: Floats,
+        physics: Sequence[Sequence[Effect]],
+        before_step: Callable[[int], None] | None,
+    ) -> dict[_Job, Floats]:
+        """(1 + T, C) signals of every drive under every row of parameters and effects, each simulated once."""
+        every = list(itertools.product(range(len(drives)), range(len(physics))))
+        if before_step:
+            return self._simulated(every, drives, parameters, physics, before_step)
+        names = tuple(each.name for each in self.signals)
+        rows = [(row.tobytes(), repr(each)) for row, each in zip(parameters, physics, strict=True)]
+        inputs = [drive.digest() for drive in drives]
+        keys = {(k, i): (names, inputs[k], rows[i]) for k, i in every}
+        known = {key: found for key in keys.values() if (found := self._memory.get(key)) is not None}
+        new = {key: job for job, key in reversed(keys.items()) if key not in known}
+        simulated = self._simulated(sorted(new.values()), drives, parameters, physics, None)
+        for key, job in new.items():
+            known[key] = simulated[job]
+            self._memory.keep(key, simulated[job])
+        return {job: known[key] for job, key in keys.items()}
+
+    def _simulated(
+        self,
+        jobs: Sequence[_Job],
+        drives: Sequence[Drive],
+        parameters: Floats,
+        physics: Sequence[Sequence[Effect]],
+        before_step: Callable[[int], None] | None,
+    ) -> dict[_Job, Floats]:
+        """Signals of some replays, as many side by side as there are simulations."""
+        work = [0 if before_step else between_steps(each) for each in physics]
+
+        def alike(job: _Job) -> tuple[int, int]:
             """Replays that run side by side: as much work between steps, as many steps."""
             return work[job[1]], len(drives[job[0]].actions)
 
-        def rolled_out(robot: Replays, parts: Sequence[list[tuple[int, int]]]) -> dict[tuple[int, int], Floats]:
-            """Signals of replays, by drive and row, simulated part by part on a robot."""
-            found: dict[tuple[int, int], Floats] = {}
+        def rolled_out(robot: Replays, parts: Sequence[list[_Job]]) -> dict[_Job, Floats]:
+            """Signals of replays, simulated part by part on a robot."""
+            found: dict[_Job, Floats] = {}
             for jobs in parts:
                 driven, rows = [drives[k] for k, _ in jobs], [i for _, i in jobs]
                 values = robot._roll_out(driven, parameters[rows], [physics[i] for i in rows], before_step)
                 found |= dict(zip(jobs, values, strict=True))
             return found
 
-        jobs = sorted(itertools.product(range(len(drives)), work), key=alike)
-        groups = (list(group) for _, group in itertools.groupby(jobs, alike))
+        groups = (list(group) for _, group in itertools.groupby(sorted(jobs, key=alike), alike))
         parts = [group[i : i + self._count] for group in groups for i in range(0, len(group), self._count)]
         # what needs nothing between time steps need not wait for what does, which leaves processors idle meanwhile
         native, stepped = ([part for part in parts if (work[part[0][1]] > 0) == slow] for slow in (False, True))
@@ -143,12 +210,7 @@ class Replays(ABC):
             found = side_by_side(2, rolled_out, (self, self._second), (native, stepped))
         else:
             found = [rolled_out(self, parts)]
-        values = {job: each for some in found for job, each in some.items()}
-        times = [np.asarray(self.control_timestep * np.arange(len(drive.actions) + 1), float) for drive in drives]
-        return [
-            np.stack([self._recorded(each, time, values[k, i])[1:] for i, each in zip(first, effects, strict=True)])
-            for k, time in enumerate(times)
-        ]
+        return {job: each for some in found for job, each in some.items()}
 
     def _recorded(self, effects: Sequence[Effect], time: Floats, values: Floats) -> Floats:
         """(T, C) numbers of all signals with the faults of their sensors among ``effects``."""
