@@ -246,9 +246,10 @@ def _hessian(discretisation: LowRank, jacobian: Floats) -> Floats:
 
 # --- Levenberg-Marquardt descent ---
 
-_STEPS = 10  # at most; the gain of a step ends most descents
+_STEPS = 10  # at most with Jacobians by differences; the gain of a step ends most descents
 LEAST_GAIN = 0.003  # share of the cost that a step has to gain for another one
 _POWERS = 10.0 ** np.arange(6.0)  # of the damping, tried side by side
+_AS_PREDICTED = 0.5  # share of its predicted gain, from which on the Jacobian of a step is good for the next one
 
 
 def descended(problem: Problem, hypotheses: Sequence[Hypothesis], least_gain: float = LEAST_GAIN) -> list[Hypothesis]:
@@ -258,29 +259,49 @@ def descended(problem: Problem, hypotheses: Sequence[Hypothesis], least_gain: fl
     fits are too wide where the phase of an oscillation runs away: that is linear near a point only. SciPy's method
     would replay one point after the other.
 
+    A Jacobian by differences costs a replay for each unknown. As long as steps gain what it predicts, it is updated
+    by what they change instead (Broyden, "A class of methods for solving nonlinear simultaneous equations", 1965). A
+    descent ends at steps with a Jacobian by differences only.
+
     Args:
         least_gain: share of the cost that a step has to gain for another one.
     """
     settings = problem.settings.descent
     factors = settings.smallest_damping * _POWERS
-    found, damping = list(hypotheses), np.ones(len(hypotheses))
-    going = [i for i, h in enumerate(hypotheses) if len(h.x)]
-    for _ in range(_STEPS if going else 0):
-        lines = _with_jacobians(problem, [found[i] for i in going])
-        trials = [_steps(problem, h, damping[i] * factors) for i, h in zip(going, lines, strict=True)]
-        improved = []
-        for i, h, rows, points in zip(going, lines, replayed(problem, lines, trials), trials, strict=True):
-            costs = [problem.cost(row, x) for row, x in zip(rows, points, strict=True)]
+    found, damping, steps = list(hypotheses), np.ones(len(hypotheses)), np.zeros(len(hypotheses), int)
+    going, updated = [i for i, h in enumerate(hypotheses) if len(h.x)], dict[int, Floats]()
+    while going:
+        anew = [i for i in going if i not in updated]
+        steps[anew] += 1
+        lines = dict(zip(anew, _with_jacobians(problem, [found[i] for i in anew]), strict=True)) if anew else {}
+        lines |= {i: replace(found[i], jacobian=jacobian) for i, jacobian in updated.items()}
+        trials = [_steps(problem, lines[i], damping[i] * factors) for i in going]
+        rows_of = replayed(problem, [lines[i] for i in going], trials)
+        further, before, updated = [], updated, {}
+        for i, rows, points in zip(going, rows_of, trials, strict=True):
+            h, costs = lines[i], [problem.cost(row, x) for row, x in zip(rows, points, strict=True)]
             best = int(np.argmin(costs))
-            found[i] = h
-            if costs[best] < h.cost:
-                found[i] = replace(h, x=points[best], residual=rows[best], cost=costs[best])
+            there = replace(h, x=points[best], residual=rows[best], cost=costs[best])
+            if i not in before:
+                found[i] = h
+            if there.cost < h.cost:
+                found[i] = replace(there, jacobian=found[i].jacobian)
                 damping[i] *= factors[best]
-            if costs[best] < (1.0 - least_gain) * h.cost:
-                improved.append(i)
-        if not (going := improved):
-            break
+            if large := there.cost < (1.0 - least_gain) * h.cost:
+                predicted = problem.cost(h.residual + (there.x - h.x) @ h.jacobian, there.x)
+                if h.cost - there.cost >= _AS_PREDICTED * (h.cost - predicted):
+                    updated[i] = _updated(h, there)
+            if i in updated or ((large or i in before) and steps[i] < _STEPS):
+                further.append(i)
+        going = further
     return found
+
+
+def _updated(before: Hypothesis, after: Hypothesis) -> Floats:
+    """(n, M) Jacobian at a point, from that at another one and what the step between them changed."""
+    step = after.x - before.x
+    more = after.residual - before.residual - step @ before.jacobian
+    return before.jacobian + np.outer(step, more) / (step @ step)
 
 
 def _with_jacobians(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
