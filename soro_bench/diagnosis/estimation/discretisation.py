@@ -17,7 +17,8 @@ from soro_bench.diagnosis.candidates import Term, slices
 from soro_bench.diagnosis.estimation.problem import Points, Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.robots.variants import Variant
-from soro_bench.effects.effect import EVERY
+from soro_bench.effects.catalogue import CATEGORIES
+from soro_bench.effects.effect import EVERY, Location
 from soro_bench.parallel import side_by_side
 
 
@@ -72,6 +73,14 @@ def differences(problem: Problem, points: Sequence[Floats]) -> Floats:
         (F, M) differences [signal's unit]; 0 from where a simulation diverges.
     """
     return discretisation_and_residuals(problem, (), (), (), points)[0]
+
+
+def unlike(points: Points) -> list[tuple[Floats, Sequence[Term]]]:
+    """The points of different classes of laws, or at different locations; the others have nearly the same error."""
+    found: dict[tuple[tuple[str, Location], ...], tuple[Floats, Sequence[Term]]] = {}
+    for x, terms in points:
+        found.setdefault(tuple((CATEGORIES.get(term.name, term.name), term.location) for term in terms), (x, terms))
+    return list(found.values())
 
 
 def _called(job: Callable[[], Floats]) -> Floats:

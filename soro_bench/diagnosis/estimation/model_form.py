@@ -15,7 +15,7 @@ from scipy.fft import dct
 from scipy.linalg import orth
 
 from soro_bench.arrays import Bools, Floats
-from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
+from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals, unlike
 from soro_bench.diagnosis.estimation.problem import Points, Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings.estimation import DiscretisationSettings
@@ -146,17 +146,18 @@ def unfitted_under_model_form(problem: Problem, refined: Sequence[Robot], points
     """Recordings that nothing was fitted to, with the discretisation and model-form error of their own motion.
 
     Args:
-        refined: more accurate robots.
-        points: hypotheses, the nominal robot first.
+        refined: more accurate robots, that are replayed at the first of the points.
+        points: hypotheses, the nominal robot first, then the best one.
 
     Returns:
         The problem, and residuals (H, M) at the points.
     """
     (x, terms), d = points[0], problem.parameters
+    computed = [*points[:1], *unlike(points[1:])[: problem.settings.selection.discretisations]]
     step = problem.settings.selection.nominal_radius_last * np.eye(d, len(x))
     around: Points = [(x + each, terms) for each in (*step, *-step)]
     compared = [x for x, _ in points[:_WITH_VARIANTS]]
-    error, rows = discretisation_and_residuals(problem, refined, points, [*points, *around], compared)
+    error, rows = discretisation_and_residuals(problem, refined, computed, [*points, *around], compared)
     problem = problem.with_discretisation(error)
     after, before = np.split(rows[len(points) :], 2)
     return replace(problem, model_form=largest_model_form_error(problem, after - before)), rows[: len(points)]

@@ -12,7 +12,7 @@ import numpy as np
 
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.candidates import Term, effects_at, slices, typical
-from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
+from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals, unlike
 from soro_bench.diagnosis.estimation.fit import (
     Guess,
     Hypothesis,
@@ -36,7 +36,6 @@ from soro_bench.diagnosis.selection.moves import (
 from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate, beyond_chance, screen, singles
 from soro_bench.diagnosis.spread_terms import SpreadTerm, alike, is_single, law_of, spread
 from soro_bench.effects.catalogue import CATEGORIES
-from soro_bench.effects.effect import Location
 
 
 @dataclass(frozen=True)
@@ -347,15 +346,9 @@ def worth(problem: Problem, nominal: Hypothesis, best: Hypothesis) -> float:
 def with_own_discretisation(
     problem: Problem, refined: Sequence[Robot], hypotheses: Sequence[Hypothesis], seed: int
 ) -> tuple[Problem, list[Hypothesis]]:
-    """The problem with the discretisation error of the hypotheses too, and these fitted once more under it.
-
-    Laws of one class at one location have the same error.
-    """
+    """The problem with the discretisation error of the hypotheses too, and these fitted once more under it."""
     settings = problem.settings.selection
-    points: dict[tuple[tuple[str, Location], ...], tuple[np.ndarray, tuple[Term, ...]]] = {}
-    for h in hypotheses:
-        points.setdefault(tuple((CATEGORIES[term.name], term.location) for term in h.terms), (h.x, h.terms))
-    chosen = list(points.values())[: settings.discretisations]
+    chosen = unlike([(h.x, h.terms) for h in hypotheses])[: settings.discretisations]
     guesses = [Guess(h.x, h.terms, h.jacobian) for h in hypotheses]
     problem, again = fitted_under_discretisation(problem, refined, chosen, guesses, (settings.fit_radius_last,), seed)
     before = [under_present_error(problem, h) for h in hypotheses]
