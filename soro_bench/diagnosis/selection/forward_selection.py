@@ -236,15 +236,19 @@ class _Search:
 
         To first order a law explains little of what a model-form error covers, so the first term is judged as fitted.
         """
-        if self.rounds and not self.problem.misfit_dominated and self.remaining_gain >= self.worth:
-            self._screen(compatible(self.robot, self.best, self.candidates))  # where the best hypothesis is
         if self.rounds:
-            only = self.form.covers(self.problem, self.best, self.remaining_gain)
-            return (self.remaining_gain >= self.worth and not only) or self._is_worth_it_from_priors()
+            if self._is_predicted() and not self.problem.misfit_dominated:
+                self._screen(compatible(self.robot, self.best, self.candidates))  # where the best hypothesis is
+            return self._is_predicted() or self._is_worth_it_from_priors()
         least = self.problem.settings.selection.least_gain
         small = not self.problem.misfit_dominated and self.remaining_gain >= least
         promised = self.remaining_gain >= self.worth or (small and self.form.possible(self.problem, self.best))
         return promised or self._is_worth_it_from_priors()
+
+    def _is_predicted(self) -> bool:
+        """Whether one more term is predicted to gain what is worth a fit, and no model-form error."""
+        gain = self.remaining_gain
+        return gain >= self.worth and not self.form.covers(self.problem, self.best, gain)
 
     def _is_worth_it_from_priors(self) -> bool:
         """Whether a law that promises nothing here explains more as fitted from the priors of parameters."""
