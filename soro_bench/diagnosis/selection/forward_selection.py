@@ -40,6 +40,7 @@ from soro_bench.diagnosis.selection.rounds import (
     refined_in_turns,
     replayed_anew,
     round_of,
+    screened_again,
     under_present_error,
     with_own_discretisation,
     worth,
@@ -174,10 +175,11 @@ class _Search:
 
     best: the most probable one. tried: all that were fitted, the last round first. possible: the candidates that the
     robot can have beside the best hypothesis. responses: theirs. screened: their predicted gains, the largest of which
-    is ``remaining_gain``. first: the same beside the nominal robot. local_minimum: the first term has only led to
-    parameters that explain as much without it, and those are now the nominal ones. goes_on: whether the last term was
-    worth having, if it had to be. form: tells what may be model-form error. from_priors: where the next round begins
-    if parameters had moved too far to see what is missing: predicted gains at their priors, and fits from there.
+    is ``remaining_gain``. simulated: the last ones by replays. first: beside the nominal robot. local_minimum: the
+    first term has only led to parameters that explain as much without it, and those are now the nominal ones.
+    goes_on: whether the last term was worth having, if it had to be. form: tells what may be model-form error.
+    from_priors: where the next round begins if parameters had moved too far to see what is missing: predicted gains at
+    their priors, and fits from there.
     """
 
     problem: Problem
@@ -198,6 +200,7 @@ class _Search:
     possible: Sequence[Term] = ()
     responses: list[np.ndarray] = field(default_factory=list)
     screened: Evidence = field(init=False)
+    simulated: Evidence | None = None
     first: Evidence = field(init=False)
     parameters_only_rms: float = field(init=False)
     predicted_gain: float = field(init=False)
@@ -240,10 +243,9 @@ class _Search:
             if self._is_predicted() and not self.problem.misfit_dominated:
                 self._screen(compatible(self.robot, self.best, self.candidates))  # where the best hypothesis is
             return self._is_predicted() or self._is_worth_it_from_priors()
-        least = self.problem.settings.selection.least_gain
-        small = not self.problem.misfit_dominated and self.remaining_gain >= least
-        promised = self.remaining_gain >= self.worth or (small and self.form.possible(self.problem, self.best))
-        return promised or self._is_worth_it_from_priors()
+        least, gain = self.problem.settings.selection.least_gain, self.remaining_gain
+        small = not self.problem.misfit_dominated and gain >= least and self.form.possible(self.problem, self.best)
+        return gain >= self.worth or small or self._is_worth_it_from_priors()
 
     def _is_predicted(self) -> bool:
         """Whether one more term is predicted to gain what is worth a fit, and no model-form error."""
@@ -256,8 +258,7 @@ class _Search:
         if not self.candidates or not may_imitate(problem, best):
             return False
         promising = {each.terms[-1].name for each in singles(self.screened) if each.gain >= self.worth}
-        others = [one for one in self.candidates if one.name not in promising]
-        if not others:
+        if not (others := [one for one in self.candidates if one.name not in promising]):
             return False
         if self.rounds and not self.form.stands_out(problem, self.nominal, best, self.worth):
             return False  # what was found may be model-form error
@@ -289,20 +290,20 @@ class _Search:
         known = {laws(h) for h in self.tried}
         others += swap_delays(self.problem, [self.best, *others], self.candidates, known, next(self.seeds))
         self.tried[1:1] = others
-        unchecked, before = self.problem.settings.selection.unchecked_terms, self._as_tried(base)
+        settings, before = self.problem.settings.selection, self._as_tried(base)
         if unpromised:
             better = self.form.stands_out(self.problem, before, self.best, worth(self.problem, self.nominal, before))
         else:
-            better = number < unchecked or is_better(self.problem, self.heldout, before, self.best)
+            better = number < settings.unchecked_terms or is_better(self.problem, self.heldout, before, self.best)
         if not better:
             self.goes_on = False
-            if unpromised or number > unchecked:
+            if unpromised or number > settings.unchecked_terms:
                 self._take(before, screened)
         if number == 1:
             before, self.nominal = self.nominal, min(self.nominal, *without, key=lambda h: h.cost)
             by_parameters, by_term = before.cost - self.nominal.cost, self.nominal.cost - self.best.cost
-            least = self.problem.settings.selection.least_gain
-            self.local_minimum = not self.problem.misfit_dominated and by_parameters > least > by_term
+            rough = self.problem.misfit_dominated
+            self.local_minimum = not rough and by_parameters > settings.least_gain > by_term
 
     def explanation(self) -> Explanation:
         """The hypotheses so far."""
@@ -348,7 +349,9 @@ class _Search:
         """Screen candidates beside the best hypothesis; responses beside an earlier one say which are simulated."""
         self.progress("screening")
         known = dict(zip(self.possible, self.responses, strict=True))
-        self.screened = screen(self.problem, self.best, candidates, self.robot, known)
+        self.screened, self.simulated = screened_again(
+            self.problem, self.best, candidates, self.robot, known, self.simulated
+        )
         self.possible, self.responses = candidates, list(self.screened.responses)
         self.remaining_gain = singles(self.screened)[0].gain
 

@@ -5,7 +5,7 @@ responses are those of its elements together, so that it is screened without a r
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -265,6 +265,27 @@ def is_discrepant(problem: Problem, nominal: Hypothesis) -> bool:
     settings, samples = problem.settings.selection, problem.weight.sum()
     limit = max(settings.discrepant_misfit, settings.discrepant_misfit_per_sample * samples)
     return bool(problem.misfit(nominal.residual) >= limit)
+
+
+def screened_again(
+    problem: Problem,
+    best: Hypothesis,
+    candidates: Sequence[Term],
+    robot: Robot,
+    known: Mapping[Term, Floats],
+    last: Evidence | None,
+) -> tuple[Evidence, Evidence]:
+    """What candidates say beside the best hypothesis, and which of them were simulated there or near.
+
+    Args:
+        known: (k, M) their responses so far. last: those of them that were simulated last.
+    """
+    radius = problem.settings.selection.fit_radius_last
+    if last is None or last.base.terms != best.terms or (np.abs(last.base.x - best.x) >= radius).any():
+        screened = screen(problem, best, candidates, robot, known)
+        return screened, screened
+    screened = screen(problem, best, candidates, robot, known, last.simulated)
+    return screened, replace(last, simulated=screened.simulated)
 
 
 def compatible(robot: Robot, hypothesis: Hypothesis, candidates: Sequence[Term]) -> list[Term]:

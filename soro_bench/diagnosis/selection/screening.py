@@ -8,7 +8,7 @@ They are simulated only where that predicts some gain.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,7 +55,8 @@ class Evidence:
     step - shift m.
 
     base: the hypothesis. responses: (k, M) of each candidate. matrix: (K, K). pull: (K,). bounds: (2, K) of the
-    magnitudes. blocks: which of the K magnitudes each candidate has. step: (n,). shift: (n, K).
+    magnitudes. blocks: which of the K magnitudes each candidate has. step: (n,). shift: (n, K). simulated: candidates
+    whose responses were, beside this hypothesis or one that hardly differs.
     """
 
     base: Hypothesis
@@ -68,6 +69,7 @@ class Evidence:
     step: np.ndarray
     shift: np.ndarray
     settings: ScreeningSettings
+    simulated: frozenset[Term] = frozenset()
 
     def screened_candidate(self, chosen: Sequence[int]) -> ScreenedCandidate:
         """The best magnitudes of some candidates together."""
@@ -131,29 +133,33 @@ def screen(
     candidates: Sequence[Term],
     robot: Robot,
     known: Mapping[Term, np.ndarray] | None = None,
+    near: Collection[Term] = (),
 ) -> Evidence:
     """What all candidates say about the residual of a hypothesis; those are simulated that may matter.
 
     Args:
         base: beside which they are simulated. robot: see ``responses``.
         known: (k, M) responses beside a hypothesis of the same problem that is not far off.
+        near: of these, the ones that were simulated so near that they hold here.
     """
     known = known or {}
     alike = {one: first for one, first in _like_others(candidates).items() if one not in known}
     found = {one: known[one] for one in candidates if one in known}
-    assumed = set(found) | set(alike)
+    simulated = set(near) & set(found)
+    assumed = (set(found) | set(alike)) - simulated
 
     def simulate(chosen: Sequence[Term]) -> None:
         found.update(zip(chosen, responses(problem, base, chosen, robot), strict=True))
+        simulated.update(chosen)
 
-    if unknown := [one for one in candidates if one not in assumed]:
+    if unknown := [one for one in candidates if one not in assumed | simulated]:
         simulate(unknown)
     found |= {one: found[first] for one, first in alike.items()}
-    rough = evidence(problem, base, candidates, [found[one] for one in candidates])
-    if not (chosen := _to_simulate(problem, rough, assumed, alike)):
-        return rough
-    simulate(chosen)
-    return evidence(problem, base, candidates, [found[one] for one in candidates])
+    screened = evidence(problem, base, candidates, [found[one] for one in candidates])
+    if chosen := _to_simulate(problem, screened, assumed, alike):
+        simulate(chosen)
+        screened = evidence(problem, base, candidates, [found[one] for one in candidates])
+    return replace(screened, simulated=frozenset(simulated))
 
 
 def _like_others(candidates: Sequence[Term]) -> dict[Term, Term]:
