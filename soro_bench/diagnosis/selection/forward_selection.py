@@ -49,6 +49,7 @@ from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate
 from soro_bench.diagnosis.selection.stopping import FormJudge, is_better, simplest, without_a_term
 
 SEEDS = 10_000  # of samples, for each seed of a diagnosis
+_MOST_BY_FITS = 2.0  # times the gain before further fits; where that may be model-form error, none are taken
 _FIRST_SEED, _SEED_STEP = 10, 10  # after those of the nominal fit, and between those of two calls
 
 Progress = Callable[[str], None]  # is told the name of each stage
@@ -243,9 +244,13 @@ class _Search:
             if self._is_predicted() and not self.problem.misfit_dominated:
                 self._screen(compatible(self.robot, self.best, self.candidates))  # where the best hypothesis is
             return self._is_predicted() or self._is_worth_it_from_priors()
-        least, gain = self.problem.settings.selection.least_gain, self.remaining_gain
-        small = not self.problem.misfit_dominated and gain >= least and self.form.possible(self.problem, self.best)
-        return gain >= self.worth or small or self._is_worth_it_from_priors()
+        rough, gain = self.problem.misfit_dominated, self.remaining_gain
+        least = gain >= self.problem.settings.selection.least_gain
+        small = not rough and least and self.form.possible(self.problem, self.best)
+        promised = gain >= self.worth or small
+        if promised and not rough and self.form.covers(self.problem, self.best, _MOST_BY_FITS * gain):
+            promised = False
+        return promised or self._is_worth_it_from_priors()
 
     def _is_predicted(self) -> bool:
         """Whether one more term is predicted to gain what is worth a fit, and no model-form error."""
@@ -392,8 +397,11 @@ class _Search:
         return sorted(new, key=lambda h: -h.log_evidence(self.problem))
 
     def _keep(self, new: list[Hypothesis]) -> None:
-        """The new hypotheses before the others, refined; and the candidates that are possible beside the best one."""
-        self.problem, new = refined_in_turns(self.problem, self.robot, self.refined, new, self.seeds)
+        """The new hypotheses before the others, refined if they may be worth having; and the candidates that are
+        possible beside the best one."""
+        gain = under_present_error(self.problem, self.best).cost - min(h.cost for h in new)
+        if not self.form.covers(self.problem, self.best, _MOST_BY_FITS * gain):
+            self.problem, new = refined_in_turns(self.problem, self.robot, self.refined, new, self.seeds)
         self.tried = [under_present_error(self.problem, h) for h in new + self.tried]
         allowed = compatible(self.robot, self.tried[0], self.possible)
         kept = zip(self.possible, self.responses, strict=True)

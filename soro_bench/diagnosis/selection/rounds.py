@@ -173,7 +173,8 @@ def cheapest(hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
 def refined_in_turns(
     problem: Problem, robot: Robot, refined: Sequence[Robot], hypotheses: list[Hypothesis], seeds: Iterator[int]
 ) -> tuple[Problem, list[Hypothesis]]:
-    """Fit and discretisation error in turns, as long as the misfit is larger than that of healthy cases and falls.
+    """Fit and discretisation error in turns, as long as the misfit is larger than that of healthy cases and falls, and
+    fits move anything.
 
     The best hypothesis comes first. The first turn is of its rivals too, which may only have farther to go. It samples
     as widely as the nominal fit, as parameters that have absorbed an effect may be far from where they belong.
@@ -193,10 +194,11 @@ def refined_in_turns(
             count = sum(problem.misfit(h.residual) < limit for h in hypotheses[: settings.discretisations])
             radii = settings.nominal_radius, settings.fit_radius
         better = _refined(problem, robot, hypotheses[:count], radii, next(seeds), anew=turn == 0)
+        moved = any(one.x is not other.x for one, other in zip(hypotheses, better, strict=False))
         problem, better = with_own_discretisation(problem, refined, better, next(seeds))
         rest = [under_present_error(problem, h) for h in hypotheses[count:]]
         hypotheses = sorted([*better, *rest], key=lambda h: -h.log_evidence(problem))
-        if not wide and problem.misfit(hypotheses[0].residual) > (1.0 - settings.turn_gain) * before:
+        if not moved or (not wide and problem.misfit(hypotheses[0].residual) > (1.0 - settings.turn_gain) * before):
             break
     return problem, hypotheses
 
