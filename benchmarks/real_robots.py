@@ -29,11 +29,11 @@ from soro_bench.diagnosis.candidates import Term, terms
 from soro_bench.diagnosis.data_quality.noise import data_quality
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.outliers import nominal_fit
 from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import FITTED, Robot
-from soro_bench.diagnosis.selection.forward_selection import nominal_fit
 from soro_bench.diagnosis.selection.moves import iterate_to_convergence
 from soro_bench.diagnosis.study import STUDIES, check_summaries, errors_of, load_study, named, results, run_study
 from soro_bench.files import read_json, write_json

@@ -10,9 +10,10 @@ import pytest
 from soro_bench.diagnosis.assembly.findings import estimates_of
 from soro_bench.diagnosis.candidates import Term, terms
 from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.outliers import nominal_fit
 from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
-from soro_bench.diagnosis.selection.forward_selection import Explanation, explained, nominal_fit
+from soro_bench.diagnosis.selection.forward_selection import Explanation, explained
 from soro_bench.diagnosis.selection.screening import evidence, responses
 from soro_bench.diagnosis.selection.stopping import falls_beyond_chance, simplest
 from soro_bench.diagnosis.spread_terms import alike, spread

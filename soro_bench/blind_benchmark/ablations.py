@@ -9,12 +9,12 @@ import numpy as np
 from soro_bench.blind_benchmark.report import report_of, unseen
 from soro_bench.diagnosis.assembly.build import build_result
 from soro_bench.diagnosis.data_quality.noise import data_quality
+from soro_bench.diagnosis.outliers import nominal_fit
 from soro_bench.diagnosis.pipeline import run_diagnosis, unexplained
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import FITTED, REFINED, Robot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.robots.variants import Variant
-from soro_bench.diagnosis.selection.forward_selection import nominal_fit
 from soro_bench.files import write_json
 from soro_bench.parallel import one_blas_thread, processors
 from soro_bench.recording.parquet import load

@@ -1,4 +1,5 @@
-"""The nominal fit without outliers: points that are alone and far off are left out, and the noise is what it leaves."""
+"""The nominal fit, and that without outliers: points that are alone and far off are left out, and the noise is what it
+leaves."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -8,12 +9,54 @@ import numpy as np
 from soro_bench.diagnosis.data_quality.inspection import Inspected
 from soro_bench.diagnosis.data_quality.noise import compressed, noise
 from soro_bench.diagnosis.data_quality.samples import far_off
-from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, fitted_under_discretisation
+from soro_bench.diagnosis.estimation.model_form import may_be_model_form
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.result_robot import Outliers
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.selection.forward_selection import Progress, nominal_fit
+from soro_bench.diagnosis.selection.forward_selection import SEEDS, Progress, silent
+from soro_bench.diagnosis.selection.moves import iterate_to_convergence
+from soro_bench.diagnosis.selection.rounds import fitted_in_growing_parts, is_discrepant
 from soro_bench.inference.statistical_linearisation import LowRank
+
+
+def nominal_fit(
+    problem: Problem, refined: Sequence[Robot], seed: int, progress: Progress = silent
+) -> tuple[Problem, Hypothesis]:
+    """The problem with its discretisation error, and the nominal robot fitted to it, in turns; from the beginning of
+    the recordings on, where that explains much more.
+
+    Args:
+        refined: the robot simulated more accurately.
+        seed: of the samples around the fit.
+        progress: is told the name of each stage.
+    """
+    settings, rng, d, given = problem.settings.selection, np.random.default_rng(seed), problem.parameters, problem
+    draws = settings.nominal_radius * rng.standard_normal((settings.nominal_replays, d))
+    draws[0] = 0.0
+    guess = Guess(np.zeros(d))
+    near, last = settings.fit_radius, settings.nominal_radius_last
+    stages = ((settings.nominal_radius, settings.move_radius), (near,), (last, last))
+    for k, radii in enumerate(stages):
+        progress("discretisation error and joint fit of the parameters")
+        if k > 0:
+            limit = problem.settings.priors.limit
+            draws = np.clip(guess.x + radii[0] * rng.standard_normal((1, d)), -limit, limit)
+        points = [(x, ()) for x in draws]
+        problem, (fit,) = fitted_under_discretisation(
+            problem, refined, points, [guess], radii, SEEDS * seed + k, list(draws[:1])
+        )
+        problem, (fit,) = allowing(problem, fit, [fit])
+        guess = Guess(fit.x, jacobian=fit.jacobian)
+    if problem.misfit_dominated:
+        (fit,) = iterate_to_convergence(problem, [fit], SEEDS * seed + len(stages))
+        problem, (fit,) = allowing(problem, fit, [fit])
+    known = may_be_model_form(problem, fit.residual, fit.jacobian)
+    if problem.misfit_dominated or (is_discrepant(problem, fit) and not known):
+        other = fitted_in_growing_parts(given, refined, SEEDS * seed + len(stages))
+        if other and other[0].left(other[1].residual) < problem.left(fit.residual):
+            return other
+    return problem, fit
 
 
 def of_samples(found: Sequence[Inspected], problem: Problem) -> Outliers:

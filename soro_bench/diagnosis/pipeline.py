@@ -26,12 +26,12 @@ from soro_bench.diagnosis.estimation.model_form import largest_model_form_error,
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.estimation.unit_check import check_unit_and_sign
 from soro_bench.diagnosis.localisation.ranking import RankedLocation, ranked_locations
-from soro_bench.diagnosis.outliers import far_points, fitted_again, masked, of_samples
+from soro_bench.diagnosis.outliers import far_points, fitted_again, masked, nominal_fit, of_samples
 from soro_bench.diagnosis.result_robot import DataFinding, Outliers
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.experiment_design import Proposal, proposed
-from soro_bench.diagnosis.selection.forward_selection import Explanation, Progress, explained, nominal_fit, silent
+from soro_bench.diagnosis.selection.forward_selection import Explanation, Progress, explained, silent
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, compared, shortlist
 from soro_bench.diagnosis.selection.sizing import sized
 from soro_bench.diagnosis.settings import DEFAULT, Settings

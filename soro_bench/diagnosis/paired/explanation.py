@@ -9,6 +9,7 @@ from scipy.special import expit
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.candidates import Term, term
 from soro_bench.diagnosis.data_quality.noise import data_quality, outliers
+from soro_bench.diagnosis.outliers import nominal_fit
 from soro_bench.diagnosis.paired import result
 from soro_bench.diagnosis.paired.alignment import Pair
 from soro_bench.diagnosis.paired.changes import LawChange, ParameterChange, possible_changes
@@ -26,7 +27,7 @@ from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.result_parts import Estimate
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.selection.forward_selection import Progress, nominal_fit
+from soro_bench.diagnosis.selection.forward_selection import Progress
 from soro_bench.diagnosis.settings import Settings
 from soro_bench.effects.effect import Location
 
