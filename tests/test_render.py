@@ -24,7 +24,7 @@ from soro_bench.diagnosis.render.html import html
 from soro_bench.diagnosis.render.rerun import rmse
 from soro_bench.diagnosis.render.summary import WIDTH, summary
 from soro_bench.diagnosis.result import SCHEMA, Result
-from soro_bench.diagnosis.result_parts import ModelForm, NamedLocation
+from soro_bench.diagnosis.result_parts import ModelForm, NamedLocation, ScreenedTerm, SelectionRound
 from soro_bench.effects import catalogue
 from soro_bench.effects.effect import Location
 from soro_bench.effects.equations import EQUATIONS
@@ -257,6 +257,10 @@ def test_laws_that_another_simulator_may_look_like_are_named() -> None:
     assert "cannot be told from one" in said
     assert said.index("payload at body arm (25 %)") < said.index("backlash at actuator motor (10 %)")
     assert sentences.model_form(replace(result, model_form=replace(form, largest=0.0005))) == ""
+    screened = ScreenedTerm(law.effects[0], 5.0), ScreenedTerm(less.effects[0], -1.0)  # nothing was fitted
+    unfitted = replace(result, hypotheses=(replace(none, misfit=50.0),), rounds=(SelectionRound((), screened, ()),))
+    said = sentences.model_form(replace(unfitted, model_form=form))
+    assert said.endswith("As predicted, it may be part of what is left: payload at body arm (10 %) of the misfit.")
 
 
 def test_parameters_that_replay_worse_than_the_model_as_built_raise_a_warning() -> None:

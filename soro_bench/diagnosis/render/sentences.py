@@ -180,7 +180,12 @@ def model_form(result: Result) -> str:
         for each in laws
         if each.misfit_total < of_nominal
     ]
-    return f"{said} It may be part of what is left: {', or '.join(may[:3])} of the misfit." if may else said
+    begins = "It may be part of what is left"
+    if result.rounds and not laws:  # what they gain says that no fit is worth it
+        begins, of_nominal = "As predicted, it may be part of what is left", result.hypotheses[0].misfit
+        gains = ((terms((each.term,)), each.predicted_gain / of_nominal) for each in result.rounds[0].screened)
+        may = [f"{named} ({100 * share:.0f} %)" for named, share in gains if share > 0.0]
+    return f"{said} {begins}: {', or '.join(may[:3])} of the misfit." if may else said
 
 
 def where(result: Result) -> str:

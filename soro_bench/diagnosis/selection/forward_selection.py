@@ -47,7 +47,8 @@ from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate
 from soro_bench.diagnosis.selection.stopping import FormJudge, is_better, simplest, without_a_term
 
 SEEDS = 10_000  # of samples, for each seed of a diagnosis
-_MOST_BY_FITS = 2.0  # times the gain before further fits; where that may be model-form error, none are taken
+# times the gain before fits, or before further ones, that they give at most where simulators differ by so much
+_MOST_BY_FITS, _MOST_BY_TURNS = 1.5, 2.0
 _FIRST_SEED, _SEED_STEP = 10, 10  # after those of the nominal fit, and between those of two calls
 
 Progress = Callable[[str], None]  # is told the name of each stage
@@ -71,7 +72,7 @@ class Explanation:
     remaining_gain: the same beside the best hypothesis.
     minimum: of each candidate, the coordinate of its first magnitude that would just have been worth a fit beside the
         best hypothesis.
-    rounds: how the hypotheses came about.
+    rounds: how the hypotheses came about; one whose candidates may be model-form error may have fitted none.
     looked_for: names of the effects that were screened anywhere.
     """
 
@@ -137,7 +138,8 @@ class _Search:
     robot can have beside the best hypothesis. responses: theirs. screened: their predicted gains, the largest of which
     is ``remaining_gain``. simulated: the last ones by replays. first: beside the nominal robot. local_minimum: the
     first term has only led to parameters that explain as much without it, and those are now the nominal ones.
-    goes_on: whether the last term was worth having, if it had to be. form: tells what may be model-form error.
+    goes_on: whether the last term was worth having, if it had to be. unfitted: a round whose candidates could only
+    imitate model-form error. form: tells what may be model-form error.
     from_priors: where the next round begins if parameters had moved too far to see what is missing: predicted gains at
     their priors, and fits from there.
     """
@@ -154,6 +156,7 @@ class _Search:
     rounds: list[Round] = field(default_factory=list)
     local_minimum: bool = False
     goes_on: bool = True
+    unfitted: tuple[Round, ...] = ()
     from_priors: tuple[Evidence, list[Hypothesis]] | None = None
     form: FormJudge = field(init=False)
     best: Hypothesis = field(init=False)
@@ -197,19 +200,17 @@ class _Search:
     def is_worth_a_round(self) -> bool:
         """Whether the predicted gain of one more term is worth a fit.
 
-        To first order a law explains little of what a model-form error covers, so the first term is judged as fitted.
+        To first order a law explains less than as fitted, so the first term is judged as fitted where it may be one.
         """
         if self.rounds:
             if self._is_predicted() and not self.problem.misfit_dominated:
                 self._screen(compatible(self.robot, self.best, self.candidates))  # where the best hypothesis is
             return self._is_predicted() or self._is_worth_it_from_priors()
-        rough, gain = self.problem.misfit_dominated, self.remaining_gain
-        least = gain >= self.problem.settings.selection.least_gain
-        small = not rough and least and self.form.possible(self.problem, self.best)
-        promised = gain >= self.worth or small
-        if promised and not rough and self.form.covers(self.problem, self.best, _MOST_BY_FITS * gain):
-            promised = False
-        return promised or self._is_worth_it_from_priors()
+        gain, least = self.remaining_gain, self.problem.settings.selection.least_gain
+        rough, most = self.problem.misfit_dominated, _MOST_BY_FITS * gain
+        if covered := not rough and gain >= least and self.form.covers(self.problem, self.best, most):
+            self.unfitted = (round_of(self.problem, self.best, singles(self.screened), ()),)
+        return (gain >= self.worth and not covered) or self._is_worth_it_from_priors()
 
     def _is_predicted(self) -> bool:
         """Whether one more term is predicted to gain what is worth a fit, and no model-form error."""
@@ -279,7 +280,7 @@ class _Search:
             self.predicted_gain,
             self.remaining_gain,
             self.screened.detectable(self.worth),
-            tuple(self.rounds),
+            tuple(self.rounds) or self.unfitted,
             frozenset(term.name for term in self.candidates),
         )
 
@@ -359,7 +360,7 @@ class _Search:
         """The new hypotheses before the others, refined if they may be worth having; and the candidates that are
         possible beside the best one."""
         gain = under_present_error(self.problem, self.best).cost - min(h.cost for h in new)
-        if not self.form.covers(self.problem, self.best, _MOST_BY_FITS * gain):
+        if not self.form.covers(self.problem, self.best, _MOST_BY_TURNS * gain):
             self.problem, new = refined_in_turns(self.problem, self.robot, self.refined, new, self.seeds)
         self.tried = [under_present_error(self.problem, h) for h in new + self.tried]
         allowed = compatible(self.robot, self.tried[0], self.possible)
