@@ -35,7 +35,7 @@ FILES = (
     "custom_laws", "data_quality", "model_probabilities", "model_robot", "moves", "paired", "replay_check", "search",
     "settings", "told_and_telling",
 )  # fmt: skip
-LONGEST, TOGETHER = 10.0, 40.0  # s of a test, and of all that run for a setting
+LONGEST, TOGETHER = 30.0, 60.0  # s of a test, and of all that run for a setting
 ROBOTS = "robots"  # a group that Settings does not hold
 _UNREAD = "listed", "replace", "_replace", "asdict", "_asdict_inner", "__eq__", "__repr__"  # copy, compare or show
 Groups = dict[str, Any]  # settings by the names of their stages

@@ -98,7 +98,7 @@ class Diagnosis:
         found = self.discovery
         if found is None or found.best is None or found.best.boxed:
             return False
-        return found.beats < self.explanation.problem.settings.discovery.beats
+        return found.beats < 1.0 - self.explanation.problem.settings.discovery.least_removed
 
     @property
     def verdict(self) -> str:

@@ -122,7 +122,7 @@ def discovered(
         nothing = replace(nothing, heldout_after=after)
         fitted_on, best = _boxed(begun, test, nominal, inputs[0], seed)
         found, after = [], _mean_square(test, best.hypothesis) if best else np.nan
-        if best is None or not _holds(test, nominal, best, settings.least_boxed):
+        if best is None or not _holds(test, nominal, best, settings.least_removed):
             return nothing
     kept = replace(best, hypothesis=_of_problem(with_covariance(fitted_on, best.hypothesis, seed), fitted_on, problem))
     others = tuple(each for each in found if each is not best and each.total < best.total + _slack(best, alike))

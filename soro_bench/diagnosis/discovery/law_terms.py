@@ -10,7 +10,7 @@ from soro_bench.diagnosis.candidates import Term as CandidateTerm
 from soro_bench.diagnosis.discovery.library import Read, Shape, Term
 from soro_bench.diagnosis.discovery.located_input import LocatedInput
 from soro_bench.diagnosis.discovery.regression import Structure
-from soro_bench.diagnosis.settings import DiscoverySettings
+from soro_bench.diagnosis.settings import DiscoverySettings, PriorSettings
 from soro_bench.effects.custom_law import NAME, CustomLaw, Memory, Variable
 from soro_bench.effects.effect import Effect, Location, Quantity
 from soro_bench.effects.expression import Bumps, Node
@@ -116,7 +116,8 @@ def _law_term(
         wider = 0.0 if isinstance(term.expression, Bumps) else _WIDER
         variables |= {each.name: _ranged(each, reads, wider) for each in term.variables}
         states |= {each.name: each for each in term.states}
-    unknowns += [_of_shape(each, settings) for each in shapes.values()]
+    priors = located.problem.settings.priors
+    unknowns += [_of_shape(each, priors) for each in shapes.values()]
     unknowns += [Unknown(name, "m", at, _APART, False) for name, at in zip(_POINT, point, strict=False)]
     boxed = any(isinstance(term.expression, Bumps) for term, _ in parts)
     largest = (1.0 if boxed else settings.limit) * float(np.abs(located.force).max()) + 1e-9
@@ -127,10 +128,10 @@ def _law_term(
     )  # fmt: skip
     location: Location = channel.location
     return LawTerm(NAME, location, tuple(each.centre for each in unknowns), (True,) * len(unknowns),
-                   settings=located.problem.settings.priors, law=law, unknowns=tuple(unknowns))  # fmt: skip
+                   settings=priors, law=law, unknowns=tuple(unknowns))  # fmt: skip
 
 
-def _of_shape(shape: Shape, settings: DiscoverySettings) -> Unknown:
+def _of_shape(shape: Shape, settings: PriorSettings) -> Unknown:
     deviation = settings.shape_deviation if shape.positive else shape.deviation
     return Unknown(shape.name, shape.unit, shape.value, deviation, shape.positive)
 

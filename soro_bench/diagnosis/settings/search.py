@@ -140,11 +140,11 @@ class DiscoverySettings:
     )
     least_share: float = setting(0.02, "1", "of what the input explains, that a further term has to")
     deviation: float = setting(2.0, "1", "of a coefficient's prior, times its regressed value")
-    shape_deviation: float = setting(0.4, "1", "of a shape's prior: of its logarithm, or of its typical size")
     least_explained: float = setting(0.6, "1", "of held-out variance above the noise; laws took up to 0.40 of gusts")
     bumps: int = setting(32, "bumps", "of a black box; half as many left 50 instead of 30 % of waves in two angles")
-    least_boxed: float = setting(0.5, "1", "likewise, by a black box: held-out motion had no say in which one it is")
-    beats: float = setting(0.6, "1", "of the catalogue's misfit, below which a law replaces its best answer")
+    least_removed: float = setting(
+        0.5, "1", "of held-out misfit: by a black box, or by a law from the catalogue's answer, which it then replaces"
+    )
     limit: float = setting(3.0, "1", "times the largest force that was seen, which a law never exceeds")
 
 
