@@ -9,13 +9,18 @@ import pytest
 
 pytest.importorskip("pyarrow")
 
+from benchmarks import hidden_arms as arms
+from benchmarks.discovered_laws import TRUNK_FAMILIES, OnTrunk, same_form, trunk_cross_talk
 from soro_bench.blind_benchmark.criteria import CRITERIA, OF_OTHERS
-from soro_bench.blind_benchmark.draw import Case, draw_cases
+from soro_bench.blind_benchmark.draw import Case, draw_cases, draw_parameters
 from soro_bench.blind_benchmark.others import HIDDEN, KINDS, LAWS, SOROSIM, OtherCase, build_other, draw_set
 from soro_bench.blind_benchmark.report import released
+from soro_bench.blind_benchmark.robot import simulate
 from soro_bench.blind_benchmark.run import run_blind_benchmark
 from soro_bench.blind_benchmark.score import opened_labels, scored
 from soro_bench.blind_benchmark.sealed import write_cases
+from soro_bench.effects.catalogue import ALL
+from soro_bench.effects.effect import effect_from
 from soro_bench.files import write_json
 from soro_bench.leaderboard.diagnosis_entry import opened, read_entry, rescored, write_entry
 from soro_bench.recording.parquet import load
@@ -169,3 +174,37 @@ def test_criteria_about_other_simulators_come_last_and_take_any_right_name():
     assert found["other simulators: first answer right"] == 1.0
     assert found["other simulators: of right names, place right"] == 1.0
     assert found["other simulators: false alarms"] is None
+
+
+def test_gusts_never_come_again_and_a_shaken_base_does():
+    """Two recordings of the same commands differ by gusts, and by no more than noise where the base shakes."""
+    goals = arms.goals(np.random.default_rng(0))
+
+    def apart(family):
+        runs = [arms.simulated(family(np.random.default_rng(3)), goals, np.random.default_rng(k)) for k in (1, 2)]
+        return np.abs(runs[0] - runs[1]).max()
+
+    assert apart(arms.periodic_base) < 8 * arms.NOISE < 100 * arms.NOISE < apart(arms.gusts)
+
+
+def test_gusts_on_a_trunk_never_come_again_and_laws_do():
+    """Runs of the same commands for a second; a law moves the trunk."""
+    rng, actions = np.random.default_rng(0), np.tile(np.linspace(0.0, 0.5, 8), (20, 1))
+    parameters = draw_parameters(rng)
+    without = simulate("fine", parameters, [], actions).points
+    for family in TRUNK_FAMILIES:
+        on_trunk = [OnTrunk(family(np.random.default_rng(3))) for _ in range(2)]
+        one, other = (simulate("fine", parameters, [each], actions, (k,)).points for k, each in enumerate(on_trunk))
+        assert np.abs(one - without).max() > 1e-3
+        assert (np.abs(one - other).max() > 1e-3) == (not on_trunk[0].law.of_state)
+
+
+def test_a_law_found_in_a_trunk_is_compared_with_the_true_one():
+    hidden = trunk_cross_talk(np.random.default_rng(3))
+    (read,) = hidden.reads
+    place = {"kind": "actuator", "name": read.split()[1]}
+    variables = {"u": {"of": "command", "range": [-0.03, 0.03], "location": place}}
+    for sign in (1.0, -1.0):
+        law = {"unit": "N", "limit": 10.0, "variables": variables, "expression": ["multiply", 90.0 * sign, "u"]}
+        at = {"name": "custom", "location": {"kind": "tendon", "name": hidden.where}, "parameters": {}, "law": law}
+        assert same_form(hidden, [effect_from(at, ALL)]) == (sign > 0)

@@ -6,6 +6,7 @@ What a model has too much of is taken away, as what it lacks is added: known ans
 import mujoco
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from soro_bench.diagnosis.assembly.findings import estimates_of
 from soro_bench.diagnosis.candidates import Term, terms
@@ -15,7 +16,12 @@ from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.selection.forward_selection import Explanation, explained
 from soro_bench.diagnosis.selection.screening import evidence, responses
-from soro_bench.diagnosis.selection.stopping import falls_beyond_chance, simplest
+from soro_bench.diagnosis.selection.stopping import (
+    explained_beyond_chance,
+    falls_beyond_chance,
+    independent_values,
+    simplest,
+)
 from soro_bench.diagnosis.spread_terms import alike, spread
 from soro_bench.effects.catalogue import ALL, QUANTITIES
 from soro_bench.effects.effect import EACH, EVERY, Effect, EffectError, Location, load_effects, save_effects
@@ -343,3 +349,50 @@ def test_what_a_model_has_too_much_of_is_found_with_its_size(paths, model, real,
     (effect,) = found.found[0].effects(given.parameters)
     assert (term.name, term.location) == (name, location)
     assert effect.parameters[QUANTITIES[name][0].name] == pytest.approx(value, rel=0.1)
+
+
+def of_time(kind, rng, count=225, dt=0.02):
+    """(T, 1) of a disturbance that never comes again."""
+    time = dt * np.arange(count)[:, None]
+    if kind == "offset":
+        return np.full((count, 1), rng.standard_normal())
+    if kind == "hum":
+        return rng.standard_normal() * np.sin(8.0 * time) + rng.standard_normal() * np.cos(8.0 * time)
+    kept = np.exp(-dt / 0.5)
+    driven = np.sqrt(1.0 - kept**2) * rng.standard_normal((count, 1))
+    driven[0] = rng.standard_normal()
+    return lfilter([1.0], [1.0, -kept], driven, axis=0)
+
+
+@pytest.mark.parametrize("kind", ["offset", "hum", "gusts"])
+def test_a_disturbance_that_never_comes_again_is_not_explained_by_another_one(paths, kind):
+    """But for 2.3 % of pairs, as a normal value passes two standard errors; a law that leaves a thousandth is kept."""
+    heldout, rng, accepted = problem(paths(ARM), steps=225), np.random.default_rng(0), 0
+    for _ in range(400):
+        one, other = of_time(kind, rng), of_time(kind, rng)
+        share = 1.0 - float(((other - one) ** 2).sum() / (other**2).sum())
+        accepted += share > 0.0 and explained_beyond_chance(heldout, other.ravel(), share)
+        assert explained_beyond_chance(heldout, other.ravel(), 0.999)
+    assert accepted <= 0.03 * 400
+
+
+@pytest.mark.parametrize(("kind", "expected"), [("offset", (1.0, 1.0)), ("hum", (1.5, 2.5)), ("gusts", (3.0, 9.0))])
+def test_independent_values_of_a_residual(kind, expected):
+    """Of nine half seconds, in two recordings twice as many, and no more by a second joint that moves alike."""
+    rng = np.random.default_rng(1)
+    rows = [of_time(kind, rng) for _ in range(20)]
+    low, high = expected
+    assert low - 1e-9 <= np.median([independent_values([each]) for each in rows]) <= high + 1e-9
+    assert independent_values([rows[0], rows[0]]) == pytest.approx(2.0 * independent_values([rows[0]]))
+    assert independent_values([rows[0] @ [[1.0, -0.5]]]) == pytest.approx(independent_values([rows[0]]))
+    noisy = [each + np.sqrt((each**2).mean()) * rng.standard_normal(each.shape) for each in rows]  # half is noise
+    assert np.median([independent_values([each], 0.5) for each in noisy]) <= 1.2 * high
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.99, True), (0.6, False)])
+def test_a_law_of_large_angles_is_held_out_in_few_windows(paths, share, expected):
+    """It explains nearly all of two seconds of five."""
+    heldout = problem(paths(ARM), steps=225)
+    time = heldout.recordings[0].time
+    residual = 100.0 * ((time < 1.0) * np.sin(np.pi * time) - ((time > 3.0) & (time < 4.0)))
+    assert explained_beyond_chance(heldout, residual, share) == expected
