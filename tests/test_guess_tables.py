@@ -254,6 +254,12 @@ def test_chain_of_many_links_hangs_like_the_suite_chain():
     )
 
 
+def test_keypoints_of_some_steps_are_those_of_all():
+    pulls = np.linspace(0.0, -0.03, 40)[:, None].repeat(8, axis=1)
+    every, fourth = simulate_chain(5, 0.005, DAMPED, pulls), simulate_chain(5, 0.005, DAMPED, pulls, 4)
+    assert np.array_equal(fourth, every[::4])
+
+
 @pytest.mark.parametrize("cable", TIP)
 def test_rod_bends_as_finite_elements_do(cable):
     pytest.importorskip("elastica")

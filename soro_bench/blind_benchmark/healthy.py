@@ -110,7 +110,7 @@ def keypoints(robot: Engine | Chain | Rod, parameters: Mapping[str, float], acti
     every = round(CONTROL_TIMESTEP / robot.timestep)
     pulls = displacements(actions, robot.timestep, every)
     if isinstance(robot, Chain):
-        found = simulate_chain(robot.links, robot.timestep, parameters, pulls)[::every]
+        found = simulate_chain(robot.links, robot.timestep, parameters, pulls, every)
         if not np.isfinite(found).all():
             raise ValueError(f"the simulation of {robot.links} links diverged")
         return found

@@ -300,6 +300,10 @@ class Task(ABC):
     def signals(self, ids: Ints) -> dict[str, Floats]:
         """What a recording holds of the present state, arrays of n rows by name; ``signal_units`` has their units."""
 
+    def signal(self, ids: Ints, name: str) -> Floats:
+        """One of the signals, an array of n rows."""
+        return self.signals(ids)[name]
+
     @abstractmethod
     def _sample_start(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Any:
         """What one episode starts from (its goal, say), drawn from ``rng`` or taken from the options."""

@@ -121,6 +121,10 @@ class TrunkTask(Task):
             "commanded": batch.act[ids],
         }
 
+    def signal(self, ids: Ints, name: str) -> Floats:
+        """One of the signals, an array of n rows; keypoints need none of the others."""
+        return self.keypoints(ids) if name == "keypoints" else super().signal(ids, name)
+
     def _tension(self, ids: Ints) -> Floats:
         """(n, 8) N at the present state (MuJoCo's actuator_force is that of the time step before)."""
         batch = self.sim.batch

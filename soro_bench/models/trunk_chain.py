@@ -121,10 +121,16 @@ def displacements(actions: np.ndarray, timestep: float, every: int) -> np.ndarra
     return np.array(found)
 
 
-def simulate_chain(links: int, timestep: float, parameters: Mapping[str, float], pulls: np.ndarray) -> np.ndarray:
-    """(T + 1, 21, 3) keypoints [m] before the first and after each of T steps that end at displacements (T, 8) [m].
+def simulate_chain(
+    links: int, timestep: float, parameters: Mapping[str, float], pulls: np.ndarray, every: int = 1
+) -> np.ndarray:
+    """(1 + T / every, 21, 3) keypoints [m] before the first of T steps and after each of some of them.
 
     NaN from where the simulation diverges.
+
+    Args:
+        pulls: (T, 8) displacements [m] at the ends of the steps.
+        every: how many steps are between keypoints; a divisor of T.
     """
     spec = build_chain(links, parameters)
     spec.option.timestep = timestep
@@ -132,13 +138,15 @@ def simulate_chain(links: int, timestep: float, parameters: Mapping[str, float],
     data = mujoco.MjData(model)
     points = [model.site(f"keypoint{i}").id for i in range(len(geo.KEYPOINT_Z))]
     mujoco.mj_forward(model, data)
-    found = np.full((len(pulls) + 1, len(points), 3), np.nan)
+    found = np.full((len(pulls) // every + 1, len(points), 3), np.nan)
     found[0] = data.site_xpos[points]
-    for row, pull in zip(found[1:], pulls, strict=True):
+    bad = data.warning[mujoco.mjtWarning.mjWARN_BADQACC]
+    for step, pull in enumerate(pulls, 1):
         data.ctrl[:] = pull
         mujoco.mj_step(model, data)
-        if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
+        if bad.number:
             break
-        mujoco.mj_kinematics(model, data)
-        row[:] = data.site_xpos[points]
+        if step % every == 0:
+            mujoco.mj_kinematics(model, data)
+            found[step // every] = data.site_xpos[points]
     return found

@@ -203,7 +203,7 @@ class SuiteRobot(Robot):
 
     def _read(self, count: int) -> Floats:
         """(count, P, D) the signal now."""
-        return self._task.signals(np.arange(count))[self.signal]
+        return self._task.signal(np.arange(count), self.signal)
 
     def _read_others(self, count: int) -> list[Floats]:
         """(count, P, D) each of the other signals now."""

@@ -57,6 +57,6 @@ def _replayed(
     for drive in drives:
         pulls = displacements(drive.actions, _CHAIN_TIMESTEP, every)
         rows = (dict(zip(names, row, strict=True)) for row in parameters.tolist())
-        points = np.stack([simulate_chain(links, _CHAIN_TIMESTEP, row, pulls)[every::every] for row in rows])
+        points = np.stack([simulate_chain(links, _CHAIN_TIMESTEP, row, pulls, every)[1:] for row in rows])
         found.append(points.reshape(*points.shape[:2], -1))
     return found
