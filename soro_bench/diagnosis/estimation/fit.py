@@ -260,38 +260,39 @@ def descended(problem: Problem, hypotheses: Sequence[Hypothesis], least_gain: fl
     would replay one point after the other.
 
     A Jacobian by differences costs a replay for each unknown. As long as steps gain what it predicts, it is updated
-    by what they change instead (Broyden, "A class of methods for solving nonlinear simultaneous equations", 1965). A
-    descent ends at steps with a Jacobian by differences only.
+    by what they change instead (Broyden, "A class of methods for solving nonlinear simultaneous equations", 1965).
+    Another one by differences is worth it as long as steps gain enough on average.
 
     Args:
         least_gain: share of the cost that a step has to gain for another one.
     """
     settings = problem.settings.descent
     factors = settings.smallest_damping * _POWERS
-    found, damping, steps = list(hypotheses), np.ones(len(hypotheses)), np.zeros(len(hypotheses), int)
+    found, damping, counts = list(hypotheses), np.ones(len(hypotheses)), np.zeros(len(hypotheses), int)
     going, updated = [i for i, h in enumerate(hypotheses) if len(h.x)], dict[int, Floats]()
+    begun, steps = list(hypotheses), np.zeros(len(hypotheses), int)  # with the last Jacobians by differences
     while going:
-        anew = [i for i in going if i not in updated]
-        steps[anew] += 1
-        lines = dict(zip(anew, _with_jacobians(problem, [found[i] for i in anew]), strict=True)) if anew else {}
-        lines |= {i: replace(found[i], jacobian=jacobian) for i, jacobian in updated.items()}
+        if anew := [i for i in going if i not in updated]:
+            for i, h in zip(anew, _with_jacobians(problem, [found[i] for i in anew]), strict=True):
+                found[i] = begun[i] = h
+            counts[anew], steps[anew] = counts[anew] + 1, 0
+        lines = {i: replace(found[i], jacobian=updated.get(i, found[i].jacobian)) for i in going}
         trials = [_steps(problem, lines[i], damping[i] * factors) for i in going]
         rows_of = replayed(problem, [lines[i] for i in going], trials)
-        further, before, updated = [], updated, {}
+        steps[going], further, updated = steps[going] + 1, [], {}
         for i, rows, points in zip(going, rows_of, trials, strict=True):
             h, costs = lines[i], [problem.cost(row, x) for row, x in zip(rows, points, strict=True)]
             best = int(np.argmin(costs))
             there = replace(h, x=points[best], residual=rows[best], cost=costs[best])
-            if i not in before:
-                found[i] = h
             if there.cost < h.cost:
                 found[i] = replace(there, jacobian=found[i].jacobian)
                 damping[i] *= factors[best]
-            if large := there.cost < (1.0 - least_gain) * h.cost:
+            if there.cost < (1.0 - least_gain) * h.cost:
                 predicted = problem.cost(h.residual + (there.x - h.x) @ h.jacobian, there.x)
                 if h.cost - there.cost >= _AS_PREDICTED * (h.cost - predicted):
                     updated[i] = _updated(h, there)
-            if i in updated or ((large or i in before) and steps[i] < _STEPS):
+            worth = found[i].cost < (1.0 - steps[i] * least_gain) * begun[i].cost
+            if i in updated or (worth and counts[i] < _STEPS):
                 further.append(i)
         going = further
     return found
