@@ -263,7 +263,7 @@ def _of_best_width(located: LocatedInput, names: tuple[str, ...], seed: int) -> 
 
 def _least(located: LocatedInput) -> float:
     """Log evidence [nats] that one more term or variable has to gain."""
-    return located.problem.settings.discovery.least_share * located.explained
+    return located.problem.settings.selection.least_gain_of_misfit * located.explained
 
 
 def _moving(reads: Sequence[Read]) -> list[Read]:

@@ -184,7 +184,7 @@ class _Search:
         if not found:
             return False
         best = min(fitted_alone(problem, self.best.point, found, self.settings), key=lambda each: each.squares[1])
-        if best.squares[1] > self.best.squares[1] - self.settings.paired.least_share * self.nothing:
+        if best.squares[1] > self.best.squares[1] - self.settings.selection.least_gain_of_misfit * self.nothing:
             return False
         (joint,) = fitted_together(self._scaled(problem, best.point), [best], self.settings)
         problem = self._scaled(problem, joint.point)
@@ -236,7 +236,7 @@ class _Search:
         candidates = _merged([
             self._change(each, 0, float(chance), nothing[1])
             for each, chance in zip(singles, chances[1 : 1 + len(singles)], strict=True)
-        ], self.settings.paired.least_share)  # fmt: skip
+        ], self.settings.selection.least_gain_of_misfit)  # fmt: skip
         if several:
             chance = float(chances[-1])
             best = tuple(self._change(several[0], i, chance, nothing[1]) for i in range(len(several[0].changes)))

@@ -37,7 +37,11 @@ class SelectionSettings:
     candidates_per_law: int = setting(2, "screened candidates", "of the same laws, and laws at each element of a kind")
     unchecked_terms: int = setting(3, "terms", "before each must lower held-out error; recordings of 30 s show so many")
     least_gain: float = setting(400.0, "nats", "predicted gain that is worth a fit; 40 healthy cases reach 85, but one")
-    least_gain_of_misfit: float = setting(0.05, "1", "share of the misfit, likewise; small shares come of unknown laws")
+    least_gain_of_misfit: float = setting(
+        0.05,
+        "1",
+        "of the misfit, likewise, also by a change or a term of a discovered law; small ones come of others",
+    )
     beyond_chance: float = setting(
         2.0,
         "standard deviations",
@@ -138,7 +142,6 @@ class DiscoverySettings:
     replayed: tuple[int, ...] = setting(
         (6, 5, 2), "laws", "of one to three terms that are replayed; half are fitted; as many as the last, again"
     )
-    least_share: float = setting(0.02, "1", "of what the input explains, that a further term has to")
     deviation: float = setting(2.0, "1", "of a coefficient's prior, times its regressed value")
     least_explained: float = setting(0.6, "1", "of held-out variance above the noise; laws took up to 0.40 of gusts")
     bumps: int = setting(32, "bumps", "of a black box; half as many left 50 instead of 30 % of waves in two angles")
@@ -198,9 +201,6 @@ class PairedSettings:
     alpha: float = setting(0.01, "1", "p-value below which a difference is a change")
     beyond: float = setting(2.0, "1", "times the noise, or what runs of one robot differ by, that a difference has")
     # explanation
-    least_share: float = setting(
-        0.03, "1", "share of the whole difference that one more change explains; changes that differ by less are alike"
-    )
     unknown_share: float = setting(
         0.5, "1", "share of the difference left, where an unknown change is as likely as not"
     )
