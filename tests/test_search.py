@@ -1,6 +1,7 @@
 """Searches for parameters and laws, likelihoods, logs, what a recording determines, linear models over samples."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -381,3 +382,17 @@ def test_a_friction_that_is_far_too_large_is_scaled_down_five_times(swing):
     (found,) = sized(problem, fit, [stuck], robot)
     share = np.linalg.norm(fit.residual) / response
     assert found.typical[0] == pytest.approx(share**5 * stuck.typical[0], rel=1e-6)
+
+
+def test_a_free_arm_stays_as_far_off_as_the_noisy_sample_that_it_begins_at(paths):
+    free = re.sub("<position .*?/>", '<velocity name="motor" joint="hinge" kv="0.05"/>', ARM)
+    paths[0].write_text(free.replace('axis="0 1 0"', 'axis="0 0 1"'))  # gravity turns it nowhere
+    paths[1].write_text(MAP.split("[parameters.zero]")[0])
+    robot = ModelRobot(*paths, threads=1)
+    goals, start = np.repeat(np.random.default_rng(0).uniform(-3, 3, 20), 15)[:, None], np.full((1, 1), 0.2)
+    (values,) = robot.simulate(goals, np.ones((1, 2)), [()], start)
+    measured = replace(_measured(robot, goals, values), start=start + 2.0 * SIGMA)
+    given = unexplained(robot, (measured,), SIGMA)
+    (residual,) = given.residuals([(np.zeros(2), ())])
+    assert (residual**2).sum() > 0.9 * 4.0 * len(values)
+    assert (given.discretisation.without(residual) ** 2).sum() < 0.01 * (residual**2).sum()

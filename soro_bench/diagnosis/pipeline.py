@@ -260,8 +260,26 @@ def unexplained(
     sigmas = tuple((each, 0.0) for each in (others or [1.0] * len(robot.others)))
     nothing = LowRank(np.zeros((0, weight.size)))
     problem = Problem(robot, measured, sigma, weight, nothing, settings=settings, others=sigmas)
-    late = _late(measured)
-    return problem.with_discretisation(late * problem.of_samples(problem.scales) if sigmas else late)
+    errors = np.concatenate([_late(measured), _begun_apart(robot, measured, sigma)])
+    return problem.with_discretisation(errors * problem.of_samples(problem.scales) if sigmas else errors)
+
+
+def _begun_apart(robot: Robot, measured: tuple[Measured, ...], sigma: float) -> np.ndarray:
+    """(F, M) how the signals [their units] change where a replay that begins at a noisy sample begins a standard
+    deviation of its noise apart, in each of its numbers. Where nothing drives a robot back, it stays apart."""
+    nominal = np.array([[prior.nominal for prior in robot.priors]])
+    size = sum(each.columns.size for each in measured)
+    rows, begin = [np.zeros((0, size))], 0
+    for each in measured:
+        if each.start is not None and each.start.shape == robot.shape:
+            apart = sigma * np.eye(each.start.size).reshape(-1, *robot.shape)
+            drives = [replace(each.drive, start=start) for start in (each.start, *(each.start + apart))]
+            before, *after = (values[0].ravel() for values in robot.simulate_all(drives, nominal, [()]))
+            found = np.zeros((len(after), size))
+            found[:, begin : begin + each.columns.size] = np.nan_to_num(np.array(after) - before)
+            rows.append(found)
+        begin += each.columns.size
+    return np.concatenate(rows)
 
 
 def _late(measured: tuple[Measured, ...]) -> np.ndarray:
