@@ -115,7 +115,8 @@ def test_a_wrong_value_that_was_told_is_a_discrepancy_at_the_arm(paths):
     told = {"inertia": 1.0, "damping": 0.8, "zero": 0.01}
     result = diagnose(ModelRobot(*paths, threads=1), [recording(paths, [], 0)], settings=quick, known=told)
     assert result.verdict == "outside_catalogue" and result.next_recording is not None
-    assert result.locations[0].location.name in ("arm", "hinge")
+    first = result.locations[0].gain  # which of gravity and a force on the one body may turn the hinge
+    assert {"arm", "hinge"} & {each.location.name for each in result.locations if each.gain > 0.999 * first}
 
 
 def test_a_posterior_holds_what_is_known():

@@ -53,7 +53,7 @@ def falls_beyond_chance(heldout: Problem, before: Hypothesis, after: Hypothesis)
 def explained_beyond_chance(heldout: Problem, residual: Floats, share: float, noise: float = 0.0) -> bool:
     """Whether a law explains so large a share of a held-out residual not only by chance.
 
-    By chance, what acts in the recordings fitted to and in held-out ones are two draws p, r of one random process: of
+    By chance, the forces in the recordings fitted to and in held-out ones are two draws p, r of one random process: of
     gusts, or of a hum of any phase. With n independent normal values each, p explains the share s of r where (1 - s)
     |r|^2 > |r - p|^2. That is a difference of two chi-squares of n degrees of freedom, weighted by the eigenvalues of
     the form, so its probability is that of an F distribution.
