@@ -27,6 +27,7 @@ from soro_bench.diagnosis.estimation.unit_check import check_unit_and_sign
 from soro_bench.diagnosis.paired.api import compare
 from soro_bench.diagnosis.pipeline import Diagnosis, Run, run_diagnosis, unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.replays import Memory
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.robots.variants import Variant
@@ -84,10 +85,18 @@ class Asked:
     replays: ClassVar[int] = 0
 
 
+class Forgetful(Memory):
+    """Of a robot whose replays are remembered here, where all are counted that a diagnosis asks for."""
+
+    def keep(self, key: object, values: Floats) -> None:
+        """Remember nothing."""
+
+
 class RememberingRobot(ModelRobot):
     """A robot that simulates each replay once: most settings leave most replays as they were."""
 
     replays: ClassVar[dict[tuple, Floats]] = {}
+    _memory = Forgetful()
 
     def shortened(self, factor: int) -> Robot:
         """The same robot with time steps shorter by a factor."""
@@ -128,6 +137,7 @@ class RememberingTrunk(SuiteRobot):
 
     def _remember_replays(self, robot: SuiteRobot, which: Any) -> Robot:
         robot._roll_out = partial(_remembered, self.replays, which, robot._roll_out)  # type: ignore[method-assign]
+        robot._memory = Forgetful()
         return robot
 
     def shortened(self, factor: int) -> Robot:

@@ -29,6 +29,7 @@ from scipy.sparse.linalg import splu
 from benchmarks.trunk_models import points_of, recordings_of, replayed_actions
 from soro_bench import parameters as prm
 from soro_bench.arrays import Floats, Ints
+from soro_bench.files import read_bytes
 from soro_bench.markdown import table
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
@@ -40,26 +41,33 @@ FIXED = 0.020  # m, nodes nearer to the clamp do not move
 GRAVITY = np.array([0.0, -9.81, 0.0])
 ITERATIONS, PRECISION = 2000, 1e-9  # of the cables' forces, by Gauss-Seidel
 LENGTH = 60  # random actions
+LARGEST = 100_000_000  # bytes of a mesh
 
 
 def read_mesh(path: Path) -> tuple[Floats, Ints]:
     """(n, 3) nodes [m] and (e, 4) tetrahedra of a binary legacy VTK file in mm, such as Gmsh writes."""
-    data = path.read_bytes()
+    data = read_bytes(path, LARGEST)
 
     def block(word: bytes, at: int) -> tuple[list[bytes], int]:
         begin = data.index(word, at)
         end = data.index(b"\n", begin)
         return data[begin:end].split(), end + 1
 
-    (_, count, _), at = block(b"POINTS", 0)
-    nodes = np.frombuffer(data, ">f8", 3 * int(count), at).reshape(-1, 3).astype(float)
-    (_, _, size), at = block(b"CELLS", at + 24 * int(count))
-    cells, found, i = np.frombuffer(data, ">i4", int(size), at), [], 0
-    while i < len(cells):
-        if cells[i] == 4:
-            found.append(cells[i + 1 : i + 5])
-        i += cells[i] + 1
-    return 1e-3 * nodes, np.array(found, int)
+    try:
+        (_, count, _), at = block(b"POINTS", 0)
+        nodes = np.frombuffer(data, ">f8", 3 * int(count), at).reshape(-1, 3).astype(float)
+        (_, _, size), at = block(b"CELLS", at + 24 * int(count))
+        cells, found, i = np.frombuffer(data, ">i4", int(size), at), [], 0
+        while i < len(cells):
+            if cells[i] == 4:
+                found.append(cells[i + 1 : i + 5])
+            i += max(int(cells[i]), 0) + 1
+        tetrahedra = np.array(found, int).reshape(-1, 4)
+        if not np.isfinite(nodes[tetrahedra]).all() or not len(tetrahedra) or tetrahedra.min() < 0:
+            raise ValueError("no tetrahedra")
+    except (ValueError, IndexError) as error:
+        raise ValueError(f"{path} is no mesh of tetrahedra as a binary legacy VTK file, or it is cut") from error
+    return 1e-3 * nodes, tetrahedra
 
 
 class FiniteElementTrunk:
@@ -231,11 +239,14 @@ def main() -> None:
     parser.add_argument("--random", type=int, default=0)
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
-    mesh, rows = read_mesh(options.mesh), list[tuple[str, ...]]()
+    try:
+        mesh, rows = read_mesh(options.mesh), list[tuple[str, ...]]()
+    except (OSError, ValueError) as error:
+        parser.error(str(error))
     for name, env_id, actions, seen in recordings_of(options.recordings) if options.recordings else ():
         if env_id == "TrunkReach-v0":
-            error = rms(1e3 * moved(*mesh, actions, sixth=True), points_of(seen)[:, :21])
-            print(f"{name}: {error:.2f} mm, rms over keypoints")
+            off = rms(1e3 * moved(*mesh, actions, sixth=True), points_of(seen)[:, :21])
+            print(f"{name}: {off:.2f} mm, rms over keypoints")
     for seed in track(range(options.random), "random actions"):
         actions = np.random.default_rng(seed).integers(16, size=LENGTH)
         true = 1e3 * moved(*mesh, actions, sixth=False)

@@ -21,6 +21,7 @@ mm, as those of the environments. The actions are replayed from reset with nomin
 """
 
 import argparse
+import zipfile
 from pathlib import Path
 
 import gymnasium
@@ -280,11 +281,16 @@ def recordings_of(folder: Path) -> list[tuple[str, str, np.ndarray, np.ndarray]]
     """Of each .npz file of a folder: its name, the environment, (T,) actions and (T + 1, k) observations in mm."""
     found = []
     for path in sorted(folder.glob("*.npz")):
-        with np.load(path, allow_pickle=False) as file:
-            actions, seen = file["actions"], np.concatenate([file["observations"][:1], file["next_observations"]])
-        if seen.shape[1] not in KINDS or len(seen) != len(actions) + 1:
-            raise SystemExit(f"{path}: observations of shape {seen.shape} for {len(actions)} actions; "
-                             f"{' or '.join(map(str, KINDS))} numbers each are needed")  # fmt: skip
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                actions, seen = file["actions"], np.concatenate([file["observations"][:1], file["next_observations"]])
+            fits = seen.ndim == 2 and seen.shape[1] in KINDS and actions.shape == (len(seen) - 1,)
+            whole = fits and np.isfinite(seen).all() and np.isin(actions, range(16)).all()
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            whole = False
+        if not whole:
+            raise SystemExit(f"{path}: actions (T,) from 0 to 15, observations and next_observations (T, "
+                             f"{' or '.join(map(str, KINDS))}) of finite numbers are needed")  # fmt: skip
         found.append((path.stem, KINDS[seen.shape[1]], actions.astype(int), seen))
     return found
 

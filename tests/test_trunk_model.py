@@ -6,6 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks import trunk_fem
+from soro_bench import parameters as prm
 from soro_bench.envs.trunk_push import TrunkPushTask
 from soro_bench.envs.trunk_reach import TrunkReachTask
 from soro_bench.models import trunk_geometry as geo
@@ -295,3 +297,45 @@ def test_heavier_or_softer_trunk_sags_more(make, model):
     nominal = sag()
     assert sag(trunk_mass=0.6) > 1.05 * nominal
     assert sag(young_modulus=3e6) > 1.05 * nominal
+
+
+def box() -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and tetrahedra of a bar of 13 x 13 x 195 mm, five in each of four cubes along z."""
+    corners = np.array([(x, y, z) for z in range(5) for x in (-1, 1) for y in (-1, 1)]) * [0.0065, 0.0065, 0.195 / 4]
+    five = np.array([(0, 1, 2, 4), (3, 1, 2, 7), (5, 1, 4, 7), (6, 2, 4, 7), (1, 2, 4, 7)])
+    return corners, np.concatenate([five + 4 * k for k in range(4)])
+
+
+def test_finite_elements_do_not_resist_a_turn_and_resist_a_stretch_by_hooke() -> None:
+    robot = trunk_fem.FiniteElementTrunk(*box())
+    robot.x = robot.rest[:, [1, 2, 0]] + [0.1, 0.2, 0.3]  # a turn about (1, 1, 1)
+    assert np.abs(robot.forces()[0]).max() < 1e-6
+    robot.x = robot.rest * [1.0, 1.0, 1.01]  # as wide as before, so that the modulus is E (1 - nu) / (1 + nu)(1 - 2 nu)
+    force = robot.forces()[0].reshape(-1, 3)
+    young, nu = prm.YOUNG_MODULUS.nominal, prm.POISSON_RATIO.nominal
+    modulus = young * (1 - nu) / (1 + nu) / (1 - 2 * nu)
+    top = robot.rest[:, 2] > 0.19
+    assert -force[top, 2].sum() == pytest.approx(0.01 * modulus * 0.013**2, rel=0.03)
+
+
+def test_cables_of_the_finite_elements_pull_as_far_as_they_are_wanted_and_go_slack() -> None:
+    robot = trunk_fem.FiniteElementTrunk(*box())
+    robot.step(np.array([2e-4, *[-1e-3] * 7]))
+    assert robot.displacements()[0] == pytest.approx(2e-4, rel=0.02)
+    assert robot.tension[0] > 0.0 and not robot.tension[1:].any()
+
+
+def test_a_mesh_is_read_as_it_was_written_and_refused_if_it_is_cut(tmp_path) -> None:
+    nodes, tetrahedra = box()
+    cells = np.insert(tetrahedra, 0, 4, axis=1).astype(">i4")
+    head = b"# vtk DataFile Version 2.0\nbar\nBINARY\nDATASET UNSTRUCTURED_GRID\n"
+    points = b"POINTS %d double\n" % len(nodes) + (1e3 * nodes).astype(">f8").tobytes()
+    data = head + points + b"\nCELLS %d %d\n" % (len(cells), cells.size) + cells.tobytes()
+    path = tmp_path / "bar.vtk"
+    path.write_bytes(data)
+    read = trunk_fem.read_mesh(path)
+    assert read[0] == pytest.approx(nodes) and np.array_equal(read[1], tetrahedra)
+    for wrong in (data[:-9], data[:40], data.replace(np.array(4, ">i4").tobytes(), np.array(-4, ">i4").tobytes())):
+        path.write_bytes(wrong)
+        with pytest.raises(ValueError, match=r"bar\.vtk is no mesh"):
+            trunk_fem.read_mesh(path)
