@@ -284,7 +284,7 @@ def test_a_rival_finds_the_polynomial_that_a_joint_feels():
 def test_a_law_in_time_is_kept_where_it_comes_again(paths):
     """A hum that begins anew with each recording. One that is late by a tenth of a period is explained to more than the
     least share, but so is one of seven of any phase."""
-    quick = replace(DEFAULT, discovery=replace(DEFAULT.discovery, replayed=(2, 1, 1), bumps=2))
+    quick = replace(DEFAULT, discovery=replace(DEFAULT.discovery, replayed=(2, 1, 1)))
 
     def hum(late, seed):
         force = ["multiply", 0.1, ["sin", ["multiply", 8.0, ["add", "t", -late]]]]

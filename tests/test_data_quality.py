@@ -11,7 +11,7 @@ from soro_bench.diagnosis.data_quality.inspection import inspected
 from soro_bench.diagnosis.data_quality.lattice import lattice_step
 from soro_bench.diagnosis.data_quality.noise import data_quality, noise, outliers
 from soro_bench.diagnosis.data_quality.samples import Channel
-from soro_bench.diagnosis.data_quality.stamps import stamps
+from soro_bench.diagnosis.data_quality.stamps import interpolated, stamps
 from soro_bench.diagnosis.localisation.residual_maps import intervals, regimes
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
@@ -78,6 +78,15 @@ def test_a_sensor_slower_than_its_logger_gets_the_times_at_which_it_sampled(rows
     assert [each.name for each in found.findings] == ["held"]
     assert abs(late) < 2.0 * found.error + 2e-4 and found.error < 0.007
     assert np.std(value - np.sin(np.pi * (time - late))) < 2e-3
+
+
+def test_samples_half_way_between_two_control_steps_keep_their_noise():
+    """Of a sensor three times as slow as the control: one that counted for both steps would hardly seem noisy."""
+    time, wanted = 0.06 * np.arange(200) + 0.01, 0.02 * np.arange(1, 600)
+    sampled = np.sin(0.5 * time) + NOISE * np.random.default_rng(0).standard_normal((10, 200))
+    found = np.stack([interpolated(time, each, wanted, 0.02, NOISE, SETTINGS) for each in sampled], axis=1)
+    assert 1900 < np.isfinite(found).sum() <= sampled.size
+    assert noise(found[np.isfinite(found).all(axis=1)]) == pytest.approx(NOISE, rel=0.3)
 
 
 def test_a_log_that_begins_behind_a_wrap_is_moved_to_the_turn_in_which_the_robot_begins(tmp_path):

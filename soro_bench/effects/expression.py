@@ -25,7 +25,7 @@ _LARGEST_EXPONENT = 6.0
 _LEAST_BASE = 1e-6  # of powers, which may be negative
 _NAME = 24  # characters
 _BUMPS = "bumps"
-_MOST_NAMES, _MOST_ROWS = 4, 64  # that bumps are of, and of bumps
+_MOST_NAMES, MOST_BUMPS = 4, 64  # that bumps are of, and of bumps
 _LEAST_WIDTH = 1e-9
 
 
@@ -135,9 +135,9 @@ def _bumps(data: list[object], names: frozenset[str], where: str) -> Bumps:
     if len(data) != 4 or len(lists) != 3:
         raise LawError(f"{_BUMPS} in {where} is {brief(data)}; it has three lists: of names, of widths, and of rows")
     of, widths, rows = lists
-    if not 1 <= len(of) <= _MOST_NAMES or len(widths) != len(of) or not 1 <= len(rows) <= _MOST_ROWS:
+    if not 1 <= len(of) <= _MOST_NAMES or len(widths) != len(of) or not 1 <= len(rows) <= MOST_BUMPS:
         raise LawError(f"{_BUMPS} in {where} has {len(of)} names, {len(widths)} widths and {len(rows)} rows; "
-                       f"allowed are 1 to {_MOST_NAMES} names, as many widths, and 1 to {_MOST_ROWS} rows")  # fmt: skip
+                       f"allowed are 1 to {_MOST_NAMES} names, as many widths, and 1 to {MOST_BUMPS} rows")  # fmt: skip
     if unknown := [each for each in of if not isinstance(each, str) or each not in names]:
         raise LawError(f"{_BUMPS} in {where} has the name {brief(unknown[0])}; there are {', '.join(sorted(names))}")
     for row in rows:

@@ -233,7 +233,8 @@ def interpolated(
     """(n,) values at wanted times, a control step apart, by cubics through the four samples around each.
 
     A time at which there is a sample gets it as it is. NaN where no sample is within half a step, and where cubic and
-    line disagree by so much that the cubic's own error may be larger than the noise.
+    line disagree by so much that the cubic's own error may be larger than the noise. A sample half-way between two
+    times counts for the first one: noise that counts twice is taken for motion.
 
     Args:
         time, values: (T,) s, and what was sampled, NaN where missing. noise: standard deviation of it.
@@ -244,11 +245,13 @@ def interpolated(
     if len(time) < 4:
         return found
     nearest = np.clip(np.searchsorted(time, wanted), 1, len(time) - 1)
-    nearest -= (wanted - time[nearest - 1]) < (time[nearest] - wanted)
-    distance = np.abs(time[nearest] - wanted)
-    exact = distance <= settings.same_time * step
+    same = settings.same_time * step
+    nearest -= (wanted - time[nearest - 1]) < (time[nearest] - wanted) - same
+    later = time[nearest] - wanted
+    exact = np.abs(later) <= same
     found[exact] = values[nearest[exact]]
-    between = ~exact & (distance <= (0.5 + settings.same_time) * step) & (wanted > time[1]) & (wanted < time[-2])
+    within = (later > same - 0.5 * step) & (later <= 0.5 * step + same)
+    between = ~exact & within & (wanted > time[1]) & (wanted < time[-2])
     left = np.clip(np.searchsorted(time, wanted, side="right") - 1, 1, len(time) - 3)
     around = left[:, None] + np.arange(-1, 3)
     cubic, line = np.zeros(len(wanted)), np.zeros(len(wanted))

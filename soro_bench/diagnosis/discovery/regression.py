@@ -22,7 +22,7 @@ from soro_bench.diagnosis.discovery.library import Group, Read, Term, groups
 from soro_bench.diagnosis.discovery.located_input import LocatedInput
 from soro_bench.effects.custom_law import Variable
 from soro_bench.effects.effect import Location
-from soro_bench.effects.expression import Bumps, functions_in
+from soro_bench.effects.expression import MOST_BUMPS, Bumps, functions_in
 
 _BY_CHANCE = 25.0  # nats, that a coefficient may gain by chance and by the error of the linear response
 _RIDGE = 1e-9  # of a Gram matrix, whose columns may be the same
@@ -279,7 +279,7 @@ def _fit(located: LocatedInput, names: Sequence[str], width: float, seed: int) -
             continue
         values = np.stack([each.values for each in used], axis=1)
         deviations = values.std(axis=0)
-        centres = _centres(values / deviations, located.problem.settings.discovery.bumps, seed) * deviations
+        centres = _centres(values / deviations, MOST_BUMPS, seed) * deviations
         parts.append((channel, used, width * deviations, centres))
         apart = (values[:, None] - centres) / (width * deviations)
         for column in np.exp(-0.5 * (apart**2).sum(axis=2)).T:

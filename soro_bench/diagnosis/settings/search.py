@@ -144,7 +144,6 @@ class DiscoverySettings:
     )
     deviation: float = setting(2.0, "1", "of a coefficient's prior, times its regressed value")
     least_explained: float = setting(0.6, "1", "of held-out variance above the noise; laws took up to 0.40 of gusts")
-    bumps: int = setting(32, "bumps", "of a black box; half as many left 50 instead of 30 % of waves in two angles")
     least_removed: float = setting(
         0.5, "1", "of held-out misfit: by a black box, or by a law from the catalogue's answer, which it then replaces"
     )
