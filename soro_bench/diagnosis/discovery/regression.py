@@ -10,6 +10,7 @@ of sparse approximate Gaussian process regression", 2005).
 """
 
 import itertools
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -302,7 +303,9 @@ def _centres(values: Floats, count: int, seed: int) -> Floats:
         chosen.append(int(apart.argmax()))
         apart = np.minimum(apart, ((values - values[chosen[-1]]) ** 2).sum(axis=1))
     rng = np.random.default_rng(seed)  # begins nothing here, as all means are given
-    return np.asarray(kmeans2(values, values[chosen], minit="matrix", rng=rng)[0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # the mean of an empty cluster stays where it was
+        return np.asarray(kmeans2(values, values[chosen], minit="matrix", rng=rng)[0])
 
 
 def _weights(located: LocatedInput, rows: Floats) -> tuple[float, Floats]:
