@@ -21,6 +21,7 @@ mm, as those of the environments. The actions are replayed from reset with nomin
 """
 
 import argparse
+import itertools
 import zipfile
 from pathlib import Path
 
@@ -143,9 +144,9 @@ LOAD = 0.02  # N, small enough for a linear answer and within the range of every
 SETTLING_TIME = 5.0  # s
 
 
-def tips_of_environment(name: str) -> dict[int, np.ndarray]:
+def tips_of_environment(env_id: str, name: str) -> dict[int, np.ndarray]:
     """Tip [mm] after the first action of an episode of TrunkReach."""
-    env = gymnasium.make("TrunkReach-v0", model=name)
+    env = gymnasium.make(env_id, model=name)
     tips = {}
     for action in REFERENCE_TIPS:
         env.reset(seed=0)
@@ -207,8 +208,8 @@ def print_tips(label: str, tips: dict[int, np.ndarray]) -> None:
 def tips() -> None:
     """Print the three tables of the tips."""
     print("tip after one action [mm]        x       y       z     minus reference: x y z  distance")
-    for name in trunk.VARIANTS:
-        print_tips(name, tips_of_environment(name))
+    for env_id, name in itertools.product(("TrunkReach-v0", "TrunkReach-v1"), trunk.VARIANTS):
+        print_tips(f"{env_id} {name}", tips_of_environment(env_id, name))
     print("\ndistance of the tip from the reference [mm]" + "".join(f"  a = {a:2}" for a in REFERENCE_TIPS))
     discrete, fast = mujoco.mjtIntegrator.mjINT_DISCRETE, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for name, integrator in (("flex", discrete), ("cable", discrete), ("cable", fast)):
@@ -268,13 +269,27 @@ KINDS = {66: "TrunkReach-v0", 73: "TrunkPush-v0"}  # environments by how many nu
 def reference(folder: Path) -> None:
     """How far the models are from every recording of the reference simulator."""
     rows = []
-    for name, env_id, actions, seen in track(recordings_of(folder), "recordings"):
-        for model in trunk.VARIANTS:
-            error = np.linalg.norm(points_of(replayed_actions(env_id, model, actions)) - points_of(seen), axis=2)
+    for name, first, actions, seen in track(recordings_of(folder), "recordings"):
+        for env_id, model in itertools.product((first, first.replace("-v0", "-v1")), trunk.VARIANTS):
+            options = {"object": 1e-3 * seen[0, 66:69:2]} if env_id == "TrunkPush-v1" else {}
+            replayed = replayed_actions(env_id, model, actions, options)
+            error = np.linalg.norm(points_of(replayed) - points_of(seen), axis=2)
             keypoints, others = error[:, :21], error[:, 21:]
             end = f"{others[-1, 0]:.1f}" if others.size else ""
-            rows.append((name, model, f"{np.sqrt((keypoints**2).mean()):.1f}", f"{error[-1, 20]:.1f}", end))
-    print(table(("recording", "model", "keypoints, rms [mm]", "tip at the end [mm]", "object at the end [mm]"), rows))
+            rows.append((name, env_id, model, f"{np.sqrt((keypoints**2).mean()):.1f}", f"{error[-1, 20]:.1f}", end))
+    print(
+        table(
+            (
+                "recording",
+                "environment",
+                "model",
+                "keypoints, rms [mm]",
+                "tip at the end [mm]",
+                "object at the end [mm]",
+            ),
+            rows,
+        )
+    )
 
 
 def recordings_of(folder: Path) -> list[tuple[str, str, np.ndarray, np.ndarray]]:
@@ -300,10 +315,10 @@ def points_of(observations: np.ndarray) -> np.ndarray:
     return np.concatenate([observations[:, :63], observations[:, 66:69]], axis=1).reshape(len(observations), -1, 3)
 
 
-def replayed_actions(env_id: str, model: str, actions: np.ndarray) -> np.ndarray:
-    """(T + 1, k) observations in mm."""
+def replayed_actions(env_id: str, model: str, actions: np.ndarray, options: dict | None = None) -> np.ndarray:
+    """(T + 1, k) observations in mm; options of the reset."""
     env = gymnasium.make(f"soro_bench:{env_id}", model=model, max_episode_steps=len(actions) + 1)
-    observations = [env.reset(seed=0)[0], *(env.step(int(action))[0] for action in actions)]
+    observations = [env.reset(seed=0, options=options)[0], *(env.step(int(action))[0] for action in actions)]
     env.close()
     return 1e3 * np.array(observations)
 

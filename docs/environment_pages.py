@@ -13,7 +13,7 @@ from soro_bench.envs.task import ACTION_MODES, Task
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.markdown import table
 from soro_bench.parameters import Parameter
-from soro_bench.registration import CONTINUOUS_IDS, task_type
+from soro_bench.registration import CONTINUOUS_IDS, ENV_IDS, task_type
 
 DOCS = Path(__file__).parent
 REFERENCE = DOCS / "reference"
@@ -45,6 +45,7 @@ def overview(env_id: str, task: type[Task], envs: dict[str, gymnasium.Env]) -> s
     rows = [
         ("Make", f'`gymnasium.make("{env_id}")` after `import soro_bench`'),
         ("With continuous actions by its id", f'`gymnasium.make("{CONTINUOUS_IDS[env_id]}")`'),
+        *(("Later version", f"`{later}`, see [version history](#version-history)") for later in _later(env_id)),
         *((f"Action space, {mode}", f"`{made.action_space}`") for mode, made in envs.items()),
         ("Observation space", f"`{env.observation_space}`"),
         ("Episode", f"{env.spec.max_episode_steps} steps of {task.control_timestep:g} s"),
@@ -58,6 +59,12 @@ def overview(env_id: str, task: type[Task], envs: dict[str, gymnasium.Env]) -> s
             ("Boards", ", ".join(f"`{name}`" for name in boards)),
         ]
     return table(("property", "value"), rows)
+
+
+def _later(env_id: str) -> list[str]:
+    """The ids of later versions."""
+    name, version = env_id.rsplit("-v", 1)
+    return [each for each in ENV_IDS if each.startswith(f"{name}-v") and each != f"{name}-v{version}"]
 
 
 def actions(envs: dict[str, gymnasium.Env]) -> str:

@@ -29,13 +29,13 @@ from soro_bench.effects.effect import Quantity
 from soro_bench.effects.equations import EQUATIONS
 from soro_bench.markdown import table
 from soro_bench.parameters import ALL_PARAMETERS
-from soro_bench.registration import ENV_IDS, task_type
+from soro_bench.registration import FIRST_IDS, task_type
 
 
 def pages() -> dict[Path, str]:
     """The texts of all pages that have a generated part, by their paths."""
     return {
-        **{REFERENCE / "environments" / f"{env_id}.md": environment(env_id) for env_id in ENV_IDS},
+        **{REFERENCE / "environments" / f"{env_id}.md": environment(env_id) for env_id in FIRST_IDS},
         **{REFERENCE / name: filled(REFERENCE / name, text()) for name, text in PARTS.items()},
     }
 
@@ -54,7 +54,7 @@ def parameters() -> str:
     """The table of all parameters, and the environments that have them."""
     rows = []
     for p in ALL_PARAMETERS.values():
-        having = {env_id: task_type(env_id).parameters.parameters.get(p.name) for env_id in ENV_IDS}
+        having = {env_id: task_type(env_id).parameters.parameters.get(p.name) for env_id in FIRST_IDS}
         links = ", ".join(
             f"[{env_id}](environments/{env_id}.md)" + (f" ({own.nominal:g})" if own.nominal != p.nominal else "")
             for env_id, own in having.items()

@@ -12,14 +12,18 @@ if TYPE_CHECKING:  # the environments are imported when they are made
 
 # module and published length of an episode [steps]
 _ENVS = {
-    "TrunkReach": ("trunk_reach", 100),
-    "TrunkPush": ("trunk_push", 100),
-    "TrunkLift": ("trunk_lift", 100),
-    "MultiGait": ("multigait", 6),
+    "TrunkReach-v0": ("trunk_reach", 100),
+    "TrunkReach-v1": ("trunk_reach", 100),
+    "TrunkPush-v0": ("trunk_push", 100),
+    "TrunkPush-v1": ("trunk_push", 100),
+    "TrunkLift-v0": ("trunk_lift", 100),
+    "TrunkLift-v1": ("trunk_lift", 100),
+    "MultiGait-v0": ("multigait", 6),
 }
-ENV_IDS = tuple(f"{name}-v0" for name in _ENVS)
+ENV_IDS = tuple(_ENVS)
+FIRST_IDS = tuple(env_id for env_id in ENV_IDS if env_id.endswith("-v0"))  # of the published study, with boards
 # the same with action="continuous", for programs that choose an environment by its id alone
-CONTINUOUS_IDS = {f"{name}-v0": f"{name}Continuous-v0" for name in _ENVS}
+CONTINUOUS_IDS = {env_id: env_id.replace("-", "Continuous-") for env_id in ENV_IDS}
 
 
 def task_type(env_id: str) -> "type[Task]":
@@ -53,10 +57,11 @@ def make_task(env_id: str, num_envs: int, num_threads: int, model: str, **option
 
 def register_envs() -> None:
     """Register every environment, single and vector, also under an id of its own with continuous actions."""
-    for name, (module, steps) in _ENVS.items():
-        for env_id, options in ((f"{name}-v0", {}), (CONTINUOUS_IDS[f"{name}-v0"], {"action": "continuous"})):
+    for env_id, (module, steps) in _ENVS.items():
+        name = env_id.removesuffix("-v0").replace("-v", "V")  # of the class, in front of Env and VectorEnv
+        for registered, options in ((env_id, {}), (CONTINUOUS_IDS[env_id], {"action": "continuous"})):
             gymnasium.register(
-                id=env_id,
+                id=registered,
                 entry_point=f"soro_bench.envs.{module}:{name}Env",
                 vector_entry_point=f"soro_bench.envs.{module}:{name}VectorEnv",
                 max_episode_steps=steps,

@@ -10,12 +10,18 @@ import pytest
 from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 
+import soro_bench
 from soro_bench.envs.trunk import potential
 from soro_bench.envs.trunk_reach import EVALUATION_GOALS, GOAL_HIGH, GOAL_LOW
 
-OBSERVATION_SIZE = {"TrunkReach-v0": 66, "TrunkPush-v0": 73, "TrunkLift-v0": 73}
+OBSERVATION_SIZE = {"TrunkReach": 66, "TrunkPush": 73, "TrunkLift": 73}
 TIP, GOAL, OBJECT = slice(60, 63), slice(63, 66), slice(66, 69)
 STEP_INFO = {"params", "distance", "is_success", "diverged", "reward_progress", "reward_time"}
+
+
+def task_of(env_id):
+    """Its name without its version."""
+    return env_id.split("-")[0]
 
 
 def commanded(env):
@@ -57,7 +63,7 @@ def test_sb3_check_env(make, env_id, model, action):
 def test_spaces(make, env_id, model, action):
     """Observations are the published 66 or 73 numbers, actions 16 choices or 8 rates; both stay in their spaces."""
     env = make(env_id, model=model, action=action)
-    assert env.observation_space == gymnasium.spaces.Box(-1.0, 1.0, (OBSERVATION_SIZE[env_id],), np.float64)
+    assert env.observation_space == gymnasium.spaces.Box(-1.0, 1.0, (OBSERVATION_SIZE[task_of(env_id)],), np.float64)
     if action == "discrete":
         assert env.action_space == gymnasium.spaces.Discrete(16)
     else:
@@ -92,11 +98,11 @@ def test_initial_observation(make, env_id, model):
     np.testing.assert_allclose(keypoints[:, :2], 0, atol=1e-9)
     assert keypoints[0, 2] == pytest.approx(0)
     assert keypoints[20, 2] == pytest.approx(0.184368, abs=1e-5)
-    if env_id == "TrunkReach-v0":
+    if task_of(env_id) == "TrunkReach":
         assert (observation[GOAL] >= GOAL_LOW).all() and (observation[GOAL] <= GOAL_HIGH).all()
     if env_id == "TrunkPush-v0":
         np.testing.assert_allclose(observation[63:], [0.1, -0.1, 0.05, 0, -0.06, 0.1, 0, 0, 0, 1])
-    if env_id == "TrunkLift-v0":
+    if task_of(env_id) == "TrunkLift":
         np.testing.assert_allclose(observation[63:], [-0.1, -0.025, 0.12, -0.03, -0.06, 0.12, 0, 0, 0, 1])
 
 
@@ -109,7 +115,7 @@ def test_observation_is_the_present_state(make, env_id, model):
     task = env.unwrapped.task
     task.sim.batch.forward()
     np.testing.assert_allclose(observation[:63], task.keypoints([0])[0].ravel(), atol=1e-12)
-    if env_id != "TrunkReach-v0":
+    if task_of(env_id) != "TrunkReach":
         np.testing.assert_allclose(observation[OBJECT], task.object_position([0])[0], atol=1e-12)
 
 
@@ -146,10 +152,10 @@ def test_distance(make, env_id, model):
         observation, *_, info = env.step(action)
     tip, goal, thing = observation[TIP], observation[GOAL], observation[OBJECT]
     expected = {
-        "TrunkReach-v0": lambda: math.dist(tip, goal),
-        "TrunkPush-v0": lambda: math.hypot(thing[0] - goal[0], thing[2] - goal[2]),
-        "TrunkLift-v0": lambda: 0.75 * abs(thing[1] + 0.025) + 0.25 * math.dist(tip, thing),
-    }[env_id]()
+        "TrunkReach": lambda: math.dist(tip, goal),
+        "TrunkPush": lambda: math.hypot(thing[0] - goal[0], thing[2] - goal[2]),
+        "TrunkLift": lambda: 0.75 * abs(thing[1] + 0.025) + 0.25 * math.dist(tip, thing),
+    }[task_of(env_id)]()
     assert info["distance"] == pytest.approx(expected, rel=1e-9)
 
 
@@ -259,15 +265,15 @@ def test_info(make, env_id, model):
     """Reset and step report parameters and distance, steps also success, divergence and reward terms."""
     env = make(env_id, model=model)
     _, info = env.reset(seed=0)
-    extra = {"elevation", "clearance"} if env_id == "TrunkLift-v0" else set()
+    extra = {"elevation", "clearance"} if task_of(env_id) == "TrunkLift" else set()
     assert set(info) == {"params", "distance"} | extra
     *_, info = env.step(0)
     assert set(info) == STEP_INFO | extra
     assert type(info["distance"]) is float and type(info["is_success"]) is bool
     params = {"trunk_mass": 0.42, "poisson_ratio": 0.45, "young_modulus": 4.5e6, "damping": 0.1, "cable_stiffness": 1e4}
-    if env_id == "TrunkPush-v0":
+    if task_of(env_id) == "TrunkPush":
         params |= {"cube_mass": 0.05, "friction": 0.3}
-    if env_id == "TrunkLift-v0":
+    if task_of(env_id) == "TrunkLift":
         params |= {"cube_mass": 0.05, "friction": 0.9, "wall_offset": 0.0}
     assert info["params"] == params
 
@@ -306,6 +312,59 @@ def test_an_observation_that_is_no_number_ends_the_episode(make, monkeypatch):
     monkeypatch.setattr(task, "_observe", lambda ids: np.full((len(ids), size), np.nan))
     *_, truncated, info = env.step(0)
     assert truncated and info["diverged"]
+
+
+@pytest.fixture(params=[env_id for env_id in soro_bench.ENV_IDS if env_id.endswith("-v1")])
+def later_id(request):
+    return request.param
+
+
+def test_cables_of_version_1_follow_commands_at_50_mm_per_second(make, later_id, model):
+    """A pull of 5 mm takes two steps of 2.5 mm, and no other cable moves."""
+    env = make(later_id, model=model, action="continuous")
+    env.reset(seed=0)
+    for rate, moved in ((1.0, 0.0025), (0.0, 0.005), (0.0, 0.005)):
+        env.step(idle_action(3, rate))
+        expected = np.where(np.arange(8) == 3, moved, 0.0)
+        np.testing.assert_allclose(env.unwrapped.task.sim.batch.act[0], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("env_id", ["TrunkPush-v1", "TrunkLift-v1"])
+def test_an_object_out_of_sight_does_not_cut_an_episode_of_version_1(make, env_id):
+    """It is observed at the edge of the space, and rewards stay small."""
+    env = make(env_id, model="cable")
+    env.reset(seed=0)
+    task = env.unwrapped.task
+    task.sim.batch.qpos[0, task._object_qpos : task._object_qpos + 3] = [1.5, 0.3, -3.0]
+    observation, reward, terminated, truncated, info = env.step(0)
+    assert (terminated, truncated, info["diverged"]) == (False, False, False)
+    np.testing.assert_allclose(observation[[66, 68]], [1.0, -1.0])
+    assert -5.0 < reward < 0.0
+
+
+@pytest.mark.parametrize(
+    "corner", [{"trunk_mass": 0.005, "young_modulus": 7e6}, {"trunk_mass": 1.0, "young_modulus": 2e6}]
+)
+def test_version_1_stays_stable_where_cables_pull_against_each_other(make, later_id, model, corner):
+    """At corners of the search box where version 0 diverges."""
+    env, rng = make(later_id, model=model, action="continuous"), np.random.default_rng(0)
+    env.reset(seed=0, options={"params": corner})
+    for _ in range(15):
+        action = rng.choice([-1.0, 1.0], 8).astype(np.float32)
+        assert not any(env.step(action)[-1]["diverged"] for _ in range(4))
+
+
+def test_places_of_the_cube_in_version_1_of_push(make):
+    """They are drawn, or given, and those of evaluation lie among them."""
+    env = make("TrunkPush-v1", model="cable")
+    drawn = np.array([env.reset(seed=seed)[0][63:69] for seed in range(40)])
+    assert (np.abs(drawn[:, 3]) <= 0.02).all() and (np.abs(drawn[:, 5] - 0.1) <= 0.01).all()
+    assert 5 < (drawn[:, 0] > 0).sum() < 35
+    given = {"object": [0.015, 0.095], "goal": [-0.1, -0.1, 0.05]}
+    np.testing.assert_allclose(env.reset(seed=0, options=given)[0][63:69], [-0.1, -0.1, 0.05, 0.015, -0.06, 0.095])
+    assert len(env.unwrapped.task.evaluation) == 6
+    with pytest.raises(ValueError, match=r"object \[0.1\] has to be 2 coordinates"):
+        env.reset(seed=0, options={"object": [0.1]})
 
 
 def test_render_without_a_mode_warns(make):

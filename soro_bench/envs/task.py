@@ -183,16 +183,12 @@ class Task(ABC):
     def hold(self, ids: Ints, actions: NDArray[Any]) -> tuple[Floats, Bools]:
         """The same without rewards: (n, k) observations, and (n,) whether the simulations have diverged."""
         batch = self.sim.batch
-        batch.ctrl[ids] = self._controls(actions)
+        batch.ctrl[ids] = self._controls(ids, actions)
         self._advance(ids)
         diverged = self.sim.bad_states(ids)
         observation, space = self._observe(ids), self.single_observation_space
-        # A state on its way to infinity leaves the space before the engine calls it bad; a unit quaternion does by
-        # rounding. What is no number is outside too.
-        xp, low, high = self.xp, float(space.low.min()), float(space.high.max())
-        inside = xp.clip(observation, low, high)
-        diverged |= ~xp.all(xp.abs(observation - inside) <= 1e-6, axis=1)
-        return inside, diverged
+        inside = self.xp.clip(observation, float(space.low.min()), float(space.high.max()))
+        return inside, diverged | self._lost(observation, inside)
 
     @property
     def xp(self) -> Any:
@@ -316,8 +312,16 @@ class Task(ABC):
     def _begin(self, ids: Ints) -> None:
         """Note what the rewards of an episode are measured from."""
 
+    def _lost(self, observation: Floats, inside: Floats) -> Bools:
+        """(n,) whether a simulation has diverged, from observations (n, k) before and after they were clipped.
+
+        A state on its way to infinity leaves the space before the engine calls it bad; a unit quaternion does by
+        rounding. What is no number is outside too.
+        """
+        return ~self.xp.all(self.xp.abs(observation - inside) <= 1e-6, axis=1)
+
     @abstractmethod
-    def _controls(self, actions: NDArray[Any]) -> Floats:
+    def _controls(self, ids: Ints, actions: NDArray[Any]) -> Floats:
         """(n, nu) controls for n checked actions."""
 
     @abstractmethod

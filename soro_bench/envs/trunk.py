@@ -36,9 +36,20 @@ def potential(distance: ArrayLike, xp: Any = np) -> Floats:
     return -0.006 * d**2 - 500.0 * xp.log(d**2 + 0.001)
 
 
-@lru_cache(maxsize=8)
-def _compiled(scene: str, model: str, instrumented: bool) -> mujoco.MjModel:
-    spec = trunk.build_spec(scene, model)
+def given_point(name: str, given: Any, count: int) -> Floats:
+    """(count,) coordinates [m] that a reset option gives; ValueError for anything else."""
+    try:
+        point = np.asarray(given)
+    except ValueError:  # rows of different lengths
+        point = np.empty(0)
+    if point.shape != (count,) or point.dtype.kind not in "fiu" or not (np.abs(point) <= REACH_LIMIT).all():
+        raise ValueError(f"{name} {given} has to be {count} coordinates from -{REACH_LIMIT} to {REACH_LIMIT} m")
+    return point.astype(float)
+
+
+@lru_cache(maxsize=16)
+def _compiled(scene: str, model: str, version: int, instrumented: bool) -> mujoco.MjModel:
+    spec = trunk.build_spec(scene, model, version)
     return (instrument(spec) if instrumented else spec).compile()
 
 
@@ -53,8 +64,9 @@ class TrunkTask(Task):
     """
 
     variant_name, accurate, cheap = "model", "flex", "cable"
+    version: ClassVar[int] = 0
     metric = "distance"
-    options = ("params", "goal")
+    options: ClassVar[tuple[str, ...]] = ("params", "goal")
     signal_units: ClassVar = {
         "keypoints": ("m", "world"),
         "link_position": ("m", "world"),
@@ -83,7 +95,7 @@ class TrunkTask(Task):
         if action not in ACTION_MODES:
             raise ValueError(f"unknown action mode {action!r}; there are {', '.join(ACTION_MODES)}")
         effects = effects_of(effects)
-        compiled = _compiled(self.scene, model, effects is not None)
+        compiled = _compiled(self.scene, model, self.version, effects is not None)
         maps = [trunk.TrunkParameters(compiled), *self._scene_parameters(compiled)]
         super().__init__(compiled, maps, num_envs, num_threads, effects, simulation)
         self._variant = model
@@ -104,7 +116,7 @@ class TrunkTask(Task):
             self.sim.batch.bind(field)
 
     def spec(self) -> mujoco.MjSpec:
-        return trunk.build_spec(self.scene, self._variant)
+        return trunk.build_spec(self.scene, self._variant, self.version)
 
     def signals(self, ids: Ints) -> dict[str, Floats]:
         """What a recording of simulations ``ids`` holds; every array has n rows.
@@ -153,15 +165,7 @@ class TrunkTask(Task):
 
     def _sample_start(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Floats:
         drawn = self._sample_goal(rng)  # also when it is given, so that what is drawn next does not depend on it
-        if "goal" not in options:
-            return drawn
-        try:
-            goal = np.asarray(options["goal"])
-        except ValueError:  # rows of different lengths
-            goal = np.empty(0)
-        if goal.shape != (3,) or goal.dtype.kind not in "fiu" or not (np.abs(goal) <= REACH_LIMIT).all():
-            raise ValueError(f"goal {options['goal']} has to be 3 coordinates from -{REACH_LIMIT} to {REACH_LIMIT} m")
-        return goal.astype(float)
+        return given_point("goal", options["goal"], 3) if "goal" in options else drawn
 
     def _sample_goal(self, rng: np.random.Generator) -> Floats:
         raise NotImplementedError
@@ -175,7 +179,7 @@ class TrunkTask(Task):
         if (solved := self._initial_distance[ids] <= SUCCESS_DISTANCE).any():
             raise ValueError(f"goal {self.goal[ids][solved][0].tolist()} is reached at reset; choose another")
 
-    def _controls(self, actions: NDArray[Any]) -> Floats:
+    def _controls(self, ids: Ints, actions: NDArray[Any]) -> Floats:
         if self._discrete:
             return self._rates[actions]
         return geo.CABLE_RATE * self.xp.astype(actions, self._rates.dtype)
@@ -184,7 +188,11 @@ class TrunkTask(Task):
         return self.xp.concat([self.keypoints(ids).reshape(len(ids), -1), self.goal[ids]], axis=1)
 
     def _score(self, ids: Ints) -> tuple[dict[str, Floats], Bools]:
-        distance, initial = self.distance(ids), potential(self._initial_distance[ids], self.xp)
+        return self._scored(ids, self.distance(ids))
+
+    def _scored(self, ids: Ints, distance: Floats) -> tuple[dict[str, Floats], Bools]:
+        """Reward terms and success at a distance (n,) [m]."""
+        initial = potential(self._initial_distance[ids], self.xp)
         terms = {
             "reward_progress": (initial - potential(distance, self.xp)) / initial,
             "reward_time": self.xp.full_like(distance, -TIME_PENALTY),
@@ -193,6 +201,54 @@ class TrunkTask(Task):
 
     def _info(self, ids: Ints) -> dict[str, Any]:
         return {**super()._info(ids), "distance": self.distance(ids)}
+
+
+class Version1(TrunkTask):
+    """What version 1 of every trunk task has otherwise: cables as in the reference simulator, and no episode that is
+    cut for anything but a numerical failure.
+
+    A command sets how far each cable is to be pulled; the cable follows at 50 mm/s at most.
+    """
+
+    version = 1
+    _SPEED = 0.05  # m/s, at which the reference's cables move (docs/archive/tasks_and_models.md)
+    _FARTHEST = 1.0  # m, a distance that rewards count no more of
+
+    def __init__(self, *args: Any, **kwargs: Any):
+        super().__init__(*args, **kwargs)
+        self._commanded = self.sim.array(np.zeros((self.num_envs, len(geo.CABLE_NAMES))))  # m
+        self._limits = self.sim.array(geo.CABLE_LIMITS)
+
+    def signals(self, ids: Ints) -> dict[str, Floats]:
+        """As of version 0; cables may be behind what is commanded."""
+        return {**super().signals(ids), "commanded": self._commanded[ids]}
+
+    def state(self, ids: Ints) -> dict[str, Floats]:
+        """As every task's, and commanded (n, 8) displacements of cables [m]."""
+        return {**super().state(ids), "commanded": self._commanded[ids]}
+
+    def set_state(self, ids: Ints, state: Mapping[str, Floats]) -> None:
+        super().set_state(ids, state)
+        self._commanded[ids] = state["commanded"]
+
+    def _place(self, ids: Ints, starts: Sequence[Floats]) -> None:
+        super()._place(ids, starts)
+        self._commanded[ids] = 0.0
+
+    def _controls(self, ids: Ints, actions: NDArray[Any]) -> Floats:
+        moved = self.control_timestep * super()._controls(ids, actions)
+        self._commanded[ids] = self.xp.clip(self._commanded[ids] + moved, -self._limits, self._limits)
+        ahead = self._commanded[ids] - self.sim.batch.act[ids]
+        return self.xp.clip(ahead / self.control_timestep, -self._SPEED, self._SPEED)
+
+    def _lost(self, observation: Floats, inside: Floats) -> Bools:
+        robot = 3 * NUM_KEYPOINTS  # an object may leave the space, and is observed at its edge
+        finite = self.xp.all(self.xp.isfinite(observation), axis=1)
+        return ~finite | super()._lost(observation[:, :robot], inside[:, :robot])
+
+    def _score(self, ids: Ints) -> tuple[dict[str, Floats], Bools]:
+        near = self.xp.clip(self.distance(ids), 0.0, self._FARTHEST)
+        return self._scored(ids, self.xp.where(self.xp.isnan(near), self._FARTHEST, near))
 
 
 class ObjectTask(TrunkTask):

@@ -8,7 +8,7 @@ import numpy as np
 
 from soro_bench.arrays import Floats, Ints
 from soro_bench.envs.single import SoftRobotEnv
-from soro_bench.envs.trunk import ObjectTask
+from soro_bench.envs.trunk import ObjectTask, Version1
 from soro_bench.envs.vector import SoftRobotVectorEnv
 from soro_bench.models import trunk
 from soro_bench.models.scene import WallOffset
@@ -69,6 +69,10 @@ class TrunkLiftTask(ObjectTask):
         return {**super()._info(ids), **self._heights(ids)}
 
 
+class TrunkLiftV1Task(Version1, TrunkLiftTask):
+    """N simulations of TrunkLift-v1."""
+
+
 class TrunkLiftEnv(SoftRobotEnv):
     """Lift an object with a cable-driven soft trunk that may press it against a wall.
 
@@ -98,6 +102,7 @@ class TrunkLiftEnv(SoftRobotEnv):
     lowest corner: an object that is rolled onto a narrower face has the former only.
 
     ## Version history
+    * v1: as of :class:`TrunkReachEnv`.
     * v0: after the paper, see :class:`TrunkReachEnv`. The wall is not observed, as the paper says (the published code
       writes its position into the goal's x).
       `TrunkLiftContinuous-v0` is v0 with `action="continuous"`, for programs that know ids only.
@@ -110,3 +115,15 @@ class TrunkLiftVectorEnv(SoftRobotVectorEnv):
     """Vector form of :class:`TrunkLiftEnv`."""
 
     task_type = TrunkLiftTask
+
+
+class TrunkLiftV1Env(SoftRobotEnv):
+    """Version 1 of :class:`TrunkLiftEnv`; its version history says what differs."""
+
+    task_type = TrunkLiftV1Task
+
+
+class TrunkLiftV1VectorEnv(SoftRobotVectorEnv):
+    """Vector form of :class:`TrunkLiftV1Env`."""
+
+    task_type = TrunkLiftV1Task

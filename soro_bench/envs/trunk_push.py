@@ -1,15 +1,24 @@
 """TrunkPush: push a cube to a place on the floor."""
 
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 import numpy as np
 
 from soro_bench.arrays import Floats, Ints
 from soro_bench.envs.single import SoftRobotEnv
-from soro_bench.envs.trunk import ObjectTask
+from soro_bench.envs.trunk import ObjectTask, Version1, given_point
 from soro_bench.envs.vector import SoftRobotVectorEnv
 from soro_bench.models import trunk
 from soro_bench.parameters import CUBE_MASS, FRICTION, POISSON_RATIO, TRUNK_MASS, YOUNG_MODULUS, ParameterSet
 
 GOAL = np.array([0.100, -0.100, 0.050])  # m, published; only x and z matter
+# of version 1, m: training goals are on the published way of the cube or its mirror image, this share of it away
+CENTRE, GOAL_SHARES = 0.100, (0.6, 1.0)  # z of the cube's published place, and the share
+PLACE_LOW, PLACE_HIGH = np.array([-0.020, 0.090]), np.array([0.020, 0.110])  # x and z of the cube
+EVALUATION_GOALS = GOAL * [[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0]]
+EVALUATION_PLACES = np.array([[0.0, CENTRE], PLACE_LOW, PLACE_HIGH])
 
 
 class TrunkPushTask(ObjectTask):
@@ -24,6 +33,29 @@ class TrunkPushTask(ObjectTask):
 
     def _sample_goal(self, rng: np.random.Generator) -> Floats:
         return GOAL
+
+
+class TrunkPushV1Task(Version1, TrunkPushTask):
+    """N simulations of TrunkPush-v1; a start is the goal and the cube's place, x and z."""
+
+    options = (*TrunkPushTask.options, "object")
+    evaluation = tuple(
+        {"goal": goal, "object": place} for goal, place in itertools.product(EVALUATION_GOALS, EVALUATION_PLACES)
+    )
+
+    def _sample_start(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Floats:
+        goal, place = super()._sample_start(rng, options), rng.uniform(PLACE_LOW, PLACE_HIGH)
+        return np.concatenate([goal, given_point("object", options["object"], 2) if "object" in options else place])
+
+    def _sample_goal(self, rng: np.random.Generator) -> Floats:
+        side, share = rng.choice([-1.0, 1.0]), rng.uniform(*GOAL_SHARES)
+        return np.array([side * share * GOAL[0], GOAL[1], share * GOAL[2] + (1.0 - share) * CENTRE])
+
+    def _place(self, ids: Ints, starts: Sequence[Floats]) -> None:
+        super()._place(ids, [start[:3] for start in starts])
+        places = self.sim.array(np.array([start[3:] for start in starts]))
+        self.sim.batch.qpos[ids, self._object_qpos] = places[:, 0]
+        self.sim.batch.qpos[ids, self._object_qpos + 2] = places[:, 1]
 
 
 class TrunkPushEnv(SoftRobotEnv):
@@ -57,6 +89,9 @@ class TrunkPushEnv(SoftRobotEnv):
     As in :class:`TrunkReachEnv`; `params` also takes cube_mass and friction.
 
     ## Version history
+    * v1: as of :class:`TrunkReachEnv`. The cube begins anywhere within x +-20, z 90..110 mm, and goals lie on either
+      side, at 0.6 to 1 of the way to the published one. `reset(options=...)` also takes `object`, x and z of the cube's
+      centre. Six fixed episodes: three places, two goals.
     * v0: after the paper, see :class:`TrunkReachEnv`. The cube has the inertia of a solid cube; the published code
       leaves it at a default of about 1/200 of that. The floor is unbounded, the published one ends 0.3 m out.
       `TrunkPushContinuous-v0` is v0 with `action="continuous"`, for programs that know ids only.
@@ -69,3 +104,15 @@ class TrunkPushVectorEnv(SoftRobotVectorEnv):
     """Vector form of :class:`TrunkPushEnv`."""
 
     task_type = TrunkPushTask
+
+
+class TrunkPushV1Env(SoftRobotEnv):
+    """Version 1 of :class:`TrunkPushEnv`; its version history says what differs."""
+
+    task_type = TrunkPushV1Task
+
+
+class TrunkPushV1VectorEnv(SoftRobotVectorEnv):
+    """Vector form of :class:`TrunkPushV1Env`."""
+
+    task_type = TrunkPushV1Task

@@ -6,7 +6,7 @@ import numpy as np
 
 from soro_bench.arrays import Floats, Ints
 from soro_bench.envs.single import SoftRobotEnv
-from soro_bench.envs.trunk import TrunkTask
+from soro_bench.envs.trunk import TrunkTask, Version1
 from soro_bench.envs.vector import SoftRobotVectorEnv
 from soro_bench.models import trunk
 from soro_bench.parameters import POISSON_RATIO, TRUNK_MASS, YOUNG_MODULUS, ParameterSet
@@ -32,6 +32,10 @@ class TrunkReachTask(TrunkTask):
 
     def _sample_goal(self, rng: np.random.Generator) -> Floats:
         return rng.uniform(GOAL_LOW, GOAL_HIGH)
+
+
+class TrunkReachV1Task(Version1, TrunkReachTask):
+    """N simulations of TrunkReach-v1."""
 
 
 class TrunkReachEnv(SoftRobotEnv):
@@ -74,6 +78,9 @@ class TrunkReachEnv(SoftRobotEnv):
     `info`: `params`, `distance` [m], `is_success`, `diverged`, `reward_progress`, `reward_time`.
 
     ## Version history
+    * v1: cables as in the published simulator. They follow what is commanded at 50 mm/s at most, and pull with up to
+      50 N (30 N in v0). Every joint has an armature, so that light and soft trunks stay stable. An episode is cut for
+      numerical failures only; rewards count at most 1 m of distance.
     * v0: after the paper. Where the published code differs, the paper holds: five cable updates per action (the code
       makes six at some steps) and d0 taken at reset (the code takes it after the first step, whose reward is then 0).
       Commands are clamped to the cables' limits (the code lets them wind up without limit).
@@ -87,3 +94,15 @@ class TrunkReachVectorEnv(SoftRobotVectorEnv):
     """Vector form of :class:`TrunkReachEnv`."""
 
     task_type = TrunkReachTask
+
+
+class TrunkReachV1Env(SoftRobotEnv):
+    """Version 1 of :class:`TrunkReachEnv`; its version history says what differs."""
+
+    task_type = TrunkReachV1Task
+
+
+class TrunkReachV1VectorEnv(SoftRobotVectorEnv):
+    """Vector form of :class:`TrunkReachV1Env`."""
+
+    task_type = TrunkReachV1Task

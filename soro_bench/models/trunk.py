@@ -9,7 +9,7 @@ Two models share keypoints, cables and parameters and differ in the necks:
   degrees of freedom) with the same stiffness, rigid in shear and in twist, which taut cables stiffen anyway.
 
 A cable is a spatial tendon through eyelets on the vertebrae, pulled by a servo on its displacement: its tension is
-stiffness * (commanded - actual displacement), damped, between 0 (slack) and ``MAX_TENSION``. The commanded
+stiffness * (commanded - actual displacement), damped, between 0 (slack) and a limit, ``MAX_TENSION``. The commanded
 displacement is the servo's activation; the control is its rate [m/s]. docs/explanation/models.md has the reasons.
 """
 
@@ -36,6 +36,8 @@ PARAMETERS = (
 # N. The trunk's weight asks for 25 N at the first neck's upper cables. Opposing cables of 60 N buckle the necks, and
 # their sideways stiffness (tension / gap) outgrows the time step.
 MAX_TENSION = 30.0
+# N, in each version. The reference has no limit, and its cables reach 62 N; above 50 N ours come no nearer to it
+MAX_TENSIONS = (MAX_TENSION, 50.0)
 # s, damping of a cable per stiffness; one 10 ms command interval gives the reference's first-action tips best
 CABLE_DAMPING_TIME = 0.01
 # Joint limits of `cable` stand for rims that touch, which nothing else keeps apart; chosen: 4 mm, and the bend at which
@@ -54,6 +56,8 @@ class TrunkVariant:
     # kg m^2, on top of each vertebra's own 3e-7 to 4e-6: opposing taut cables buckle the necks to and fro, at a
     # frequency that no affordable time step resolves
     added_inertia: float
+    # kg m^2, of every joint, in version 1: `added_inertia` scales with the trunk's mass, so that light ones blew up
+    armature: float
 
 
 # Both use the discrete integrator: flex elasticity needs it, and it solves contacts with the same effective inertia
@@ -61,17 +65,18 @@ class TrunkVariant:
 VARIANTS = {
     # The inner solve takes up to 300 iterations, and a tolerance of 1e-5 leaves the tip within 0.01 mm of 1e-10 after
     # 3 s. Over 2 s of motion the tip ends 1.2 mm (median) from where half the time step would take it; with 10 ms, 4.6.
-    "flex": TrunkVariant(timestep=0.005, iterations=500, tolerance=1e-5, added_inertia=5e-6),
-    "cable": TrunkVariant(timestep=0.010, iterations=100, tolerance=1e-8, added_inertia=2e-5),
+    "flex": TrunkVariant(timestep=0.005, iterations=500, tolerance=1e-5, added_inertia=5e-6, armature=1e-5),
+    "cable": TrunkVariant(timestep=0.010, iterations=100, tolerance=1e-8, added_inertia=2e-5, armature=2e-4),
 }
 
 
-def build_spec(scene: str, model: str) -> mujoco.MjSpec:
+def build_spec(scene: str, model: str, version: int = 0) -> mujoco.MjSpec:
     """The trunk in a scene.
 
     Args:
         scene: an MJCF file of ``assets/mjcf`` that includes trunk.xml.
         model: "flex" or "cable".
+        version: of the environments.
     """
     if model not in VARIANTS:
         raise ValueError(f"unknown trunk model {model!r}; there are {', '.join(VARIANTS)}")
@@ -84,13 +89,13 @@ def build_spec(scene: str, model: str) -> mujoco.MjSpec:
     links = [spec.body("base")]
     for k in range(geo.NUM_NECKS):
         parent = links[-1] if model == "cable" else spec.worldbody
-        links.append(_add_vertebra(spec, parent, k, model))
+        links.append(_add_vertebra(spec, parent, k, model, VARIANTS[model].armature if version else 0.0))
     if model == "flex":
         for k in range(geo.NUM_NECKS):
             _add_neck_flex(spec, k, links[k], links[k + 1])
     _add_keypoints(spec, links)
     for c in range(len(geo.CABLE_NAMES)):
-        _add_cable(spec, c, links)
+        _add_cable(spec, c, links, MAX_TENSIONS[version])
     add_skin(spec, links)
     return spec
 
@@ -100,12 +105,12 @@ def _link_origin(k: int) -> float:
     return 0.0 if k == 0 else geo.NECK_MIDDLE[k - 1]
 
 
-def _add_vertebra(spec: mujoco.MjSpec, parent: mujoco.MjsBody, k: int, model: str) -> mujoco.MjsBody:
+def _add_vertebra(spec: mujoco.MjSpec, parent: mujoco.MjsBody, k: int, model: str, armature: float) -> mujoco.MjsBody:
     parent_z = 0.0 if parent is spec.worldbody else _link_origin(k)
     z = geo.NECK_MIDDLE[k]
     body = parent.add_body(name=f"vertebra{k}", pos=[0, 0, z - parent_z])
     if model == "flex":
-        body.add_freejoint(name=f"vertebra{k}")
+        body.add_freejoint(name=f"vertebra{k}").armature = armature
     else:
         # Stiffness and damping are parameters; limits keep a violent pull from folding the chain
         limit = float(np.clip(_RIM_GAP / geo.outer_radius(z), *_BEND_LIMITS))
@@ -115,7 +120,7 @@ def _add_vertebra(spec: mujoco.MjSpec, parent: mujoco.MjsBody, k: int, model: st
             ("bend_x", hinge, (1, 0, 0), limit),
             ("bend_y", hinge, (0, 1, 0), limit),
         ):
-            body.add_joint(name=f"{name}{k}", type=kind, axis=axis, range=[-reach, reach])
+            body.add_joint(name=f"{name}{k}", type=kind, axis=axis, range=[-reach, reach], armature=armature)
     _add_inertia(body, k, VARIANTS[model].added_inertia)
     near, far = geo.NECK_END[k] - z, geo.VERTEBRA_END[k] - z
     radius = float(geo.outer_radius((geo.NECK_END[k] + geo.VERTEBRA_END[k]) / 2))
@@ -180,7 +185,7 @@ def _add_keypoints(spec: mujoco.MjSpec, links: Sequence[mujoco.MjsBody]) -> None
         links[k].add_site(default, name=f"keypoint{i}", pos=[0, 0, z - _link_origin(k)])
 
 
-def _add_cable(spec: mujoco.MjSpec, c: int, links: Sequence[mujoco.MjsBody]) -> None:
+def _add_cable(spec: mujoco.MjSpec, c: int, links: Sequence[mujoco.MjsBody], max_tension: float) -> None:
     name, direction = geo.CABLE_NAMES[c], geo.CABLE_DIRECTIONS[c]
     eyelets = geo.LONG_CABLE_EYELETS if c < 4 else geo.SHORT_CABLE_EYELETS
     tendon = spec.add_tendon(spec.find_default("cable"), name=name)
@@ -198,7 +203,7 @@ def _add_cable(spec: mujoco.MjSpec, c: int, links: Sequence[mujoco.MjsBody]) -> 
         target=name,
         gear=[-1, 0, 0, 0, 0, 0],  # a positive force pulls
         forcelimited=True,
-        forcerange=[0, MAX_TENSION],
+        forcerange=[0, max_tension],
         ctrllimited=True,
         ctrlrange=[-geo.CABLE_RATE, geo.CABLE_RATE],
         actlimited=True,

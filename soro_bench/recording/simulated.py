@@ -107,8 +107,8 @@ def replay(recording: Recording, model: str | None = None, **options: Any) -> Ep
     metadata = recording.metadata
     env_id, actions = recorded_actions(recording)
     start: dict[str, Any] = {"params": recording.parameters}
-    if "goal" in metadata and "goal" in task_type(env_id).options:
-        start["goal"] = _goal(metadata["goal"])
+    for name in {"goal", "object"} & metadata.keys() & set(task_type(env_id).options):
+        start[name] = _coordinates(name, metadata[name])
     model = model or metadata.get("model") or task_type(env_id).accurate
     return _run(_in_turn(actions), env_id, model, metadata["action"], start, len(actions), **options)
 
@@ -186,6 +186,8 @@ def _recording(episode: Episode, action: str, noise: float, seed: int, metadata:
     metadata |= {"env_id": episode.env_id, "model": episode.model, "action": action, "noise": repr(float(noise))}
     if episode.goal is not None:
         metadata["goal"] = json.dumps(episode.goal.tolist())
+    if "object" in task_type(episode.env_id).options:  # x and z of its place
+        metadata["object"] = json.dumps(episode.signals["object_position"][0, ::2].tolist())
     return Recording(commands, signals, episode.params, metadata)
 
 
@@ -224,9 +226,9 @@ def _held(command: Signal, times: np.ndarray, discrete: bool) -> np.ndarray:
     return actions.astype(int)
 
 
-def _goal(text: str) -> list[float]:
+def _coordinates(name: str, text: str) -> list[float]:
     try:
-        goal = json.loads(text)
+        point = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise RecordingError(f"goal {text[:80]!r} is no list of coordinates") from error
-    return goal
+        raise RecordingError(f"{name} {text[:80]!r} is no list of coordinates") from error
+    return point

@@ -51,7 +51,7 @@ def draw_trunk(episode: Episode) -> Drawing:
         },
         outline="backbone",
         body=tuple(skin),
-        note=f"Cables are coloured by their tension, from violet (0) to yellow ({trunk.MAX_TENSION:g} N).",
+        note=f"Cables are coloured by their tension, from violet (0) to yellow ({trunk.MAX_TENSION:g} N and more).",
         goal_radius=float(goal.size[0]),
         goal_color=_color(model, goal.matid[0], 1.0),
         up=(0, 1, 0),
@@ -62,7 +62,7 @@ def draw_trunk(episode: Episode) -> Drawing:
 
 
 def tension_colors(tension: np.ndarray) -> np.ndarray:
-    """(..., 3) uint8 colours of tensions [N]: viridis from 0 (also for NaN) to the largest that a cable can have."""
+    """(..., 3) uint8 colours of tensions [N]: viridis from 0 (also for NaN) to the largest in version 0."""
     tension = np.nan_to_num(tension)
     knots = np.linspace(0.0, trunk.MAX_TENSION, len(_VIRIDIS))
     return np.stack([np.interp(tension, knots, channel) for channel in _VIRIDIS.T], axis=-1).astype(np.uint8)

@@ -22,15 +22,15 @@ from soro_bench.parameters import Parameter
 from soro_bench.recording.known import Known
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from soro_bench.recording.simulated import COMMAND, recorded_actions
-from soro_bench.registration import make_task, task_type
+from soro_bench.registration import ENV_IDS, make_task, task_type
 
 _TRUNK = ("tendon", "actuator", "body", "model")  # its necks have no friction of their own
 # kinds of locations that candidate terms may have; nothing can be attached to the nodes of a mesh
 _KINDS = {
-    "TrunkReach-v0": _TRUNK,
-    "TrunkPush-v0": (*_TRUNK, "geom"),
-    "TrunkLift-v0": (*_TRUNK, "geom"),
-    "MultiGait-v0": ("actuator", "flex", "geom", "model"),
+    "TrunkReach": _TRUNK,
+    "TrunkPush": (*_TRUNK, "geom"),
+    "TrunkLift": (*_TRUNK, "geom"),
+    "MultiGait": ("actuator", "flex", "geom", "model"),
 }
 _SETTINGS = RobotSettings()
 _SOLVER_TOLERANCE = 1e-5  # of simulations; keypoints move by 0.1 um, steps cost less
@@ -68,8 +68,8 @@ class SuiteRobot(Robot):
         known: Known = _NOTHING,
         signals: Sequence[str] | None = None,
     ):
-        if env_id not in _KINDS:
-            raise ValueError(f"{env_id!r} cannot be diagnosed; allowed are {', '.join(_KINDS)}")
+        if env_id not in ENV_IDS:
+            raise ValueError(f"{env_id!r} cannot be diagnosed; allowed are {', '.join(ENV_IDS)}")
         kind = task_type(env_id)
         self.name = self.env_id = env_id
         self.threads, self.model_name, self._baseline = threads, model or kind.cheap, baseline
@@ -79,7 +79,7 @@ class SuiteRobot(Robot):
         self._task.refine(shorter)
         self._task.sim.batch.expand("opt.tolerance")[...] = _SOLVER_TOLERANCE
         self.simulation, self.control_timestep = self._task.sim, self._task.control_timestep
-        self.kinds, self.pneumatic = _KINDS[env_id], env_id == "MultiGait-v0"
+        self.kinds, self.pneumatic = _KINDS[env_id.split("-")[0]], env_id.startswith("MultiGait")
         self.longest = _WALKER_DURATION if self.pneumatic else math.inf
         self.signal = kind.inferred_from[0]
         self.unit, self.frame = kind.signal_units[self.signal]
