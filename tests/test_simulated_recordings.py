@@ -25,6 +25,7 @@ CASES = [
     ("TrunkPush-v0", "cable", "discrete", {"friction": 0.5}),
     ("TrunkLift-v0", "cable", "continuous", {"wall_offset": 0.02}),
     ("MultiGait-v0", "coarse", "discrete", {"robot_mass": 0.03}),
+    ("TrunkPush-v1", "cable", "continuous", {"friction": 0.5}),
 ]
 
 
