@@ -1,7 +1,7 @@
 """Random actions over random parameters: does anything become NaN, crash or explode?
 
     python benchmarks/random_episodes.py --model cable --episodes 3400
-    python benchmarks/random_episodes.py --model flex --episodes 200
+    python benchmarks/random_episodes.py --model flex --episodes 700
 
 Runs that many episodes of every trunk task, with discrete and continuous actions in turn. Half of them have parameters
 drawn uniformly from the published search box and uniformly random actions. The others have parameters at a corner of
@@ -27,6 +27,7 @@ TRUNK_IDS = [env_id for env_id in soro_bench.ENV_IDS if env_id.startswith("Trunk
 BATCH = 50
 STEPS = 100
 CHANGED = 0.2  # probability that an action that stays at a bound changes, in each step
+EXAMPLES = 5  # episodes that diverged whose parameters are kept, of each environment
 RESULTS = Path(__file__).parents[1] / "docs" / "results" / "measured.json"
 WARNINGS = [mujoco.mjtWarning(i).name for i in range(int(mujoco.mjtWarning.mjNWARNING))]
 
@@ -63,7 +64,7 @@ def run_batch(env_id: str, model: str, number: int, threads: int) -> dict:
     return {
         "episodes": BATCH,
         "diverged": int(diverged.sum()),
-        "diverged_params": [task.parameters.to_dict(task.sim.params[i]) for i in np.flatnonzero(diverged)],
+        "diverged_params": [task.parameters.to_dict(task.sim.params[i]) for i in np.flatnonzero(diverged)[:EXAMPLES]],
         "not_finite": int(not finite),
         "outside_space": int(not inside),
         "fastest_tip_m_per_s": fastest,
@@ -78,6 +79,7 @@ def merge(total: dict, batch: dict) -> dict:
         return batch
     merged = {key: total[key] + batch[key] for key in total if isinstance(total[key], int | list)}
     merged |= {key: max(total[key], batch[key]) for key in ("fastest_tip_m_per_s", "largest_reward")}
+    merged["diverged_params"] = merged["diverged_params"][:EXAMPLES]
     names = sorted({*total["warnings"], *batch["warnings"]})
     merged["warnings"] = {name: total["warnings"].get(name, 0) + batch["warnings"].get(name, 0) for name in names}
     return merged

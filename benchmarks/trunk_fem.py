@@ -18,6 +18,7 @@ What it shows of the published trunk:
 """
 
 import argparse
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -41,6 +42,7 @@ FIXED = 0.020  # m, nodes nearer to the clamp do not move
 GRAVITY = np.array([0.0, -9.81, 0.0])
 ITERATIONS, PRECISION = 2000, 1e-9  # of the cables' forces, by Gauss-Seidel
 LENGTH = 60  # random actions
+OURS = [*itertools.product(("TrunkReach-v0", "TrunkReach-v1"), trunk.VARIANTS)]
 LARGEST = 100_000_000  # bytes of a mesh
 
 
@@ -250,7 +252,7 @@ def main() -> None:
     for seed in track(range(options.random), "random actions"):
         actions = np.random.default_rng(seed).integers(16, size=LENGTH)
         true = 1e3 * moved(*mesh, actions, sixth=False)
-        ours = [points_of(replayed_actions("TrunkReach-v0", name, actions))[:, :21] for name in trunk.VARIANTS]
+        ours = [points_of(replayed_actions(env_id, name, actions))[:, :21] for env_id, name in OURS]
         rows.append((str(seed), *(f"{rms(true, each):.1f}" for each in ours)))
         if options.out:
             options.out.mkdir(parents=True, exist_ok=True)
@@ -258,7 +260,9 @@ def main() -> None:
             file = options.out / f"random_{seed}.npz"
             np.savez_compressed(file, actions=actions, observations=seen[:-1], next_observations=seen[1:])
     if rows:
-        print(table(("seed", *(f"{name} [mm]" for name in trunk.VARIANTS)), rows))
+        means = [f"{np.mean([float(value) for value in column]):.1f}" for column in list(zip(*rows, strict=True))[1:]]
+        names = (f"{env_id}, {name} [mm]" for env_id, name in OURS)
+        print(table(("seed", *names), [*rows, ("mean", *means)]))
 
 
 if __name__ == "__main__":

@@ -32,6 +32,7 @@ from rich.progress import track
 
 import soro_bench  # noqa: F401  registers the environments
 from soro_bench import parameters as prm
+from soro_bench.envs.trunk import REACH_LIMIT
 from soro_bench.leaderboard.strict import read_strict
 from soro_bench.markdown import table
 from soro_bench.models import trunk
@@ -277,19 +278,8 @@ def reference(folder: Path) -> None:
             keypoints, others = error[:, :21], error[:, 21:]
             end = f"{others[-1, 0]:.1f}" if others.size else ""
             rows.append((name, env_id, model, f"{np.sqrt((keypoints**2).mean()):.1f}", f"{error[-1, 20]:.1f}", end))
-    print(
-        table(
-            (
-                "recording",
-                "environment",
-                "model",
-                "keypoints, rms [mm]",
-                "tip at the end [mm]",
-                "object at the end [mm]",
-            ),
-            rows,
-        )
-    )
+    errors = ("keypoints, rms [mm]", "tip at the end [mm]", "object at the end [mm]")
+    print(table(("recording", "environment", "model", *errors), rows))
 
 
 def recordings_of(folder: Path) -> list[tuple[str, str, np.ndarray, np.ndarray]]:
@@ -301,11 +291,13 @@ def recordings_of(folder: Path) -> list[tuple[str, str, np.ndarray, np.ndarray]]
                 actions, seen = file["actions"], np.concatenate([file["observations"][:1], file["next_observations"]])
             fits = seen.ndim == 2 and seen.shape[1] in KINDS and actions.shape == (len(seen) - 1,)
             whole = fits and np.isfinite(seen).all() and np.isin(actions, range(16)).all()
+            whole = whole and (np.abs(seen[0, 66:69]) <= 1e3 * REACH_LIMIT).all()
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             whole = False
         if not whole:
             raise SystemExit(f"{path}: actions (T,) from 0 to 15, observations and next_observations (T, "
-                             f"{' or '.join(map(str, KINDS))}) of finite numbers are needed")  # fmt: skip
+                             f"{' or '.join(map(str, KINDS))}) finite numbers are needed, "
+                             f"and an object that begins within {1e3 * REACH_LIMIT:g} mm")  # fmt: skip
         found.append((path.stem, KINDS[seen.shape[1]], actions.astype(int), seen))
     return found
 
