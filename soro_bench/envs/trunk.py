@@ -14,6 +14,7 @@ from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.effects.effect import Effect
 from soro_bench.effects.elements import instrument
 from soro_bench.envs.task import ACTION_MODES, Task, effects_of, refuse_arguments
+from soro_bench.files import brief
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.scene import ContactFriction, ObjectMass
@@ -43,7 +44,7 @@ def given_point(name: str, given: Any, count: int) -> Floats:
     except ValueError:  # rows of different lengths
         point = np.empty(0)
     if point.shape != (count,) or point.dtype.kind not in "fiu" or not (np.abs(point) <= REACH_LIMIT).all():
-        raise ValueError(f"{name} {given} has to be {count} coordinates from -{REACH_LIMIT} to {REACH_LIMIT} m")
+        raise ValueError(f"{name} {brief(given)} has to be {count} coordinates from -{REACH_LIMIT} to {REACH_LIMIT} m")
     return point.astype(float)
 
 

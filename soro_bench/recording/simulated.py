@@ -107,8 +107,9 @@ def replay(recording: Recording, model: str | None = None, **options: Any) -> Ep
     metadata = recording.metadata
     env_id, actions = recorded_actions(recording)
     start: dict[str, Any] = {"params": recording.parameters}
-    for name in {"goal", "object"} & metadata.keys() & set(task_type(env_id).options):
-        start[name] = _coordinates(name, metadata[name])
+    for name in ("goal", "object"):
+        if name in metadata and name in task_type(env_id).options:
+            start[name] = _coordinates(name, metadata[name])
     model = model or metadata.get("model") or task_type(env_id).accurate
     return _run(_in_turn(actions), env_id, model, metadata["action"], start, len(actions), **options)
 

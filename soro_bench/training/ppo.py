@@ -8,6 +8,7 @@ its policy has the same bytes as that of one that was not; its curve has other s
 import csv
 import io
 import time
+import warnings
 import zipfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -244,14 +245,16 @@ def make_env(config: PPOConfig, distribution: Distribution | None = None) -> Vec
         options["max_episode_steps"] = config.episode_steps
     if config.effects is not None:
         options["effects"] = config.effects
-    envs = gymnasium.make_vec(
-        config.env_id,
-        num_envs=config.num_envs,
-        num_threads=config.num_threads,
-        action=config.action,
-        autoreset_mode="SameStep",
-        **options,
-    ).unwrapped
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # the boards are of version 0
+        envs = gymnasium.make_vec(
+            config.env_id,
+            num_envs=config.num_envs,
+            num_threads=config.num_threads,
+            action=config.action,
+            autoreset_mode="SameStep",
+            **options,
+        ).unwrapped
     if not isinstance(envs, SoftRobotVectorEnv):
         raise TypeError(f"{config.env_id} is no environment of the suite")
     if distribution is not None:
