@@ -50,9 +50,17 @@ def test_no_step_where_there_is_none(x):
 def test_spikes_are_found_and_a_bounce_is_not():
     x, at = noisy(), [60, 150, 151, 333]
     x[at] += 0.8
-    assert np.flatnonzero(samples.spikes(x[:, None], NOISE, SETTINGS)).tolist() == at
-    bounce = np.abs(np.linspace(-1, 1, 201))[:, None]
+    assert np.flatnonzero(samples.spikes(x[:, None, None], NOISE, SETTINGS)).tolist() == at
+    bounce = np.abs(np.linspace(-1, 1, 201))[:, None, None]
     assert not samples.spikes(bounce, 1e-6, SETTINGS).any()
+
+
+@pytest.mark.parametrize(("along", "at"), [(1.0, []), (0.3, []), (0.1, [150, 151]), (-1.0, [150, 151])])
+def test_a_vibration_that_takes_the_points_beside_along_is_no_spike(along, at):
+    """Trunks that vibrate at 5 Hz, sampled at 20 Hz, were "adequate but for outliers"; swapped markers are spoilt."""
+    points = np.stack([noisy(seed=seed) for seed in range(9)], axis=1).reshape(400, 3, 3)
+    points[150:152] += 0.8 * np.array([along, 1.0, along])[:, None]
+    assert np.flatnonzero(samples.spikes(points, NOISE, SETTINGS)[:, 1]).tolist() == at
 
 
 @pytest.mark.parametrize("rows", [1.27, 1.5, 3])

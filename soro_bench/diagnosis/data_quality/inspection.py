@@ -301,14 +301,11 @@ class _Inspection:
     def _leave_out_spikes(self) -> None:
         """Leave out points that are alone and far off."""
         squares: list[float] = []
-        for p in range(self.points):
-            columns = slice(p * self.coordinates, (p + 1) * self.coordinates)
-            point = self.values[:, columns]
-            at = samples.spikes(point, self.noise, self.settings)
+        points = self.values.reshape(len(self.values), self.points, self.coordinates)
+        for p, at in enumerate(samples.spikes(points, self.noise, self.settings).T):
             if at.any():
-                before = point.copy()
-                self.values[at, columns] = np.nan
-                squares += _distances(before, at)
+                squares += _distances(points[:, p].copy(), at)
+                points[at, p] = np.nan
                 self.spikes += int(at.sum())
         if self.spikes:
             self.size = float(np.sqrt(np.mean(squares)))

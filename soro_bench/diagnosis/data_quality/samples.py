@@ -81,34 +81,64 @@ def _changes_beside(values: Floats, after: Ints) -> Floats:
     return np.maximum(changes[before], changes[following[np.minimum(after + 1, len(values))]])
 
 
-def spikes(point: Floats, noise: float, settings: DataQualitySettings) -> Bools:
-    """(T,) where one or two samples of a point (T, D) are far off and the next ones go on where it was before.
+def spikes(points: Floats, noise: float, settings: DataQualitySettings) -> Bools:
+    """(T, P) where one or two samples of a point are far off and the next ones go on where it was before.
 
     A cubic through the two samples on either side says where they should be. Motion in and out again, as of a bounce,
-    changes the samples beside them as well.
+    changes the samples beside them as well. A body that vibrates faster than it is sampled takes the points beside
+    along, the same way; markers that are taken for each other go opposite ways.
+
+    Args:
+        points: (T, P, D) samples of neighbouring points of a body, NaN where missing.
     """
-    found = np.zeros(len(point), bool)
+    found = np.zeros(points.shape[:2], bool)
+    for length in (1, 2):
+        gaps = [_off_cubic(points[:, p], length, noise, settings) for p in range(points.shape[1])]
+        deviations = np.stack([each for each, _ in gaps], axis=1)
+        far = np.stack([each for _, each in gaps], axis=1) & ~_taken_along(deviations, settings)
+        for p, column in enumerate(far.T):
+            rows = np.flatnonzero(np.isfinite(points[:, p]).all(axis=1))
+            first = np.searchsorted(rows, np.flatnonzero(column))
+            for i in range(length):
+                found[rows[first + i], p] = True
+    return found
+
+
+def _off_cubic(point: Floats, length: int, noise: float, settings: DataQualitySettings) -> tuple[Floats, Bools]:
+    """(T, length, D) how far so many samples of a point (T, D), from each on, are from the cubic through the two on
+    either side, NaN where there are none; (T,) whether all are far."""
+    deviations, far = np.full((len(point), length, point.shape[1]), np.nan), np.zeros(len(point), bool)
     rows = np.flatnonzero(np.isfinite(point).all(axis=1))
     x = point[rows]
     if len(x) < settings.least_samples or not np.ptp(x, axis=0).any():
-        return found
+        return deviations, far
     changes = np.linalg.norm(np.diff(x, axis=0), axis=1)
-    usual = float(np.quantile(changes, settings.mostly))
-    for length in (1, 2):
-        count = len(x) - length - 3
-        first, second = x[:count], x[1 : 1 + count]
-        third, fourth = x[2 + length : 2 + length + count], x[3 + length : 3 + length + count]
-        nearby = np.stack([changes[:count], np.linalg.norm(third - second, axis=1), changes[2 + length :][:count]])
-        least = np.maximum(settings.spike_changes * nearby.max(axis=0), settings.outlier_deviations * noise)
-        least = np.maximum(least, usual)
-        off = np.ones(count, bool)
-        for i in range(length):
-            share = _cubic(1 + i, length)
-            expected = sum(w * each for w, each in zip(share, (first, second, third, fourth), strict=True))
-            off &= np.linalg.norm(x[2 + i : 2 + i + count] - expected, axis=1) > least
-        for i in range(length):
-            found[rows[2 + i : 2 + i + count][off]] = True
-    return found
+    count = len(x) - length - 3
+    first, second = x[:count], x[1 : 1 + count]
+    third, fourth = x[2 + length : 2 + length + count], x[3 + length : 3 + length + count]
+    nearby = np.stack([changes[:count], np.linalg.norm(third - second, axis=1), changes[2 + length :][:count]])
+    least = np.maximum(settings.spike_changes * nearby.max(axis=0), settings.outlier_deviations * noise)
+    least = np.maximum(least, float(np.quantile(changes, settings.mostly)))
+    at = rows[2 : 2 + count]
+    for i in range(length):
+        weights = _cubic(1 + i, length)
+        expected = sum(w * each for w, each in zip(weights, (first, second, third, fourth), strict=True))
+        deviations[at, i] = x[2 + i : 2 + i + count] - expected
+    far[at] = (np.linalg.norm(deviations[at], axis=2) > least[:, None]).all(axis=1)
+    return deviations, far
+
+
+def _taken_along(deviations: Floats, settings: DataQualitySettings) -> Bools:
+    """(T, P) whether the points beside each deviate the same way (T, P, length, D), by a share of it at least."""
+    count, size = deviations.shape[1], deviations.shape[3]
+    if count == 1 or size == 1:  # one coordinate has the same sign by chance
+        return np.zeros(deviations.shape[:2], bool)
+    least = (deviations**2).sum(axis=3) / settings.outlier_times_usual
+    beside = np.full((2, *deviations.shape), np.nan)
+    beside[0, :, 1:], beside[1, :, :-1] = deviations[:, :-1], deviations[:, 1:]
+    along = (beside * deviations).sum(axis=4) >= least
+    known = np.isfinite(beside).all(axis=(3, 4))
+    return known.any(axis=0) & (along.all(axis=3) | ~known).all(axis=0)
 
 
 def _cubic(position: int, length: int) -> Floats:
@@ -289,7 +319,4 @@ def far_off(residual: Floats, spoilt: bool, settings: Settings = DEFAULT) -> Boo
         residual: (T, P, D) measured less simulated, in standard deviations of the noise; NaN where missing.
     """
     far = outliers(residual, settings.data_quality)
-    if spoilt:
-        columns = (residual[:, p] for p in range(residual.shape[1]))
-        far |= np.stack([spikes(column, 1.0, settings.data_quality) for column in columns], axis=1)
-    return far
+    return far | spikes(residual, 1.0, settings.data_quality) if spoilt else far
