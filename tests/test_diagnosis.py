@@ -373,6 +373,8 @@ def test_the_bound_is_what_parameters_cannot_change(given, slow):
     apart = replace(given, discretisation=LowRank(slow[None]))
     slopes = np.zeros((given.parameters, slow.size))
     assert largest_model_form_error(apart, slopes) == pytest.approx(share * ERROR * SIGMA)
+    late = replace(apart, discretisation=LowRank(np.stack([0.0 * slow, slow])), of_recordings=1)
+    assert largest_model_form_error(late, slopes) == pytest.approx(share * ERROR * SIGMA)  # stamps are no simulator
     slopes[0] = slow
     bound = largest_model_form_error(apart, slopes)
     assert bound == pytest.approx(0.0, abs=1e-3 * ERROR * SIGMA)

@@ -261,7 +261,8 @@ def unexplained(
     nothing = LowRank(np.zeros((0, weight.size)))
     problem = Problem(robot, measured, sigma, weight, nothing, settings=settings, others=sigmas)
     errors = np.concatenate([_late(measured), _begun_apart(robot, measured, sigma)])
-    return problem.with_discretisation(errors * problem.of_samples(problem.scales) if sigmas else errors)
+    problem = problem.with_discretisation(errors * problem.of_samples(problem.scales) if sigmas else errors)
+    return replace(problem, of_recordings=len(errors))
 
 
 def _begun_apart(robot: Robot, measured: tuple[Measured, ...], sigma: float) -> np.ndarray:

@@ -120,10 +120,11 @@ def largest_model_form_error(problem: Problem, slopes: Floats) -> float:
     """How large a model-form error may be, rms [signal's unit]: a share of how far the simulators at hand are apart.
 
     Args:
-        problem: with the discretisation errors of the nominal robot.
-        slopes: (d, M) of its residual. What parameters can change is no difference between simulators.
+        problem: with the discretisation errors of the nominal robot; what a recording's time stamps or first sample may
+            be off is no difference between simulators.
+        slopes: (d, M) of its residual. What parameters can change is no such difference either.
     """
-    basis, directions = problem.discretisation.basis, orth(slopes.T)
+    basis, directions = problem.discretisation.basis[problem.of_recordings :], orth(slopes.T)
     apart = basis - (basis @ directions) @ directions.T
     size = np.sqrt((apart**2).sum() / max(len(basis), 1) / max(problem.weight.sum(), 1.0))
     return problem.settings.discretisation.model_form_share * problem.sigma * float(size)

@@ -31,8 +31,9 @@ class Problem:
     the algebra of fits knows one ``sigma``.
 
     robot: whose replays explain them. sigma: standard deviation of their noise [signal's unit]. weight: (M,) 0 for
-    missing samples and outliers, else 1. discretisation: errors of the simulation in units of sigma. noise: of the
-    sensor, where the misfit dominates and ``sigma`` is larger (``allowing``); else 0. settings: of the diagnosis.
+    missing samples and outliers, else 1. discretisation: errors of the simulation in units of sigma; its first
+    ``of_recordings`` rows are what time stamps and first samples may be off. noise: of the sensor, where the misfit
+    dominates and ``sigma`` is larger (``allowing``); else 0. settings: of the diagnosis.
     others: of each other signal what ``sigma`` is of the first, and what ``noise`` is [its unit].
     model_form: largest rms [signal's unit] of a model-form error beside the discretisation error (model_form.py).
     variants: other simulations of the robot, of which nobody knows that they are more accurate.
@@ -50,6 +51,7 @@ class Problem:
     model_form: float = 0.0
     variants: tuple[Variant, ...] = ()
     correction: Floats | float = 0.0
+    of_recordings: int = 0
 
     @property
     def sensor(self) -> float:
@@ -192,10 +194,11 @@ class Problem:
 
     def _with_basis(self, basis: Floats) -> "Problem":
         """The same problem with a basis (F, M) of errors; where the misfit dominates, without the negligible ones."""
-        if self.misfit_dominated:
-            negligible = self.settings.discretisation.negligible
-            basis = basis[(basis**2).sum(axis=1) > negligible**2 * self.weight.sum()]
-        return replace(self, discretisation=LowRank(basis))
+        if not self.misfit_dominated:
+            return replace(self, discretisation=LowRank(basis))
+        kept = (basis**2).sum(axis=1) > self.settings.discretisation.negligible**2 * self.weight.sum()
+        first = int(kept[: self.of_recordings].sum())
+        return replace(self, discretisation=LowRank(basis[kept]), of_recordings=first)
 
     def misfit(self, residual: Floats) -> float:
         """Misfit above the noise, (chi2 - M) / 2, of a residual (M,); discretisation errors are marginalised."""

@@ -58,9 +58,9 @@ class Measured:
     actions: (T, ...) one per control step. time: (T,) s, the ends of the control steps. values: (T, P, D) samples of
     the first signal at these times, P points of D coordinates [unit]; NaN where missing. signal, unit: its name and
     unit. others: samples of the robot's other signals, in its order.
-    start: (P, D) the first sample of the signal, before the first step, or (S,) what several signals say of the state
-    then. settings: (T, S) what is known of the robot in each control step, for robots that have such settings. notes:
-    what a user should know of the recording, in words.
+    start: of robots that begin at it, (P, D) the first sample of the signal, before the first step, or (S,) what
+    several signals say of the state then. settings: (T, S) what is known of the robot in each control step, for robots
+    that have such settings. notes: what a user should know of the recording, in words.
     late: (F, T, C) s, errors that the time stamps of each number may have, one standard deviation each; None where
     they are exact.
     """
@@ -117,10 +117,8 @@ class Measured:
         return replace(self, actions=actions, settings=settings)
 
 
-def samples_at(
-    signal: ObservedSignal, given: Signal, commands: Sequence[Signal], times: Floats
-) -> tuple[Floats, Floats]:
-    """(P, D) the first sample of a recorded signal, and (T, P, D) it at times (T,).
+def samples_at(signal: ObservedSignal, given: Signal, commands: Sequence[Signal], times: Floats) -> Floats:
+    """(T, P, D) a recorded signal at times (T,).
 
     Raises:
         RecordingError: it is not as expected, or on another clock than the commands.
@@ -136,7 +134,7 @@ def samples_at(
     _check_clocks(name, given.time, [command.time for command in commands])
     values = resampled(given, times).values.reshape(-1, *shape)
     values[~sampled(given.time, times)] = np.nan
-    return given.values[0].reshape(shape), values
+    return values
 
 
 def _check_clocks(name: str, times: Floats, commands: Sequence[Floats]) -> None:

@@ -366,18 +366,19 @@ class Robot(Replays):
         begin = self.begins(recording)
         times = np.asarray(begin + self.control_timestep * np.arange(1, len(actions) + 1), float)
         signal, *others = self.signals
-        first, values = self._samples(signal, recording, times)
-        more = tuple(self._samples(each, recording, times)[1] for each in others)
+        values = self._samples(signal, recording, times)
+        more = tuple(self._samples(each, recording, times) for each in others)
         settings = self.settings(recording, len(actions))
-        return Measured(actions, times - begin, values, self.signal, self.unit, first, settings, notes, others=more)
+        return Measured(
+            actions, times - begin, values, self.signal, self.unit, settings=settings, notes=notes, others=more
+        )
 
     def converted(self, signal: ObservedSignal, given: Signal) -> Signal:
         """A recorded signal as it is explained."""
         return given
 
-    def _samples(self, signal: ObservedSignal, recording: Recording, times: Floats) -> tuple[Floats, Floats]:
-        """(P, D) the first sample of a signal, and (T, P, D) it at times (T,); NaN where the recording lacks another
-        signal than the first.
+    def _samples(self, signal: ObservedSignal, recording: Recording, times: Floats) -> Floats:
+        """(T, P, D) a signal at times (T,); NaN where the recording lacks another signal than the first.
 
         Raises:
             RecordingError: the first signal is not there, or one is not as expected.
@@ -386,5 +387,5 @@ class Robot(Replays):
             given = self.converted(signal, recording.signals[signal.name])
             return samples_at(signal, given, list(recording.commands.values()), times)
         if signal in self.others:
-            return np.full(signal.shape, np.nan), np.full((len(times), *signal.shape), np.nan)
+            return np.full((len(times), *signal.shape), np.nan)
         raise RecordingError(f"the recording has no signal {signal.name!r}; it has {', '.join(recording.names)}")
