@@ -205,42 +205,11 @@ class TrunkTask(Task):
 
 
 class Version1(TrunkTask):
-    """What version 1 of every trunk task has otherwise: cables as in the reference simulator, and no episode that is
-    cut for anything but a numerical failure.
-
-    A command sets how far each cable is to be pulled; the cable follows at 50 mm/s at most.
-    """
+    """What version 1 of every trunk task has otherwise: stronger cables, joints with an armature, and no episode that is
+    cut for anything but a numerical failure."""
 
     version = 1
-    _SPEED = 0.05  # m/s, at which the reference's cables move (docs/archive/tasks_and_models.md)
     _FARTHEST = 1.0  # m, a distance that rewards count no more of
-
-    def __init__(self, *args: Any, **kwargs: Any):
-        super().__init__(*args, **kwargs)
-        self._commanded = self.sim.array(np.zeros((self.num_envs, len(geo.CABLE_NAMES))))  # m
-        self._limits = self.sim.array(geo.CABLE_LIMITS)
-
-    def signals(self, ids: Ints) -> dict[str, Floats]:
-        """As of version 0; cables may be behind what is commanded."""
-        return {**super().signals(ids), "commanded": self._commanded[ids]}
-
-    def state(self, ids: Ints) -> dict[str, Floats]:
-        """As every task's, and commanded (n, 8) displacements of cables [m]."""
-        return {**super().state(ids), "commanded": self._commanded[ids]}
-
-    def set_state(self, ids: Ints, state: Mapping[str, Floats]) -> None:
-        super().set_state(ids, state)
-        self._commanded[ids] = state["commanded"]
-
-    def _place(self, ids: Ints, starts: Sequence[Floats]) -> None:
-        super()._place(ids, starts)
-        self._commanded[ids] = 0.0
-
-    def _controls(self, ids: Ints, actions: NDArray[Any]) -> Floats:
-        moved = self.control_timestep * super()._controls(ids, actions)
-        self._commanded[ids] = self.xp.clip(self._commanded[ids] + moved, -self._limits, self._limits)
-        ahead = self._commanded[ids] - self.sim.batch.act[ids]
-        return self.xp.clip(ahead / self.control_timestep, -self._SPEED, self._SPEED)
 
     def _lost(self, observation: Floats, inside: Floats) -> Bools:
         robot = 3 * NUM_KEYPOINTS  # an object may leave the space, and is observed at its edge

@@ -78,9 +78,8 @@ class TrunkReachEnv(SoftRobotEnv):
     `info`: `params`, `distance` [m], `is_success`, `diverged`, `reward_progress`, `reward_time`.
 
     ## Version history
-    * v1: cables as in the published simulator. They follow what is commanded at 50 mm/s at most, and pull with up to
-      50 N (30 N in v0). Every joint has an armature, so that light and soft trunks stay stable. An episode is cut for
-      numerical failures only; rewards count at most 1 m of distance.
+    * v1: cables pull with up to 50 N (30 N in v0), which they hardly reach. Every joint has an armature, so that light
+      and soft trunks stay stable. An episode is cut for numerical failures only; rewards count at most 1 m of distance.
     * v0: after the paper. Where the published code differs, the paper holds: five cable updates per action (the code
       makes six at some steps) and d0 taken at reset (the code takes it after the first step, whose reward is then 0).
       Commands are clamped to the cables' limits (the code lets them wind up without limit).
