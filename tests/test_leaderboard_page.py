@@ -79,14 +79,14 @@ def results(tmp_path, monkeypatch):
 
 def test_the_table_has_the_figures_of_every_method_the_best_first(results, tmp_path):
     page = build(results, tmp_path / "site").read_text()
-    rows = [row for row in Table(page).rows if len(row) > 8][:4]
-    assert [row[0] for row in rows] == ["method", "oracle", "udr", "mine"]
+    rows = [row for row in Table(page).rows if len(row) > 7][:4]
+    assert [row[0] for row in rows] == ["method", *(f"{name} ours, trained on cable" for name in ("oracle", "udr")),
+                                        f"mine ours, trained on {SCRIPT}"]  # fmt: skip
     oracle, udr, mine = rows[1:]
     assert oracle[2:7] == ["1.50 [1.00, 2.00]", "1.50 [1.00, 2.00]", "0 %", "reference", "2"]
     assert udr[3] == "16.00 [2.00, 30.00]"
     assert udr[5].startswith("0.12 [")  # one tie in four pairs
     assert mine[2:7] == ["100.00", "100.00", "0 %", "0.00", "1"]  # one seed: no interval
-    assert mine[7] == SCRIPT
 
 
 @pytest.mark.parametrize(("methods", "reference"), [(("oracle", "no_dr"), "oracle"), (("udr", "no_dr"), "no_dr")])
@@ -98,7 +98,25 @@ def test_the_reference_is_the_oracle_and_without_one_what_was_trained_without_ra
     for method, final in zip(methods, (2.0, 1.0), strict=True):
         write_entry(tmp_path / "results", BOARD, "ours", policy(0, method=method), scores(final, final))
     page = build(tmp_path / "results", tmp_path / "site").read_text()
-    assert [row[0] for row in Table(page).rows if "reference" in row] == [reference]
+    assert [row[0].split()[0] for row in Table(page).rows if "reference" in row] == [reference]
+
+
+@pytest.mark.parametrize(
+    ("best", "second", "said"),
+    [
+        ((1.0, 1.1, 1.2), (2.0, 2.1, 2.2), "which is not sure (p = 0.1, 3 and 3 seeds)"),  # 2 of 20 ways to deal them
+        ((1.0, 1.1, 1.2, 1.3), (2.0, 2.1, 2.2, 2.3), "which is sure (p = 0.029, 4 and 4 seeds)"),  # 2 of 70
+        ((1.0,), (2.0,), "which is not sure (p = 1, 1 and 1 seeds)"),
+        ((1.0,), (), "and alone"),
+    ],
+)
+def test_a_board_says_who_is_best_and_whether_that_is_sure(best, second, said, tmp_path, monkeypatch):
+    shrink_board(monkeypatch)
+    for method, finals in (("udr", second), ("rf_dropo", best)):
+        for seed, final in enumerate(finals):
+            write_entry(tmp_path / "results", BOARD, "ours", policy(seed, method=method), scores(final, final))
+    page = build(tmp_path / "results", tmp_path / "site").read_text()
+    assert f"rf_dropo is best ({np.mean(best):.2f} mm), " in page and said in page
 
 
 def test_the_page_shows_the_gates_and_the_worst_confusions_first(results, tmp_path):
@@ -219,8 +237,8 @@ def test_one_invalid_entry_stops_the_page_before_anything_is_written(results, tm
 def test_what_an_older_trainer_made_stands_apart_and_is_not_compared(results, tmp_path):
     new = results / BOARD / "ours" / "oracle" / "seed0.json"
     edit(new, lambda entry: entry["training"].update(trainer=2))
-    rows = [row for row in Table(build(results, tmp_path / "site").read_text()).rows if "ours" in row]
-    compared = {row[0]: row[5] for row in rows}
+    rows = [row for row in Table(build(results, tmp_path / "site").read_text()).rows if "ours" in row[0]]
+    compared = {row[0].split(" ours")[0]: row[5] for row in rows}
     assert compared.pop("oracle") == "reference"
     assert compared and all("(old)" in name and not text for name, text in compared.items())
 
@@ -235,7 +253,7 @@ def test_the_best_policy_of_a_method_is_recorded_and_linked(results, tmp_path, m
     assert ">recording</th>" in page
     recordings = re.findall(r"href=\"(recordings/[^\"]+)", page)
     stems = [re.sub("-[0-9a-f]{8}[.]rrd", "", recording) for recording in sorted(recordings)]
-    assert stems == [f"recordings/{BOARD}/ours/{method}" for method in ("mine", "oracle", "udr")]
+    assert stems == [f"recordings/{BOARD}/ours/{method}-cable" for method in ("mine", "oracle", "udr")]
     assert all((tmp_path / "site" / recording).stat().st_size > 1000 for recording in recordings)
     put_policy(results / BOARD / "ours" / "mine" / "seed0.json", "seed0.safetensors", policy(9).to_bytes())
     page = build(results, tmp_path / "site").read_text()
@@ -255,7 +273,7 @@ def test_a_browser_sorts_by_the_headers_and_runs_no_script_from_a_name(results, 
     page = path.read_text()
     shown = browsed(path, tmp_path / "profile")
     assert "<title>soro_bench leaderboard</title>" in shown
-    assert shown.count("<button") == shown.count("<th ") - 2  # of links nothing can be sorted
+    assert shown.count("<button") == shown.count("<th ") - 1  # of links nothing can be sorted
     clicks = {"IQM [mm]": 2, "method": 1}
     for header, number in clicks.items():
         click = f"""for (const b of document.querySelectorAll("table.sortable button"))
@@ -263,7 +281,7 @@ def test_a_browser_sorts_by_the_headers_and_runs_no_script_from_a_name(results, 
         changed = re.sub(r"<meta http-equiv=.*>", "", page).replace("</body>", f"<script>{click}</script></body>")
         (tmp_path / "site" / "clicked.html").write_text(changed)
         shown = browsed(tmp_path / "site" / "clicked.html", tmp_path / "profile")
-        order = [row[0] for row in Table(shown).rows if len(row) > 8][1:4]
+        order = [row[0].split()[0] for row in Table(shown).rows if len(row) > 7][1:4]
         assert order == {"IQM [mm]": ["mine", "udr", "oracle"], "method": ["mine", "oracle", "udr"]}[header]
         assert f'aria-sort="{ {1: "ascending", 2: "descending"}[number] }"' in shown
         assert "taken" not in re.search(r"<title>.*</title>", shown)[0]

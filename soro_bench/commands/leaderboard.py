@@ -61,7 +61,7 @@ class Build:
     results: Path = Path("leaderboard", "results")
     """Folder of the entries."""
     record: bool = False
-    """Also record the best policy of every method on the accurate model, for the Rerun viewer."""
+    """Also record the best policy of every method in every condition, for the Rerun viewer."""
 
     def run(self) -> None:
         """Write the page and say where it is; ValueError if there is no folder of entries."""

@@ -14,7 +14,12 @@ from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.entry import policy_bytes, policy_of
 from soro_bench.leaderboard.gather import Group, gather_control, gather_diagnosis
 from soro_bench.leaderboard.plots import color_of, curves_of, plot_calibration, plot_curves, plot_scores, title_of
-from soro_bench.leaderboard.statistics import interquartile_mean, interval, probability_of_improvement
+from soro_bench.leaderboard.statistics import (
+    chance_of_difference,
+    interquartile_mean,
+    interval,
+    probability_of_improvement,
+)
 from soro_bench.leaderboard.strict import ENTRY_BYTES
 from soro_bench.packed import read
 from soro_bench.recording.rerun_log import write_recording
@@ -31,6 +36,7 @@ HEADLINES = {  # criteria by which diagnoses are compared at a glance, and what 
     "unknown called so, at the right place": "and located",
     "seconds, median": "seconds",
 }
+SURE = 0.05  # largest chance of a difference that is called sure
 _HERE = Path(__file__).parent
 
 
@@ -42,7 +48,7 @@ def build(
     Every entry is read before anything is written: an invalid one is a ValueError that says what is wrong.
 
     Args:
-        record: whether to write rerun recordings too, of the best policy of every method on the accurate model.
+        record: whether to write rerun recordings too, of the best policy of every method in every condition.
         progress: is told what is being done.
     """
     out = Path(out)
@@ -51,7 +57,8 @@ def build(
     groups = [group for members in boards.values() for group in members]
     for group in groups if record else ():
         progress(f"recording {title_of(group)} on {group.board}")
-        _record(group, out / _recording(group))
+        for label in group.labels:
+            _record(group, label, out / _recording(group, label))
     progress("statistics")
     sections = [_board_section(board, members, out) for board, members in boards.items()]
     scored = sorted((_diagnosis_section(i, entry) for i, entry in enumerate(diagnoses)), key=_rank)
@@ -78,23 +85,20 @@ def _copy(data: bytes, path: Path) -> None:
         temporary.write_bytes(data)
 
 
-def _recording(group: Group) -> str:
-    """Where the recording of a group is: another best policy has another one."""
-    _, entry = _best(group)
-    return f"recordings/{group.board}/{group.entry}/{group.method}-{entry['policy']['sha256'][:8]}.rrd"
+def _recording(group: Group, label: str) -> str:
+    """Where the recording of a group in a condition is: another best policy has another one."""
+    _, entry = _best(group, label)
+    return f"recordings/{group.board}/{group.entry}/{group.method}-{label}-{entry['policy']['sha256'][:8]}.rrd"
 
 
-def _best(group: Group) -> tuple[Path, dict]:
-    """The entry whose policy is best on the accurate model; the first one where that is not known."""
-    board = BOARDS[group.board]
-    label = task_type(board.env_id).accurate
-    known = group.scores(label).mean(axis=1) if label in group.labels else np.zeros(len(group.entries))
-    return group.entries[int(known.argmax() if board.higher else known.argmin())]
+def _best(group: Group, label: str) -> tuple[Path, dict]:
+    """The entry whose policy is best in a condition."""
+    means = group.scores(label).mean(axis=1)
+    return group.entries[int(means.argmax() if BOARDS[group.board].higher else means.argmin())]
 
 
-def _record(group: Group, path: Path) -> None:
-    board, best = BOARDS[group.board], _best(group)
-    label = task_type(board.env_id).accurate
+def _record(group: Group, label: str, path: Path) -> None:
+    board, best = BOARDS[group.board], _best(group, label)
     title = f"{group.board}: {title_of(group)}, seed {best[1]['seed']}, on {label}"
     write_recording(path, board.play(policy_of(*best), label), title)
 
@@ -122,6 +126,7 @@ def _board_section(name: str, groups: Sequence[Group], out: Path) -> dict:
         "name": name,
         "metric": board.metric,
         "direction": direction,
+        "verdict": " ".join(_verdict(label, members) for label, members in rows.items()),
         "rows": every,
         "recorded": any(row["recording"] for row in every),
         "figures": figures,
@@ -130,8 +135,7 @@ def _board_section(name: str, groups: Sequence[Group], out: Path) -> dict:
 
 def _row(group: Group, label: str, color: str, out: Path) -> dict:
     values, rng = group.scores(label), np.random.default_rng(0)
-    recording = _recording(group)
-    here = label == task_type(BOARDS[group.board].env_id).accurate and (out / recording).is_file()
+    recording = _recording(group, label)
     return {
         "group": group,
         "evaluated_on": label,
@@ -144,8 +148,26 @@ def _row(group: Group, label: str, color: str, out: Path) -> dict:
         "solved": float(group.scores(label, "success").mean()),
         "diverged": sum(entry["evaluations"][label]["diverged"] for _, entry in group.entries),
         "files": [_links(group, path, entry) for path, entry in group.entries],
-        "recording": recording if here else None,
+        "recording": recording if (out / recording).is_file() else None,
     }
+
+
+def _verdict(label: str, rows: Sequence[dict]) -> str:
+    """Which method is best in a condition, whose rows are the best first, and whether that is sure."""
+    first, *others = [row for row in rows if not row["group"].old] or [None]
+    if first is None:
+        return f"On {label}, no method of the present trainer has run."
+    said = f"On {label}, {first['group'].name} is best ({first['iqm']:.2f} mm)"
+    if not others:
+        return f"{said}, and alone."
+    second = others[0]
+    seeds = " and ".join(str(len(row["values"])) for row in (first, second))
+    chance = chance_of_difference(first["values"], second["values"])
+    sure = "sure" if chance <= SURE else "not sure"
+    return (
+        f"{said}, ahead of {second['group'].name} ({second['iqm']:.2f} mm), "
+        f"which is {sure} (p = {chance:.2g}, {seeds} seeds)."
+    )
 
 
 def _links(group: Group, path: Path, entry: dict) -> dict:

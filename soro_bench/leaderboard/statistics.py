@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable
 
 import numpy as np
+from scipy.stats import permutation_test
 
 from soro_bench.leaderboard.gather import Group
 from soro_bench.markdown import table
@@ -27,6 +28,24 @@ def probability_of_improvement(values: np.ndarray, reference: np.ndarray, higher
     """
     difference = values[:, None] - reference[None]
     return float(np.mean(0.5 * (1.0 + np.sign(difference if higher else -difference))))
+
+
+def chance_of_difference(values: np.ndarray, others: np.ndarray) -> float:
+    """Two-sided p value of a permutation test over training seeds: how often policies that are dealt to two methods at
+    random differ as much, by the mean of their interquartile means over starts.
+
+    Args:
+        values, others: (seeds, starts) of each method.
+    """
+    groups = [np.array([interquartile_mean(seed) for seed in each]) for each in (values, others)]
+    if max(map(len, groups)) < 2:
+        return 1.0
+    found = permutation_test(groups, _apart, vectorized=True, rng=np.random.default_rng(0))
+    return float(found.pvalue)
+
+
+def _apart(values: np.ndarray, others: np.ndarray, axis: int) -> np.ndarray:
+    return np.asarray(values.mean(axis=axis) - others.mean(axis=axis))
 
 
 def interval(
