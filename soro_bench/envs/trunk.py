@@ -205,8 +205,8 @@ class TrunkTask(Task):
 
 
 class Version1(TrunkTask):
-    """What version 1 of every trunk task has otherwise: stronger cables, joints with an armature, and no episode that is
-    cut for anything but a numerical failure."""
+    """What version 1 of every trunk task has otherwise: stronger cables, joints with an armature, and no episode that
+    is cut for anything but a numerical failure."""
 
     version = 1
     _FARTHEST = 1.0  # m, a distance that rewards count no more of
