@@ -248,9 +248,8 @@ def test_the_best_policy_of_a_method_is_recorded_and_linked(results, tmp_path, m
     from soro_bench.envs.trunk_reach import TrunkReachTask
 
     monkeypatch.setattr(TrunkReachTask, "accurate", "cable")  # which takes no time
-    assert ">recording</th>" not in build(results, tmp_path / "site").read_text()
+    assert "recording of the best" not in build(results, tmp_path / "site").read_text()
     page = build(results, tmp_path / "site", record=True).read_text()
-    assert ">recording</th>" in page
     recordings = re.findall(r"href=\"(recordings/[^\"]+)", page)
     stems = [re.sub("-[0-9a-f]{8}[.]rrd", "", recording) for recording in sorted(recordings)]
     assert stems == [f"recordings/{BOARD}/ours/{method}-cable" for method in ("mine", "oracle", "udr")]

@@ -128,7 +128,6 @@ def _board_section(name: str, groups: Sequence[Group], out: Path) -> dict:
         "direction": direction,
         "verdict": " ".join(_verdict(label, members) for label, members in rows.items()),
         "rows": every,
-        "recorded": any(row["recording"] for row in every),
         "figures": figures,
     }
 
@@ -154,9 +153,10 @@ def _row(group: Group, label: str, color: str, out: Path) -> dict:
 
 def _verdict(label: str, rows: Sequence[dict]) -> str:
     """Which method is best in a condition, whose rows are the best first, and whether that is sure."""
-    first, *others = [row for row in rows if not row["group"].old] or [None]
-    if first is None:
+    current = [row for row in rows if not row["group"].old]
+    if not current:
         return f"On {label}, no method of the present trainer has run."
+    first, *others = current
     said = f"On {label}, {first['group'].name} is best ({first['iqm']:.2f} mm)"
     if not others:
         return f"{said}, and alone."
