@@ -214,9 +214,13 @@ def updates(actions: Ints, sixth: bool) -> Iterator[list[list[int]]]:
         yield steps
 
 
-def moved(nodes: Floats, tetrahedra: Ints, actions: Ints, sixth: bool) -> Floats:
-    """(T + 1, 21, 3) keypoints [m] at rest and after every discrete action; ``sixth``: some are updated six times."""
-    robot = FiniteElementTrunk(nodes, tetrahedra)
+def moved(nodes: Floats, tetrahedra: Ints, actions: Ints, sixth: bool) -> tuple[Floats, float]:
+    """(T + 1, 21, 3) keypoints [m] at rest and after every discrete action, and the largest force of a cable [N].
+
+    Args:
+        sixth: whether some actions are updated six times.
+    """
+    robot, largest = FiniteElementTrunk(nodes, tetrahedra), 0.0
     found, commanded, before, last = [robot.keypoints()], np.zeros(8), np.zeros(8), np.zeros(8)
     for steps in updates(actions, sixth):
         for step in steps:
@@ -225,8 +229,9 @@ def moved(nodes: Floats, tetrahedra: Ints, actions: Ints, sixth: bool) -> Floats
             wanted = np.minimum(before + np.clip(commanded - before, -UPDATE, UPDATE), geo.CABLE_LIMITS)
             robot.step(wanted)
             before, last = last, robot.displacements()
+            largest = max(largest, float(robot.tension.max()))
         found.append(robot.keypoints())
-    return np.array(found)
+    return np.array(found), largest
 
 
 def rms(one: Floats, other: Floats) -> float:
@@ -247,11 +252,12 @@ def main() -> None:
         parser.error(str(error))
     for name, env_id, actions, seen in recordings_of(options.recordings) if options.recordings else ():
         if env_id == "TrunkReach-v0":
-            off = rms(1e3 * moved(*mesh, actions, sixth=True), points_of(seen)[:, :21])
-            print(f"{name}: {off:.2f} mm, rms over keypoints")
+            points, force = moved(*mesh, actions, sixth=True)
+            off = rms(1e3 * points, points_of(seen)[:, :21])
+            print(f"{name}: {off:.2f} mm, rms over keypoints; cables pull with up to {force:.0f} N")
     for seed in track(range(options.random), "random actions"):
         actions = np.random.default_rng(seed).integers(16, size=LENGTH)
-        true = 1e3 * moved(*mesh, actions, sixth=False)
+        true = 1e3 * moved(*mesh, actions, sixth=False)[0]
         ours = [points_of(replayed_actions(env_id, name, actions))[:, :21] for env_id, name in OURS]
         rows.append((str(seed), *(f"{rms(true, each):.1f}" for each in ours)))
         if options.out:
