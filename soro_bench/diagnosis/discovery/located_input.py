@@ -138,6 +138,8 @@ class LocatedInput:
         self._discretisation = LowRank(smaller * basis[: len(basis) - len(estimate.jacobian)])
         self.origin = left - self.changed(self.force)  # the residual without the input, to first order
         self.explained = self._cost(self.origin) - self._cost(left)
+        self._white, self._of_rows = self.covariance.white(self._rows), self._rows @ self._rows.T
+        self._pull = self._rows @ self.origin - self._white @ self.covariance.white(self.origin[None])[0]
 
     def _smaller(self, left: Floats) -> float:
         """How many times smaller than in the fit noise is here: where the misfit dominated, it is what the input
@@ -151,8 +153,23 @@ class LocatedInput:
 
     def changed(self, force: Floats) -> Floats:
         """(M,) change of the residual by a force (T, K), to first order."""
+        return np.asarray(self._rows.T @ self.at_nodes(force))
+
+    def at_nodes(self, force: Floats) -> Floats:
+        """(N,) a force (T, K) at all nodes, as pulses were replayed there."""
         parts = np.split(force / self.amounts, np.cumsum(self.lengths)[:-1])
-        return np.asarray(self._rows.T @ self._nodes.nodes.values(parts).ravel())
+        return np.asarray(self._nodes.nodes.values(parts).ravel())
+
+    def products(self, forces: Floats) -> tuple[Floats, Floats]:
+        """Products, under the covariance, of what forces (n, N) at the nodes change.
+
+        Pulses that are farther apart than the robot's memory have none, so this costs less than the changes do.
+
+        Returns:
+            (n, n) with each other, and (n,) with the residual without the input.
+        """
+        white = forces @ self._white
+        return np.asarray(self._of_rows @ forces.T).T @ forces.T - white @ white.T, forces @ self._pull
 
     def parameters(self, changed: Floats) -> Floats:
         """(d,) the most probable ones beside a law that changes the residual by (M,), to first order."""

@@ -105,10 +105,7 @@ def _simplex(start: Floats, size: float) -> Floats:
 
 def _gain_at(located: LocatedInput, point: Floats, powers: Sequence[float]) -> float:
     """Log evidence [nats] that pulls to a point gain, by powers of the distance."""
-    rows = np.array([located.changed(located.pulls(point, power)) for power in powers])
-    white = located.covariance.white(np.vstack([rows, located.origin]))
-    gram = rows @ rows.T - white[:-1] @ white[:-1].T
-    pull = rows @ located.origin - white[:-1] @ white[-1]
+    gram, pull = located.products(np.array([located.at_nodes(located.pulls(point, power)) for power in powers]))
     gram += 1e-9 * np.trace(gram) * np.eye(len(gram)) + 1e-12 * np.eye(len(gram))
     return 0.5 * float(pull @ np.linalg.solve(gram, pull))
 
@@ -127,16 +124,13 @@ class _Search:
 
     def __init__(self, located: LocatedInput, library: Sequence[Candidate]):
         self.located, self.library = located, library
-        rows, self.columns, start = [], list[slice](), 0
+        forces, self.columns, start = list[Floats](), list[slice](), 0
         for each in library:
-            own = [_row(located, each, term) for term in each.terms]
-            rows += own
+            own = [_force(located, each, term) for term in each.terms]
+            forces += [located.at_nodes(force) for force in own]
             self.columns.append(slice(start, start + len(own)))
             start += len(own)
-        self.basis = basis = np.array(rows)
-        white, of_origin = located.covariance.white(basis), located.covariance.white(located.origin[None])[0]
-        self.gram = basis @ basis.T - white @ white.T
-        self.pull = basis @ located.origin - white @ of_origin
+        self.gram, self.pull = located.products(np.array(forces))
         self.scale = np.sqrt(np.maximum(np.diag(self.gram), 1e-12))
 
     def solved(self, chosen: Sequence[int]) -> tuple[float, Floats]:
@@ -188,9 +182,11 @@ class _Search:
         gain, values = self.solved(chosen)
         sizes = np.cumsum([len(self.library[i].terms) for i in chosen])[:-1]
         coefficients = tuple(tuple(map(float, part)) for part in np.split(values, sizes))
-        columns = np.concatenate([np.arange(self.columns[i].start, self.columns[i].stop) for i in chosen])
-        x = self.located.parameters(values @ self.basis[columns])
-        return Structure(self.located, tuple(self.library[i] for i in chosen), coefficients, gain, x)
+        parts = [self.library[i] for i in chosen]
+        terms = [(each, term) for each in parts for term in each.terms]
+        forces = [value * _force(self.located, *each) for value, each in zip(values, terms, strict=True)]
+        x = self.located.parameters(self.located.changed(sum(forces, np.zeros_like(self.located.force))))
+        return Structure(self.located, tuple(parts), coefficients, gain, x)
 
 
 def _power_of(term: Term) -> float:
@@ -200,14 +196,14 @@ def _power_of(term: Term) -> float:
     return 1.0 if term.expression == _DISTANCE else 0.0
 
 
-def _row(located: LocatedInput, candidate: Candidate, term: Term) -> Floats:
-    """(M,) what a term changes in the residual, with a coefficient of one."""
+def _force(located: LocatedInput, candidate: Candidate, term: Term) -> Floats:
+    """(T, K) of a term with a coefficient of one."""
     force = np.zeros_like(located.force)
     if candidate.point:
         force[:] = located.pulls(np.array(candidate.point), _power_of(term))
     else:
         force[:, candidate.channel] = located.feature(term, candidate.channel)
-    return located.changed(force)
+    return force
 
 
 # --- black boxes ---
@@ -273,7 +269,7 @@ def _moving(reads: Sequence[Read]) -> list[Read]:
 
 
 def _fit(located: LocatedInput, names: Sequence[str], width: float, seed: int) -> _Fit:
-    parts, rows = [], list[Floats]()
+    parts, forces = [], list[Floats]()
     for channel, reads in enumerate(located.reads):
         used = tuple(each for each in _moving(reads) if each.name in names)
         if not used:
@@ -286,8 +282,8 @@ def _fit(located: LocatedInput, names: Sequence[str], width: float, seed: int) -
         for column in np.exp(-0.5 * (apart**2).sum(axis=2)).T:
             force = np.zeros_like(located.force)
             force[:, channel] = column * _rms(located, channel)
-            rows.append(located.changed(force))
-    gain, weights = _weights(located, np.array(rows))
+            forces.append(located.at_nodes(force))
+    gain, weights = _weights(located, np.array(forces))
     return _Fit(tuple(parts), weights, gain)
 
 
@@ -308,11 +304,9 @@ def _centres(values: Floats, count: int, seed: int) -> Floats:
         return np.asarray(kmeans2(values, values[chosen], minit="matrix", rng=rng)[0])
 
 
-def _weights(located: LocatedInput, rows: Floats) -> tuple[float, Floats]:
-    """Log evidence [nats] of bumps that change the residual by rows (n, M), and their weights (n,)."""
-    white = located.covariance.white(np.vstack([rows, located.origin]))
-    gram = rows @ rows.T - white[:-1] @ white[:-1].T
-    pull = rows @ located.origin - white[:-1] @ white[-1]
+def _weights(located: LocatedInput, forces: Floats) -> tuple[float, Floats]:
+    """Log evidence [nats] of bumps that are forces (n, N) at the nodes, and their weights (n,)."""
+    gram, pull = located.products(forces)
     size, vectors = np.linalg.eigh(gram)
     size, turned = np.maximum(size, 0.0), vectors.T @ pull
     found = []
