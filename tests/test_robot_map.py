@@ -282,7 +282,7 @@ def test_a_guess_begins_where_the_recording_does(guessed, start, initial):
     recording = recorded(start, action=np.zeros((STEPS, 2)))
     _, table, robot = guessed(recording)
     assert table["initial"] == initial
-    assert robot.measured(recording).start.size == 1
+    assert (robot.measured(recording).start is not None) == ("joints" in initial)
 
 
 def test_markers_begin_at_the_joints_that_were_recorded_too(guessed):

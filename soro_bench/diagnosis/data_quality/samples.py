@@ -95,7 +95,7 @@ def spikes(points: Floats, noise: float, settings: DataQualitySettings) -> Bools
     for length in (1, 2):
         gaps = [_off_cubic(points[:, p], length, noise, settings) for p in range(points.shape[1])]
         deviations = np.stack([each for each, _ in gaps], axis=1)
-        far = np.stack([each for _, each in gaps], axis=1) & ~_taken_along(deviations, settings)
+        far = np.stack([each for _, each in gaps], axis=1) & ~_taken_along(deviations, noise, settings)
         for p, column in enumerate(far.T):
             rows = np.flatnonzero(np.isfinite(points[:, p]).all(axis=1))
             first = np.searchsorted(rows, np.flatnonzero(column))
@@ -128,17 +128,19 @@ def _off_cubic(point: Floats, length: int, noise: float, settings: DataQualitySe
     return deviations, far
 
 
-def _taken_along(deviations: Floats, settings: DataQualitySettings) -> Bools:
-    """(T, P) whether the points beside each deviate the same way (T, P, length, D), by a share of it at least."""
-    count, size = deviations.shape[1], deviations.shape[3]
-    if count == 1 or size == 1:  # one coordinate has the same sign by chance
+def _taken_along(deviations: Floats, noise: float, settings: DataQualitySettings) -> Bools:
+    """(T, P) whether the points beside each deviate (T, P, length, D) as it does: their mean the same way by a share of
+    it, or no farther from it than noise."""
+    if 1 in (deviations.shape[1], deviations.shape[3]):  # no points beside; one coordinate has the same sign by chance
         return np.zeros(deviations.shape[:2], bool)
-    least = (deviations**2).sum(axis=3) / settings.outlier_times_usual
     beside = np.full((2, *deviations.shape), np.nan)
     beside[0, :, 1:], beside[1, :, :-1] = deviations[:, :-1], deviations[:, 1:]
-    along = (beside * deviations).sum(axis=4) >= least
-    known = np.isfinite(beside).all(axis=(3, 4))
-    return known.any(axis=0) & (along.all(axis=3) | ~known).all(axis=0)
+    known = np.isfinite(beside).all(axis=(3, 4), keepdims=True)
+    count = known.sum(axis=0)
+    mean = np.where(known, beside, 0.0).sum(axis=0) / np.maximum(count, 1)
+    same_way = (mean * deviations).sum(axis=3) >= settings.outlier_return * (deviations**2).sum(axis=3)
+    near = np.linalg.norm(mean - deviations, axis=3) <= settings.outlier_deviations * noise
+    return (count > 0)[..., 0, 0] & (same_way | near).all(axis=2)
 
 
 def _cubic(position: int, length: int) -> Floats:
