@@ -250,12 +250,13 @@ def summary(cases: list[dict[str, Any]]) -> str:
     """The criteria, of laws of state; and whether a disturbance was left without a law."""
     state = [each for each in cases if each["of_state"]]
     lines = []
-    for name, least in CRITERIA.items():
+    for name, least in CRITERIA.items() if state else ():
         values = [float(each[name]) for each in state]
         value = float(np.median(values) if name == "explained" else np.mean(values))
         how = "median, of unseen motion" if name == "explained" else f"{sum(values):.0f} of {len(values)}"
         lines.append(f"{name:10} {value:.3f} ({how}), required {least}: {'met' if value >= least else 'missed'}")
-    lines.append(f"{sum(each.get('black_box', False) for each in state)} of {len(state)} described by a black box")
+    if state:
+        lines.append(f"{sum(each.get('black_box', False) for each in state)} of {len(state)} described by a black box")
     if rest := [each for each in cases if not each["of_state"]]:
         lines.append(f"{sum(not each['described'] for each in rest)} of {len(rest)} disturbances left without a law")
     return "\n".join(lines)
@@ -264,7 +265,7 @@ def summary(cases: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Run the cases that are asked for."""
     names = [each.__name__ for each in arms.FAMILIES]
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     more = [each.__name__ for each in TRUNK_FAMILIES]
