@@ -127,7 +127,7 @@ class MultiGaitTask(Task):
     def _begin(self, ids: Ints) -> None:
         self._start[ids] = self._last[ids] = self.center_of_mass(ids)[:, 0]
 
-    def _controls(self, ids: Ints, actions: NDArray[Any]) -> Floats:
+    def _controls(self, actions: NDArray[Any]) -> Floats:
         limit = INFLATION_PER_ACTION / self.control_timestep  # 1/s
         if self._discrete:
             rate = self.xp.where(actions < 3, limit, -limit)

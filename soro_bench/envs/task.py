@@ -183,7 +183,7 @@ class Task(ABC):
     def hold(self, ids: Ints, actions: NDArray[Any]) -> tuple[Floats, Bools]:
         """The same without rewards: (n, k) observations, and (n,) whether the simulations have diverged."""
         batch = self.sim.batch
-        batch.ctrl[ids] = self._controls(ids, actions)
+        batch.ctrl[ids] = self._controls(actions)
         self._advance(ids)
         diverged = self.sim.bad_states(ids)
         observation, space = self._observe(ids), self.single_observation_space
@@ -321,7 +321,7 @@ class Task(ABC):
         return ~self.xp.all(self.xp.abs(observation - inside) <= 1e-6, axis=1)
 
     @abstractmethod
-    def _controls(self, ids: Ints, actions: NDArray[Any]) -> Floats:
+    def _controls(self, actions: NDArray[Any]) -> Floats:
         """(n, nu) controls for n checked actions."""
 
     @abstractmethod

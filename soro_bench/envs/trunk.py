@@ -180,7 +180,7 @@ class TrunkTask(Task):
         if (solved := self._initial_distance[ids] <= SUCCESS_DISTANCE).any():
             raise ValueError(f"goal {self.goal[ids][solved][0].tolist()} is reached at reset; choose another")
 
-    def _controls(self, ids: Ints, actions: NDArray[Any]) -> Floats:
+    def _controls(self, actions: NDArray[Any]) -> Floats:
         if self._discrete:
             return self._rates[actions]
         return geo.CABLE_RATE * self.xp.astype(actions, self._rates.dtype)

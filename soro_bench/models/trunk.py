@@ -36,7 +36,7 @@ PARAMETERS = (
 # N. The trunk's weight asks for 25 N at the first neck's upper cables. Opposing cables of 60 N buckle the necks, and
 # their sideways stiffness (tension / gap) outgrows the time step.
 MAX_TENSION = 30.0
-# N, in each version. The reference has no limit, and its cables reach 62 N; more than 50 N buckles necks more often
+# N, in each version; chosen. The reference has no limit: 62 N in a recording (benchmarks/trunk_fem.py)
 MAX_TENSIONS = (MAX_TENSION, 50.0)
 # s, damping of a cable per stiffness; one 10 ms command interval gives the reference's first-action tips best
 CABLE_DAMPING_TIME = 0.01
