@@ -218,6 +218,16 @@ def test_a_basis_explains_no_more_than_it_is_likely_to(rng):
     assert LowRank(basis).without(10.0 * basis[0]) == pytest.approx(7.0 * basis[0], rel=1e-3)
 
 
+def test_more_rows_of_a_basis_never_explain_less(rng):
+    """Rows that are almost equal differ by large coefficients, by which all others were scaled once."""
+    row, other = 10.0 * rng.standard_normal((2, 50))
+    few = row[None]
+    more = np.stack([row, row + 0.1 * other])
+    residual = 4.0 * row + other
+    left = [np.linalg.norm(LowRank(basis).without(residual)) for basis in (few, more)]
+    assert left[1] <= left[0]
+
+
 STICKY = ARM.replace(' forcerange="-1 1"', "").replace(
     'damping="0.02"', 'damping="0.02" frictionloss="0.05" solreffriction="0.004 1"'
 )

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.stats import qmc
 
 LENGTHS = (0.5, 1.0, 1.5)  # of a step, tried
@@ -34,9 +35,26 @@ class LowRank:
         it could take up most of what looks like it only if it were many times enlarged."""
         if not len(self.basis):
             return residual
-        coefficients = np.linalg.solve(self._inner, self.basis @ residual)
-        size = np.sqrt((coefficients**2).mean())
-        return residual - min(1.0, MOST / max(size, MOST)) * coefficients @ self.basis
+        return residual - self._coefficients(self.basis @ residual) @ self.basis
+
+    def _coefficients(self, products: np.ndarray) -> np.ndarray:
+        """(F,) the most probable coefficients, or the best ones of those that are as large as is possible.
+
+        Args:
+            products: (F,) of the basis with a residual.
+        """
+        found, most = np.linalg.solve(self._inner, products), MOST * np.sqrt(len(products))
+        if np.linalg.norm(found) <= most:
+            return found
+        squares, directions = np.linalg.eigh(self._inner)
+        along = directions.T @ products
+
+        def excess(ridge: float) -> float:
+            return float(np.linalg.norm(along / (squares + ridge))) - most
+
+        # not scaled ones: of rows that are almost equal the difference has large ones, and all would be scaled by these
+        ridge = brentq(excess, 0.0, np.linalg.norm(along) / most) if excess(0.0) > 0 else 0.0
+        return np.asarray(directions @ (along / (squares + ridge)))
 
 
 @dataclass(frozen=True)
