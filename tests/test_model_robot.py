@@ -215,6 +215,25 @@ def test_a_robot_settles_under_its_first_command(paths):
     assert np.ptp(values) < 1e-6
 
 
+def test_a_robot_with_hardly_any_damping_settles_within_a_few_periods(tmp_path):
+    """Two masses on springs that would swing for minutes hang at rest after two seconds."""
+    (model := tmp_path / "springs.xml").write_text("""<mujoco><worldbody><body><joint name="upper" type="slide"
+    axis="0 0 -1" stiffness="100" damping="0.01"/><geom size="0.05" mass="1"/><body><joint name="lower" type="slide"
+    axis="0 0 -1" stiffness="50" damping="0.01"/><geom size="0.05" mass="0.5"/></body></body></worldbody></mujoco>""")
+    (mapping := tmp_path / "map.toml").write_text("""[robot]
+control_timestep = 0.02
+settle = 2.0
+[signal]
+name = "way"
+joints = ["upper", "lower"]
+unit = "m"
+[parameters.stiffness]
+fields = ["jnt_stiffness:*"]
+deviation = 0.2""")
+    (values,) = ModelRobot(model, mapping, threads=1).simulate(np.zeros((50, 0)), np.ones((1, 1)), [()])
+    assert values[..., 0] == pytest.approx(np.tile([1.5 * 9.81 / 100, 0.5 * 9.81 / 50], (50, 1)), rel=0.01)
+
+
 def test_a_setpoint_that_is_held_does_not_move_wherever_it_is(paths):
     goals = np.concatenate([np.full(10, 0.5), np.linspace(0.5, 0.1, 9), np.full(5, 0.1), np.linspace(0.1, 0.3, 5)])
     rates = ModelRobot(*paths, threads=1).rates(goals[:, None])[:, 0]
