@@ -53,9 +53,9 @@ def write_case(kind: str, seed: int, folder: Path, data: Path | None) -> None:
     if kind == SOROSIM:
         if data is None:
             raise ValueError("recordings of SoroSim are in a folder that --sorosim names")
-        model, robot_map, recording, label = sorosim.build(data, seed)
-        (folder / MODEL).write_text(model, encoding="utf-8")
-        (folder / MAP).write_text(robot_map, encoding="utf-8")
+        files, recording, label = sorosim.build(data, seed)
+        for name, text in files.items():
+            (folder / name).write_text(text, encoding="utf-8")
         recordings = {"train": recording}
     elif kind == HIDDEN:
         from soro_bench.blind_benchmark import cosserat_laws  # needs a package that healthy robots do not

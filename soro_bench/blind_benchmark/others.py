@@ -137,8 +137,8 @@ def _built(
         if folder is None:
             raise FileNotFoundError("the cases have rods of SoroSim; give the folder of its releases")
         number = case.number(len(sorosim.releases(folder)), tried)
-        model, robot_map, recording, label = sorosim.build(folder, number)
-        return {"train": recording}, {MODEL: model, MAP: robot_map}, label
+        files, recording, label = sorosim.build(folder, number)
+        return {"train": recording}, files, label
     if case.kind == HIDDEN:
         from soro_bench.blind_benchmark import cosserat_laws  # needs a package that the others do not
 
