@@ -149,7 +149,7 @@ def test_a_rod_has_a_model_of_its_own_and_no_motion_that_is_unseen(tmp_path):
     seed = next(s for s in range(99) if draw_set(1, s, 1, 1, True)[0].kind == SOROSIM)
     write_cases(cases, 1, seed, healthy=1, durations=SHORT, others=1, sorosim=data)
     (found,) = opened_labels(cases)
-    assert set(found["sha256"]) == {"train.parquet", "model.xml", "map.toml"}
+    assert set(found["sha256"]) == {"train.parquet", "model.xml", "map.toml", "finer.xml"}
     said = report("none", "none", verdict="none_detected")
     write_json(tmp_path / "reports" / "case_000.json", said | {"unseen": None})
     (row,) = rescored(cases, tmp_path / "reports")["cases"]
