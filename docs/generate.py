@@ -277,7 +277,7 @@ PARTS = {
     "effects.md": effects,
     "parameters.md": parameters,
     "command_line.md": command_line,
-    "result_json.md": result,
+    "result_files.md": result,
     "settings.md": settings,
 }
 
