@@ -54,7 +54,7 @@ MEAN_COMPLIANCE = {
 
 def compiled(name: str, poisson_ratio: float) -> mujoco.MjModel:
     """The model with its parameters written, as an environment uses it."""
-    model = trunk.build_spec("reach.xml", name).compile()
+    model = trunk.build_spec("trunk.xml", name).compile()
     parameters = ParameterSet(*trunk.PARAMETERS)
     sim = Simulation(model, parameters, [trunk.TrunkParameters(model)], nsim=1)
     values = {"poisson_ratio": poisson_ratio, "young_modulus": geo.YOUNG_MODULUS_OF_TABLE}
@@ -189,7 +189,7 @@ def parametrised(
     name: str, params: dict[str, float], timestep: float | None = None, integrator: int | None = None
 ) -> mujoco.MjModel:
     """The model with its parameters written, as an environment uses it."""
-    spec = trunk.build_spec("reach.xml", name)
+    spec = trunk.build_spec("trunk.xml", name)
     if timestep is not None:
         spec.option.timestep, spec.option.integrator = timestep, integrator
     model, parameters = spec.compile(), ParameterSet(*trunk.PARAMETERS)

@@ -51,7 +51,7 @@ def short(monkeypatch):
 
 
 def test_without_effects_it_is_the_plain_trunk(base):
-    spec = trunk.build_spec("reach.xml", "cable")
+    spec = trunk.build_spec("trunk.xml", "cable")
     spec.option.timestep = 0.00125
     model = spec.compile()
     for write in trunk.TrunkParameters(model).writes({name: np.array([value]) for name, value in NOMINAL.items()}):

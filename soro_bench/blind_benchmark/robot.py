@@ -239,7 +239,7 @@ def _engine(kind: str | Engine) -> Engine:
 
 @lru_cache(maxsize=2)
 def _compiled(engine: Engine) -> mujoco.MjModel:
-    spec = trunk.build_spec("reach.xml", engine.model)
+    spec = trunk.build_spec("trunk.xml", engine.model)
     spec.option.timestep = engine.timestep
     for name, value in engine.options:
         setattr(spec.option, name, value)

@@ -22,7 +22,7 @@ EVALUATION_GOALS = np.array(
 class TrunkReachTask(TrunkTask):
     """N simulations of TrunkReach."""
 
-    scene = "reach.xml"
+    scene = "trunk.xml"
     parameters = ParameterSet(*trunk.PARAMETERS)
     randomized = (TRUNK_MASS, POISSON_RATIO, YOUNG_MODULUS)
     evaluation = tuple({"goal": goal} for goal in EVALUATION_GOALS)

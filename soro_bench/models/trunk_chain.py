@@ -32,7 +32,7 @@ def build_chain(links: int, parameters: Mapping[str, float]) -> mujoco.MjSpec:
     stiffness = {name: k[0] for name, k in geo.neck_stiffness(
         np.array([parameters["young_modulus"]]), np.array([parameters["poisson_ratio"]])).items()}  # fmt: skip
     joints, bend, axial = _joints(links, stiffness)
-    spec = mujoco.MjSpec.from_file(str(mjcf_path("reach.xml")))
+    spec = mujoco.MjSpec.from_file(str(mjcf_path("trunk.xml")))
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_DISCRETE
     bodies, starts = [spec.body("base")], [0.0]
     for j, z in enumerate(joints):
