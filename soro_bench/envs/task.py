@@ -112,7 +112,7 @@ class Task(ABC):
     parameters: ClassVar[ParameterSet]
     randomized: ClassVar[tuple[Parameter, ...]]  # what the published study of the task randomises
     evaluation: ClassVar[tuple[Mapping[str, Any], ...]] = ({},)  # reset options of the fixed evaluation episodes
-    options: ClassVar[tuple[str, ...]] = ("params",)
+    options: ClassVar[tuple[str, ...]] = ("params", "state")
     signal_units: ClassVar[Mapping[str, tuple[str, str]]]  # SI unit and frame ("" if none) of each of signals()
     control_timestep: ClassVar[float]  # s
     inferred_from: ClassVar[tuple[str, ...]]  # the signals that parameters are inferred from: what is observed
@@ -147,13 +147,17 @@ class Task(ABC):
         Args:
             ids: (n,) which simulations.
             rngs: one generator per simulation of ``ids``.
-            options: one mapping per simulation of ``ids``: "params" overrides what the distribution draws; a task may
-                take more.
+            options: one mapping per simulation of ``ids``: "params" overrides what the distribution draws; "state", one
+                row of what ``state`` gave, is where the episode begins; a task may take more.
 
         Returns:
             (n, k) observations and a dict of (n,) info arrays.
         """
         self.begin(ids, *self.draw(rngs, options))
+        if given := [k for k, option in enumerate(options) if "state" in option]:
+            states = [options[k]["state"] for k in given]
+            self.set_state(ids[given], {name: self.sim.array(np.stack([s[name] for s in states])) for name in STATE})
+            self._begin(ids[given])
         return self._observe(ids), self._info(ids)
 
     def draw(
@@ -278,7 +282,19 @@ class Task(ABC):
         for name in options:
             if name not in self.options:
                 raise ValueError(f"unknown reset option {name!r}; this environment has {', '.join(self.options)}")
+        if "state" in options:
+            self._check_state(options["state"])
         return {**options, "params": self.parameters.check(options.get("params", {}))}
+
+    def _check_state(self, given: Any) -> None:
+        """Refuse what is no row of a state."""
+        own = self.state(np.arange(1))
+        if not isinstance(given, Mapping) or set(given) != set(own):
+            raise ValueError(f"state {brief(given)} has to be a dict with {', '.join(own)}")
+        for name, rows in own.items():
+            values = np.asarray(given[name])
+            if values.shape != rows.shape[1:] or values.dtype.kind not in "fiu" or not np.isfinite(values).all():
+                raise ValueError(f"state {name} {brief(values.tolist())} has to be {rows.shape[1]} finite numbers")
 
     def _sample_params(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Floats:
         drawn = self._distribution.sample(rng) if self._distribution else {}

@@ -67,7 +67,7 @@ class TrunkTask(Task):
     variant_name, accurate, cheap = "model", "flex", "cable"
     version: ClassVar[int] = 0
     metric = "distance"
-    options: ClassVar[tuple[str, ...]] = ("params", "goal")
+    options: ClassVar[tuple[str, ...]] = (*Task.options, "goal")
     signal_units: ClassVar = {
         "keypoints": ("m", "world"),
         "link_position": ("m", "world"),
