@@ -31,7 +31,9 @@ def environment(env_id: str) -> str:
     sections["Actions"] += "\n" + actions(envs)
     sections["Observations"] += "\n" + observations(envs["continuous"])
     sections["Parameters"] = parameter_table(task)
-    parts = [f"# {env_id}", BEGIN, summary, f"![{env_id} in motion](../../images/{env_id}.gif)"]
+    parts = [f"# {env_id}", BEGIN, summary]
+    if (DOCS / "images" / f"{env_id}.gif").exists():
+        parts += [f"![{env_id} in motion](../../images/{env_id}.gif)"]
     parts += [overview(env_id, task, envs)]
     parts += [f"## {title}\n\n{body.strip()}" for title, body in sections.items()]
     parts += ["Arguments, reset options, info and randomisation that all environments share: [Environments](index.md)."]

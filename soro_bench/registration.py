@@ -18,10 +18,11 @@ _ENVS = {
     "TrunkPush-v1": ("trunk_push", 100),
     "TrunkLift-v0": ("trunk_lift", 100),
     "TrunkLift-v1": ("trunk_lift", 100),
+    "TrunkGrasp-v0": ("trunk_lift", 100),
     "MultiGait-v0": ("multigait", 6),
 }
 ENV_IDS = tuple(_ENVS)
-FIRST_IDS = tuple(env_id for env_id in ENV_IDS if env_id.endswith("-v0"))  # of the published study, with boards
+FIRST_IDS = tuple(env_id for env_id in ENV_IDS if env_id.endswith("-v0"))  # each has a page
 # the same with action="continuous", for programs that choose an environment by its id alone
 CONTINUOUS_IDS = {env_id: env_id.replace("-", "Continuous-") for env_id in ENV_IDS}
 

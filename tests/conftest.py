@@ -1,6 +1,7 @@
 """Fixtures that run a test for every environment, model and action mode, commands as a shell would, and a trunk
 as the diagnosis sees it."""
 
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,6 +19,12 @@ from soro_bench.models.trunk import VARIANTS
 @pytest.fixture(params=[env_id for env_id in soro_bench.ENV_IDS if env_id.startswith("Trunk")])
 def env_id(request: pytest.FixtureRequest) -> str:
     """Every environment of a trunk."""
+    return request.param
+
+
+@pytest.fixture(params=[env_id for env_id in soro_bench.ENV_IDS if re.match("Trunk(Reach|Push|Lift)", env_id)])
+def published_id(request: pytest.FixtureRequest) -> str:
+    """Every environment of a published task of the trunk."""
     return request.param
 
 

@@ -316,7 +316,11 @@ def test_every_kind_of_effect_that_it_can_have_is_suspected(robot):
     assert ("pressure_leak" in found) == robot.pneumatic == (robot.env_id == "MultiGait-v0")
     assert ("coulomb_friction" in found) != robot.pneumatic
     assert ("adhesion" in found) == (not robot.env_id.startswith("TrunkReach"))  # which touches nothing
-    assert ("stiction" in found) == robot.env_id.startswith(("TrunkPush", "TrunkLift"))  # where an object slides
+    assert ("stiction" in found) == robot.env_id.startswith((
+        "TrunkPush",
+        "TrunkLift",
+        "TrunkGrasp",
+    ))  # an object slides
     assert ("viscoelastic_creep" in found) != robot.pneumatic  # also beside an object that has no springs
 
 

@@ -12,9 +12,10 @@ from gymnasium.utils.env_checker import check_env
 
 import soro_bench
 from soro_bench.envs.trunk import potential
+from soro_bench.envs.trunk_lift import REST_HEIGHT
 from soro_bench.envs.trunk_reach import EVALUATION_GOALS, GOAL_HIGH, GOAL_LOW
 
-OBSERVATION_SIZE = {"TrunkReach": 66, "TrunkPush": 73, "TrunkLift": 73}
+OBSERVATION_SIZE = {"TrunkReach": 66, "TrunkPush": 73, "TrunkLift": 73, "TrunkGrasp": 73}
 TIP, GOAL, OBJECT = slice(60, 63), slice(63, 66), slice(66, 69)
 STEP_INFO = {"params", "distance", "is_success", "diverged", "reward_progress", "reward_time"}
 
@@ -133,9 +134,9 @@ def test_potential_gives_published_rewards(initial, distance, reward):
     assert (start - end) / start - 0.05 == pytest.approx(reward, abs=1e-3)
 
 
-def test_reward_of_a_step(make, env_id, model):
+def test_reward_of_a_step(make, published_id, model):
     """The reward is the published formula of the distance, measured from the distance at reset, and its terms' sum."""
-    env = make(env_id, model=model)
+    env = make(published_id, model=model)
     initial = env.reset(seed=1)[1]["distance"]
     for action in (0, 7, 10):
         _, reward, _, _, info = env.step(action)
@@ -144,9 +145,9 @@ def test_reward_of_a_step(make, env_id, model):
         assert info["reward_time"] == -0.05
 
 
-def test_distance(make, env_id, model):
+def test_distance(make, published_id, model):
     """The distance is that from tip to goal (Reach), of the object in the plane (Push), or the lifting cost (Lift)."""
-    env = make(env_id, model=model)
+    env = make(published_id, model=model)
     env.reset(seed=1)
     for action in (2, 3):
         observation, *_, info = env.step(action)
@@ -155,7 +156,7 @@ def test_distance(make, env_id, model):
         "TrunkReach": lambda: math.dist(tip, goal),
         "TrunkPush": lambda: math.hypot(thing[0] - goal[0], thing[2] - goal[2]),
         "TrunkLift": lambda: 0.75 * abs(thing[1] + 0.025) + 0.25 * math.dist(tip, thing),
-    }[task_of(env_id)]()
+    }[task_of(published_id)]()
     assert info["distance"] == pytest.approx(expected, rel=1e-9)
 
 
@@ -251,9 +252,9 @@ def test_push_succeeds_within_one_millimetre(make, offset, success):
     assert any(env.step(action)[2] for action in actions) == success
 
 
-def test_truncation_after_100_steps(make, env_id):
+def test_truncation_after_100_steps(make, published_id):
     """An episode that does not succeed is truncated at its 100th step, not before."""
-    env = make(env_id, model="cable")
+    env = make(published_id, model="cable")
     env.action_space.seed(0)
     # the goal is out of reach
     env.reset(seed=0, options={"goal": [0.0, 0.3, 0.0]})
@@ -265,22 +266,23 @@ def test_info(make, env_id, model):
     """Reset and step report parameters and distance, steps also success, divergence and reward terms."""
     env = make(env_id, model=model)
     _, info = env.reset(seed=0)
-    extra = {"elevation", "clearance"} if task_of(env_id) == "TrunkLift" else set()
+    lifts = task_of(env_id) in ("TrunkLift", "TrunkGrasp")
+    extra = {"elevation", "clearance"} if lifts else set()
     assert set(info) == {"params", "distance"} | extra
     *_, info = env.step(0)
-    assert set(info) == STEP_INFO | extra
+    assert set(info) == STEP_INFO | extra | ({"reward_held"} if task_of(env_id) == "TrunkGrasp" else set())
     assert type(info["distance"]) is float and type(info["is_success"]) is bool
     params = {"trunk_mass": 0.42, "poisson_ratio": 0.45, "young_modulus": 4.5e6, "damping": 0.1, "cable_stiffness": 1e4}
     if task_of(env_id) == "TrunkPush":
         params |= {"cube_mass": 0.05, "friction": 0.3}
-    if task_of(env_id) == "TrunkLift":
+    if lifts:
         params |= {"cube_mass": 0.05, "friction": 0.9, "wall_offset": 0.0}
     assert info["params"] == params
 
 
-def test_reset_options(make, env_id, model):
+def test_reset_options(make, published_id, model):
     """A goal and parameters given at reset are the episode's, and the next reset goes back to the defaults."""
-    env = make(env_id, model=model)
+    env = make(published_id, model=model)
     goal = [0.02, -0.03, 0.1]
     observation, info = env.reset(seed=0, options={"goal": goal, "params": {"young_modulus": 3e6}})
     np.testing.assert_array_equal(observation[GOAL], goal)
@@ -314,7 +316,7 @@ def test_an_observation_that_is_no_number_ends_the_episode(make, monkeypatch):
     assert truncated and info["diverged"]
 
 
-@pytest.fixture(params=[env_id for env_id in soro_bench.ENV_IDS if env_id.endswith("-v1")])
+@pytest.fixture(params=[env_id for env_id in soro_bench.ENV_IDS if env_id.endswith("-v1")] + ["TrunkGrasp-v0"])
 def later_id(request):
     return request.param
 
@@ -353,6 +355,63 @@ def test_version_1_stays_stable_where_cables_pull_against_each_other(make, later
     for _ in range(15):
         action = rng.choice([-1.0, 1.0], 8).astype(np.float32)
         assert not any(env.step(action)[-1]["diverged"] for _ in range(4))
+
+
+def _hold_object(env, height):
+    """Put the object so far above its rest [m], level and at rest; the step that follows moves it by 0.1 s of falling
+    at most."""
+    task = env.unwrapped.task
+    task.sim.batch.qpos[0, task._object_qpos + 1] = REST_HEIGHT + height
+    task.sim.batch.qvel[0, -6:] = 0.0
+
+
+def test_an_object_that_is_held_up_for_half_a_second_is_grasped(make):
+    """Not one that is let go in between; rewards are what the object has gained, and those of holding it."""
+    env = make("TrunkGrasp-v0", model="cable")
+    env.reset(seed=0)
+    ends = []
+    for step in range(15):
+        _hold_object(env, 0.0 if step == 4 else 0.04)
+        _, reward, terminated, _, info = env.step(0)
+        assert reward == pytest.approx(sum(info[f"reward_{name}"] for name in ("progress", "held", "time")))
+        ends.append(terminated)
+    assert ends == [False] * 14 + [True]
+    assert info["is_success"] and info["reward_held"] == pytest.approx(5.1)
+
+
+def test_a_tipped_object_is_not_grasped(make):
+    """Its centre is higher, and a corner still on the floor."""
+    env = make("TrunkGrasp-v0", model="cable")
+    env.reset(seed=0)
+    task, half = env.unwrapped.task, np.sqrt(0.5)
+    task.sim.batch.qpos[0, task._object_qpos + 1] = REST_HEIGHT - 0.0105 + 0.028  # on its narrow side, 56 mm high
+    task.sim.batch.qpos[0, task._object_qpos + 3 : task._object_qpos + 7] = [half, 0.0, 0.0, half]
+    *_, info = env.step(0)
+    assert info["elevation"] == pytest.approx(0.0175, abs=1e-3) and info["clearance"] == pytest.approx(0.0, abs=1e-3)
+    assert info["reward_held"] == 0.0 and not info["is_success"]
+
+
+def test_an_episode_begins_where_another_one_was(make, env_id):
+    """And goes on with the same bytes."""
+    env = make(env_id, model="cable", action="continuous")
+    env.reset(seed=0)
+    actions = np.random.default_rng(0).uniform(-1, 1, (6, 8)).astype(np.float32)
+    before = [env.step(action)[0] for action in actions[:3]][-1]
+    state = {name: rows[0] for name, rows in env.unwrapped.task.state(np.arange(1)).items()}
+    after = [env.step(action)[0] for action in actions[3:]]
+    goal = {} if task_of(env_id) == "TrunkGrasp" else {"goal": before[GOAL]}
+    other = make(env_id, model="cable", action="continuous")
+    np.testing.assert_array_equal(other.reset(seed=1, options={"state": state, **goal})[0], before)
+    np.testing.assert_array_equal([other.step(action)[0] for action in actions[3:]], after)
+
+
+def test_a_state_of_something_else_is_refused(make):
+    env = make("TrunkReach-v0", model="cable")
+    state = {name: rows[0] for name, rows in env.unwrapped.task.state(np.arange(1)).items()}
+    with pytest.raises(ValueError, match="has to be a dict with qpos, qvel, act, qacc_warmstart"):
+        env.reset(options={"state": {"qpos": state["qpos"]}})
+    with pytest.raises(ValueError, match=r"state qpos .* has to be 30 finite numbers"):
+        env.reset(options={"state": {**state, "qpos": state["qpos"][1:]}})
 
 
 def test_places_of_the_cube_in_version_1_of_push(make):

@@ -13,7 +13,7 @@ from PIL import Image
 
 from soro_bench.leaderboard.entry import policy_of, read_entry
 from soro_bench.leaderboard.strict import read_strict
-from soro_bench.registration import ENV_IDS, task_type
+from soro_bench.registration import task_type
 
 FOLDER = Path(__file__).parent
 ROOT = FOLDER.parents[1]
@@ -91,7 +91,7 @@ def shared_palette(pictures: list[Image.Image]) -> Image.Image:
 
 
 def main() -> None:
-    for env_id in ENV_IDS:
+    for env_id in STEPS:
         pictures = [Image.fromarray(each).resize(SIZE, Image.Resampling.LANCZOS) for each in frames(env_id)]
         palette = shared_palette(pictures)
         # one palette and no dithering: what does not move stays the same, and costs nothing

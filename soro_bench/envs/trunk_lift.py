@@ -1,19 +1,22 @@
-"""TrunkLift: lift an object, if need be against a wall."""
+"""TrunkLift: lift an object, if need be against a wall. TrunkGrasp: the same with a goal that can be met."""
 
+import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
 
-from soro_bench.arrays import Floats, Ints
+from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.envs.single import SoftRobotEnv
+from soro_bench.envs.task import Task
 from soro_bench.envs.trunk import ObjectTask, Version1
 from soro_bench.envs.vector import SoftRobotVectorEnv
 from soro_bench.models import trunk
 from soro_bench.models.scene import WallOffset
 from soro_bench.models.simulation import ParameterMap
-from soro_bench.parameters import CUBE_MASS, FRICTION, WALL_OFFSET, ParameterSet
+from soro_bench.parameters import CUBE_MASS, FRICTION, WALL_OFFSET, Parameter, ParameterSet
 
 GOAL = np.array([-0.100, -0.025, 0.120])  # m, published; only y matters
 LIFT_WEIGHT, APPROACH_WEIGHT = 0.75, 0.25  # published
@@ -26,7 +29,7 @@ class TrunkLiftTask(ObjectTask):
     scene, metric = "lift.xml", "elevation"
     # friction 0.9 and 0.05 kg are the published nominal values of this task
     parameters = ParameterSet(CUBE_MASS, FRICTION, WALL_OFFSET, *trunk.PARAMETERS).with_nominal(friction=0.9)
-    randomized = (WALL_OFFSET,)
+    randomized: ClassVar[tuple[Parameter, ...]] = (WALL_OFFSET,)
     evaluation = tuple({"params": {"cube_mass": mass}} for mass in (0.05, 0.1))  # kg, published
 
     signal_units: ClassVar = {**ObjectTask.signal_units, "elevation": ("m", "world"), "clearance": ("m", "world")}
@@ -71,6 +74,64 @@ class TrunkLiftTask(ObjectTask):
 
 class TrunkLiftV1Task(Version1, TrunkLiftTask):
     """N simulations of TrunkLift-v1."""
+
+
+HEIGHT = 0.02  # m, clearance that is asked for
+HELD_STEPS = 10  # control steps through which it has to be held: 0.5 s
+FULL_RISE = 0.06  # m, rise of the centre that rewards count no more of
+CLEARANCE_WEIGHT, RISE_WEIGHT = 2.0, 0.75  # of the whole way; a tipped object has little of the second only
+HELD_REWARD, SUCCESS_REWARD, STEP_REWARD = 0.1, 5.0, -0.01
+_MASSES = (0.05, 0.075, 0.1)  # kg, of evaluation; as the published ones, and between them
+_WALLS = (-0.03, -0.01, 0.01, 0.03)  # m
+
+
+class TrunkGraspTask(Version1, TrunkLiftTask):
+    """N simulations of TrunkGrasp."""
+
+    metric = "clearance"
+    options = Task.options
+    randomized = (WALL_OFFSET, replace(CUBE_MASS, search=(min(_MASSES), max(_MASSES))))
+    evaluation = tuple(
+        {"params": {"wall_offset": wall, "cube_mass": mass}} for wall, mass in itertools.product(_WALLS, _MASSES)
+    )
+
+    def __init__(self, *args: Any, **kwargs: Any):
+        super().__init__(*args, **kwargs)
+        self._held = self.sim.array(np.zeros(self.num_envs))  # steps
+        self._achieved = self.sim.array(np.zeros(self.num_envs))
+
+    def distance(self, ids: Ints) -> Floats:
+        """(n,) clearance [m] that is missing."""
+        return self.xp.clip(HEIGHT - self.clearance(ids), 0.0, self._FARTHEST)
+
+    def _place(self, ids: Ints, starts: Sequence[Floats]) -> None:
+        super()._place(ids, starts)
+        self.sim.batch.qpos[ids, self._object_qpos + 1] = REST_HEIGHT
+
+    def _begin(self, ids: Ints) -> None:
+        self._held[ids] = 0.0
+        self._achieved[ids] = self._achievement(ids)
+
+    def _achievement(self, ids: Ints) -> Floats:
+        """(n,) how far the object has come, of which rewards are the changes."""
+        lifted = self.xp.clip(self.clearance(ids) / HEIGHT, -1.0, 1.0)
+        risen = self.xp.clip(self.elevation(ids) / FULL_RISE, -1.0, 1.0)
+        return self.xp.nan_to_num(CLEARANCE_WEIGHT * lifted + RISE_WEIGHT * risen)
+
+    def _score(self, ids: Ints) -> tuple[dict[str, Floats], Bools]:
+        clear, now = self.clearance(ids) >= HEIGHT, self._achievement(ids)
+        held = self.xp.where(clear, self._held[ids] + 1.0, 0.0)
+        success = held >= HELD_STEPS
+        terms = {
+            "reward_progress": now - self._achieved[ids],
+            "reward_held": self.xp.where(clear, HELD_REWARD, 0.0) + self.xp.where(success, SUCCESS_REWARD, 0.0),
+            "reward_time": self.xp.full_like(now, STEP_REWARD),
+        }
+        self._held[ids], self._achieved[ids] = held, now
+        return terms, success
+
+    def _sample_goal(self, rng: np.random.Generator) -> Floats:
+        return np.array([GOAL[0], REST_HEIGHT + HEIGHT, GOAL[2]])
 
 
 class TrunkLiftEnv(SoftRobotEnv):
@@ -127,3 +188,43 @@ class TrunkLiftV1VectorEnv(SoftRobotVectorEnv):
     """Vector form of :class:`TrunkLiftV1Env`."""
 
     task_type = TrunkLiftV1Task
+
+
+class TrunkGraspEnv(SoftRobotEnv):
+    """Lift an object off the floor with a cable-driven soft trunk, and hold it.
+
+    ## Description
+    TrunkLift with a goal that can be met. The published goal of :class:`TrunkLiftEnv` asks for the centre of the object
+    to 1 mm, and pays for tipping the object over.
+
+    ## Actions
+    As in :class:`TrunkReachEnv`.
+
+    ## Observations
+    `Box(-1, 1, (73,))`, as in :class:`TrunkPushEnv`. The wall is not observed.
+
+    ## Rewards
+    `reward_progress`, how much further the object has come in this step: 2 clearance / 20 mm + 0.75 rise / 60 mm, both
+    shares at most 1. `reward_held`: 0.1 while the clearance is 20 mm or more, and 5 at success. `reward_time`: -0.01.
+
+    ## Episode
+    Starts straight, with the object at rest on the floor at (-30, -92, 120) mm. Terminates (`is_success`) when every
+    corner of the object has been 20 mm above its rest for 0.5 s; truncated after 100 steps of 0.05 s.
+
+    ## Arguments
+    As in :class:`TrunkLiftEnv`. Randomised: cube_mass in 0.05 .. 0.1 kg, wall_offset in +-0.03 m.
+
+    `info` also has `elevation` and `clearance` [m], as in :class:`TrunkLiftEnv`; `distance` is the clearance that is
+    missing.
+
+    ## Version history
+    * v0: with version 1 of the trunk.
+    """
+
+    task_type = TrunkGraspTask
+
+
+class TrunkGraspVectorEnv(SoftRobotVectorEnv):
+    """Vector form of :class:`TrunkGraspEnv`."""
+
+    task_type = TrunkGraspTask

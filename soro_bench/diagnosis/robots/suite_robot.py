@@ -30,6 +30,7 @@ _KINDS = {
     "TrunkReach": _TRUNK,
     "TrunkPush": (*_TRUNK, "geom"),
     "TrunkLift": (*_TRUNK, "geom"),
+    "TrunkGrasp": (*_TRUNK, "geom"),
     "MultiGait": ("actuator", "flex", "geom", "model"),
 }
 _SETTINGS = RobotSettings()
