@@ -16,6 +16,7 @@ from soro_bench.diagnosis.api import with_seeds
 from soro_bench.diagnosis.assembly.discovered import spanned
 from soro_bench.diagnosis.discovery.discovery import discovered
 from soro_bench.diagnosis.discovery.library import Term, series, variables_at
+from soro_bench.diagnosis.discovery.located_input import LocatedInput
 from soro_bench.diagnosis.estimation.fit import Guess, allowing, fitted
 from soro_bench.diagnosis.localisation.ranking import ranked_locations
 from soro_bench.diagnosis.render.html import html
@@ -237,6 +238,20 @@ def test_a_spring_of_one_side_is_written_down_and_holds_on_what_was_not_fitted(p
     assert found.explained > 0.9
     again = effect_from(written.to_json(), ALL)
     assert replace(again, parameters=written.parameters) == written
+
+
+def test_products_of_what_forces_change_are_those_of_the_changes(paths):
+    """Under the covariance, though only pulses near each other are multiplied."""
+    given = problem(paths, [custom(law(["multiply", -0.8, "q"], {"q": {"of": "position"}}))], steps=225)
+    (base,) = fitted(given, [Guess(np.zeros(3))], (0.7, 0.3, 0.1), seed=0)
+    (best, *_) = (each for each in ranked_locations(given, given.robot, base) if each.location.kind == "body")
+    located = LocatedInput(given, given.robot, base, best.estimates[0])
+    forces = np.random.default_rng(0).standard_normal((3, *located.force.shape))
+    changes, white = np.array([located.changed(each) for each in forces]), located.covariance.white
+    with_each_other, with_origin = located.products(np.array([located.at_nodes(each) for each in forces]))
+    assert with_each_other == pytest.approx(changes @ changes.T - white(changes) @ white(changes).T)
+    explained = white(changes) @ white(located.origin[None])[0]
+    assert with_origin == pytest.approx(changes @ located.origin - explained)
 
 
 WELLS = ["bumps", ["q", "v"], [0.2, 1.0], [[-0.4, 0.0, 0.5], [0.1, 0.0, -0.6], [0.5, 0.0, 0.4]]]
