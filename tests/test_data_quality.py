@@ -66,6 +66,15 @@ def test_a_vibration_that_takes_the_points_beside_along_is_no_spike(along, at):
     assert np.flatnonzero(samples.spikes(points, NOISE, SETTINGS)[:, 1]).tolist() == at
 
 
+@pytest.mark.parametrize(("along", "at"), [(0.4, []), (0.0, [150])])
+def test_what_noise_alone_tells_from_the_points_beside_is_no_spike(along, at):
+    """It is farther off than noise gets, but not so far from the points beside, which go along a little."""
+    points = 0.3 * NOISE * np.random.default_rng(0).standard_normal((400, 3, 3))
+    size = 1.4 * SETTINGS.outlier_deviations * NOISE / np.sqrt(3)
+    points[150] += size * np.array([along, 1.0, along])[:, None]
+    assert np.flatnonzero(samples.spikes(points, NOISE, SETTINGS)[:, 1]).tolist() == at
+
+
 @pytest.mark.parametrize("rows", [1.27, 1.5, 3])
 def test_a_sensor_slower_than_its_logger_gets_the_times_at_which_it_sampled(rows, tmp_path):
     """Within what the rows leave open: a motion of 0.5 Hz shows a delay of a millisecond."""
