@@ -144,6 +144,8 @@ def quantities(task: Task) -> dict[tuple[str, str, str, str], float]:
     model, batch = task.model, task.sim.batch
     values = {}
     for site in (model.site(i) for i in range(model.nsite)):
+        if not site.name.startswith("keypoint"):  # eyelets of cables are not observed, and some are at rest at 0
+            continue
         of = re.sub(r"(\d+)", r" \1", site.name)
         for axis, value in zip(AXES, batch.site_xpos[0, site.id], strict=True):
             values[f"{axis} of {of}", f"`{site.name}`", "site", "m"] = value
@@ -187,9 +189,12 @@ def doc_links(text: str, folder: Path) -> str:
 
 def parameter_table(task: type[Task]) -> str:
     """The parameters of a task."""
-    randomized = {p.name for p in task.randomized}
-    rows = [(*parameter_row(p), "yes" if p.name in randomized else "no") for p in task.parameters.parameters.values()]
-    return table((*PARAMETER_COLUMNS, "randomised in the study"), rows)
+    randomized = {p.name: p for p in task.randomized}
+    rows = [
+        (*parameter_row(randomized.get(p.name, p)), "yes" if p.name in randomized else "no")
+        for p in task.parameters.parameters.values()
+    ]
+    return table((*PARAMETER_COLUMNS, "randomised"), rows)
 
 
 PARAMETER_COLUMNS = ("name", "nominal", "unit", "bounds", "search box", "meaning")

@@ -95,6 +95,15 @@ def test_every_environment_with_a_board_has_a_picture_that_loads_fast():
         assert 0 < (DOCS / "images" / f"{env_id}.gif").stat().st_size <= LARGEST_GIF, env_id
 
 
+@pytest.mark.parametrize("env_id", ["TrunkPush-v0", "TrunkLift-v0", "TrunkGrasp-v0"])
+def test_pages_say_where_the_pose_of_an_object_is_observed(env_id):
+    """Not the eyelets of cables that are at rest in the same place."""
+    page = (DOCS / "reference" / "environments" / f"{env_id}.md").read_text()
+    pose = [f"{axis} of the object's centre" for axis in "xyz"]
+    pose += [f"{axis} of the object's unit quaternion" for axis in "xyzw"]
+    assert re.findall(r"(?m)^\| (?:6[6-9]|7[0-2]) \| ([^|]*) \|", page) == pose
+
+
 def test_the_modules_of_the_python_reference_exist():
     pages = runpy.run_path(str(DOCS / "hooks.py"))["python_pages"]((DOCS / "reference/python/index.md").read_text())
     navigation = (CHECKOUT / "mkdocs.yml").read_text()
