@@ -194,18 +194,18 @@ class TrunkGraspEnv(SoftRobotEnv):
     """Lift an object off the floor with a cable-driven soft trunk, and hold it.
 
     ## Description
-    TrunkLift with a goal that can be met. The published goal of :class:`TrunkLiftEnv` asks for the centre of the object
-    to 1 mm, and pays for tipping the object over.
+    The floor, wall and object (56 x 21 x 35 mm) of :class:`TrunkLiftEnv`. Success needs a lift that is held; the
+    published reward also pays for tipping the object over.
 
     ## Actions
     As in :class:`TrunkReachEnv`.
 
     ## Observations
-    `Box(-1, 1, (73,))`, as in :class:`TrunkPushEnv`. The wall is not observed.
+    `Box(-1, 1, (73,))`, as in :class:`TrunkPushEnv`. The wall is not observed, and the goal is constant.
 
     ## Rewards
-    `reward_progress`, how much further the object has come in this step: 2 clearance / 20 mm + 0.75 rise / 60 mm, both
-    shares at most 1. `reward_held`: 0.1 while the clearance is 20 mm or more, and 5 at success. `reward_time`: -0.01.
+    `reward_progress`, the change in this step of 2 clearance / 20 mm + 0.75 elevation / 60 mm, both fractions clipped
+    to +-1. `reward_held`: 0.1 a step at 20 mm clearance or more, and 5 at success. `reward_time`: -0.01.
 
     ## Episode
     Starts straight, with the object at rest on the floor at (-30, -92, 120) mm. Terminates (`is_success`) when every
@@ -218,7 +218,7 @@ class TrunkGraspEnv(SoftRobotEnv):
     missing.
 
     ## Version history
-    * v0: with version 1 of the trunk.
+    * v0: the trunk of version 1 of :class:`TrunkReachEnv`.
     """
 
     task_type = TrunkGraspTask
