@@ -215,11 +215,15 @@ def test_a_robot_settles_under_its_first_command(paths):
     assert np.ptp(values) < 1e-6
 
 
-def test_a_robot_with_hardly_any_damping_settles_within_a_few_periods(tmp_path):
-    """Two masses on springs that would swing for minutes hang at rest after two seconds."""
-    (model := tmp_path / "springs.xml").write_text("""<mujoco><worldbody><body><joint name="upper" type="slide"
-    axis="0 0 -1" stiffness="100" damping="0.01"/><geom size="0.05" mass="1"/><body><joint name="lower" type="slide"
-    axis="0 0 -1" stiffness="50" damping="0.01"/><geom size="0.05" mass="0.5"/></body></body></worldbody></mujoco>""")
+@pytest.mark.parametrize("damping", [0.01, 5.0, 20.0])
+def test_two_masses_on_springs_hang_at_rest_after_two_seconds(tmp_path, damping):
+    """Those that would swing for minutes, and those that creep, as damping brakes them before they are there."""
+    (model := tmp_path / "springs.xml").write_text(
+        """<mujoco><worldbody><body><joint name="upper" type="slide"
+    axis="0 0 -1" stiffness="100" damping="DAMPING"/><geom size="0.05" mass="1"/><body><joint name="lower" type="slide"
+    axis="0 0 -1" stiffness="50" damping="DAMPING"/><geom size="0.05" mass="0.5"/></body></body></worldbody></mujoco>
+    """.replace("DAMPING", str(damping))
+    )
     (mapping := tmp_path / "map.toml").write_text("""[robot]
 control_timestep = 0.02
 settle = 2.0

@@ -246,8 +246,9 @@ class Replays(ABC):
                 before = settings[:, step - 1] if step else np.nan
                 self._set(ids := np.flatnonzero((settings[:, step] != before).any(axis=1)), settings[ids, step])
             if step == 0:
-                self._settle(actions[:, 0])
+                lost |= self._settle(actions[:, 0])
                 values.append(self._sample(n))
+                values[0][lost] = np.nan
             if before_step:
                 before_step(step)
             lost |= self._step(actions[:, step])
@@ -256,22 +257,26 @@ class Replays(ABC):
             values.append(value)
         return np.stack(values, axis=1)
 
-    def _settle(self, actions: Floats) -> None:
-        """Bring simulations to rest under actions (n, nu), in control steps before a recording begins.
+    def _settle(self, actions: Floats) -> Bools:
+        """Bring simulations to rest under actions (n, nu), in control steps before a recording begins; (n,) whether
+        they have diverged.
 
-        Little damping takes longer than anyone lets a robot settle. So velocities are set to zero where the kinetic
-        energy falls, as it does behind a position of rest (dynamic relaxation: Barnes, "Form finding and analysis of
-        tension structures by dynamic relaxation", 1999). Off-diagonal masses are left out of it.
+        Little damping takes longer than anyone lets a robot settle. So velocities are set to zero behind a position of
+        rest, where forces pull back (dynamic relaxation: Barnes, "Form finding and analysis of tension structures by
+        dynamic relaxation", 1999). These are the forces without velocities: damping brakes on the way there, too.
         """
-        batch, mass = self.simulation.batch, self.simulation.model.dof_M0
-        before = np.zeros(self._count)
+        batch, lost = self.simulation.batch, np.zeros(len(actions), bool)
+        for name in ("qvel", "qfrc_smooth", "qfrc_constraint"):
+            batch.bind(name)
         for _ in range(self.settling):
-            self._step(actions)
-            batch.bind("qvel")
-            energy = np.asarray(batch.qvel) ** 2 @ mass
-            falls = energy < before
-            batch.qvel[falls] = 0.0
-            before = np.where(falls, 0.0, energy)
+            lost |= self._step(actions)
+            moved = np.array(batch.qvel)
+            batch.qvel[:] = 0.0
+            batch.forward()
+            force = np.asarray(batch.qfrc_smooth) + np.asarray(batch.qfrc_constraint)
+            onward = (moved * force).sum(axis=1) >= 0.0
+            batch.qvel[onward] = moved[onward]
+        return lost
 
     def _sample(self, count: int) -> Floats:
         """(count, C) numbers of all signals of the first ``count`` simulations now."""
