@@ -405,6 +405,16 @@ def test_an_episode_begins_where_another_one_was(make, env_id):
     np.testing.assert_array_equal([other.step(action)[0] for action in actions[3:]], after)
 
 
+def test_a_goal_where_the_straight_trunk_ends_is_allowed_from_elsewhere(make):
+    env = make("TrunkReach-v0", model="cable", action="continuous")
+    tip = env.reset(seed=0)[0][TIP]
+    for _ in range(5):
+        env.step(np.array([1, 0, -1, 0, 0, 0, 0, 0], np.float32))
+    state = {name: rows[0] for name, rows in env.unwrapped.task.state(np.arange(1)).items()}
+    *_, info = env.reset(options={"state": state, "goal": tip})
+    assert info["distance"] > 0.01
+
+
 def test_a_state_of_something_else_is_refused(make):
     env = make("TrunkReach-v0", model="cable")
     state = {name: rows[0] for name, rows in env.unwrapped.task.state(np.arange(1)).items()}

@@ -1,5 +1,6 @@
 """The vector environment: the same bytes as single environments, Gymnasium's autoreset modes, the SB3 adapter."""
 
+import copy
 import functools
 
 import gymnasium
@@ -221,6 +222,26 @@ def test_options_per_simulation(model):
         assert reward[i] == expected[1]
 
 
+def test_each_simulation_begins_in_a_state_of_its_own():
+    envs = gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable", action="continuous")
+    envs.reset(seed=0)
+    for action in random_actions(envs.action_space, 3):
+        before = envs.step(action)[0]
+    state = envs.unwrapped.task.state(np.arange(2))
+    after, _ = envs.reset(seed=1, options={"state": state, "goal": before[:, 63:66]})
+    np.testing.assert_array_equal(after, before)
+    after, _ = envs.reset(seed=1, options={"state": {name: rows[1] for name, rows in state.items()}})
+    np.testing.assert_array_equal(after[:, :63], before[[1, 1], :63])
+    envs.close()
+
+
+def test_one_simulation_of_many_can_be_copied():
+    envs = gymnasium.make_vec("TrunkReach-v0", num_envs=2, model="cable")
+    one = copy.copy(envs.unwrapped.get_attr("unwrapped")[0])
+    assert one.action_space == envs.single_action_space
+    envs.close()
+
+
 def test_seeds_may_be_listed():
     """A seed s stands for s, s + 1, ...; a list or array gives every simulation its own."""
     envs = gymnasium.make_vec("TrunkReach-v0", num_envs=3, model="cable")
@@ -236,8 +257,8 @@ def test_results_are_fresh_arrays():
     copies = [np.copy(result[0]) for result in results]
     infos = [envs.step(action)[4]["distance"] for action in random_actions(envs.action_space, 2)]
     assert infos[0] is not infos[1]
-    for result, copy in zip(results, copies, strict=True):
-        np.testing.assert_array_equal(result[0], copy)
+    for result, kept in zip(results, copies, strict=True):
+        np.testing.assert_array_equal(result[0], kept)
 
 
 def test_make_vec_conventions(env_id, action):

@@ -153,11 +153,7 @@ class Task(ABC):
         Returns:
             (n, k) observations and a dict of (n,) info arrays.
         """
-        self.begin(ids, *self.draw(rngs, options))
-        if given := [k for k, option in enumerate(options) if "state" in option]:
-            states = [options[k]["state"] for k in given]
-            self.set_state(ids[given], {name: self.sim.array(np.stack([s[name] for s in states])) for name in STATE})
-            self._begin(ids[given])
+        self.begin(ids, *self.draw(rngs, options), self.states(options))
         return self._observe(ids), self._info(ids)
 
     def draw(
@@ -168,12 +164,18 @@ class Task(ABC):
         starts = [self._sample_start(rng, option) for rng, option in zip(rngs, checked, strict=True)]
         return starts, np.array([self._sample_params(rng, option) for rng, option in zip(rngs, checked, strict=True)])
 
-    def begin(self, ids: Ints, starts: Sequence[Any], params: Floats) -> None:
-        """Begin episodes in simulations ``ids`` with what ``draw`` gave."""
+    def begin(
+        self, ids: Ints, starts: Sequence[Any], params: Floats, states: Sequence[Mapping[str, Floats] | None] = ()
+    ) -> None:
+        """Begin episodes in simulations ``ids`` with what ``draw`` gave, and with ``states`` where there are any."""
         self.sim.set_params(ids, params)
         self.sim.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._place(ids, starts)
         self.sim.begin(ids)
+        given = [(i, state) for i, state in zip(ids, states, strict=False) if state is not None]
+        if given:
+            rows = {name: np.stack([state[name] for _, state in given]) for name in STATE}
+            self.set_state(self.sim.array([i for i, _ in given]), {k: self.sim.array(v) for k, v in rows.items()})
         self._begin(ids)
 
     def step(self, ids: Ints, actions: NDArray[Any]) -> Step:
@@ -282,19 +284,21 @@ class Task(ABC):
         for name in options:
             if name not in self.options:
                 raise ValueError(f"unknown reset option {name!r}; this environment has {', '.join(self.options)}")
-        if "state" in options:
-            self._check_state(options["state"])
         return {**options, "params": self.parameters.check(options.get("params", {}))}
 
-    def _check_state(self, given: Any) -> None:
-        """Refuse what is no row of a state."""
-        own = self.state(np.arange(1))
+    def states(self, options: Sequence[Mapping[str, Any]]) -> list[dict[str, Floats] | None]:
+        """The states that options give, None where there is none; ValueError for what is no row of a state."""
+        return [self._checked_state(option["state"]) if "state" in option else None for option in options]
+
+    def _checked_state(self, given: Any) -> dict[str, Floats]:
+        own, found = self.state(np.arange(1)), {}
         if not isinstance(given, Mapping) or set(given) != set(own):
             raise ValueError(f"state {brief(given)} has to be a dict with {', '.join(own)}")
         for name, rows in own.items():
-            values = np.asarray(given[name])
+            found[name] = values = np.asarray(given[name].cpu() if hasattr(given[name], "cpu") else given[name])
             if values.shape != rows.shape[1:] or values.dtype.kind not in "fiu" or not np.isfinite(values).all():
                 raise ValueError(f"state {name} {brief(values.tolist())} has to be {rows.shape[1]} finite numbers")
+        return found
 
     def _sample_params(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Floats:
         drawn = self._distribution.sample(rng) if self._distribution else {}

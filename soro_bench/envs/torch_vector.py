@@ -103,7 +103,8 @@ class TorchVectorEnv:
         if self._next and options is None:
             self._begin(ids)
         else:
-            self.task.begin(ids, *self.task.draw(self._rngs, options or [{}] * self.num_envs))
+            options = options or [{}] * self.num_envs
+            self.task.begin(ids, *self.task.draw(self._rngs, options), self.task.states(options))
             self._missing = ids.tolist()
         self.elapsed[:] = 0
         return self.task._observe(self._everyone).clone(), self.task._info(self._everyone)

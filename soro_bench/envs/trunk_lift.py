@@ -212,7 +212,7 @@ class TrunkGraspEnv(SoftRobotEnv):
     corner of the object has been 20 mm above its rest for 0.5 s; truncated after 100 steps of 0.05 s.
 
     ## Arguments
-    As in :class:`TrunkLiftEnv`. Randomised: cube_mass in 0.05 .. 0.1 kg, wall_offset in +-0.03 m.
+    As in :class:`TrunkLiftEnv`, but no `goal`. Randomised: cube_mass in 0.05 .. 0.1 kg, wall_offset in +-0.03 m.
 
     `info` also has `elevation` and `clearance` [m], as in :class:`TrunkLiftEnv`; `distance` is the clearance that is
     missing.

@@ -286,6 +286,8 @@ class OneOfMany:
         self._added[name] = value
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):  # a copy has none of its own yet when it is asked how it is to be copied
+            raise AttributeError(name)
         if name in self._added:
             return self._added[name]
         names = [*(own for own in dir(type(self)) if not own.startswith("_")), *self._added]
@@ -335,6 +337,8 @@ def _options_of(options: Mapping[str, Any], i: int, num_envs: int) -> dict[str, 
         return array[i] if array.ndim == ndim + 1 and len(array) == num_envs else value
 
     picked = {name: pick(value, 1) for name, value in options.items()}
+    if isinstance(options.get("state"), Mapping):
+        picked["state"] = {name: pick(value, 1) for name, value in options["state"].items()}
     if isinstance(options.get("params"), Mapping):
         picked["params"] = {name: pick(value, 0) for name, value in options["params"].items()}
     return picked
