@@ -318,8 +318,10 @@ def tried_on(
     if not measured:
         return None
     problem = found.problem
-    tested = unexplained(problem.robot, measured, problem.sigma, problem.settings, problem.sigmas[1:])
-    tested = replace(tested, noise=problem.noise, others=problem.others, variants=problem.variants)
+    # errors of stamps and first samples are those of the sensor, however large what counts as noise is
+    tested = unexplained(problem.robot, measured, problem.sensor, problem.settings, problem.sensors[1:])
+    tested = tested.with_noise_of(problem)
+    tested = replace(tested, variants=problem.variants)
     tested = masked(tested, far_points(tested, tested.residuals([(found.nominal.x, ())])[0]))
     return unfitted_under_model_form(tested, refined, [(h.x, h.terms) for h in hypotheses])
 

@@ -236,6 +236,11 @@ class Problem:
         same = replace(self, sigma=sigmas[0], noise=noises[0], others=tuple(zip(sigmas[1:], noises[1:], strict=True)))
         return same._with_basis(self.discretisation.basis * self.factor_to(same))
 
+    def with_noise_of(self, other: "Problem") -> "Problem":
+        """The same with what counts as noise in another problem of the same sensors."""
+        same = replace(self, sigma=other.sigma, noise=other.noise, others=other.others)
+        return same._with_basis(self.discretisation.basis * self.factor_to(same))
+
     def factor_to(self, other: "Problem") -> float | Floats:
         """By which residuals become those of the same problem with other noise: one factor, or (M,)."""
         if not self.others:
