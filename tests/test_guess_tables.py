@@ -322,9 +322,9 @@ def test_release_of_a_sorosim_rod_is_a_recording_of_its_model(tmp_path):
     rows = [[0.005 * i, 0.3, 0, -0.01, 0.59, 0, -0.04] for i in range(1100)]
     text = "\n".join(",".join(map(str, row)) for row in [names, *rows])
     (tmp_path / "release_steel_01.csv").write_text(text + "\n")
-    model, robot_map, recording, label = sorosim.build(tmp_path, 3)
-    (tmp_path / "model.xml").write_text(model)
-    (tmp_path / "map.toml").write_text(robot_map)
+    files, recording, label = sorosim.build(tmp_path, 3)
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
     measured = ModelRobot(tmp_path / "model.xml", tmp_path / "map.toml", threads=1).measured(recording)
     assert measured.actions[0].tolist() == [0, 0, 0, 0, 0.1, 0] and not measured.actions[1:].any()
     assert label["effects"] == [] and set(label["parameters"]) == {"stiffness", "mass", "damping"}

@@ -33,7 +33,9 @@ def releases(folder: Path) -> list[dict[str, str]]:
         FileNotFoundError: there is no such table in the folder.
     """
     with open(folder / "releases.csv", newline="", encoding="utf-8") as file:
-        return [row for row in csv.DictReader(file) if row["material"] == "steel"]
+        if not (found := [row for row in csv.DictReader(file) if row["material"] == "steel"]):
+            raise FileNotFoundError(f"{folder / 'releases.csv'} has no release of steel")
+    return found
 
 
 def build(folder: Path, seed: int) -> tuple[dict[str, str], Recording, dict]:

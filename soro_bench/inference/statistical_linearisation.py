@@ -78,7 +78,7 @@ def sample_around(x: np.ndarray, scale: float, count: int, seed: Sequence[int]) 
 def linearised(x: np.ndarray, points: np.ndarray, residuals: np.ndarray, jacobian: np.ndarray | None = None) -> Line:
     """The linear regression of residuals (N, M) at points (N, n) around x.
 
-    A ``slope`` (n, M) that is known beforehand is changed only as far as the points speak against it (ridge
+    A ``jacobian`` (n, M) that is known beforehand is changed only as far as the points speak against it (ridge
     regression), and there may be fewer of them than unknowns. A null row of it stands for one that is not known.
     """
     scale = np.sqrt(((points - x) ** 2).mean()) if len(x) else 1.0
