@@ -227,6 +227,7 @@ def test_two_masses_on_springs_hang_at_rest_after_two_seconds(tmp_path, damping)
     (mapping := tmp_path / "map.toml").write_text("""[robot]
 control_timestep = 0.02
 settle = 2.0
+relax = true
 [signal]
 name = "way"
 joints = ["upper", "lower"]

@@ -128,7 +128,7 @@ def _posture(spec: mujoco.MjSpec, held: np.ndarray) -> np.ndarray:
 def _map() -> str:
     names = ", ".join(f'"{point}_{axis}"' for point in _POINTS for axis in "xyz")
     lines = [
-        f'[robot]\ncontrol_timestep = {_CONTROL}\nsettle = 0.5\naccurate = "{_ACCURATE}"',
+        f'[robot]\ncontrol_timestep = {_CONTROL}\nsettle = 0.5\nrelax = true\naccurate = "{_ACCURATE}"',
         f'[commands.forces]\nactuators = [{names}]\nunit = "N"',
         '[signal]\nname = "points"\nsites = ["middle", "tip"]\nunit = "m"\nframe = "world"',
         '[initial]\nkeyframe = "held"',

@@ -93,6 +93,9 @@ class ModelRobot(Robot):
         steps, self._timestep = time_steps(self.control_timestep, own := compiled.opt.timestep)
         self._substeps, compiled.opt.timestep = steps * shorter, self._timestep / shorter
         self.settling = round(number("[robot] settle", settings.get("settle", 0.0), 0, 1e4) / self.control_timestep)
+        if not isinstance(relax := settings.get("relax", False), bool):
+            raise ModelError(f"[robot] relax is {relax!r}; expected true or false")
+        self.relaxing = relax
         self._accurate = accurate_of(settings, mapping)
         self._commands = commands_of(compiled, table["commands"], widened("[robot]", settings))
         self._widened = [i for command in self._commands if command.widened for i in command.actuators]

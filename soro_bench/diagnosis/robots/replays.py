@@ -52,6 +52,7 @@ class Replays(ABC):
         signal: the name of the first signal of recordings that is explained.
         known: effects that the robot is known to have, whatever else acts.
         settling: control steps under its first action before a recording begins.
+        relaxing: whether it is stopped behind positions of rest meanwhile.
     """
 
     simulation: Simulation
@@ -59,6 +60,7 @@ class Replays(ABC):
     signal: str
     known: tuple[Effect, ...] = ()
     settling: int = 0
+    relaxing: bool = False
 
     @property
     def _count(self) -> int:
@@ -261,15 +263,18 @@ class Replays(ABC):
         """Bring simulations to rest under actions (n, nu), in control steps before a recording begins; (n,) whether
         they have diverged.
 
-        Little damping takes longer than anyone lets a robot settle. So velocities are set to zero behind a position of
-        rest, where forces pull back (dynamic relaxation: Barnes, "Form finding and analysis of tension structures by
-        dynamic relaxation", 1999). These are the forces without velocities: damping brakes on the way there, too.
+        Little damping takes longer than anyone lets a robot settle. So those that relax are stopped behind a position
+        of rest, where forces pull back (dynamic relaxation: Barnes, "Form finding and analysis of tension structures
+        by dynamic relaxation", 1999). These are the forces without velocities: damping brakes on the way there, too.
+        Where stiff constraints act on light bodies, velocities after a stop are large, and stepping alone is better.
         """
         batch, lost = self.simulation.batch, np.zeros(len(actions), bool)
         for name in ("qvel", "qfrc_smooth", "qfrc_constraint"):
             batch.bind(name)
         for _ in range(self.settling):
             lost |= self._step(actions)
+            if not self.relaxing:
+                continue
             moved = np.array(batch.qvel)
             batch.qvel[:] = 0.0
             batch.forward()

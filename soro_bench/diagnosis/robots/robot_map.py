@@ -3,6 +3,7 @@
 [robot]
 control_timestep = 0.02           # s, how long a command is held
 settle = 1.0                      # s with the first command before a recording begins; none by default
+relax = true                      # stop it behind positions of rest while it settles; false by default
 accurate = "finer.xml"            # a more accurate model, if there is one (docs/how_to/use_your_own_robot.md)
 ctrlrange = "widen"               # commands may exceed the actuators' ranges; by default the model clips them
 
@@ -61,7 +62,7 @@ _MAX_BYTES = 1_000_000
 _MOST_SIGNALS = 100
 _SIGNAL = ("name", "sites", "bodies", "joints", "sensors", "unit", "frame")
 _SECTIONS = {
-    "robot": ("control_timestep", "settle", "accurate", "ctrlrange"),
+    "robot": ("control_timestep", "settle", "relax", "accurate", "ctrlrange"),
     "commands": None,
     "fixed": None,
     "signal": _SIGNAL,
