@@ -76,8 +76,8 @@ def test_a_distribution_that_is_none_and_an_environment_of_others():
 
 
 OPTIONS = [
-    ({"gaol": [0, 0, 0.1]}, ("option 'gaol'", "params, goal")),
-    ({"gaol": "text"}, ("option 'gaol'", "params, goal")),
+    ({"gaol": [0, 0, 0.1]}, ("option 'gaol'", "has params, state")),
+    ({"gaol": "text"}, ("option 'gaol'", "has params, state")),
     ({"goal": [0, 0]}, ("[0, 0]", "3 coordinates from -0.3 to 0.3 m")),
     ({"goal": [0, 0, 120]}, ("[0, 0, 120]", "3 coordinates from -0.3 to 0.3 m")),
     ({"goal": [0, float("nan"), 0.1]}, ("nan", "3 coordinates from -0.3 to 0.3 m")),
@@ -103,6 +103,8 @@ OPTIONS = [
 @pytest.mark.parametrize("num_envs", [None, 2])
 def test_reset_options(env_id, num_envs, options, parts):
     """An unknown option or parameter, a parameter outside its bounds, or no goal; the environment stays usable."""
+    if env_id.startswith("TrunkGrasp") and isinstance(options, dict) and "goal" in options:
+        parts = ("unknown reset option 'goal'",)
     if num_envs is None:
         env = gymnasium.make(env_id, model="cable")
     else:
