@@ -195,6 +195,17 @@ def test_what_is_far_larger_than_the_sensors_noise_becomes_the_noise_and_goes_ag
     assert again.sigma == SIGMA
 
 
+def test_with_the_noise_of_another_problem_errors_stay_what_they_are(robot, actions):
+    """What a start or a stamp is off by is a matter of the sensor, whatever counts as noise beside it."""
+    given = trunk_problem(robot, actions)
+    given = given.with_discretisation(3 * SIGMA * np.ones((1, given.weight.size)))
+    misfit_dominated = given.allowing(20 * SIGMA)
+    louder = given.with_noise_of(misfit_dominated)
+    assert (louder.sigma, louder.sensor) == (20 * SIGMA, SIGMA)
+    assert np.allclose(louder.sigma * louder.discretisation.basis, given.sigma * given.discretisation.basis)
+    assert given.with_noise_of(given).sigma == SIGMA
+
+
 @pytest.mark.parametrize("length", [0.15, 0.45])
 def test_windows_hold_as_many_samples_each(robot, actions, length):
     numbers = windows(trunk_problem(robot, actions), length)[:: 21 * 3]

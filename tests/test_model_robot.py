@@ -215,6 +215,16 @@ def test_a_robot_settles_under_its_first_command(paths):
     assert np.ptp(values) < 1e-6
 
 
+def test_a_robot_that_diverges_while_it_settles_has_no_numbers(paths):
+    """And the one beside it has. Damping with the wrong sign throws the arm about."""
+    model, mapping = paths
+    mapping.write_text(MAP.replace("control_timestep = 0.02", "control_timestep = 0.02\nsettle = 5.0"))
+    robot = ModelRobot(model, mapping, threads=1)
+    still, thrown = robot.simulate(np.full((10, 1), 0.3), np.array([[1.0, 1.0, 0.0], [1.0, -1e6, 0.0]]), [(), ()])
+    assert np.isfinite(still).all()
+    assert np.isnan(thrown).all()
+
+
 @pytest.mark.parametrize("damping", [0.01, 5.0, 20.0])
 def test_two_masses_on_springs_hang_at_rest_after_two_seconds(tmp_path, damping):
     """Those that would swing for minutes, and those that creep, as damping brakes them before they are there."""

@@ -55,6 +55,15 @@ def test_starts_are_those_of_the_cpu(reach):
             found = reach.task._info(reach._everyone)
 
 
+def test_a_world_begins_in_a_given_state(reach):
+    """All in that of the first one."""
+    reach.reset(seed=0)
+    observation, *_ = reach.step(torch.ones((WORLDS, 8)))
+    state = {name: rows[0] for name, rows in reach.task.state(reach._everyone).items()}
+    begun, _ = reach.reset(seed=1, options=[{"state": state}] * WORLDS)
+    np.testing.assert_allclose(begun.numpy()[:, :63], np.tile(observation.numpy()[0, :63], (WORLDS, 1)), atol=1e-6)
+
+
 @pytest.mark.parametrize("env_id", soro_bench.ENV_IDS)
 def test_moves_as_mujoco(env_id):
     """To 1e-5 m before anything touches, where single precision leaves 1e-7 m; 1e-4 m for the walker on its floor."""
