@@ -137,7 +137,8 @@ def _option(action: argparse.Action) -> tuple[str, ...]:
     text = re.sub(r"\s+", " ", action.help or "")
     meaning, _, default = text.rpartition("(")
     default = default.rstrip(")").removeprefix("default:").strip()
-    name = ", ".join(f"`{option}`" for option in action.option_strings) or f"`{action.dest.upper()}`"
+    positional = action.dest.rpartition(".")[2].upper()
+    name = ", ".join(f"`{option}`" for option in action.option_strings or [positional])
     value = (action.metavar or "").replace("{None}|", "").replace("{None,", "{")
     if not action.option_strings and meaning.strip() == action.dest:
         meaning = ""

@@ -25,7 +25,7 @@ class Evaluate:
     on: str | None = None
     """Which of its conditions, such as cable or flex; the accurate model by default."""
     out: Path | None = None
-    """Folder for the results; the policy's own by default, which an entry needs to be told."""
+    """Folder for the results; the policy's own by default; an entry needs it."""
 
     def run(self) -> None:
         """Play the policy, write its results and recording; ValueError names an option that is wrong."""

@@ -137,8 +137,8 @@ class Diagnose:
     """Ask for so many further recordings at most, as long as several answers are left. The command writes
     next_1.csv into the folder and waits for next_1.parquet, and so on; it goes on with those that are there."""
     answer: Path | None = None
-    """With --next: JSON file of effects. A simulated robot that has them answers, which is else like that of the first
-    recording, one of `soro-bench record`."""
+    """With --next: JSON file of effects. A simulated robot with them answers, otherwise like that of the first
+    recording, made by `soro-bench record`."""
     seed: int = 0
     seeds: int = 1
     """Diagnose with so many seeds, from --seed on. The report is of the first one, and says which share of them gives

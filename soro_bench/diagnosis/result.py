@@ -50,8 +50,8 @@ DIGITS = 7  # significant ones of numbers in a file; a float32 has as many
 class LawCurve:
     """What a law does against the state of its location, at nodes of falling and of rising states: rows are (2, n).
 
-    law: of the fitted law. measured, deviation: what the recordings ask for, and its standard deviation. NaN where the
-    recordings say too little. share: of the law's squared force that the curve describes.
+    law: of the fitted law. measured: what the recordings ask for, NaN where they say too little. deviation:
+    standard deviation of measured. share: of the law's squared force that the curve describes.
     state_label, force_label: with units.
     """
 
@@ -82,8 +82,8 @@ class Result:
     train, heldout: errors of the best hypothesis. parameters_only: rms of fitted parameters alone, without
         discretisation error [signal's unit].
     covariance: (d, d) of the parameters' posterior, in their units; 0 where they are known.
-    undetectable, not_searched: names of laws that these recordings would not have shown, or that have no location in
-        this robot.
+    undetectable: names of laws that these recordings would not have shown. not_searched: names of laws without
+        a location in this robot.
     trainable: whether the robot is of the suite, so that policies can be trained on the posterior.
     seed: of random numbers. seconds: that the diagnosis took.
     settings: that differ from their defaults. notes: on the model, its mapping and the recordings, in words.

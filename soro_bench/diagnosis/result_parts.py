@@ -13,7 +13,8 @@ NEAR = 0.9  # of the best location's gain, from which another one explains nearl
 class Errors:
     """How far a simulation is from recordings: root mean squares of a coordinate, in the unit of the signal.
 
-    before, after: of plain replays, at the time step of the model: of fitted parameters only, and of the hypothesis.
+    before: of plain replays, at the time step of the model, of fitted parameters only. after: the same of the
+        hypothesis.
     noise: standard deviation of the sensor's noise.
     corrected_before, corrected_after: of replays at the time step of fits, without what the covariance of
         discretisation error explains; no replay shows them.
@@ -233,8 +234,8 @@ class SeedAnswer:
 class UnknownInput:
     """The input at the best location that explains what no law does.
 
-    components, units: names of its C numbers. start_s: (K,) when each value begins, of recording ``recording`` (K,).
-    values: (K, C). rmse_after: what the input leaves, without discretisation error [signal's unit].
+    components: names of its C numbers. units: of components. start_s: (K,) when each value begins, of recording
+    ``recording`` (K,). values: (K, C). rmse_after: what the input leaves, without discretisation error [signal's unit].
     linear_in: shares of what it depends on, where it is a linear function of commands and shape; else empty.
     """
 

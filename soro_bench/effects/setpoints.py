@@ -96,7 +96,7 @@ class Backlash(_Following):
 
 class LostMotion(SetpointLaw):
     """Play between a servo and what it moves: within it no force holds, beyond it the servo's own, as if it were asked
-    to be at the nearest end. Unlike :class:`Backlash` it shows under a load while the setpoint is constant."""
+    to be at the nearest end. Unlike backlash it shows under a load while the setpoint is constant."""
 
     name, category, stepped = "lost_motion", "hysteresis_or_play", True
     quantities = (Quantity("width", "m or rad", 0.2, INFINITE, of="length"),)

@@ -238,9 +238,9 @@ class GearFriction(_Friction):
 
 
 class InputFriction(_Friction):
-    """Dry friction of what an actuator drives, mu (|F| + preload) with the force F of this one actuator: a seal, on
-    which the pressure presses that it seals, a belt under tension. Others drive the same joint or tendon too: of one
-    alone this is load_friction.
+    """Dry friction of what an actuator drives, mu (|F| + preload) with the force F of this one actuator: a belt under
+    tension, or a seal under the pressure that it holds. Only where other actuators drive the same joint or tendon; else
+    this is load_friction.
     """
 
     name, kinds = "input_friction", ("actuator",)

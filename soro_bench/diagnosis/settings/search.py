@@ -134,7 +134,7 @@ class LocalisationSettings:
 
 @dataclass(frozen=True)
 class DiscoverySettings:
-    """Laws at the located place: from a grammar of terms to one that holds on held-out motion. It is looked for at as
+    """Laws at the location: from a grammar of terms to one that holds on held-out motion. It is looked for at as
     many locations as laws are kept (``SelectionSettings.kept``)."""
 
     location_share: float = setting(0.8, "1", "of the best location's gain, below which none is looked at")
