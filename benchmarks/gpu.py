@@ -260,6 +260,8 @@ def learning(options: argparse.Namespace) -> None:
     for env_id in options.only:
         for seed in range(options.seeds):
             folder = Path(options.out) / f"{env_id}_{seed}"
+            if folder.exists():
+                raise SystemExit(f"{folder} has a training, whose time would not be measured; choose another --out")
             command = [sys.executable, "-m", "soro_bench.cli", "train", env_id, "--device", options.device,
                        "--seed", str(seed), "--out", str(folder)]  # fmt: skip
             start = time.perf_counter()

@@ -112,8 +112,20 @@ def test_a_state_of_something_else_is_refused(make):
     state = {name: rows[0] for name, rows in env.unwrapped.task.state(np.arange(1)).items()}
     with pytest.raises(ValueError, match="has to be a dict with qpos, qvel, act, qacc_warmstart"):
         env.reset(options={"state": {"qpos": state["qpos"]}})
-    with pytest.raises(ValueError, match=r"state qpos .* has to be 30 finite numbers"):
-        env.reset(options={"state": {**state, "qpos": state["qpos"][1:]}})
+    for wrong in (state["qpos"][1:], 1e12 * np.ones(30), np.full(30, np.nan)):
+        with pytest.raises(ValueError, match=r"state qpos .* has to be 30 finite numbers up to 1e\+10"):
+            env.reset(options={"state": {**state, "qpos": wrong}})
+
+
+def test_what_is_observed_where_an_episode_begins_is_in_the_space(make):
+    """Also where the state has an object that has left it, as may be in version 1."""
+    env = make("TrunkPush-v1", model="cable")
+    env.reset(seed=0)
+    task = env.unwrapped.task
+    state = {name: rows[0].copy() for name, rows in task.state(np.arange(1)).items()}
+    state["qpos"][task._object_qpos : task._object_qpos + 3] = [1.5, 0.3, -3.0]
+    observation, _ = env.reset(options={"state": state})
+    assert observation in env.observation_space and observation[66:69].tolist() == [1.0, 0.3, -1.0]
 
 
 def test_places_of_the_cube_in_version_1_of_push(make):

@@ -144,6 +144,27 @@ def test_overflow_is_raised_with_the_world():
             envs.step(torch.zeros(WORLDS, 8))
 
 
+def test_room_is_given_to_vector_environments_too():
+    envs = vector_env("TrunkPush-v0", action="continuous", backend="warp", device="cpu", room={"nconmax": 1})
+    envs.reset(seed=0)
+    with pytest.raises(WorldError, match="more room"):
+        for _ in range(20):
+            envs.step(np.zeros((WORLDS, 8), np.float32))
+
+
+def test_a_reset_with_options_draws_what_comes_next():
+    """Not what comes after the episodes that were drawn ahead."""
+    envs = torch_env(max_episode_steps=3)
+    single = gymnasium.make("TrunkReach-v0", model="cable", action="continuous")
+    envs.reset(seed=5)
+    single.reset(seed=5)
+    for _ in range(2):  # while which the next episodes are drawn
+        envs.step(torch.zeros(WORLDS, 8))
+    envs.reset(options=[{}] * WORLDS)
+    single.reset()
+    np.testing.assert_allclose(envs.task.goal[0].numpy(), single.unwrapped.task.goal[0], atol=1e-7)
+
+
 def test_actions_of_a_wrong_shape_are_refused(reach):
     reach.reset(seed=0)
     with pytest.raises(ValueError, match=r"actions have shape \(3, 7\); expected \(3, 8\)"):
@@ -190,6 +211,33 @@ def test_training_is_resumed_and_its_policy_is_that_of_the_cpu(tmp_path):
     assert policies[0].act(np.zeros((2, 66))).shape == (2, 8)
     with pytest.raises(ValueError, match="another learner"):
         train(config, tmp_path / "whole")
+
+
+@pytest.mark.parametrize("finite_horizon", [False, True])
+def test_what_comes_after_an_episode_counts_as_the_critic_expects_it_to(finite_horizon):
+    """After success too, as on the CPU: otherwise waiting beside the goal would be worth more than reaching it."""
+    pytest.importorskip("rsl_rl")
+    from soro_bench.training.device import DeviceTrainer
+    from soro_bench.training.ppo import default_config
+
+    config = default_config("TrunkReach-v0", num_envs=WORLDS, rollout_steps=4, rollouts_per_segment=1, batch_size=6,
+                            total_steps=12, episode_steps=4, hidden=(8,), finite_horizon=finite_horizon)  # fmt: skip
+    trainer = DeviceTrainer(config, None, "cpu")
+    observation, _ = trainer.envs.reset(seed=0)
+    seen, ends, step = [], torch.tensor([True, False, False]), trainer.envs.step
+
+    def succeeded(actions):
+        following, reward, _, truncated, info = step(actions)
+        seen[:] = reward, info["final_obs"]
+        return following, reward, ends, truncated, {**info, "done": ends}
+
+    trainer.envs.step, trainer.normaliser.update = succeeded, lambda observations: None
+    trainer._step(observation, torch.zeros(WORLDS), [])
+    reward, last = seen
+    with torch.inference_mode():
+        after = config.discount * trainer.agent.critic(trainer.normaliser(last))[:, 0]
+    expected = torch.zeros(WORLDS) if finite_horizon else after * ends
+    np.testing.assert_allclose((trainer.agent.storage.rewards[0, :, 0] - reward).numpy(), expected.numpy(), atol=1e-6)
 
 
 def test_wrong_arguments_are_refused_in_one_line():

@@ -114,6 +114,8 @@ class Train:
     """What the environment is best learned with by default."""
     device: str = "cpu"
     """cpu, or a GPU such as cuda, by MuJoCo Warp and rsl_rl (docs/how_to/gpu.md)."""
+    room: dict[str, int] | None = None
+    """On a GPU: room for contacts and rows of constraints, such as `nconmax 64 njmax 256`, where a world overflows."""
     out: Path = Path("runs/train")
 
     def run(self) -> None:
@@ -123,6 +125,8 @@ class Train:
         from soro_bench.training.ppo import default_config, train
 
         task_type(self.env)
+        if self.device == "cpu" and self.room:
+            raise ValueError(f"--room {self.room} is for a GPU; on the CPU contacts need none")
         given = {"model": self.model, "action": self.action, "effects": self.effects and str(self.effects)}
         changes = {name: value for name, value in given.items() if value is not None}
         name = self.name or ("own" if self.randomization or self.effects else self.method)
@@ -138,5 +142,5 @@ class Train:
             else:
                 from soro_bench.training.device import train_on_device
 
-                train_on_device(config, self.out, distribution, shown, self.device)
+                train_on_device(config, self.out, distribution, shown, self.device, self.room)
         console.print(f"policy in {self.out}")

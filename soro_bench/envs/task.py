@@ -78,6 +78,11 @@ def refuse_arguments(unknown: Mapping[str, object], known: str) -> None:
         raise TypeError(f"{name}={value!r}: unexpected keyword argument {name!r}; this environment takes {known}")
 
 
+def on_host(value: Any) -> Any:
+    """The same; a tensor of any device as one that NumPy reads."""
+    return value.cpu() if hasattr(value, "cpu") else value
+
+
 def shown(info: Mapping[str, Any], flat: bool) -> Mapping[str, Any]:
     """An info dict; a flat one has the parameters as param_<name> beside the other entries."""
     if not flat:
@@ -154,7 +159,7 @@ class Task(ABC):
             (n, k) observations and a dict of (n,) info arrays.
         """
         self.begin(ids, *self.draw(rngs, options), self.states(options))
-        return self._observe(ids), self._info(ids)
+        return self.observe(ids), self._info(ids)
 
     def draw(
         self, rngs: Sequence[np.random.Generator], options: Sequence[Mapping[str, Any]]
@@ -175,7 +180,7 @@ class Task(ABC):
         given = [(i, state) for i, state in zip(ids, states, strict=False) if state is not None]
         if given:
             rows = {name: np.stack([state[name] for _, state in given]) for name in STATE}
-            self.set_state(self.sim.array([i for i, _ in given]), {k: self.sim.array(v) for k, v in rows.items()})
+            self.set_state(self.sim.array([int(i) for i, _ in given]), {k: self.sim.array(v) for k, v in rows.items()})
         self._begin(ids)
 
     def step(self, ids: Ints, actions: NDArray[Any]) -> Step:
@@ -192,9 +197,17 @@ class Task(ABC):
         batch.ctrl[ids] = self._controls(actions)
         self._advance(ids)
         diverged = self.sim.bad_states(ids)
-        observation, space = self._observe(ids), self.single_observation_space
-        inside = self.xp.clip(observation, float(space.low.min()), float(space.high.max()))
+        observation = self._observe(ids)
+        inside = self._clipped(observation)
         return inside, diverged | self._lost(observation, inside)
+
+    def observe(self, ids: Ints) -> Floats:
+        """(n, k) observations, clipped to the space."""
+        return self._clipped(self._observe(ids))
+
+    def _clipped(self, observation: Floats) -> Floats:
+        space = self.single_observation_space
+        return self.xp.clip(observation, float(space.low.min()), float(space.high.max()))
 
     @property
     def xp(self) -> Any:
@@ -295,9 +308,13 @@ class Task(ABC):
         if not isinstance(given, Mapping) or set(given) != set(own):
             raise ValueError(f"state {brief(given)} has to be a dict with {', '.join(own)}")
         for name, rows in own.items():
-            found[name] = values = np.asarray(given[name].cpu() if hasattr(given[name], "cpu") else given[name])
-            if values.shape != rows.shape[1:] or values.dtype.kind not in "fiu" or not np.isfinite(values).all():
-                raise ValueError(f"state {name} {brief(values.tolist())} has to be {rows.shape[1]} finite numbers")
+            found[name] = values = np.asarray(on_host(given[name]))
+            numbers = values.shape == rows.shape[1:] and values.dtype.kind in "fiu"
+            if not numbers or not (np.abs(values) <= mujoco.mjMAXVAL).all():
+                raise ValueError(
+                    f"state {name} {brief(values.tolist())} has to be {rows.shape[1]} finite numbers up to "
+                    f"{mujoco.mjMAXVAL:g}"
+                )
         return found
 
     def _sample_params(self, rng: np.random.Generator, options: Mapping[str, Any]) -> Floats:

@@ -78,7 +78,8 @@ class TorchVectorEnv:
         self.elapsed = torch.zeros(num_envs, dtype=torch.int64, device=device)  # steps of the present episodes
         self._everyone = torch.arange(num_envs, device=device)
         self._rngs: list[np.random.Generator] = []
-        self._next: dict[int, tuple[Any, np.ndarray]] = {}  # start and parameters of worlds' next episodes
+        # start and parameters of worlds' next episodes, and what their generators were in before
+        self._next: dict[int, tuple[Any, np.ndarray, dict[str, Any]]] = {}
         self._missing: list[int] = []  # worlds without
         sim: Any = self.task.sim
         sim.meanwhile = self._draw_ahead
@@ -104,10 +105,13 @@ class TorchVectorEnv:
             self._begin(ids)
         else:
             options = options or [{}] * self.num_envs
+            for i, (*_, before) in self._next.items():  # drawn ahead, and not wanted
+                self._rngs[i].bit_generator.state = before
+            self._next = {}
             self.task.begin(ids, *self.task.draw(self._rngs, options), self.task.states(options))
             self._missing = ids.tolist()
         self.elapsed[:] = 0
-        return self.task._observe(self._everyone).clone(), self.task._info(self._everyone)
+        return self.task.observe(self._everyone), self.task._info(self._everyone)
 
     def step(
         self, actions: torch.Tensor
@@ -140,7 +144,7 @@ class TorchVectorEnv:
             self.elapsed[done] = 0
             where = self._everyone[done]
             observation = observation.clone()
-            observation[where] = self.task._observe(where)
+            observation[where] = self.task.observe(where)
         return observation, step.reward, step.terminated, truncated, info
 
     def _draw_ahead(self) -> None:
@@ -151,8 +155,9 @@ class TorchVectorEnv:
 
     def _draw(self, ids: Sequence[int]) -> None:
         if ids:
-            starts, params = self.task.draw([self._rngs[i] for i in ids], [{}] * len(ids))
-            self._next.update(zip(ids, zip(starts, params, strict=True), strict=True))
+            rngs = [self._rngs[i] for i in ids]
+            before = [dict(rng.bit_generator.state) for rng in rngs]
+            self._next.update(zip(ids, zip(*self.task.draw(rngs, [{}] * len(ids)), before, strict=True), strict=True))
 
     def _begin(self, ids: np.ndarray) -> None:
         """Begin the next episodes of worlds ``ids``."""
@@ -161,4 +166,4 @@ class TorchVectorEnv:
         drawn = [self._next.pop(i) for i in ids.tolist()]
         known = set(late)
         self._missing = [i for i in self._missing if i not in known] + ids.tolist()
-        self.task.begin(ids, [start for start, _ in drawn], np.array([params for _, params in drawn]))
+        self.task.begin(ids, [start for start, *_ in drawn], np.array([params for _, params, _ in drawn]))

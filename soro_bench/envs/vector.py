@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.envs.gymnasium_vector import AutoresetMode, VectorEnv, need_vector_environments
-from soro_bench.envs.task import CopiedWithTask, checked_flag, checked_options, shown
+from soro_bench.envs.task import CopiedWithTask, checked_flag, checked_options, on_host, shown
 
 if TYPE_CHECKING:  # imported when something is drawn
     from soro_bench.envs.rendering import Camera, Picture
@@ -36,6 +36,7 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
         backend: "mujoco" (default), or "warp" for a GPU, by MuJoCo Warp (docs/how_to/gpu.md). TorchVectorEnv
             (torch_vector.py) is the same without copies to the CPU.
         device: of "warp": "cuda:0" (default), another GPU, or "cpu".
+        room: of "warp": contacts of a world on average, "nconmax", and most constraint rows of each, "njmax".
         task_options: what the task takes: model (or mesh), action, effects.
     """
 
@@ -51,6 +52,7 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
         flat_info: bool = False,
         backend: str = "mujoco",
         device: str | None = None,
+        room: Mapping[str, int] | None = None,
         **task_options: Any,
     ):
         need_vector_environments()
@@ -58,7 +60,7 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
             raise ValueError(f"render_mode {render_mode!r}: of vector environments allowed are None and 'rgb_array'")
         self._flat_info = checked_flag("flat_info", flat_info)
         self._task_options = {
-            "num_envs": num_envs, "num_threads": num_threads, **_simulation(backend, device), **task_options
+            "num_envs": num_envs, "num_threads": num_threads, **_simulation(backend, device, room), **task_options
         }  # fmt: skip
         self.task = self._build_task()
         self.num_envs = num_envs
@@ -110,8 +112,8 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
             raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments")
         options = dict(checked_options(options))
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, bool)))
-        if mask.shape != (self.num_envs,) or mask.dtype != bool:
-            raise ValueError(f"reset_mask {mask.tolist()} has to be {self.num_envs} booleans")
+        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
+            raise ValueError(f"reset_mask {mask.tolist()} has to be {self.num_envs} booleans, one of them true")
         ids = np.flatnonzero(mask)
         seeded = {i: seeding.np_random(int(one)) for i in ids if (one := seeds[i]) is not None}  # or none of them
         for i, (rng, used) in seeded.items():
@@ -294,17 +296,19 @@ class OneOfMany:
         raise AttributeError(f"one simulation of a vector environment has no {name!r}; it has {', '.join(names)}")
 
 
-def _simulation(backend: str, device: str | None) -> dict[str, Any]:
+def _simulation(backend: str, device: str | None, room: Mapping[str, int] | None) -> dict[str, Any]:
     """What a task is told of what simulates it."""
     if backend not in ("mujoco", "warp"):
         raise ValueError(f"backend {backend!r}: allowed are 'mujoco' and 'warp'")
     if backend == "mujoco":
-        if device is not None:
-            raise ValueError(f"device={device!r} is for backend='warp'; MuJoCo simulates on the CPU")
+        for name, value in (("device", device), ("room", room)):
+            if value is not None:
+                raise ValueError(f"{name}={value!r} is for backend='warp'; MuJoCo simulates on the CPU")
         return {}
     from soro_bench.models.warp_simulation import WarpSimulation  # which few have installed
 
-    return {"simulation": partial(WarpSimulation, device="cuda:0" if device is None else device, on_nan="truncate")}
+    device = "cuda:0" if device is None else device
+    return {"simulation": partial(WarpSimulation, device=device, on_nan="truncate", room=room)}
 
 
 def _mode(autoreset_mode: str | AutoresetMode) -> AutoresetMode:
@@ -331,7 +335,7 @@ def _options_of(options: Mapping[str, Any], i: int, num_envs: int) -> dict[str, 
 
     def pick(value: Any, ndim: int) -> Any:
         try:
-            array = np.asarray(value)
+            array = np.asarray(on_host(value))
         except ValueError:  # lists of unlike lengths, which the task refuses
             return value
         return array[i] if array.ndim == ndim + 1 and len(array) == num_envs else value

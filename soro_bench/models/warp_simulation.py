@@ -42,7 +42,7 @@ _DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_inv
 _ROOM = ("nconmax", "njmax")
 
 
-class WorldError(RuntimeError):
+class WorldError(ValueError):
     """A world cannot go on; says which one, and at which control step."""
 
 

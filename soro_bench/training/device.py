@@ -7,6 +7,7 @@ those of the CPU's training.
 
 import itertools
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -79,15 +80,22 @@ class DeviceTrainer:
         config: what to train; continuous actions only.
         distribution: what the parameters of every episode are drawn from; nominal if None.
         device: of environments and networks.
+        room: for contacts; see :class:`soro_bench.envs.torch_vector.TorchVectorEnv`.
     """
 
-    def __init__(self, config: PPOConfig, distribution: Distribution | None, device: str):
+    def __init__(
+        self,
+        config: PPOConfig,
+        distribution: Distribution | None,
+        device: str,
+        room: Mapping[str, int] | None = None,
+    ):
         if config.action != "continuous":
             raise ValueError(f"action={config.action}: training on a device has continuous actions; use --device cpu")
         self.config, self.device = config, device
         self.envs = TorchVectorEnv(
             config.env_id, config.num_envs, device, config.model, config.action, distribution, config.effects,
-            episode_steps(config), on_nan="truncate",
+            episode_steps(config), on_nan="truncate", room=room,
         )  # fmt: skip
         size = self.envs.single_observation_space.shape[0]
         actions = (self.envs.single_action_space.shape or (0,))[0]
@@ -154,13 +162,14 @@ class DeviceTrainer:
         """One step of all environments; adds metric and return of the episodes that end to ``finished``."""
         with torch.inference_mode():
             actions = self.agent.act(self.normaliser(observation))
-            following, reward, terminated, truncated, info = self.envs.step(actions)
+            following, reward, _, _, info = self.envs.step(actions)
             returns += reward
             done = info["done"]
-            if not self.config.finite_horizon and bool(truncated.any()):
-                # what comes after the last step counts as the critic expects it to
+            if not self.config.finite_horizon and bool(done.any()):
+                # what comes after the last step counts as the critic expects it to; after success too, or the policy
+                # would rather wait beside the goal
                 last = self.agent.critic(self.normaliser(info["final_obs"]))[:, 0]
-                reward = reward + self.config.discount * last * (truncated & ~terminated)
+                reward = reward + self.config.discount * last * done
             self.agent.process_env_step(self.normaliser(following), reward, done, {})
             if bool(done.any()):
                 finished.append(torch.stack([info[self.metric][done], returns[done]], dim=1))
@@ -208,11 +217,16 @@ def train_on_device(
     distribution: Distribution | None = None,
     progress: Progress = lambda steps, total, row: None,
     device: str = "cuda:0",
+    room: Mapping[str, int] | None = None,
 ) -> Policy:
-    """As :func:`soro_bench.training.ppo.train`, on a device; an interrupted training goes on from its checkpoint."""
+    """As :func:`soro_bench.training.ppo.train`, on a device; an interrupted training goes on from its checkpoint.
+
+    Args:
+        device, room: see :class:`DeviceTrainer`; room changes nothing but memory.
+    """
     folder = Path(folder)
     described, old = claim(folder, config, distribution, learner="rsl_rl")
-    trainer = DeviceTrainer(config, distribution, device)
+    trainer = DeviceTrainer(config, distribution, device, room)
     for path in old:
         path.unlink(missing_ok=True)
     write_json(folder / "config.json", described)
