@@ -24,7 +24,7 @@ from soro_bench.evaluation import evaluate
 from soro_bench.files import read_json, write_json
 from soro_bench.policies.policy import Policy
 from soro_bench.randomization import Uniform
-from soro_bench.training.ppo import TRAINER, PPOConfig, train
+from soro_bench.training.ppo import TRAINER, PPOConfig, default_config, train
 
 CONFIG = PPOConfig(
     "TrunkReach-v0", total_steps=600, num_envs=2, rollout_steps=100, rollouts_per_segment=1, batch_size=100, epochs=2,
@@ -212,6 +212,26 @@ def test_a_run_of_an_older_trainer_begins_anew(trained, tmp_path):
     (tmp_path / "checkpoint.pt").write_bytes(b"of the older trainer")
     train(CONFIG, tmp_path)
     assert _bytes(tmp_path) == _bytes(trained)
+
+
+def test_what_does_not_say_of_which_run_it_is_is_neither_resumed_nor_replaced(trained, tmp_path):
+    shutil.copytree(trained, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "config.json").unlink()
+    before = _bytes(tmp_path)
+    with pytest.raises(ValueError, match=r"has checkpoint\.pt, .*and no config\.json that says of which run"):
+        train(replace(CONFIG, seed=7), tmp_path)
+    assert _bytes(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", ["total_steps", "num_envs", "epochs"])
+def test_counts_of_a_training_are_one_or_more(name):
+    with pytest.raises(ValueError, match=f"{name} = 0; at least 1 is needed"):
+        replace(CONFIG, **{name: 0})
+
+
+@pytest.mark.parametrize(("env_id", "first"), [("TrunkPush-v1", "TrunkPush-v0"), ("TrunkGrasp-v0", "TrunkLift-v0")])
+def test_later_tasks_are_trained_as_the_one_they_come_from(env_id, first):
+    assert default_config(env_id) == replace(default_config(first), env_id=env_id)
 
 
 def test_a_run_of_a_newer_trainer_or_of_another_robot_is_kept(trained, tmp_path):

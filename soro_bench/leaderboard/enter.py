@@ -37,6 +37,7 @@ def enter(folder: Path, board: str, entry: str, results: Path, threads: int = 0,
     _check_fixed(board, config["distribution"], folder)
     training = _training(folder, policy.card.env_id) | {
         "trainer": trainer,
+        "algorithm": f"PPO ({config['learner']})" if "learner" in config else "PPO",
         "settings": {name: config[name] for name in PPOConfig(policy.card.env_id).settings() if name in config},
         "effects": [effect.name for effect in effects],
     }
@@ -77,7 +78,7 @@ def _training(folder: Path, env_id: str) -> dict:
         seconds = float(rows[-1]["seconds"])
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path} does not say in its last row how many seconds the training took") from error
-    return {"algorithm": "PPO", "seconds": seconds, "curve": curve}
+    return {"seconds": seconds, "curve": curve}
 
 
 def record_evaluations(

@@ -108,7 +108,8 @@ def _common(entry: dict) -> dict:
     training = entry.get("training", {})
     settings = {name: value for name, value in training.get("settings", {}).items() if name != "seed"}
     same = {key: entry[key] for key in ("trained_on", "action", "steps")}
-    return same | {"effects": training.get("effects", []), "settings": settings}
+    of_training = {"algorithm": training.get("algorithm"), "effects": training.get("effects", [])}
+    return same | of_training | {"settings": settings}
 
 
 def gather_diagnosis(results: str | Path) -> list[dict]:

@@ -40,6 +40,7 @@ Progress = Callable[[int, int, dict[str, float]], None]  # steps done, steps in 
 # version of how a configuration becomes a policy; 1 let the learning rate fall in every segment anew, for 1 and 2
 # nothing that came after success counted, and 1 to 3 let observations that hardly vary be blown up
 TRAINER = 4
+_WRITTEN = ("checkpoint.pt", "curve.csv", "policy.json", "policy.safetensors")  # by a training
 _CHECKPOINT_BYTES = 1_000_000_000  # that are read; those of the suite have some 100 KB
 
 
@@ -71,6 +72,11 @@ class PPOConfig:
     num_threads: int = 0
     effects: str | None = None  # an effects file: physics that the model leaves out
 
+    def __post_init__(self) -> None:
+        for name in ("total_steps", "num_envs", "rollout_steps", "rollouts_per_segment", "batch_size", "epochs"):
+            if (count := getattr(self, name)) < 1:
+                raise ValueError(f"{name} = {count}; at least 1 is needed")
+
     @property
     def segment_steps(self) -> int:
         """Environment steps between checkpoints."""
@@ -90,10 +96,10 @@ class PPOConfig:
 
 # What differs from PPOConfig's defaults, which were found on TrunkReach (docs/archive/training_and_speed.md)
 _TASK_DEFAULTS: dict[str, dict[str, Any]] = {
-    "TrunkPush-v0": {"initial_log_std": -0.5, "final_log_std": -2.0, "total_steps": 1_000_000},
+    "TrunkPush": {"initial_log_std": -0.5, "final_log_std": -2.0, "total_steps": 1_000_000},
     # A lift costs reward for three seconds before it pays: discounted by 0.95 a step it is worth less than tipping the
     # object over at once
-    "TrunkLift-v0": {
+    "TrunkLift": {
         "discount": 0.99,
         "gae_lambda": 0.95,
         "rollout_steps": 100,
@@ -105,7 +111,7 @@ _TASK_DEFAULTS: dict[str, dict[str, Any]] = {
     },
     # Episodes of 6 or 12 steps that cost 50 times what the trunk's do: few steps, used thoroughly. What counts is where
     # the walker is after the last one; discounted, and bootstrapped beyond it, PPO settles on gaits 20 % short of it.
-    "MultiGait-v0": {
+    "MultiGait": {
         "action": "discrete",
         "total_steps": 11_520,
         "num_envs": 24,
@@ -139,15 +145,16 @@ _DEVICE_DEFAULTS: dict[str, Any] = {
 def default_config(env_id: str, steps: int | None = None, device: str = "cpu", **changes: Any) -> PPOConfig:
     """The configuration found best for an environment, with ``changes``; ``steps`` replaces its number of steps.
 
+    Later versions have that of version 0, and TrunkGrasp has TrunkLift's: nothing was searched for them.
+
     Args:
         device: "cpu", or another, on which there are more environments side by side.
     """
     if steps is not None:
-        if steps < 1:
-            raise ValueError(f"{steps} steps of training; at least 1 is needed")
         changes["total_steps"] = steps
+    found = _TASK_DEFAULTS.get(env_id.rpartition("-v")[0].replace("TrunkGrasp", "TrunkLift"), {})
     many = {} if device == "cpu" else _DEVICE_DEFAULTS
-    return PPOConfig(env_id, **{"model": task_type(env_id).cheap, **_TASK_DEFAULTS.get(env_id, {}), **many, **changes})
+    return PPOConfig(env_id, **{"model": task_type(env_id).cheap, **found, **many, **changes})
 
 
 @quiet()
@@ -223,8 +230,14 @@ def claim(
     described["trainer"] = TRAINER
     if learner:
         described["learner"] = learner
-    path = folder / "config.json"
-    if not path.exists() or (found := read_json(path)) == described:
+    path, written = folder / "config.json", [folder / name for name in _WRITTEN]
+    if not path.exists():
+        if left := [each.name for each in written if each.exists()]:
+            raise ValueError(
+                f"{folder} has {', '.join(left)}, and no config.json that says of which run; choose another folder"
+            )
+        return described, []
+    if (found := read_json(path)) == described:
         return described, []
     if not isinstance(found, dict) or type(trainer := found.get("trainer", 0)) is not int:
         raise ValueError(f"{path} describes no training: it is {brief(found)}")
@@ -235,7 +248,7 @@ def claim(
     if different := sorted(k for k in (keys if trainer < TRAINER else found | described)
                            if found.get(k) != described.get(k)):  # fmt: skip
         raise ValueError(f"{folder} holds a run with another {', '.join(different)}; choose another folder")
-    return described, [folder / name for name in ("checkpoint.pt", "curve.csv", "policy.json", "policy.safetensors")]
+    return described, written
 
 
 def make_env(config: PPOConfig, distribution: Distribution | None = None) -> VecNormalize:
@@ -390,7 +403,7 @@ class CheckpointFolder:
             if not zipfile.is_zipfile(data):
                 raise ValueError("it is cut off, or another program has written it")
             data.seek(0)
-            return self._take(torch.load(data, weights_only=True), restore)
+            return self._take(torch.load(data, map_location="cpu", weights_only=True), restore)
         except Exception as error:  # torch raises errors of nearly any type for bytes that it has not written
             raise ValueError(
                 f"{self._path} is no checkpoint of this training: {one_line(error)[:200]}; remove checkpoint.pt to "
