@@ -21,7 +21,12 @@ from soro_bench.leaderboard.entry import write_entry
 from soro_bench.leaderboard.gather import gather_control
 from soro_bench.leaderboard.page import build
 from soro_bench.leaderboard.plots import plot_curves
-from soro_bench.leaderboard.statistics import interquartile_mean, interval, probability_of_improvement
+from soro_bench.leaderboard.statistics import (
+    chance_of_difference,
+    interquartile_mean,
+    interval,
+    probability_of_improvement,
+)
 from soro_bench.leaderboard.verify import verify_control
 from tests.results import BOARD, edit, gates, policy, put_policy, scores, shrink_board, true_entry
 from tests.test_bad_input import says
@@ -105,8 +110,10 @@ def test_the_reference_is_the_oracle_and_without_one_what_was_trained_without_ra
     ("best", "second", "said"),
     [
         ((1.0, 1.1, 1.2), (2.0, 2.1, 2.2), "which is not sure (p = 0.1, 3 and 3 seeds)"),  # 2 of 20 ways to deal them
-        ((1.0, 1.1, 1.2, 1.3), (2.0, 2.1, 2.2, 2.3), "which is sure (p = 0.029, 4 and 4 seeds)"),  # 2 of 70
+        # 4 of 252: the worst of the one and the best of the other may change places, as neither is in the middle half
+        ((1.0, 1.1, 1.2, 1.3, 1.4), (2.0, 2.1, 2.2, 2.3, 2.4), "which is sure (p = 0.016, 5 and 5 seeds)"),
         ((1.0,), (2.0,), "which is not sure (p = 1, 1 and 1 seeds)"),
+        ((1.0,), (2.0, 2.1, 2.2), "which is not sure (p = 1, 1 and 3 seeds)"),
         ((1.0,), (), "and alone"),
     ],
 )
@@ -295,6 +302,13 @@ def test_every_entry_of_the_repository_is_valid():
     if not shipped.is_dir():
         pytest.skip("needs a checkout")
     assert "TrunkReach-v0" in gather_control(shipped)
+
+
+def test_methods_are_told_apart_by_what_they_are_ranked_by():
+    """The interquartile mean: two seeds of ten that fail do not count, though by means they decide."""
+    best, second = np.array([[1.0]] * 8 + [[100.0]] * 2), np.full((10, 1), 2.0)
+    assert interquartile_mean(best) < interquartile_mean(second) and best.mean() > second.mean()
+    assert chance_of_difference(best, second) < 0.05
 
 
 def test_the_interquartile_mean_leaves_out_a_quarter_at_either_end():

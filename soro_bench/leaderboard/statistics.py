@@ -32,20 +32,24 @@ def probability_of_improvement(values: np.ndarray, reference: np.ndarray, higher
 
 def chance_of_difference(values: np.ndarray, others: np.ndarray) -> float:
     """Two-sided p value of a permutation test over training seeds: how often policies that are dealt to two methods at
-    random differ as much, by the mean of their interquartile means over starts.
+    random differ as much, by the interquartile means over seeds and starts that methods are ranked by.
 
     Args:
         values, others: (seeds, starts) of each method.
+
+    Returns:
+        1 where a method has one seed: then no deal says anything.
     """
-    groups = [np.array([interquartile_mean(seed) for seed in each]) for each in (values, others)]
-    if max(map(len, groups)) < 2:
+    if min(len(values), len(others)) < 2:
         return 1.0
-    found = permutation_test(groups, _apart, vectorized=True, rng=np.random.default_rng(0))
+    policies = np.concatenate([values, others])
+
+    def apart(first: np.ndarray, second: np.ndarray) -> float:
+        return interquartile_mean(policies[first]) - interquartile_mean(policies[second])
+
+    seeds = np.split(np.arange(len(policies)), [len(values)])
+    found = permutation_test(seeds, apart, rng=np.random.default_rng(0))
     return float(found.pvalue)
-
-
-def _apart(values: np.ndarray, others: np.ndarray, axis: int) -> np.ndarray:
-    return np.asarray(values.mean(axis=axis) - others.mean(axis=axis))
 
 
 def interval(
