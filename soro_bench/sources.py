@@ -8,7 +8,8 @@ from pathlib import Path
 
 from soro_bench.files import is_temporary, mjcf_path, replacing
 
-SIMULATION = ("parameters.py", "rotation.py", "models/*.py", "envs/*.py", "effects/*.py")  # of an episode; and scenes
+# of an episode; and scenes
+SIMULATION = ("parameters.py", "arrays.py", "randomization.py", "models/*.py", "envs/*.py", "effects/*.py")
 METHOD = (*SIMULATION, "diagnosis/**/*.py", "recording/*.py", "inference/statistical_linearisation.py")
 _PACKAGES = ("soro_bench", "mujoco", "gymnasium", "numpy", "stable_baselines3", "torch")
 
@@ -18,7 +19,10 @@ def version_of(parts: Iterable[str]) -> str:
     other results."""
     package, digest = Path(__file__).parent, hashlib.sha256()
     scenes = sorted(mjcf_path(".").rglob("*.xml"))
-    for file in (*sorted(file for part in parts for file in package.glob(part)), *scenes):
+    files = {part: list(package.glob(part)) for part in parts}
+    if missing := [part for part, found in files.items() if not found]:
+        raise FileNotFoundError(f"{package} has no file like {', '.join(missing)}")
+    for file in (*sorted(file for found in files.values() for file in found), *scenes):
         digest.update(file.read_bytes())
     return digest.hexdigest()
 

@@ -143,7 +143,8 @@ def test_assets_inside_the_package(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "part", ["soro_bench/parameters.py", "assets/mjcf/trunk.xml", "assets/mjcf/real/bam_servo.xml"]
+    "part",
+    ["soro_bench/parameters.py", "soro_bench/arrays.py", "assets/mjcf/trunk.xml", "assets/mjcf/real/bam_servo.xml"],
 )
 def test_another_simulation_is_another_version_of_the_method(part, tmp_path):
     for folder in ("soro_bench", "assets"):
