@@ -40,7 +40,7 @@ class List:
                 bounds, search = ("{:g} .. {:g}".format(*pair) for pair in (p.bounds, p.search))
                 lines.add_row(name, f"{p.nominal:g}", p.unit, bounds, search, p.meaning)
             console.print(lines)
-        console.print("* what the published study randomises")
+        console.print("* what uniform randomisation (UDR) draws, from the search box")
 
 
 class Command(Protocol):

@@ -14,7 +14,6 @@ from soro_bench.arrays import Floats, Ints
 from soro_bench.envs.trunk import TrunkTask
 from soro_bench.models import trunk_geometry as geo
 
-EPISODE_STEPS = 100
 NUM_CABLES = len(geo.CABLE_NAMES)
 
 

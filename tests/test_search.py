@@ -24,7 +24,7 @@ from soro_bench.effects.effect import Effect, Location
 from soro_bench.inference import rf_dropo
 from soro_bench.inference.continuation import refine
 from soro_bench.inference.methods import uncertainty
-from soro_bench.inference.posterior import combinations
+from soro_bench.inference.posterior import combinations, fisher
 from soro_bench.inference.rf_dropo import horizon, log_likelihood, sample_factor
 from soro_bench.inference.search import EvaluationLog, cma_search
 from soro_bench.inference.statistical_linearisation import LowRank, linearised, sample_around
@@ -73,9 +73,10 @@ def test_a_search_in_which_everything_diverges_says_so():
         cma_search(lambda points, share: np.full(len(points), np.nan), 2, 3, 8, 0)
 
 
-def test_a_log_whose_writer_was_killed_at_once_begins_anew(tmp_path):
+@pytest.mark.parametrize("left", [b"", b'{"titl'])
+def test_a_log_whose_writer_was_killed_at_once_begins_anew(tmp_path, left):
     path = tmp_path / "log.jsonl"
-    path.write_bytes(b"")
+    path.write_bytes(left)
     square = EvaluationLog(path, "title")(lambda x: x**2, np.array([2.0]), "square")
     with path.open("ab") as file:
         file.write(b'{"call": "cut o')
@@ -157,6 +158,12 @@ def test_what_a_recording_says_nothing_about_is_as_wide_as_its_box():
     assert np.sqrt(np.diag(uncertainty(jacobian, np.full((10, 1), 1e-3)))) == pytest.approx(
         [1e-3 / np.sqrt(10), rf_dropo.LARGEST_STD], rel=1e-4
     )
+
+
+def test_what_diverges_beside_the_estimate_says_nothing():
+    jacobian = np.random.default_rng(0).standard_normal((10, 2, 3))
+    lost = np.where(np.arange(10)[:, None, None] < 6, jacobian, np.nan)
+    assert np.allclose(fisher(lost, np.ones((10, 2))), fisher(jacobian[:6], np.ones((6, 2))))
 
 
 def test_what_may_be_zero_is_determined_in_widths_of_its_box():

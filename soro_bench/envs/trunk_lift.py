@@ -82,6 +82,7 @@ FULL_RISE = 0.06  # m, rise of the centre that rewards count no more of
 CLEARANCE_WEIGHT, RISE_WEIGHT = 2.0, 0.75  # of the whole way; a tipped object has little of the second only
 HELD_REWARD, SUCCESS_REWARD, STEP_REWARD = 0.1, 5.0, -0.01
 _MASSES = (0.05, 0.075, 0.1)  # kg, of evaluation; as the published ones, and between them
+_MASS = replace(CUBE_MASS, search=(min(_MASSES), max(_MASSES)))
 _WALLS = (-0.03, -0.01, 0.01, 0.03)  # m
 
 
@@ -90,7 +91,8 @@ class TrunkGraspTask(Version1, TrunkLiftTask):
 
     metric = "clearance"
     options = Task.options
-    randomized = (WALL_OFFSET, replace(CUBE_MASS, search=(min(_MASSES), max(_MASSES))))
+    parameters = ParameterSet(_MASS, FRICTION, WALL_OFFSET, *trunk.PARAMETERS).with_nominal(friction=0.9)
+    randomized = (WALL_OFFSET, _MASS)
     evaluation = tuple(
         {"params": {"wall_offset": wall, "cube_mass": mass}} for wall, mass in itertools.product(_WALLS, _MASSES)
     )

@@ -34,9 +34,11 @@ class EvaluationLog:
         if self._path is None:
             return
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        if not self._path.exists() or not self._path.stat().st_size:
-            self._append({"title": title})
-        content = self._path.read_bytes()
+        first = json.dumps({"title": title}).encode()
+        content = self._path.read_bytes() if self._path.exists() else b""
+        if first.startswith(content):  # nothing, or cut off as it began
+            content = first + b"\n"
+            self._path.write_bytes(content)
         *lines, cut_off = content.split(b"\n")
         try:
             header, *self._entries = [json.loads(line) for line in lines]
