@@ -39,6 +39,7 @@ _OVERFLOWS = (
 )
 # What MuJoCo derives from model fields that parameters and effects write (mj_setConst)
 _DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_invweight0", "actuator_acc0")
+_UNREAD = ("dof_M0",)  # by simulations: MuJoCo derives other fields from it
 _ROOM = ("nconmax", "njmax")
 
 
@@ -191,7 +192,7 @@ class WarpSimulation:
                              "environments for them (backend='mujoco')")  # fmt: skip
         written = [name for name in MODEL_FIELDS if self._host.batch.expanded(name) is not None]
         self._own = [name for name in (*written, *_DERIVED) if _is_per_world(name)]
-        self._shared = [name for name in written if name not in self._own]
+        self._shared = [name for name in written if name not in (*self._own, *_UNREAD)]
         for name in self._own:
             self._host.batch.expand(name)
         self.model = self._host.batch.get_model(0)
