@@ -165,11 +165,15 @@ def test_messages_of_one_time_are_one_sample(tmp_path):
 
 
 def test_a_message_with_an_empty_list_is_no_sample(tmp_path):
-    """Such as one of a robot that has not started yet."""
+    """Such as one of a robot that has not started yet; nor is one with fewer values than names."""
     rows = [(START + k * STEP, START + k * STEP, *((["a", "b"], [1, 2]) if k > 2 else ([], []))) for k in range(9)]
     for choice in ({}, {"names": ["a", "b"]}):
         signal = import_recording(write_mcap(tmp_path / "a.mcap", rows), mapping(**choice)).signals["q"]
         np.testing.assert_array_equal(signal.values, [[1, 2]] * 6)
+    rows[5] = (*rows[5][:3], [1])
+    recording = import_recording(write_mcap(tmp_path / "a.mcap", rows), mapping(names=["b"]))
+    np.testing.assert_array_equal(recording.signals["q"].values, [2] * 5)
+    assert "position[b]: 1 values stand beside 2 names" in recording.metadata[NOTES]
 
 
 def test_a_message_without_a_field_is_no_sample(tmp_path):
@@ -340,6 +344,15 @@ def test_messages_out_of_order(tmp_path):
     recording = import_recording(write_mcap(tmp_path / "a.mcap", stamped(swapped)), mapping())
     np.testing.assert_array_equal(recording.signals["q"].values[:4], [1, 0, 3, 2])
     assert "25 messages came up to 0.01 s later" in recording.metadata[NOTES]
+    for back in (16 * STEP, 10**11):  # a clock that is set by NTP, as header.stamp and as log_time
+        times = [START + k * STEP - back * (k > 24) for k in range(50)]
+        log = write_mcap(tmp_path / "a.mcap", [(t, t, ["a"], [k]) for k, t in enumerate(times)])
+        for time in ("header.stamp", "log_time"):
+            with pytest.raises(RecordingError, match=says("time does not increase", "order", '"continue"')):
+                import_recording(log, mapping(time=time))
+            signal = import_recording(log, {**mapping(time=time), "time": {"order": "continue"}}).signals["q"]
+            np.testing.assert_array_equal(signal.values, np.arange(50))
+            np.testing.assert_allclose(signal.time, 0.01 * np.arange(50), atol=1e-9)
     again = [START + (k % 25) * 10 * STEP for k in range(50)]  # as a simulation that is started again
     path = write_mcap(tmp_path / "a.mcap", stamped(again))
     with pytest.raises(RecordingError, match=says("time does not increase", "order")):
@@ -347,8 +360,9 @@ def test_messages_out_of_order(tmp_path):
     recording = import_recording(path, {**mapping(), "time": {"order": "keep_first"}})
     np.testing.assert_array_equal(recording.signals["q"].values, np.arange(25))
     rows = list(reversed(list(states())))
-    signal = import_recording(write_mcap(tmp_path / "a.mcap", rows), mapping()).signals["q"]  # only in the file
-    np.testing.assert_array_equal(signal.values, [position for *_, position in states()])
+    recording = import_recording(write_mcap(tmp_path / "a.mcap", rows), mapping())  # only in the file
+    np.testing.assert_array_equal(recording.signals["q"].values, [position for *_, position in states()])
+    assert "199 messages lie in the file behind later ones" in recording.metadata[NOTES]
 
 
 def test_stamps_that_repeat(tmp_path):

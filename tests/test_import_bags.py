@@ -190,6 +190,16 @@ def test_of_a_cut_bag_what_is_there_is_read(tmp_path, kind, tail):
     assert "recorder killed?" in recording.metadata[NOTES]
 
 
+def test_a_database_that_is_cut_anywhere_has_no_wrong_samples(tmp_path):
+    """SQLite would read zeros where the last page is not whole."""
+    path = KINDS["SQLite"](tmp_path)
+    whole = path.read_bytes()
+    for share in np.linspace(0.7, 0.98, 6):
+        path.write_bytes(whole[: int(share * len(whole))])
+        values = import_recording(path, mapping()).signals["q"].values
+        np.testing.assert_array_equal(values, [position for *_, position in states(0, len(values))])
+
+
 def test_a_bag_that_is_cut_in_its_only_chunk_says_so(tmp_path):
     path = write_mcap(tmp_path / "a.mcap", states())
     path.write_bytes(path.read_bytes()[:1000])

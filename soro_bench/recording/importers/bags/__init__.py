@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from soro_bench.recording.importers.bags.collector import PLACE, Collector
-from soro_bench.recording.importers.bags.fields import SECOND
 from soro_bench.recording.importers.bags.files import messages
 from soro_bench.recording.importers.bags.guess import guess
 from soro_bench.recording.importers.bags.logs import Progress, Reading
@@ -22,7 +21,6 @@ __all__ = ["MAX_BYTES", "guess", "import_bag"]
 
 MAX_BYTES = 2_000_000_000  # of all files of a bag, of which one chunk at a time is in memory
 _MAX_NUMBERS = 50_000_000
-_APART = 86_400.0  # s, between the beginnings of two signals: their clocks differ
 _CHECKED = 1000  # messages, after which their numbers are counted
 
 
@@ -52,17 +50,11 @@ def import_bag(
         if unused := [name for name in spec.format.get("definitions", {}) if name not in types]:
             raise RecordingError(f"[format.definitions] {ascii(unused[0])[:80]} has no effect: no topic has that type")
         labels = {id(source): label for label, source in _sources(spec).items()}
-        starts: dict[str, float] = {}
 
         def samples(source: Source) -> tuple[np.ndarray, np.ndarray]:
             """(T,) times [ns] and (T, k) numbers of a command or signal."""
             label = labels[id(source)]
-            times, numbers = collectors[label].arrays(
-                list(reading.topics), reading.notes, partial(spec.notes.add, label)
-            )
-            starts[label] = times[0] / SECOND
-            _check_clocks(starts)
-            return times, numbers
+            return collectors[label].arrays(list(reading.topics), reading.notes, partial(spec.notes.add, label))
 
         for text in reading.notes:
             spec.notes.add(path.resolve().name, text)
@@ -106,13 +98,3 @@ def _read(path: Path, collectors: list[Collector], max_bytes: int, progress: Pro
         if i % _CHECKED == 0 and sum(collector.count for collector in collectors) > _MAX_NUMBERS:
             raise RecordingError(f"more than {_MAX_NUMBERS} numbers: leave out signals, or import a part of the bag")
     return reading
-
-
-def _check_clocks(starts: Mapping[str, float]) -> None:
-    """Refuse signals [s] that cannot be of one clock."""
-    first, last = min(starts, key=lambda label: starts[label]), max(starts, key=lambda label: starts[label])
-    if starts[last] - starts[first] > _APART:
-        raise RecordingError(
-            f"{last} begins {starts[last] - starts[first]:.4g} s after {first}: their clocks differ; take the same "
-            'time for all, such as [time] source = "log_time"'
-        )

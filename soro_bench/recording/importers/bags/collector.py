@@ -39,7 +39,7 @@ _FROZEN = 1e-3  # of the time in which messages come: stamps that span less stan
 _SLOW = SECOND // 10  # in which messages have to come, to tell that from a few messages
 _DRIFT, _SHARE = SECOND // 2, 0.01  # ns, and of the time: what two clocks drift apart beyond both is said
 _OFTEN = 0.1  # of the stamps: fewer that repeat are left out
-_PAUSE, _INTERVALS = SECOND, 20  # a gap is longer than both, in ns and in median intervals
+_SELDOM, _PACE = 0.02, 1.5  # of the steps are where a clock was set back; median steps, up to which others are usual
 
 
 Sample = tuple[Sequence[float], Sequence[Any]]  # its numbers, and the parts of its stamp
@@ -179,12 +179,10 @@ class Collector:
         received = np.frombuffer(self._received, np.int64)
         times = np.frombuffer(self._stamps, np.int64) if self._stamps else received
         numbers = np.frombuffer(self._numbers).reshape(len(received), -1)
-        if (np.diff(received) < 0).any():  # messages may lie in the file in another order
+        if (back := np.diff(received) < 0).any() and not _set_back(received):  # they lie in the file in another order
+            note(f"{back.sum()} messages lie in the file behind later ones; sorted by the times of receipt")
             order = np.argsort(received, kind="stable")
             received, times, numbers = received[order], times[order], numbers[order]
-        if (infinite := np.isinf(numbers)).any():
-            numbers[infinite] = np.nan
-            note(f"{infinite.sum()} infinite numbers are taken as missing")
         if self._stamps:
             times, numbers = _of_one_clock(times, received, numbers, self._clock, note)
         if not self._ordered:
@@ -193,7 +191,6 @@ class Collector:
             left_out = self._messages - len(received)
             note(f"{left_out} of {self._messages} messages are left out: {self._absence}")
         self._note_missing(numbers, note)
-        _note_pause(times, note)
         return times, numbers
 
     def _note_missing(self, numbers: np.ndarray, note: Callable[[str], None]) -> None:
@@ -234,6 +231,21 @@ def _of_one_clock(
     return stamps, numbers
 
 
+def _set_back(times: np.ndarray) -> bool:
+    """Whether a clock was set back between (T,) times [ns]: there all later messages go on at the usual pace.
+
+    A message that is only late is followed by a longer step, as those after it are not late.
+    """
+    steps = np.diff(times)
+    back = int((steps < 0).sum())
+    if back in (0, len(steps)) or back > max(1, _SELDOM * len(steps)):
+        return False
+    usual = _PACE * np.median(steps[steps > 0])
+    late = times < np.maximum.accumulate(times)
+    runs = np.flatnonzero(np.diff(late, prepend=False, append=False)).reshape(-1, 2)  # from, and before which
+    return any(end - begin > 1 and bool((steps[begin:end] <= usual).all()) for begin, end in runs)
+
+
 def _sorted(
     times: np.ndarray, numbers: np.ndarray, clock: str, note: Callable[[str], None]
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -242,8 +254,8 @@ def _sorted(
     Of samples of one time the numbers of the later count; what it has not is taken from the earlier.
     """
     late = np.maximum.accumulate(times) - times
-    if late.max() > _LATE:
-        return times, numbers  # as a clock that was set back has them: the mapping says what to do
+    if late.max() > _LATE or _set_back(times):
+        return times, numbers  # the mapping says what to do
     if late.any():
         note(f"{(late > 0).sum()} messages came up to {late.max() / SECOND:.3g} s later than others that were sent "
              "after them; sorted")  # fmt: skip
@@ -266,15 +278,6 @@ def _sorted(
         note(f"{differing} stamps repeat with other numbers; the later count")
     kept = np.append(np.diff(times) > 0, True)
     return times[kept], numbers[kept]
-
-
-def _note_pause(times: np.ndarray, note: Callable[[str], None]) -> None:
-    """Say where nothing came for long."""
-    steps = np.diff(times)
-    longest = int(steps.argmax()) if steps.size > 1 else 0
-    if steps.size > 1 and steps[longest] > max(_PAUSE, _INTERVALS * np.median(steps)):
-        note(f"nothing came for {steps[longest] / SECOND:.3g} s, {(times[longest] - times[0]) / SECOND:.3g} s after "
-             "its first sample; [time] begin and until cut")  # fmt: skip
 
 
 def _text(label: str, value: Any) -> str:

@@ -4,6 +4,7 @@ The file is opened read-only and nothing is written beside it. Only plain tables
 function, so that views, triggers, generated columns and virtual tables do nothing.
 """
 
+import os
 import shutil
 import sqlite3
 import struct
@@ -81,27 +82,36 @@ def _opened(path: Path, reading: Reading) -> Iterator[sqlite3.Connection]:
     size = path.stat().st_size
     logs = [path.with_name(path.name + end) for end in ("-wal", "-journal")]  # that a killed recorder leaves
     logs = [log for log in logs if log.is_file() and 0 < log.stat().st_size <= size + 10 * MAX_MESSAGE]
+    page, is_cut = _pages(head, size)
     with tempfile.TemporaryDirectory() as folder:
         if logs:
             reading.notes.append(f"{logs[0].name} is read too: what a killed recorder had not yet written or undone")
+        if logs or (is_cut and size % page):
             for each in (path, *logs):
                 shutil.copy(each, Path(folder, each.name))
+            if is_cut:  # SQLite would fill the last page up with zeros, and read them
+                os.truncate(Path(folder, path.name), size - size % page)
             address = f"{Path(folder, path.name).as_uri()}?mode=rw"
         else:
             address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
         with closing(sqlite3.connect(address, uri=True, isolation_level=None)) as database:
             try:
-                _restrict(database, size, head)
+                _restrict(database, size, is_cut)
                 yield database
             except sqlite3.Error as error:
                 raise RecordingError(f"cannot be read: {one_line(error)[:200]}") from error
 
 
-def _restrict(database: sqlite3.Connection, size: int, head: bytes) -> None:
+def _pages(head: bytes, size: int) -> tuple[int, bool]:
+    """The bytes of a page of a database, and whether the file has fewer bytes than all its pages."""
+    (page,) = struct.unpack_from(">H", head, 16)
+    (pages,) = struct.unpack_from(">I", head, 28)
+    page = page if page > 1 else 65536  # which two bytes cannot hold
+    return page, pages * page > size
+
+
+def _restrict(database: sqlite3.Connection, size: int, is_cut: bool) -> None:
     """Let nothing run but queries of plain tables, and not for long; RecordingError for other tables."""
-    page = struct.unpack_from(">H", head, 16)[0] or 1
-    pages = struct.unpack_from(">I", head, 28)[0]
-    is_cut = pages * (65536 if page == 1 else page) > size
     database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LENGTH)
     steps = [0]
 

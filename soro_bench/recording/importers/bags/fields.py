@@ -258,6 +258,8 @@ def _named(node: Any, above: list[Any], step: Named, path: Sequence[Step], seen:
         names = [seen.label(entry.get(key)) for entry in node]
     else:
         beside = _beside(node, above, step.key)
+        if not beside and (count := max((len(v) for each in above for v in each.values() if _is_names(v)), default=0)):
+            raise AbsentError(f"{shown_path(path)}: {len(node)} values stand beside {count} names")
         names = [seen.label(name) for name in beside[_only(beside, path)]]
     seen.names += names
     places = dict(zip(names, range(len(node)), strict=False))
