@@ -21,7 +21,8 @@ from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.trunk_chain import simulate_chain
 from soro_bench.recording.importers import guess_mapping, import_recording
-from soro_bench.recording.importers.guess_table import split_unit, toml
+from soro_bench.recording.importers.guess_table import toml
+from soro_bench.recording.importers.units import split_unit
 from soro_bench.recording.recording import Recording, RecordingError
 from tests.arm import says
 
@@ -63,6 +64,8 @@ def test_encoding_delimiter_decimal_and_units_of_the_header(guessed):
         (table("# t  q u", "{t}   {i}  1 "), {"delimiter": "blank"}),
         (table("Take 7\nat noon, in the hall\nt\tq\tu", "{t}\t{i}\t1"), {"delimiter": "\t", "skip_rows": 2}),
         (table("t,q,u\ns,deg,V", "{t},{i},1"), {"unit_row": "take"}),
+        (table("t,q,u\nticks,deg,V", "{t},{i},1"), {"unit_row": "take"}),
+        (table("t,q,u", '"1{i:02d},5","\u2212{i},5",1'), {"decimal": ","}),
         (table("%  t q u\n% s deg V", "  {t}  {i} 1"), {"delimiter": "blank", "unit_row": "take"}),
         (table("t,q,status,mode,u\n0.0,ERR,OK,on,1", "{t}1,{i},OK,off,1"), None),
         (table("t,q,u", "{t},{i},1", "\r\n")[:-5], None),
@@ -103,10 +106,16 @@ def test_the_unit_of_time(guessed, header, row, unit):
     assert mapping["time"].get("unit") == unit
 
 
-def test_without_a_column_of_time_rows_are_counted(guessed):
+def test_without_a_column_of_time_rows_are_counted(guessed, tmp_path):
+    """But not where one is there that cannot be used."""
     mapping, recording = guessed(table("x,y", "{i}.5,{t}"))
     assert mapping["time"] == {"rate": 100.0}
     assert recording.signals.keys() == {"x", "y"}
+    for stamp in ("10:11:02:{i:03d}", "1.71943e9"):
+        (tmp_path / "log.csv").write_text(table("time,x", stamp + ",{i}"))
+        text = guess_mapping(tmp_path / "log.csv")
+        assert tomllib.loads(text)["time"] == {}
+        assert '# column "time" may be the time' in text
 
 
 def test_numbered_columns_and_points_become_one_signal(guessed):
@@ -137,6 +146,10 @@ def test_wraps_words_and_held_columns_are_seen(guessed, tmp_path):
     assert (mapping["signals"]["angle"]["unit"], mapping["signals"]["angle"]["unwrap"]) == ("deg", True)
     assert mapping["signals"]["x"]["missing"] == ["lost"]
     assert "[commands.valve]?" in guess_mapping(tmp_path / "log.csv")
+    (tmp_path / "log.csv").write_text("t,angle,x,valve\n" + "\n".join(rows).replace("lost", "<0.1") + "\n")
+    text = guess_mapping(tmp_path / "log.csv")
+    assert "# not read: <0.1; are they numbers, or missing = [...]?" in text
+    assert "missing" not in tomllib.loads(text)["signals"]["x"]
 
 
 def test_stamps_that_go_back_are_said(tmp_path):

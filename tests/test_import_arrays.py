@@ -15,7 +15,7 @@ from scipy.io.matlab import MatlabObject
 
 from benchmarks.fuzz_recordings import write_v73
 from soro_bench.recording.importers import guess_mapping, import_recording
-from soro_bench.recording.recording import RecordingError
+from soro_bench.recording.recording import NOTES, RecordingError
 from tests.arm import says
 
 RNG = np.random.default_rng(0)
@@ -158,6 +158,25 @@ def test_a_counter_of_microseconds_that_overflows_goes_on(read):
         read(MAPPING.replace('"t"', '"t"\nunit = "us"'), t=t.astype("datetime64[us]"), x=FLAT)
 
 
+def test_durations_a_matrix_with_its_times_and_one_sample(read, tmp_path):
+    durations = read(MAPPING, t=(1000 * TIME).astype("timedelta64[ms]"), x=np.where(FLAT > 1, np.inf, FLAT))
+    np.testing.assert_allclose(durations.signals["x"].time, TIME)
+    np.testing.assert_allclose(durations.signals["x"].values, 1e-3 * np.where(FLAT > 1, np.nan, FLAT))
+    assert f"{(FLAT > 1).sum()} infinite numbers are taken as missing" in durations.metadata[NOTES]
+    signal = MAPPING.removeprefix('[time]\narray = "t"\n')
+    for indices, others, x in (
+        ("[0]", "[1, 2, 3]", np.c_[TIME, FLAT]),
+        ('[0, "rows"]', '[[1, 2, 3], "rows"]', np.c_[TIME, FLAT].T[:, :]),
+    ):
+        mapping = f'[time]\narray = "x"\nindices = {indices}\n{signal}indices = {others}\n'
+        matrix = read(mapping, x=x).signals["x"]
+        guess = import_recording(tmp_path / "a.npz", tomllib.loads(guess_mapping(tmp_path / "a.npz"))).signals["x"]
+        for found, unit in ((matrix, 1e-3), (guess, 1)):
+            np.testing.assert_allclose(found.time, TIME)
+            np.testing.assert_allclose(found.values, unit * FLAT)
+    assert read(MAPPING, t=TIME[:1], x=FLAT[:1]).signals["x"].values.shape == (1, 3)
+
+
 def test_npy(read):
     """A plain array, and one with fields."""
     mapping = '[time]\ninterval = 0.1\n[signals.x]\narrays = ["array"]\nunit = "mm"\n'
@@ -274,3 +293,6 @@ def test_a_guess_is_a_mapping_that_imports_the_file(read, tmp_path, suffix):
     np.testing.assert_allclose(recording.signals["q"].time, TIME)
     with pytest.raises(RecordingError, match="--guess"):
         import_recording(path)
+    for times, said in ((np.arange(T).astype("datetime64[s]"), {"array": "t"}), (["10:11:02"] * T, {})):
+        np.savez(tmp_path / "b.npz", t=times, x=FLAT)
+        assert tomllib.loads(guess_mapping(tmp_path / "b.npz"))["time"] == said

@@ -58,11 +58,13 @@ def test_a_text_of_another_encoding_needs_the_entry_that_the_message_names(read,
         "\ufefft,x,u\n\n0,1,5\n\n1,2,6\n\n",
         "\nt,x,u\r0,1,5\r1,2,6\r",
         "t,x,u\n0,+1,5\n1, 2 ,6\n",
+        't,x,u\n0,TRUE,"5,0"\n1,"2,0","6,0"\n',
     ],
 )
 def test_what_does_not_change_a_table(read, table):
-    """Delimiters at the end of rows, the line of Excel, empty lines, a byte order mark, signs and blanks."""
-    recording = read(table, CLOCK + X + U)
+    """Delimiters at the end of rows, the line of Excel, empty lines, a byte order mark, signs, blanks, decimal commas
+    in quotation marks, and truth values."""
+    recording = read(table, ('[format]\ndecimal = ","\n' if "TRUE" in table else "") + CLOCK + X + U)
     assert (values(recording), recording.commands["u"].values.tolist()) == ([1, 2], [5, 6])
     assert recording.signals["x"].time.tolist() == [0, 1]
 
@@ -112,13 +114,16 @@ def test_columns_between_blanks(read, table):
         ("2024-06-27T23:59:59Z|2024-06-28T02:00:00.5+02:00", "", [0, 1.5]),
         ("27.06.2024 10:11:02|27.06.2024 10:11:03", "", [0, 1]),
         ("27-Jun-2024 10:11:02|27-JUN-2024 10:11:03", "", [0, 1]),
-        ("20240627T101102.5Z|20240627T101103Z", "", [0, 0.5]),
+        ("20240627T101102.5Z|20240627_101103Z", "", [0, 0.5]),
+        ("2024-06-27 10:11:02+02|2024-06-27 08:11:03Z", "", [0, 1]),
+        ("2:59.5|3:00.25", "", [0, 0.75]),
         ("30/06/2024 23:59:59|01/07/2024 00:00:00", 'date = "day/month/year"', [0, 1]),
         ("06/30/2024 11:59 PM|07/01/2024 12:00 AM", 'date = "month/day/year"', [0, 60]),
         ("23:59:59.5|0:00:00.25", "", [0, 0.75]),
         ("11:59:59 AM|12:00:01 PM", "", [0, 2]),
         ("|2024-06-27 10:11:02", "", [0]),
         ("4294967280|4294967290|4", 'unit = "ms"', [0, 0.01, 0.02]),
+        ("4294967280|4294967290|14|4", 'unit = "ms"\norder = "sort"', [0, 0.01, 0.02, 0.03]),
         ("4294967.28|4294967.29|0.004", "", [0, 0.01, 0.02]),
         ("4294.95|4294.96|0.002704", "", [0, 0.01, 0.02]),
     ],
@@ -141,6 +146,7 @@ def test_dates_and_times(read, stamps, entries, expected):
         ("0001-01-01 10:11:02|", "", ("line 2", "expected a year")),
         ("2024-06-27 10:11:02|", 'unit = "s"', ("unit of time has no effect",)),
         ("27 June|28 June", "", ("line 2", "no finite number")),
+        ("10:75:00|10:76:00", "", ("line 2", "'10:75:00'")),
     ],
 )
 def test_bad_dates_and_times(read, stamps, entries, parts):
@@ -175,6 +181,12 @@ def test_a_row_of_units(read):
     taken = read(table, '[format]\nunit_row = "take"\n' + CLOCK + X + signal)
     np.testing.assert_allclose(taken.signals["q"].values, [np.pi / 2, np.pi])
     np.testing.assert_allclose(taken.signals["q"].time, [0, 0.01])
+    spelt = read(table.replace("ms", "Millisekunden"), '[format]\nunit_row = "take"\n' + CLOCK + X)
+    np.testing.assert_allclose(spelt.signals["x"].time, [0, 0.01])
+    with pytest.raises(RecordingError, match=says("row of units says 'ticks'", "[time] unit, one of ns, us, ms, s")):
+        read(table.replace("ms", "ticks"), '[format]\nunit_row = "take"\n' + CLOCK + X)
+    with pytest.raises(RecordingError, match=says("[time] unit = 's'", "row of units says 'ms'")):
+        read(table, '[format]\nunit_row = "take"\n' + CLOCK + 'unit = "s"\n' + X)
     skipped = read(table, '[format]\nunit_row = "skip"\n' + CLOCK + 'unit = "s"\n' + X)
     assert (skipped.signals["x"].time.tolist(), values(skipped)) == ([0, 10], [1, 2])
     with pytest.raises(RecordingError, match=says("signals.x", "unit = 'm'", "mm")):
@@ -201,6 +213,7 @@ def test_columns_of_one_name_are_chosen_by_number(read):
 def test_what_is_no_finite_number_is_missing(read, word):
     recording = read(f"t,x\n0,1\n1,{word}\n2,3\n", CLOCK + X)
     assert (recording.signals["x"].time.tolist(), values(recording)) == ([0, 2], [1, 3])
+    assert values(read(f"t,x\n0,\u22121\n1,{word}\n", CLOCK + X)) == [-1]
 
 
 def test_missing_belongs_to_one_signal(read):
@@ -208,7 +221,12 @@ def test_missing_belongs_to_one_signal(read):
     table = "t,x,u\n0,0.000,0\n1,2,0\n2,3,1\n"
     with pytest.raises(RecordingError, match=says("commands.u", "missing = ['0']", "empty 2", "at the signals")):
         read(table, '[format]\nmissing = ["0"]\n' + CLOCK + X + U)
-    for mapping in (CLOCK + X + 'missing = ["0"]\n' + U, f'[format]\nmissing = ["0"]\n{CLOCK}{X}{U}missing = []\n'):
+    for word in ('["0"]', "[0]", "0.0"):
+        mapping = (
+            f"[format]\nmissing = {word}\n{CLOCK}{X}{U}missing = []\n"
+            if word == "[0]"
+            else (CLOCK + X + f"missing = {word}\n" + U)
+        )
         recording = read(table, mapping)
         assert (values(recording), recording.commands["u"].values.tolist()) == ([2, 3], [0, 0, 1])
     with pytest.raises(RecordingError, match=says("line 2", "'lost'", "missing at one signal")):
@@ -218,6 +236,13 @@ def test_missing_belongs_to_one_signal(read):
 def test_clocks_of_several_units(read):
     recording = read("t,x,tu,u\n0,1,0,5\n1,2,100,6\n", CLOCK + X + U + 'time = "tu"\ntime_unit = "ms"\n')
     assert recording.commands["u"].time.tolist() == [0, 0.1]
+    dates = "".join(f"{i},1,,\n" for i in range(30)) + "30,,2024-06-27 10:11:02,5\n31,,2024-06-27 10:11:03,6\n"
+    late = read("t,x,tu,u\n" + dates, U + 'time = "tu"\n')  # the first date stands far below
+    assert late.commands["u"].time.tolist() == [0, 1]
+    with pytest.raises(RecordingError, match=says("u begins 1.719e+09 s after signals.x", "clocks differ", "shift")):
+        read("t,x,tu,u\n" + dates, CLOCK + X + U + 'time = "tu"\n')
+    with pytest.raises(RecordingError, match=says("'t_ms' says ms", 'write [time] unit = "ms"')):
+        read("t_ms,x\n0,1\n", CLOCK.replace('"t"', '"t_ms"') + X)
     with pytest.raises(RecordingError, match="time_unit has no effect"):
         read("t,x\n0,1\n", CLOCK + X + 'time_unit = "ms"\n')
 
@@ -244,7 +269,9 @@ def test_numbers_are_chosen_by_the_names_beside_them(read, table, place):
 
 
 def test_rows_of_one_signal(read):
-    """Each signal may have rows of its own."""
+    """Each signal may have rows of its own; trial 1 is not trial 10."""
+    trials = read("t,x,trial\n0,1,1\n1,2,10\n2,3,1.0\n", '[format]\nlabel = "trial"\nonly = [1]\n' + CLOCK + X)
+    assert values(trials) == [1, 3]
     signals = [f'[signals.{n}]\ncolumns = ["q"]\nunit = "1"\nlabel = "joint"\nonly = ["{n}"]\n' for n in "ab"]
     recording = read(LONG, CLOCK + "".join(signals))
     assert [recording.signals[n].values.tolist() for n in "ab"] == [[1, 3], [2, 4, 6]]

@@ -188,6 +188,7 @@ def test_roll_pitch_and_yaw_turn_about_fixed_axes(read):
         ("350 358 6 nan 14 2", 'unit = "deg"\nunwrap = true', np.radians([350, 358, 366, np.nan, 374, 362])),
         ("0.4 -0.4 0.3", 'unit = "rev"\nunwrap = true', 2 * np.pi * np.array([0.4, 0.6, 0.3])),
         ("4090 5 4000", 'unit = "1"\nunwrap = true\nperiod = 4096', [4090, 4101, 4000]),
+        ("990 5 900", 'unit = "deg"\nscale = -0.36\nunwrap = true', -np.radians([356.4, 361.8, 324.0])),
     ],
 )
 def test_what_wraps_is_unwrapped(read, cells, entries, expected):
@@ -199,15 +200,31 @@ def test_what_wraps_is_unwrapped(read, cells, entries, expected):
 
 def test_an_angle_that_seems_to_wrap_is_said(read):
     table = "t,q\n" + "".join(f"{i},{(300 + 30 * i) % 360}\n" for i in range(20))
-    notes = read(table, CLOCK + '[signals.q]\ncolumns = ["q"]\nunit = "deg"\n').metadata[NOTES]
-    assert notes == "signals.q: jumps of nearly a turn: 2; if the angle wraps, write unwrap = true"
+    for unit in ("'deg'", "'rad'\nscale = 0.017453292519943295"):
+        notes = read(table, CLOCK + f'[signals.q]\ncolumns = ["q"]\nunit = {unit}\n').metadata[NOTES]
+        assert notes == "signals.q: jumps of nearly a turn: 2; if the angle wraps, write unwrap = true"
     assert NOTES not in read(table, CLOCK + '[signals.q]\ncolumns = ["q"]\nunit = "mm"\n').metadata
 
 
-def test_a_counter_that_seems_to_wrap_is_said(read):
-    table = "t,q\n" + "".join(f"{i},{(300 * i) % 4096}\n" for i in range(40))
+@pytest.mark.parametrize(
+    ("counts", "low", "jitter", "said"),
+    [
+        (4096, 0, 0, "4096"),
+        (4096, 0, 40, "4096"),
+        (3600, 0, 0, "3600"),
+        (2000, -1000, 0, "2000"),
+        (65536, -32768, 0, "65536"),
+        (3600, 0, 40, "3595 (about; its data sheet says it)"),
+    ],
+)
+def test_a_counter_that_seems_to_wrap_is_said(read, counts, low, jitter, said):
+    steps = np.cumsum(counts // 14 + np.random.default_rng(0).integers(0, jitter + 1, 40))
+    table = "t,q\n" + "".join(f"{i},{step % counts + low}\n" for i, step in enumerate(steps))
     notes = read(table, CLOCK + '[signals.q]\ncolumns = ["q"]\nunit = "1"\n').metadata[NOTES]
-    assert notes.endswith("jumps of nearly 4096: 2; if the counter wraps, write unwrap = true and period = 4096")
+    assert notes.startswith(f"signals.q: jumps of nearly {said.split()[0]}: ")
+    assert notes.endswith(f"; if the counter wraps, write unwrap = true and period = {said}")
+    square = "t,q\n" + "".join(f"{i},{1000 * (i // 5 % 2)}\n" for i in range(40))
+    assert NOTES not in read(square, CLOCK + '[signals.q]\ncolumns = ["q"]\nunit = "1"\n').metadata
     assert NOTES not in read(table, CLOCK + '[commands.q]\ncolumns = ["q"]\nunit = "1"\n').metadata
 
 
@@ -262,6 +279,22 @@ def test_a_unit_of_time_that_no_robot_has_is_asked_for(read):
     table = "t,f\n" + "".join(f"{10_000 * i},{i}\n" for i in range(20))
     assert read(table, CLOCK + F).metadata[NOTES] == "signals.f: a sample every 10000 s; is the unit of time right?"
     assert NOTES not in read(table, CLOCK + "unit = 'us'\n" + F).metadata
+    table = "t,f\n" + "".join(f"{1_719_433_753_000 + 10 * (i + 360_000 * (i > 9))},{i}\n" for i in range(20))
+    notes = read(table, CLOCK + F).metadata[NOTES]
+    assert "[time]: begins at 1.72e+12 s; is the unit of time right?" in notes
+    notes = read(table, CLOCK + "unit = 'ms'\n" + F).metadata[NOTES]
+    assert notes == "signals.f: nothing came for 3.6e+03 s, 0.09 s after its first sample; [time] begin and until cut"
+
+
+def test_a_unit_that_the_header_contradicts_is_said_and_a_mapping_is_utf_8(read, tmp_path):
+    mapping = CLOCK + F.replace('["f"]', '["f [mN]"]')
+    said = "signals.f: unit = 'N', and the name 'f [mN]' says mN; which one is right?"
+    assert read("t,f [mN]\n0,1\n1,2\n", mapping).metadata[NOTES] == said
+    (tmp_path / "a.toml").write_bytes(mapping.encode("utf-8-sig"))
+    assert import_recording(tmp_path / "a.csv", tmp_path / "a.toml").metadata[NOTES] == said
+    (tmp_path / "a.toml").write_bytes(mapping.encode("utf-16"))
+    with pytest.raises(RecordingError, match=says("a.toml", "line 1", "save the mapping as UTF-8")):
+        import_recording(tmp_path / "a.csv", tmp_path / "a.toml")
 
 
 def test_absolute_angles_become_relative_and_a_measured_command_goes_on_along_a_line(tmp_path):

@@ -7,7 +7,7 @@ TEXTS = {
     "wrap": "it jumps back by {turn} after each turn, and was taken as one angle that goes on; write unwrap = true for "
     "it in the mapping of the import",
     "placeholders": "{share} of the samples are {value} where the motion is elsewhere, and were left out as missing; "
-    "write missing = [\"{plain}\"] in [format] of the mapping, or check the sensor's line",
+    "write that number, as it stands in the file, into missing = [...] of the mapping, or check the sensor's line",
     "quantisation": "its values are {step} apart, so the noise was taken as {rounding} at least and repeated values "
     "count once; a finer sensor would show smaller effects",
     "clipping": "{share} of the samples lie at the end of the sensor's range, and were left out; use a larger range or "
@@ -51,6 +51,5 @@ def text(name: str, signal: str, unit: str, share: float, values: Mapping[str, f
         said["rounding"] = f"{rounding:.3g} {unit}" if unit != "1" else f"{rounding:.3g}"
     if "late" in values:
         said["late"] = f"{1e3 * values['late']:.3g} ms"
-    said["plain"] = f"{values.get('value', 0.0):g}"
     percent = f"{100 * share:.2g} %" if share < 0.995 else "all"
     return f"{signal}: " + TEXTS[name].format(share=percent, **said)

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -11,11 +11,12 @@ import numpy as np
 
 from soro_bench.recording.importers.mapping import FileMapping, Source, load_mapping, texts
 from soro_bench.recording.importers.tracks import signal_name
+from soro_bench.recording.importers.units import split_unit
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, MAX_ROWS
 
 _PLACE = ("arrays", "indices", "time")
-_TIME = ("array", "unit", "interval", "rate", "period")
+_TIME = ("array", "indices", "unit", "interval", "rate", "period")
 _FORMAT = ("episode", "ends", "lengths", "label", "only")
 _ROWS, _ALL = "rows", ":"  # in indices
 _MAX_DIMENSIONS = 5
@@ -55,17 +56,21 @@ def import_arrays(path: str | Path, file: ArrayFile, spec: FileMapping, max_byte
     def read(source: Source) -> tuple[np.ndarray, np.ndarray]:
         """(T,) times [s] or [ns] and (T, k) numbers: rows of the arrays, one after the other."""
         names = texts("arrays", source.place.get("arrays"))
+        clock = source.place.get("time", spec.time.get("array"))
         rows, size = [], 0
         for name in names:
-            rows.append(_rows(cut.of(arrays.numbers(name)), source.place.get("indices"), name))
+            array = cut.of(arrays.numbers(name))
+            if array.ndim == 2 and len(array) == 1 and not (clock and arrays.of(clock).size == 1):
+                array = array.ravel()  # a row of MATLAB, and no sample of one time
+            rows.append(_rows(array, source.place.get("indices"), name))
             size += rows[-1].nbytes
             if size > most:
                 raise RecordingError(f"arrays {ascii(names)[1:80]} have more than {most} bytes")
         if len(counts := {len(array) for array in rows}) > 1:
             raise RecordingError(f"its arrays have {sorted(counts)} rows; all need as many")
         numbers = np.concatenate([array.reshape(len(array), -1) for array in rows], axis=1)
-        clock = source.place.get("time", spec.time.get("array"))
-        time = spec.counted(len(numbers)) if clock is None else _times(arrays, cut, spec, clock, len(numbers))
+        indices = None if "time" in source.place else spec.time.get("indices")
+        time = spec.counted(len(numbers)) if clock is None else _times(arrays, cut, spec, clock, indices, len(numbers))
         present = ~np.isnan(numbers).all(axis=1)  # episodes of several lengths are filled up with NaN
         if time.dtype.kind == "f":
             present &= ~np.isnan(time)
@@ -188,7 +193,7 @@ def _rows(array: np.ndarray, indices: Any, name: str) -> np.ndarray:
     list of integers, ":" for all, and "rows" for the axis of the samples, without which the first ":" is it.
     """
     if indices is None:
-        rows = array.reshape(-1) if array.ndim == 2 and array.shape[0] == 1 else array  # a row of MATLAB
+        rows = array
     elif isinstance(indices, list) and indices and all(type(i) is int for i in indices):
         flat = array.reshape(len(array), -1)
         rows = flat[:, [_checked(i, flat.shape[1], name) for i in indices]]
@@ -230,22 +235,27 @@ def _checked(index: int, size: int, name: str) -> int:
     return index
 
 
-def _times(arrays: _Arrays, cut: _Cut, spec: FileMapping, name: Any, rows: int) -> np.ndarray:
+def _times(arrays: _Arrays, cut: _Cut, spec: FileMapping, name: Any, indices: Any, rows: int) -> np.ndarray:
     """(T,) times [s], or whole ones [ns]."""
     array = arrays.of(name)
-    if array.dtype.kind == "M":
+    if (kind := array.dtype.kind) in "mM":
         if "unit" in spec.time:
-            raise RecordingError(f"[time] unit has no effect: {ascii(name)[:80]} holds dates")
-        array = array.astype("datetime64[ns]").astype(np.int64)
+            raise RecordingError(f"[time] unit has no effect: {ascii(name)[:80]} holds dates or durations")
+        array = array.astype(f"{kind}8[ns]").astype(np.int64)
         to_nanoseconds: int | None = 1
     else:
+        spec.check_unit_of_time(name.rpartition(".")[2], spec.time.get("unit"))
         to_nanoseconds = _NANOSECONDS.get(spec.time.get("unit", "s")) if array.dtype.kind in "iu" else None
     if array.dtype.kind not in "fiu" or not array.ndim:
         raise RecordingError(f"its times {ascii(name)[:80]} have type {array.dtype}; expected numbers or dates")
-    found = cut.of_clock(array, rows)
+    found = cut.of_clock(array, rows) if indices is None else _rows(cut.of(array), indices, name)
     if found.size != rows or max(found.shape) != rows:
-        raise RecordingError(f"its times {ascii(name)[:80]} have shape {found.shape}; expected ({rows},), or indices = "
-                             '[":", "rows"] where samples lie along the second axis')  # fmt: skip
+        hint = 'indices = [":", "rows"] where samples lie along the second axis'
+        if rows == found.shape[0]:
+            hint = "[time] indices = [0] for its first column"
+        elif rows in found.shape:
+            hint = '[time] indices = [0, "rows"] for its first row'
+        raise RecordingError(f"its times {ascii(name)[:80]} have shape {found.shape}; expected ({rows},), or {hint}")
     found = found.ravel()
     if found.dtype == np.float32 and (np.diff(found) == 0).any() and len(np.unique(found)) < rows:
         step = float(np.spacing(np.abs(found).max()))
@@ -269,35 +279,79 @@ def written(file: ArrayFile) -> str:
             lines.append(f"# {ascii(name)[1:-1]} is left out: {error}")
             continue
         parts = {f"{name}.{part}": array[part] for part in array.dtype.names or ()} or {name: array}
-        shapes.update({key: each for key, each in parts.items() if each.dtype.kind in "fiubM" and each.size > 1})
-    clocks = [name for name in shapes if name.rpartition(".")[2].lower() in _CLOCKS]
-    clock = next((name for name in clocks if (np.diff(shapes[name].ravel().astype(float)) > 0).all()), None)
-    rows = shapes[clock].size if clock else max((len(_line(array)) for array in shapes.values()), default=0)
-    lines += ["", "[time]"]
-    if clock:
-        whole = ', or "ms", "us", "ns"' if shapes[clock].dtype.kind != "M" else ""
-        lines += [f"array = {json.dumps(clock)}", f'unit = "s"{"  # " + whole[2:] if whole else ""}']
-    else:
-        why = f"{ascii(clocks[0])[1:-1]} does not increase" if clocks else "no array is called time"
-        lines.append(f"interval = 0.01  # s between rows: {why}")
+        shapes.update({key: each for key, each in parts.items() if each.dtype.kind in "fiubmM" and each.size > 1})
+    clock = _clock(file.names, shapes)
+    lines += ["", "[time]", *clock.lines]
     lines.append("# [format] episode = 0 takes the first entry of the first axis; ends, lengths or label cut rows")
     for name, array in shapes.items():
-        if name != clock:
-            lines += _section(name, array, rows)
+        if name != clock.name:
+            lines += _section(name, array, clock.rows)
+        elif clock.others:
+            lines += _section(name, array, clock.rows, clock.others)
     return "\n".join(lines) + "\n"
+
+
+@dataclass(frozen=True)
+class _Clock:
+    """What a guess says about times: lines of [time], how many rows there are, and the array of the times.
+
+    Args:
+        others: indices of what else a matrix has, whose first column or row are the times.
+    """
+
+    lines: list[str]
+    rows: int
+    name: str = ""
+    others: str = ""
+
+
+def _clock(names: Sequence[str], shapes: Mapping[str, np.ndarray]) -> _Clock:
+    """The times in arrays: those that are called so, else the first column or row of a matrix that increases."""
+    named = [name for name in shapes if _is_called_time(name)]
+    increasing = [name for name in named if (np.diff(shapes[name].ravel().astype(float)) > 0).all()]
+    if named:
+        name = (increasing or named)[0]
+        doubt = "" if increasing else f"  # {ascii(name)[1:-1]} does not increase everywhere"
+        unit = split_unit(name)[1] or "s"
+        units = [f'unit = "{unit}"  # or "s", "ms", "us", "ns"'] if shapes[name].dtype.kind not in "mM" else []
+        return _Clock([f"array = {json.dumps(name)}{doubt}", *units], shapes[name].size, name)
+    if matrix := next(filter(None, (_matrix(*item) for item in shapes.items())), None):
+        return matrix
+    rows = max((len(_line(array)) for array in shapes.values()), default=0)
+    if unread := next(filter(_is_called_time, names), None):
+        return _Clock([f"# interval = ...  # s between rows: {ascii(unread)[1:-1]} holds no numbers or dates"], rows)
+    return _Clock(["interval = 0.01  # s between rows: no array is called time"], rows)
+
+
+def _is_called_time(name: str) -> bool:
+    return split_unit(name.rpartition(".")[2])[0].lower() in _CLOCKS
+
+
+def _matrix(name: str, array: np.ndarray) -> _Clock | None:
+    """The clock in a matrix whose first column or row increases; None for others."""
+    if array.ndim != 2 or min(array.shape) < 2 or array.shape[0] == array.shape[1]:
+        return None
+    rows, others = max(array.shape), list(range(1, min(array.shape)))
+    is_row = array.shape[1] == rows
+    if not (np.diff((array[0] if is_row else array[:, 0]).astype(float)) > 0).all():
+        return None
+    first, rest = (f'[0, "{_ROWS}"]', f'[{others}, "{_ROWS}"]') if is_row else ("[0]", str(others))
+    return _Clock([f"array = {json.dumps(name)}", f"indices = {first}  # increases; is it the time?"], rows, name, rest)
 
 
 def _line(array: np.ndarray) -> np.ndarray:
     return array.ravel() if array.ndim == 2 and 1 in array.shape else array
 
 
-def _section(name: str, array: np.ndarray, rows: int) -> list[str]:
+def _section(name: str, array: np.ndarray, rows: int, indices: str = "") -> list[str]:
     """The lines of one array, as a comment where it has another number of rows."""
     group = "commands" if name.rpartition(".")[2].lower() in _COMMANDS else "signals"
     line = _line(array)
     head = f"[{group}.{signal_name(name)}]  # shape {array.shape}"
     found = ["", head, f"arrays = [{json.dumps(name)}]", 'unit = "1"']
-    if len(line) != rows and rows in line.shape:
+    if indices:
+        found.insert(3, f"indices = {indices}")
+    elif len(line) != rows and rows in line.shape:
         axes = [_ROWS if size == rows and i == line.shape.index(rows) else _ALL for i, size in enumerate(line.shape)]
         found.insert(3, f"indices = {json.dumps(axes)}  # samples lie along this axis")
     if rows not in line.shape or math.prod(line.shape) // rows > 1000:

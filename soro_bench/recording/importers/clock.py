@@ -16,11 +16,14 @@ NO_STAMP = np.iinfo(np.int64).min
 _DATE = re.compile(r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})|(\d{1,2})([./-])(\w{1,3})[./-](\d{4})")
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _STAMP = re.compile(
-    r"(?:(\d\S*?\d)[T_ ]+)?(\d{1,2}):(\d\d)(?::(\d\d)(?:[.,](\d{1,12}))?)? ?([AaPp][Mm])? ?(Z|UTC|[+-]\d\d:?\d\d)?"
+    r"(?:(\d\S*?\d)[T_ ]+)?(\d{1,2}):([0-5]\d)(?::([0-5]\d|60)(?:[.,](\d{1,12}))?)? ?([AaPp][Mm])? ?"
+    r"(Z|UTC|[+-]\d\d(?::?\d\d)?)?"
 )
-_COMPACT = re.compile(r"^(\d{4})(\d\d)(\d\d)T(\d\d)(\d\d)(\d\d)")
+_MINUTES = re.compile(r"([0-5]?\d):([0-5]\d(?:[.,]\d{1,12})?)")  # and seconds: a log of hours and minutes is too slow
+_COMPACT = re.compile(r"^(\d{4})(\d\d)(\d\d)[T_](\d\d)(\d\d)(\d\d)")
 _DAY = 86_400_000_000_000  # ns
 _LONGEST = 64  # letters of a time stamp
+_LATEST = 9.2e9  # s, whose nanoseconds fit into 64 bits
 _YEARS = 1678, 2261  # whose nanoseconds since 1970 fit into 64 bits
 _EPOCH = datetime.date(1970, 1, 1).toordinal()
 _SOON = 10  # median steps, within which a counter goes on after it has overflowed
@@ -29,12 +32,12 @@ _SOON = 10  # median steps, within which a counter goes on after it has overflow
 def overflowed(numbers: np.ndarray) -> tuple[np.ndarray, str]:
     """(T,) numbers of a clock of 16, 24 or 32 bits as if it never overflowed, and what there is to say.
 
-    Its ticks may have been turned into milliseconds or seconds, by thousands. Every step back has to be an overflow;
-    otherwise the numbers stay as they are.
+    Its ticks may have been turned into milliseconds or seconds, by thousands. Every step back by more than half of the
+    range has to be an overflow; otherwise the numbers stay as they are. Smaller steps back stay.
     """
     steps = np.diff(numbers)
-    back, on = steps[steps < 0], steps[steps > 0]
-    if not back.size or not on.size:
+    on = steps[steps > 0]
+    if on.size in (0, steps.size):
         return numbers, ""
     whole = (numbers == np.rint(numbers)).all()
     for bits in _COUNTERS if whole else (_COUNTERS[-1],):
@@ -42,10 +45,10 @@ def overflowed(numbers: np.ndarray) -> tuple[np.ndarray, str]:
             period = tick * 2.0**bits
             low, high = numbers.min(), numbers.max()
             within = high - low < period and (low >= 0 or max(-low, high) <= period / 2)
-            if within and (back + period < _SOON * np.median(on)).all() and (back < -period / 2).all():
-                return unwrapped(
-                    numbers, period
-                ), f"overflows of a clock of {bits} bits that are unwrapped: {len(back)}"
+            back = steps[steps < -period / 2]
+            if within and back.size and (back + period < _SOON * np.median(on)).all():
+                said = f"overflows of a clock of {bits} bits that are unwrapped: {back.size}"
+                return unwrapped(numbers, period), said
     return numbers, ""
 
 
@@ -109,8 +112,17 @@ def is_stamp(text: str) -> bool:
     return _found(text.strip()) is not None
 
 
+def is_minutes(text: str) -> bool:
+    """Whether a text is read as minutes and seconds, such as 02:15 or 02:15.250."""
+    return _MINUTES.fullmatch(text.strip()) is not None
+
+
 def _found(text: str) -> re.Match[str] | None:
-    return _STAMP.fullmatch(_COMPACT.sub(r"\1-\2-\3 \4:\5:\6", text)) if len(text) <= _LONGEST else None
+    if len(text) > _LONGEST:
+        return None
+    if minutes := _MINUTES.fullmatch(text):
+        text = f"0:{minutes[1]:0>2}:{minutes[2]}"
+    return _STAMP.fullmatch(_COMPACT.sub(r"\1-\2-\3 \4:\5:\6", text))
 
 
 class Stamps:
@@ -140,7 +152,7 @@ class Stamps:
             hour = hour % 12 + (12 if half.lower() == "pm" else 0)
         seconds = 3600 * hour + 60 * int(minutes) + int(whole or 0)
         if zone and zone[0] in "+-":
-            seconds -= int(zone[0] + "1") * (3600 * int(zone[1:3]) + 60 * int(zone[-2:]))
+            seconds -= int(zone[0] + "1") * (3600 * int(zone[1:3]) + 60 * int(zone[3:].lstrip(":") or 0))
         return (self._day(date) if date else 0) + 1_000_000_000 * seconds + int((fraction or "0").ljust(9, "0")[:9])
 
     def _day(self, date: str) -> int:
@@ -176,3 +188,14 @@ def over_midnight(time: np.ndarray) -> np.ndarray:
     if not len(time) or time.min() < 0 or time.max() >= _DAY:
         return time
     return time + _DAY * np.concatenate([[0], np.cumsum(np.diff(time) < -_DAY // 2)])
+
+
+def together(parts: list[np.ndarray], factors: list[float]) -> np.ndarray:
+    """(T,) whole ns of a time in several columns, such as seconds and nanoseconds."""
+    total = np.zeros(len(parts[0]), np.int64)
+    for part, factor in zip(parts, factors, strict=True):
+        if (np.abs(part * factor) > _LATEST).any():
+            raise RecordingError(f"time {part[np.abs(part * factor) > _LATEST][0]:g} is too late; are the units right?")
+        whole = np.floor(part)
+        total += whole.astype(np.int64) * round(1e9 * factor) + np.rint((part - whole) * factor * 1e9).astype(np.int64)
+    return total

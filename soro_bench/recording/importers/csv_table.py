@@ -1,7 +1,7 @@
 """Tables of text: CSV files from motion capture, load cells and loggers."""
 
 import csv
-import math
+import itertools
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -11,20 +11,27 @@ from typing import Any
 import numpy as np
 
 from soro_bench.files import brief, shown
-from soro_bench.recording.importers.clock import DATE_ORDERS, NO_STAMP, Stamps, is_stamp, over_midnight
+from soro_bench.recording.importers.clock import (
+    DATE_ORDERS,
+    NO_STAMP,
+    Stamps,
+    is_minutes,
+    is_stamp,
+    over_midnight,
+    together,
+)
 from soro_bench.recording.importers.guess_table import guessed
-from soro_bench.recording.importers.mapping import FileMapping, load_mapping
+from soro_bench.recording.importers.mapping import FileMapping, load_mapping, unit_doubt
 from soro_bench.recording.importers.source import Source
 from soro_bench.recording.importers.table_cells import Labels, Names, Numbers, Progress, Times, Want, read_columns
-from soro_bench.recording.importers.table_text import FORMAT, TableText, read_text, words
-from soro_bench.recording.importers.units import of_text, si
+from soro_bench.recording.importers.table_text import FORMAT, MISSING, TableText, read_text, value, words
+from soro_bench.recording.importers.units import TIME_UNITS, of_text, si
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, named_errors, read_bytes
 
 _PLACE = ("columns", "first", "last", "time", "time_unit", "missing", "label", "only", "names", "names_from")
 _TIME = ("column", "columns", "unit", "units", "interval", "rate", "period", "date")
-_LATEST = 9.2e9  # s, whose nanoseconds fit into 64 bits
-_PEEKED = 20  # rows that tell whether a column holds dates
+_PEEKED, _SEARCHED = 20, 1000  # rows that tell whether a column holds dates, and in which its first one is looked for
 
 
 def import_csv(
@@ -54,7 +61,7 @@ class _Reader:
 
     def __init__(self, table: TableText, spec: FileMapping, progress: Progress | None) -> None:
         self._table, self._spec = table, spec
-        self._words = words(spec.format, "missing")
+        self._words = words("[format] missing", spec.format.get("missing", []))
         self._known_names: dict[Names, Names] = {}
         self._peeked = _first_rows(table)
         wants: list[Want] = []
@@ -62,6 +69,7 @@ class _Reader:
             for name, source in sources.items():
                 try:
                     wants += self._wants(source)
+                    spec.notes.add(f"{group}.{name}", unit_doubt(source, self._labels(source)))
                 except RecordingError as error:
                     raise RecordingError(f"{group}.{name}: {error}") from error
         self._columns, self._lines = read_columns(table, wants, self._kept("[format]", spec.format), progress)
@@ -124,10 +132,12 @@ class _Reader:
                                      'leave unit out, or write unit_row = "skip"')  # fmt: skip
 
     def _number_wants(self, source: Source) -> list[Numbers]:
-        own = "missing" in source.place
-        texts = _texts("missing", source.place["missing"], least=0) if own else self._words
-        missing = frozenset(word.strip().lower() for word in texts if _value(word) is None)
+        missing = frozenset(word.strip().lower() for word in self._missing(source) if value(word) is None)
         return [Numbers(i, missing) for i in self._positions(source)]
+
+    def _missing(self, source: Source) -> list[str]:
+        """What stands for a missing number."""
+        return words("missing", source.place["missing"]) if "missing" in source.place else self._words
 
     def _numbers(self, source: Source, want: Numbers) -> np.ndarray:
         """(rows,) numbers without those that stand for a missing one."""
@@ -137,8 +147,7 @@ class _Reader:
 
     def _sentinels(self, source: Source) -> list[float]:
         """Numbers that stand for a missing one."""
-        given = source.place.get("missing", self._words)
-        return [value for word in given if (value := _value(word)) is not None]
+        return [number for word in self._missing(source) if (number := value(word)) is not None]
 
     def _check_commands(self) -> None:
         """Refuse numbers that stand for a missing one among markers, and are commands."""
@@ -168,13 +177,17 @@ class _Reader:
             raise RecordingError(f"columns is {ascii(place['columns'])[:80]}; expected each once")
         return found
 
+    def _labels(self, source: Source) -> list[str]:
+        """What the header calls the columns of a signal."""
+        return [self._table.header[i] for i in self._positions(source)]
+
     def _kept(self, label: str, options: Mapping[str, Any]) -> Labels | None:
         """Which rows belong to a signal, or to all."""
         if ("label" in options) != ("only" in options):
             raise RecordingError(f"{label}: label and only belong together: a column, and the texts to look for in it")
         if "label" not in options:
             return None
-        return Labels(self._table.position(options["label"]), tuple(_texts("only", options["only"])))
+        return Labels(self._table.position(options["label"]), tuple(words(f"{label} only", options["only"], least=1)))
 
     def _clock_columns(self, source: Source) -> list[Any]:
         """The columns of its times; none where rows are counted."""
@@ -193,10 +206,12 @@ class _Reader:
             own = "time" in source.place
             if {"time_unit"} & source.place.keys() if own else {"unit", "units"} & self._spec.time.keys():
                 raise RecordingError("a unit of time has no effect: its column holds dates or times of day")
+            if len(positions) == 1 and any(is_minutes(cell) for cell in cells):
+                self._spec.notes.add("[time]", "times of two parts are taken for minutes and seconds")
             return [Times(tuple(positions), Stamps(self._spec.time.get("date", "")))]
         if "date" in self._spec.time:
             raise RecordingError("[time] date has no effect: the column of times holds no dates")
-        missing = frozenset(word.strip().lower() for word in self._words if _value(word) is None)
+        missing = frozenset(word.strip().lower() for word in self._words if value(word) is None)
         return [Numbers(i, missing) for i in positions]
 
     def _times(self, source: Source) -> tuple[np.ndarray, np.ndarray] | None:
@@ -213,7 +228,7 @@ class _Reader:
             if not units:
                 found = over_midnight(present[0])
             elif len(units) > 1:
-                found = _together(present, [self._spec.to_seconds(unit) for unit in units])
+                found = together(present, [self._spec.to_seconds(unit) for unit in units])
             else:
                 found = self._spec.clock(present[0], units[0])
             time = np.zeros(len(known), found.dtype)
@@ -225,16 +240,30 @@ class _Reader:
         """A unit of each column of times."""
         time, count = self._spec.time, len(wants)
         own = "time" in source.place
+        key = "time_unit" if own else "[time] units" if count > 1 else "[time] unit"
         said = source.place.get("time_unit") if own else time.get("units", None)
         if said is None and not (own and count > 1):
             said = time.get("unit")
-        if said is None and self._table.units:
-            said = [of_text(self._table.units[want.position]) for want in wants]
         found = said if isinstance(said, list) else [said] * (count if said is None else 1)
+        if len(found) == count:
+            found = [self._unit_of_time(want.position, unit, key) for want, unit in zip(wants, found, strict=True)]
         if len(found) != count or (count > 1 and None in found):
-            key = "time_unit" if own else "[time] units"
             raise RecordingError(f'time in {count} columns needs {key} of each, such as {key} = ["s", "ns"]')
+        if count == 1:
+            self._spec.check_unit_of_time(self._table.header[wants[0].position], found[0], key)
         return found
+
+    def _unit_of_time(self, position: int, said: str | None, key: str) -> str | None:
+        """The unit of a column of times that the mapping says, or the row of units; RecordingError if they differ."""
+        text = self._table.units[position] if self._table.units else ""
+        row = of_text(text) if text.strip() else None
+        row = row if row and si(row)[0] == "s" else None
+        if said is None and text.strip() and not row:
+            raise RecordingError(f"the row of units says {ascii(text)[:40]} of times; write {key}, one of {TIME_UNITS}")
+        if said and row and si(said) != si(row):
+            raise RecordingError(f"{key} = {said!r}, and the row of units says {row!r}; leave the unit out, or write "
+                                 'unit_row = "skip"')  # fmt: skip
+        return said or row
 
     def _names(self, source: Source) -> list[Names]:
         """The columns in which names stand: one, or one beside each column of numbers."""
@@ -250,45 +279,31 @@ class _Reader:
 
 
 def _first_rows(table: TableText) -> list[list[str]]:
-    """The first rows; fewer where they cannot be read."""
+    """The first rows, and for each column that says nothing there the first one in which it does.
+
+    There are fewer where rows cannot be read.
+    """
     rows: list[list[str]] = []
+    silent = set(range(len(table.header)))
     try:
-        for row in table.rows(table.lines()):
-            rows += [row] if row else []
-            if len(rows) == _PEEKED:
+        for row in itertools.islice(table.rows(table.lines()), _SEARCHED):
+            said = {i for i in silent if i < len(row) and row[i].strip().lower() not in MISSING}
+            rows += [row] if row and (said or len(rows) < _PEEKED) else []
+            silent -= said
+            if len(rows) >= _PEEKED and not silent:
                 break
     except (csv.Error, RecordingError):  # which reading all of them says better
         pass
     return rows
 
 
-def _texts(label: str, values: Any, least: int = 1) -> list[Any]:
+def _texts(label: str, values: Any) -> list[Any]:
     """A list of texts, or of numbers of columns, each once."""
-    valid = isinstance(values, list) and len(values) >= least and all(type(value) in (str, int) for value in values)
+    valid = isinstance(values, list) and values and all(type(value) in (str, int) for value in values)
     if not valid or len(set(values)) < len(values):
         expected = "expected a list of texts" if not valid else "expected each once"
         raise RecordingError(f"{label} is {ascii(values)[:80]}; {expected}")
     return values
-
-
-def _value(word: Any) -> float | None:
-    """The number that a text is, if it is one."""
-    try:
-        value = float(str(word).replace(",", "."))
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
-
-
-def _together(parts: list[np.ndarray], factors: list[float]) -> np.ndarray:
-    """(T,) whole ns of a time in several columns, such as seconds and nanoseconds."""
-    total = np.zeros(len(parts[0]), np.int64)
-    for part, factor in zip(parts, factors, strict=True):
-        if (np.abs(part * factor) > _LATEST).any():
-            raise RecordingError(f"time {part[np.abs(part * factor) > _LATEST][0]:g} is too late; are the units right?")
-        whole = np.floor(part)
-        total += whole.astype(np.int64) * round(1e9 * factor) + np.rint((part - whole) * factor * 1e9).astype(np.int64)
-    return total
 
 
 def guess(path: str | Path) -> str:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from soro_bench.recording.importers.clock import is_stamp
-from soro_bench.recording.importers.table_cells import MISSING
-from soro_bench.recording.importers.table_text import BLANK, TableText, decoded, read_text, split
+from soro_bench.recording.importers.table_text import BLANK, MISSING, TableText, decoded, plain, read_text, split
 from soro_bench.recording.importers.units import of_text
 from soro_bench.recording.recording import RecordingError
 
@@ -79,11 +78,9 @@ def layout(data: bytes) -> tuple[dict[str, Any], list[Column]]:
 
 
 def is_number(text: str, decimal: str) -> bool:
-    """Whether a cell is a number or stands for a missing one."""
+    """Whether a cell is a number or a truth value."""
     text = text.strip()
-    return bool(_NUMBER.fullmatch(text if decimal == "." else text.replace(decimal, "."))) and (
-        decimal == "." or "." not in text
-    )
+    return _NUMBER.fullmatch(plain(text, decimal)) is not None and (decimal == "." or "." not in text)
 
 
 def _encoding(head: bytes) -> str:
@@ -129,7 +126,7 @@ def _best(delimiters: Any, lines: list[str]) -> tuple[str, str]:
         count = Counter(map(len, rows)).most_common(1)[0][0]
         cells = [cell for row in rows if len(row) == count for cell in row if cell]
         for decimal in (".", ","):
-            if decimal == delimiter or not cells:
+            if not cells:
                 continue
             share = sum(_good(cell, decimal) for cell in cells) / len(cells)
             whole = sum(len(row) == count for row in rows) / len(rows)
@@ -198,12 +195,10 @@ def _columns(table: TableText) -> list[Column]:
     for i, name in enumerate(table.header):
         texts = [row[i] for row in rows]
         good = [is_number(text, table.decimal) for text in texts]
-        numbers = [
-            float(text.replace(table.decimal, ".")) if ok else np.nan for text, ok in zip(texts, good, strict=True)
-        ]
+        numbers = [float(plain(text, table.decimal)) if ok else np.nan for text, ok in zip(texts, good, strict=True)]
         words = Counter(text for text, ok in zip(texts, good, strict=True) if not ok and text.lower() not in MISSING)
-        plain = name.lstrip("#% ") if i == 0 else name
-        label = plain if plain and table.header.count(name) == 1 else i + 1
+        name = name.lstrip("#% ") if i == 0 else name
+        label = name if name and table.header.count(table.header[i]) == 1 else i + 1
         units = table.units[i] if i < len(table.units) else ""
-        found.append(Column(label, plain, units, np.array(numbers), texts, words))
+        found.append(Column(label, name, units, np.array(numbers), texts, words))
     return found

@@ -12,7 +12,7 @@ from soro_bench.recording.importers.clock import overflowed
 from soro_bench.recording.importers.guess_layout import Column, layout
 from soro_bench.recording.importers.source import counter_period, seen_wraps
 from soro_bench.recording.importers.tracks import signal_name
-from soro_bench.recording.importers.units import UNITS, of_text, si
+from soro_bench.recording.importers.units import UNITS, in_brackets, of_text, si, split_unit
 from soro_bench.recording.recording import RecordingError
 from soro_bench.recording.untrusted import MAX_BYTES, named_errors, read_bytes
 
@@ -22,8 +22,6 @@ _COMMAND = re.compile(
     r"(.*[^a-z])?(cmd|command|commanded|goal|target|desired|des|setpoint|sp|ref|reference|soll|sollwert|action|ctrl|"
     r"control|demand|pwm|duty|enable|enabled|u\d*)s?([^a-z].*)?"
 )
-_BRACKETS = re.compile(r"^(.*?)\s*[\[(]([^\])]*)[\])]\s*$")
-_SHORT = ("1", "%", "in", "l", "g", "min")  # endings that rarely mean a unit
 _EPOCH = 1e9, 1e10  # s since 1970 of the years 2001 to 2286
 _STEPS = ("s", 1e-5, 2.0), ("ms", 2.0, 2e3), ("us", 2e3, 2e5), ("ns", 2e5, 1e12)  # the step that each unit has
 _HELD = 0.8  # of the samples of a command are as the one before
@@ -32,6 +30,7 @@ _REPEATED, _NAMES = 0.7, 100  # of the stamps are others, where rows of several 
 _NEARLY = 0.9  # of a turn, that an angle that wraps has seen
 _ROW = "row of units"
 _CLOCK = ("s", "ms", "us", "ns")
+_CLOCKLIKE = re.compile(r"\d{1,2}:\d\d|\d{8}\D\d{6}")  # in texts that may be times
 
 
 @dataclass
@@ -98,28 +97,6 @@ def toml(value: object) -> str:
     return f'"{"".join(letters)}"'
 
 
-def split_unit(name: str) -> tuple[str, str | None]:
-    """A name in a header without its unit, and the unit: of "q [deg]", "pos_mm" or "speed_rad_s"."""
-    found = _BRACKETS.match(name)
-    if found and found[2].isdecimal():  # an index
-        return found[1] + found[2], None
-    if found:
-        return found[1] or name, of_text(found[2])
-    if "_per_" in name:
-        amount, _, time = name.rpartition("_per_")
-        stem, _, unit = amount.rpartition("_")
-        return (stem, f"{unit}/{time}") if f"{unit}/{time}" in UNITS else (name, None)
-    parts = name.split("_")
-    for count in (3, 2, 1):
-        if len(parts) <= count:
-            continue
-        ending = parts[-count:]
-        for text in ("_".join(ending), "/".join([*ending[:-1], re.sub(r"(?<=s)2$", "^2", ending[-1])])):
-            if text in UNITS and text not in _SHORT:
-                return "_".join(parts[:-count]), text
-    return name, None
-
-
 def _time(columns: Sequence[Column]) -> tuple[list[Column], list[Column], list[str]]:
     """The columns of time, those of other clocks, and the section [time]."""
     for column, after in zip(columns, [*columns[1:], None], strict=True):
@@ -136,14 +113,18 @@ def _time(columns: Sequence[Column]) -> tuple[list[Column], list[Column], list[s
     named = [column for column in found if _TIME.fullmatch(split_unit(column.name)[0].lower())]
     steady = [column for column in found if not _COUNT.fullmatch(column.name.lower()) and _is_clock(column)]
     nameless = [column for column in steady if not any(letter.isalpha() for letter in column.name)]
-    if not (candidates := named or nameless):
+    if not (candidates := named or nameless) and (like := next(filter(_like_times, columns), None)):
+        text = shown(like.texts[0])[:40]
+        return [], [], ["[time]", f"# column {toml(like.label)} may be the time, but {text} cannot be read as one, or "
+                        "repeats: correct it, or write rate = ...  # Hz"]  # fmt: skip
+    if not candidates:
         rate = "rate = 100.0  # Hz: no column is called time; write how many rows there are in a second"
         other = [f"# column = {toml(column.label)}  # increases steadily: is this the time?" for column in steady[:3]]
         return [], [], ["[time]", rate, *other]
     column, *others = candidates if named else candidates[:1]
     unit, reason = _time_unit(column)
     lines = _section(column, "" if named else "  # the numbers increase steadily; is this the time?")
-    if unit != "s" and reason != _ROW:
+    if reason != _ROW and (unit != "s" or column.unit):
         lines.append(f'unit = "{unit}"  # {reason}')
     return [column], others, lines
 
@@ -169,6 +150,15 @@ def _goes_on(column: Column) -> bool:
     return len(steps) > 0 and (steps > 0).mean() > on and (steps < 0).mean() < _BACK
 
 
+def _like_times(column: Column) -> bool:
+    """Whether a column seems to hold times that an import cannot use."""
+    if not column.numeric:
+        return any(map(_CLOCKLIKE.search, column.texts[:1]))
+    steps = np.diff(column.numbers[np.isfinite(column.numbers)])
+    named = _TIME.fullmatch(split_unit(column.name)[0].lower())
+    return named is not None and len(steps) > 0 and bool((steps >= 0).all())
+
+
 def _beside(columns: Sequence[Column], clock: Sequence[Column]) -> Column | None:
     """The column whose names come once at each time, where times repeat: a row for each joint."""
     times = list(zip(*(column.texts for column in clock), strict=True))
@@ -190,12 +180,11 @@ def _is_clock(column: Column) -> bool:
 
 def _time_unit(column: Column) -> tuple[str, str]:
     """The unit of a clock, and why."""
-    if (unit := of_text(column.unit) if column.unit else None) in _CLOCK:
-        return str(unit), _ROW
-    name, unit = split_unit(column.name)
-    unit = unit or {"ms": "ms", "us": "us", "ns": "ns", "millis": "ms", "micros": "us"}.get(name.lower())
-    if unit in (*_CLOCK, "min"):
-        return str(unit), "from its name"
+    row = of_text(column.unit) if column.unit else None
+    own = split_unit(column.name)[1] or of_text(column.name)
+    for said, reason in ((row, _ROW), (own, "from its name")):
+        if said and si(said)[0] == "s":
+            return said, reason
     numbers = column.numbers[np.isfinite(column.numbers)]
     for unit in _CLOCK:
         if _EPOCH[0] < numbers[0] * UNITS[unit][1] < _EPOCH[1]:
@@ -206,7 +195,7 @@ def _time_unit(column: Column) -> tuple[str, str]:
         for unit, least, most in _STEPS:
             if least <= step < most:
                 return unit, f"from its steps of {step:g}; is this right?"
-    return "s", ""
+    return "s", f"the file says {shown(column.unit)}, which is unknown here" if column.unit else ""
 
 
 def _order(*columns: Column) -> list[str]:
@@ -288,7 +277,10 @@ def _entry(group: Group, names: set[str]) -> list[str]:
         lines += [f"shape = [{len(group.columns) // 3}, 3]"] if len(group.columns) > 3 else []
         lines.append('# frame = "world"  # if the axes are those of the robot')
     if words := sorted({word for column in group.columns for word in column.words}):
-        lines.append(f"missing = {toml(words[:20])}  # texts among its numbers")
+        texts = [word for word in words if not any(map(str.isdigit, word))]
+        lines += [f"missing = {toml(texts[:20])}  # texts among its numbers"] if texts else []
+        odd = ", ".join(shown(word) for word in words if word not in texts)[:100]
+        lines += [f"# not read: {odd}; are they numbers, or missing = [...]?"] if odd else []
     return lines
 
 
@@ -301,14 +293,17 @@ def _unit_lines(group: Group, numbers: np.ndarray) -> list[str]:
         wraps = seen_wraps(numbers, 2 * np.pi / si(unit)[1]) if si(unit)[0] == "rad" else 0
     else:
         unit, wraps = _angle(numbers)
-        said = first.unit or (found[2] if (found := _BRACKETS.match(first.name)) and not found[2].isdecimal() else "")
+        found = in_brackets(first.name)
+        said = first.unit or (found[1] if found and not found[1].isdecimal() else "")
         reason = (
             f"the file says {shown(said)}, which is unknown here: write scale" if said else "which? nothing says it"
         )
         lines = [f'unit = "{unit}"  # {"it seems to wrap; is it an angle?" if wraps else reason}']
     if not wraps and unit == "1" and not group.command and (period := counter_period(numbers)):
-        turns = seen_wraps(numbers, period)
-        lines += [f"unwrap = true  # jumps of nearly {period}: {turns}; a counter?", f"period = {period}"]
+        turns = seen_wraps(numbers, period.counts)
+        doubt = f"  #{period.doubt}" if period.doubt else ""
+        lines.append(f"unwrap = true  # jumps of nearly {period.counts}: {turns}; a counter?")
+        lines.append(f"period = {period.counts}{doubt}")
     if wraps and not group.command:
         lines.append(f"unwrap = true  # jumps of nearly a turn: {wraps}")
     return lines

@@ -1,7 +1,7 @@
 """Which part of a foreign file is which command or signal: a TOML file, described in docs/reference/recordings.md."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,7 +11,7 @@ import numpy as np
 from soro_bench.files import parsed_toml, shown
 from soro_bench.recording.importers.clock import ORDERS, chosen, continued, overflowed
 from soro_bench.recording.importers.source import Source, check_keys, positive, read_source, unwrapped
-from soro_bench.recording.importers.units import si
+from soro_bench.recording.importers.units import of_text, si, split_unit
 from soro_bench.recording.recording import MAX_SIGNALS, MAX_TEXT, NOTES, Recording, RecordingError, Signal, check_name
 from soro_bench.recording.untrusted import named_errors, read_bytes
 
@@ -20,6 +20,9 @@ _ROUNDING = 1e-9  # s
 _REGULAR = 1.5  # times the median interval, up to which others are regular too
 _FEW = 10  # samples, of which nothing is asked
 _PACE = 1e-6, 100.0  # s between samples of a robot
+_LATEST = 1e11  # s since 1970, or since a computer was started: 3000 years
+_APART = 86_400.0  # s, between the beginnings of two signals: their clocks differ
+_PAUSE, _INTERVALS = 1.0, 20  # a gap is longer than both, in s and in median intervals
 _SECTIONS = ("format", "time", "commands", "signals", "parameters", "metadata")
 _CLOCKS = ("column", "columns", "array", "source", "interval", "rate")  # one of them says when samples are
 _COUNTED = ("interval", "rate")
@@ -65,6 +68,21 @@ class FileMapping:
         if dimension != "s":
             raise RecordingError(f"[time] unit = {name!r} is no unit of time")
         return factor
+
+    def check_unit_of_time(self, name: str, unit: str | None, key: str = "[time] unit") -> None:
+        """Compare the unit in the name of a column of times with that of the mapping, and note where they differ.
+
+        Raises:
+            RecordingError: the mapping has no unit, and the name another one than s.
+        """
+        own = split_unit(name)[1] or of_text(name)
+        if own is None or si(own)[0] != "s" or si(own) == si(unit or "s"):
+            return
+        if unit is None:
+            raise RecordingError(
+                f'the name {ascii(name)[:80]} says {own}; write {key} = "{own}", or "s" if the name is wrong'
+            )
+        self.notes.add(key, f"{unit!r}, and the name {ascii(name)[:80]} says {own}; which one is right?")
 
     def clock(self, numbers: np.ndarray, unit: str | None = None) -> np.ndarray:
         """(T,) times [s] from the numbers of a clock of that unit, or of [time] unit.
@@ -115,7 +133,14 @@ class FileMapping:
                 most -= numbers.nbytes
                 if most < 0:  # a small file may be asked for the same numbers again and again
                     raise RecordingError("the mapping asks for more numbers than the largest size of the file allows")
+                if (infinite := np.isinf(numbers)).any():
+                    self.notes.add(label, f"{infinite.sum()} infinite numbers are taken as missing")
+                    numbers = np.where(infinite, np.nan, numbers)
                 found[group, name] = _named(label, self._ordered, label, source, time, numbers, *rows)
+        begins = {".".join(key): float(seconds(time[0])) for key, (time, *_) in found.items() if len(time)}
+        _check_clocks(begins)
+        if min(begins.values(), default=0.0) > _LATEST:
+            self.notes.add("[time]", f"begins at {min(begins.values()):.3g} s; is the unit of time right?")
         if len({time.dtype.kind for time, *_ in found.values()}) > 1:
             found = {key: (_nanoseconds(time), *others) for key, (time, *others) in found.items()}
         start = min((time[0] for time, *_ in found.values() if len(time)), default=np.int64(0))
@@ -175,6 +200,7 @@ class FileMapping:
         if label.startswith("signals.") or source.unwrap:
             self.notes.add(label, _named(label, source.note, numbers, unit))
         self.notes.add(label, _pace(since))
+        self.notes.add(label, _pause(since))
         return _named(label, source.signal, np.maximum(since, 0.0), numbers, unit)
 
 
@@ -191,6 +217,25 @@ def _pace(since: np.ndarray) -> str:
     """A question about the unit of times that robots do not have, or ""."""
     step = float(np.median(np.diff(since))) if len(since) > _FEW else 1.0
     return "" if _PACE[0] <= step <= _PACE[1] else f"a sample every {step:g} s; is the unit of time right?"
+
+
+def _pause(since: np.ndarray) -> str:
+    """Where nothing came for long in (T,) times [s], or ""."""
+    steps = np.diff(since)
+    if steps.size < 2 or not steps.max() > max(_PAUSE, _INTERVALS * float(np.median(steps))):
+        return ""
+    after = since[steps.argmax()] - since[0]
+    return f"nothing came for {steps.max():.3g} s, {after:.3g} s after its first sample; [time] begin and until cut"
+
+
+def _check_clocks(begins: Mapping[str, float]) -> None:
+    """Refuse commands and signals whose first samples [s] cannot be of one clock."""
+    first, last = (choose(begins, key=lambda label: begins[label], default="") for choose in (min, max))
+    if begins and begins[last] - begins[first] > _APART:
+        raise RecordingError(
+            f"{last} begins {begins[last] - begins[first]:.4g} s after {first}: their clocks differ; take the same "
+            'clock for all, such as [time] source = "log_time" in a bag, or write shift = ... [s] at one'
+        )
 
 
 def _regular(since: np.ndarray) -> bool:
@@ -234,7 +279,7 @@ def load_mapping(
     """
     label = "the mapping" if isinstance(mapping, Mapping) else mapping
     with named_errors(label):
-        table = dict(mapping) if isinstance(mapping, Mapping) else parsed_toml(read_bytes(mapping, MAX_BYTES).decode())
+        table = dict(mapping) if isinstance(mapping, Mapping) else parsed_toml(_text(read_bytes(mapping, MAX_BYTES)))
         check_keys("the mapping", table, _SECTIONS)
         for section in table:
             if not isinstance(table[section], dict):
@@ -255,6 +300,25 @@ def load_mapping(
             k: v if type(v) not in (int, float) else repr(v) for k, v in table.get("metadata", {}).items()
         }
         return FileMapping(**table, order=order)
+
+
+def _text(data: bytes) -> str:
+    """The text of a mapping file, without the mark that Windows puts before UTF-8."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise RecordingError(f"is no text in UTF-8 (line {line}); save the mapping as UTF-8") from error
+
+
+def unit_doubt(source: Source, names: Sequence[str]) -> str:
+    """What to say where the name of a column has another unit than the mapping, which scales nothing; or ""."""
+    said = si(source.unit) if source.unit and (np.abs(source.scale) == 1).all() else None
+    for name in names if said else ():
+        own = split_unit(name)[1]
+        if said and own and si(own)[0] == said[0] and si(own) != said:
+            return f"unit = {source.unit!r}, and the name {ascii(name)[:80]} says {own}; which one is right?"
+    return ""
 
 
 def _check_time(time: Mapping, time_keys: tuple[str, ...]) -> None:

@@ -19,8 +19,10 @@ _TURN = 2 * math.pi
 _ROTATION_ERROR = 1e-3  # of what has three digits in the mapping
 _WRAPS = 0.75  # of a turn: larger steps within one turn look like wraps
 _SMALLEST, _LARGEST = 256, 2**32  # counts of a turn of encoders that wrap
+_BESIDE, _LOOKED_AT = 5, 100  # steps on each side of a jump that tell how fast a counter moves; jumps
+_ON = 0.5  # of the way beside the jump of a counter leads on at least, and not back
+_ALIKE = 0.02  # of a period, by which the shown one differs at most from a power of two
 _MOST_INTERPOLATED = 1_000_000  # samples
-_USED = 0.9  # of the counts, that one that wraps has seen
 _FAST = 0.35  # of a period, over which steps may as well be wraps the other way
 
 
@@ -42,7 +44,7 @@ class Source:
     place: Mapping[str, Any] = field(default_factory=dict)  # what else the importer knows: columns, topic, ...
     rotation: np.ndarray | None = None  # (3, 3), of every three numbers into the frame
     unwrap: bool = False
-    period: float | None = None  # of what wraps, in the numbers of the file; None: a turn
+    period: float | None = None  # of what wraps, in the numbers of the file; None: a turn, after unit and scale
     # True: each number counts from the one before it, as joint angles of a chain do; "first": the points of a sample
     # from its first one, which is left out
     relative: bool | str = False
@@ -51,15 +53,10 @@ class Source:
     def signal(self, time: np.ndarray, numbers: np.ndarray, unit: str | None = None) -> Signal:
         """The signal for (T,) times [s] and (T, ...) numbers of the file, whose unit the file says if nothing does."""
         unit, factor = si(self.unit or unit or "")
-        found = math.prod(numbers.shape[1:])
-        shape = self.shape
-        if shape is None:  # one number is no list of one
-            shape = numbers.shape[1:] if found > 1 else ()
-        if math.prod(shape) != found:
-            raise RecordingError(f"shape {list(shape)} does not fit the {found} numbers found")
+        shape = self._shape_of(numbers)
         scale, offset = _fitting("scale or sign", self.scale, shape), _fitting("offset", self.offset, shape)
         if self.unwrap:
-            numbers = unwrapped(numbers, self._period(factor, unit))
+            numbers = unwrapped(numbers, self._period(factor, unit, shape))
         values = scale * factor * numbers.reshape(len(numbers), *shape)
         if self.rotation is not None:
             if shape[-1:] != (3,):
@@ -79,28 +76,53 @@ class Source:
     def note(self, numbers: np.ndarray, unit: str | None = None) -> str:
         """What the wraps of (T, ...) numbers of the file give reason to say, or ""."""
         unit, factor = si(self.unit or unit or "")
+        shape = self._shape_of(numbers)
         if self.unwrap:
-            return _told(numbers, self._period(factor, unit))
-        if unit == "rad" and (count := seen_wraps(numbers, _TURN / factor)):
+            return _told(numbers, self._period(factor, unit, shape))
+        if unit == "rad" and (count := seen_wraps(numbers, self._turns(factor, shape))):
             return f"jumps of nearly a turn: {count}; if the angle wraps, write unwrap = true"
         if unit == "1" and (period := counter_period(numbers)):
-            said = f"jumps of nearly {period}: {seen_wraps(numbers, period)}"
-            return f"{said}; if the counter wraps, write unwrap = true and period = {period}"
+            said = f"jumps of nearly {period.counts}: {seen_wraps(numbers, period.counts)}"
+            return f"{said}; if the counter wraps, write unwrap = true and period = {period.counts}{period.doubt}"
         return ""
 
-    def _period(self, factor: float, unit: str) -> float:
-        if self.period is None and unit != "rad":
+    def _shape_of(self, numbers: np.ndarray) -> tuple[int, ...]:
+        """The shape of a sample of (T, ...) numbers of the file; RecordingError if it does not fit them."""
+        found = math.prod(numbers.shape[1:])
+        shape = self.shape
+        if shape is None:  # one number is no list of one
+            shape = numbers.shape[1:] if found > 1 else ()
+        if math.prod(shape) != found:
+            raise RecordingError(f"shape {list(shape)} does not fit the {found} numbers found")
+        return shape
+
+    def _period(self, factor: float, unit: str, shape: tuple[int, ...]) -> np.ndarray:
+        """(k,) what each number of a sample wraps at, in the numbers of the file."""
+        if self.period is not None:
+            return np.full(math.prod(shape), self.period)
+        if unit != "rad":
             raise RecordingError(f"unwrap = true needs period = ..., the range of a number of unit {self.unit!r}")
-        return _TURN / factor if self.period is None else self.period
+        return self._turns(factor, shape)
+
+    def _turns(self, factor: float, shape: tuple[int, ...]) -> np.ndarray:
+        """(k,) a turn of each number of a sample, in the numbers of the file."""
+        scale = np.abs(_fitting("scale or sign", self.scale, shape)).ravel()
+        if not scale.all():
+            raise RecordingError("scale = 0 for an angle; expected another number")
+        return _TURN / (factor * scale)
 
 
-def unwrapped(numbers: np.ndarray, period: float) -> np.ndarray:
-    """(T, ...) numbers without the jumps of a counter or angle of that period; missing ones stay missing."""
+def unwrapped(numbers: np.ndarray, period: float | np.ndarray) -> np.ndarray:
+    """(T, ...) numbers without the jumps of a counter or angle; missing ones stay missing.
+
+    Args:
+        period: of all, or (k,) of each number of a sample.
+    """
     columns = np.array(numbers, float).reshape(len(numbers), -1)
-    for column in columns.T:
+    for column, own in zip(columns.T, np.broadcast_to(period, columns.shape[1:]), strict=True):
         known = np.flatnonzero(np.isfinite(column))
-        turns = -np.cumsum(np.round(np.diff(column[known]) / period))
-        column[known[1:]] += period * turns
+        turns = -np.cumsum(np.round(np.diff(column[known]) / own))
+        column[known[1:]] += own * turns
     return columns.reshape(numbers.shape)
 
 
@@ -252,32 +274,75 @@ def _steps(numbers: np.ndarray) -> np.ndarray:
     return np.concatenate(changes) if changes else np.zeros(0)
 
 
-def seen_wraps(numbers: np.ndarray, period: float) -> int:
-    """How often (T, ...) numbers look as if they wrapped: within one period, from about one end to the other."""
+def seen_wraps(numbers: np.ndarray, period: float | np.ndarray) -> int:
+    """How often (T, ...) numbers look as if they wrapped: within one period, from about one end to the other.
+
+    Args:
+        period: of all, or (k,) of each number of a sample.
+    """
     columns = np.asarray(numbers, float).reshape(len(numbers), -1)
-    finite = [column[np.isfinite(column)] for column in columns.T]
-    within = [column for column in finite if column.size and np.ptp(column) <= period * (1 + 1e-6)]
-    return sum(int((np.abs(np.diff(column)) > _WRAPS * period).sum()) for column in within)
+    wraps = 0
+    for column, own in zip(columns.T, np.broadcast_to(period, columns.shape[1:]), strict=True):
+        finite = column[np.isfinite(column)]
+        if finite.size and np.ptp(finite) <= own * (1 + 1e-6):
+            wraps += int((np.abs(np.diff(finite)) > _WRAPS * own).sum())
+    return wraps
 
 
-def counter_period(numbers: np.ndarray) -> int:
-    """The power of two at which whole (T, ...) numbers from zero on seem to wrap; 0 if they do not."""
+@dataclass(frozen=True)
+class CounterPeriod:
+    """At how many counts a counter seems to wrap, and what to add to that number where it is not exact."""
+
+    counts: int
+    doubt: str = ""
+
+
+def counter_period(numbers: np.ndarray) -> CounterPeriod | None:
+    """At which period whole (T, ...) numbers seem to wrap; None if they do not.
+
+    A counter jumps by its period, less the step that it makes meanwhile. The steps beside the jump tell that step.
+    """
     low, high = np.fmin.reduce(numbers, axis=None), np.fmax.reduce(numbers, axis=None)  # which copy nothing
-    if not 0 <= low <= high <= _LARGEST:
-        return 0
-    period = 2 ** int(high).bit_length()
-    if period < _SMALLEST or high - low <= _USED * period or ((numbers % 1) > 0).any():
-        return 0
-    return period if seen_wraps(numbers, period) else 0
+    if not _SMALLEST <= high - low + 1 <= _LARGEST or ((numbers % 1) > 0).any():
+        return None
+    columns = np.asarray(numbers, float).reshape(len(numbers), -1)
+    found = np.concatenate([_jumps(column[np.isfinite(column)]) for column in columns.T])
+    known = found[~np.isnan(found).any(axis=1)]
+    if not len(known) or 2 * len(known) < len(found):
+        return None
+    counts, spread = np.median(known, axis=0)
+    counts = max(round(counts), int(high - low) + 1)
+    power = 2 ** round(math.log2(counts))
+    if abs(power - counts) <= max(min(spread, _ALIKE * counts), 1) and power > high - low:
+        return CounterPeriod(power)
+    return CounterPeriod(counts, "" if spread <= 1 else " (about; its data sheet says it)")
 
 
-def _told(numbers: np.ndarray, period: float) -> str:
-    wraps = int((np.abs(_steps(numbers)) > period / 2).sum())
+def _jumps(column: np.ndarray) -> np.ndarray:
+    """(jumps, 2) the period that each jump of (T,) numbers over their range shows, and how exactly.
+
+    Both are NaN where the numbers do not go the other way before and after it, as those of a counter do.
+    """
+    steps = np.diff(column)
+    large = np.abs(steps) > _WRAPS * max(np.ptp(column) if column.size else 0.0, 1.0)
+    found = np.full((min(int(large.sum()), _LOOKED_AT), 2), np.nan)
+    for row, i in zip(found, np.flatnonzero(large), strict=False):
+        around = slice(max(i - _BESIDE, 0), i + _BESIDE + 1)
+        beside = steps[around][~large[around] & (steps[around] != 0)]
+        if -np.sign(steps[i]) * beside.sum() > _ON * np.abs(beside).sum():
+            row[:] = np.abs(steps[i]) + np.abs(np.median(beside)), np.ptp(beside)
+    return found
+
+
+def _told(numbers: np.ndarray, period: np.ndarray) -> str:
+    label = ", ".join(f"{each:.6g}" for each in np.unique(period))[:80]
+    numbers = np.asarray(numbers, float).reshape(len(numbers), -1) / period
+    wraps = int((np.abs(_steps(numbers)) > 0.5).sum())
     if not wraps:
-        return f"unwrap = true, but nothing wraps at {period:.6g}"
-    left = np.abs(_steps(unwrapped(numbers, period))).max() / period
+        return f"unwrap = true, but nothing wraps at {label}; period = ... says where it does"
+    left = np.abs(_steps(unwrapped(numbers, 1.0))).max()
     fast = f"; steps of {left:.2f} of a period may as well be wraps the other way" if left > _FAST else ""
-    return f"wraps at {period:.6g} that are unwrapped: {wraps}{fast}"
+    return f"wraps at {label} that are unwrapped: {wraps}{fast}"
 
 
 def _interpolated(time: np.ndarray, values: np.ndarray, interval: float) -> tuple[np.ndarray, np.ndarray]:

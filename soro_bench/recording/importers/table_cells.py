@@ -16,15 +16,10 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 
 from soro_bench.recording.importers.clock import NO_STAMP, Stamps
-from soro_bench.recording.importers.table_text import BLANK, MAX_LETTERS, Lines, TableText, split
+from soro_bench.recording.importers.table_text import BLANK, MAX_LETTERS, MISSING, Lines, TableText, plain, split, value
 from soro_bench.recording.recording import RecordingError
 from soro_bench.recording.untrusted import MAX_ROWS
 
-MISSING = frozenset((
-    "", "nan", "+nan", "-nan", "nan(ind)", "-nan(ind)", "-nan(snan)", "1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind",
-    "1.#inf", "-1.#inf", "inf", "+inf", "-inf", "infinity", "+infinity", "-infinity", "na", "n/a", "#n/a", "<na>",
-    "null", "none", "#div/0!", "#value!", "#ref!", "#num!", "#name?", "#null!",
-))  # fmt: skip
 _MAX_CELLS = 50_000_000  # that a mapping asks for
 _BLOCK = 4_000_000  # letters that are read at once
 _NO_SIGN = re.compile(rb"\+(?![0-9.])")
@@ -82,14 +77,21 @@ class Times:
 
 @dataclass(frozen=True)
 class Labels:
-    """Whether one of some texts occurs in a cell of a column."""
+    """Whether one of some texts occurs in a cell of a column; of numbers, whether one equals it."""
 
     position: int
     only: tuple[str, ...]
 
     def read(self, chunk: Chunk) -> np.ndarray:
         """(n,) bool."""
-        return np.array([any(text in cell for text in self.only) for cell in chunk.texts(self.position)], bool)
+        cells = chunk.texts(self.position)
+        kept = {cell: any(_occurs(text, cell) for text in self.only) for cell in set(cells)}
+        return np.array([kept[cell] for cell in cells], bool)
+
+
+def _occurs(text: str, cell: str) -> bool:
+    numbers = value(text), value(cell)
+    return text in cell if None in numbers else numbers[0] == numbers[1]
 
 
 @dataclass(frozen=True)
@@ -233,16 +235,16 @@ class _Rows:
         decimal = self._table.decimal
         foreign = "_" in cell or (decimal != "." and "." in cell)
         try:
-            value = math.inf if foreign else float(cell.replace(decimal, "."))
+            number = math.inf if foreign else float(plain(cell, decimal))
         except ValueError:
-            value = math.inf
-        if not math.isfinite(value):
+            number = math.inf
+        if not math.isfinite(number):
             column = ascii(self._table.header[position])[:40]
             hint = self._hint(cell, i)
             raise RecordingError(
                 f"line {self.lines[i]}: {ascii(cell)[:40]} is no finite number in column {column}; {hint}"
             )
-        return value
+        return number
 
     def _hint(self, cell: str, i: int) -> str:
         if "," in cell and self._table.decimal == ".":
@@ -288,7 +290,7 @@ def _plain(table: TableText, block: str, line: int, wants: Sequence[Want]) -> _P
         data = _unsigned(data, delimiter.encode())
     ends = np.flatnonzero(np.frombuffer(data, np.uint8) == _NEWLINE)
     lengths = np.diff(ends, prepend=-1) - 1
-    if not (delimiter + table.decimal).isascii() or lengths.max(initial=0) > MAX_LETTERS:
+    if not (delimiter + table.decimal).isascii() or lengths.max(initial=0) > MAX_LETTERS or delimiter == table.decimal:
         return None
     if not (filled := np.flatnonzero(lengths)).size:
         return _Plain({i: pa.chunked_array([[]], pa.float64()) for i in (*numeric, *textual)}, filled)

@@ -2,25 +2,36 @@
 
 import codecs
 import csv
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from soro_bench.recording.importers.mapping import texts, typed
+from soro_bench.recording.importers.mapping import typed
 from soro_bench.recording.recording import RecordingError
 from soro_bench.recording.untrusted import MAX_COLUMNS, MAX_ROWS
 
 FORMAT = ("delimiter", "decimal", "encoding", "skip_rows", "header", "unit_row", "missing", "label", "only")
 BLANK = "blank"  # the delimiter of columns that are separated by one or more blanks or tabs
 ENCODINGS = (
-    "utf-8", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "ascii", "latin-1", "iso-8859-15", "mac-roman", "cp437",
-    "cp850", "cp1250", "cp1251", "cp1252", "cp1253", "cp1254", "cp1257", "koi8-r", "shift_jis", "euc_jp", "euc_kr",
-    "gbk", "gb18030", "big5",
+    "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "ascii", "latin-1", "iso-8859-15", "mac-roman",
+    "cp437", "cp850", "cp1250", "cp1251", "cp1252", "cp1253", "cp1254", "cp1257", "koi8-r", "shift_jis", "euc_jp",
+    "euc_kr", "gbk", "gb18030", "big5",
 )  # fmt: skip
+MISSING = frozenset((
+    "", "nan", "+nan", "-nan", "nan(ind)", "-nan(ind)", "-nan(snan)", "1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind",
+    "1.#inf", "-1.#inf", "inf", "+inf", "-inf", "infinity", "+infinity", "-infinity", "na", "n/a", "#n/a", "<na>",
+    "null", "none", "#div/0!", "#value!", "#ref!", "#num!", "#name?", "#null!",
+))  # fmt: skip
 MAX_LETTERS = 1_000_000  # of a row, as every cell of it is a text of its own before they are counted
 _SEP = re.compile(r"sep=(.)\n?", re.IGNORECASE)  # the first line of what Excel writes
 _LOOKED_AT = 1000  # lines before the last one, that it is compared with
+# by the bytes that a file begins with
+_PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, such as an Excel workbook", b"\x28\xb5\x2f\xfd": "zstd"}
+_WIDE = 0.3  # of the bytes of text are zeros, where each letter takes two
+_TRUTHS = {"true": "1", "false": "0"}
+_MINUS = "\u2212"  # that office programs write before numbers
 _ZERO, _END = "\x00", "\x1a"  # where the power was lost; the end of a file in DOS
 
 
@@ -93,12 +104,14 @@ def read_text(data: bytes, options: Mapping[str, Any]) -> TableText:
         raise RecordingError(f'{label} unit_row = {unit_row!r}; expected "take" or "skip", of the row after a header')
     text, note = _without_end(text)
     delimiter, lines = _delimiter(text, options, skip), Lines(text)
-    if len(decimal) != 1 or delimiter in (decimal, "\n", "\r", '"') or (len(delimiter) != 1 and delimiter != BLANK):
+    if len(decimal) != 1 or delimiter in ("\n", "\r", '"') or (len(delimiter) != 1 and delimiter != BLANK):
         raise RecordingError(f"{label} delimiter {delimiter!r} and decimal {decimal!r}: one letter each, or {BLANK!r}")
     for _ in range(skip or (1 if _SEP.match(text) else 0)):
         lines.skip()
     before = lines.position, lines.count
     first = _first(lines, delimiter)
+    if not first:
+        raise RecordingError("there are no rows; is the file empty, or [format] skip_rows too large?")
     if not 1 <= len(first) <= MAX_COLUMNS:
         raise RecordingError(f"{len(first)} columns; expected 1 to {MAX_COLUMNS}")
     if not has_header:
@@ -121,6 +134,8 @@ def read_text(data: bytes, options: Mapping[str, Any]) -> TableText:
 def decoded(data: bytes, encoding: str) -> str:
     """Text with the line ends of Unix; RecordingError names the entry that is wrong."""
     codec = _codec(encoding)
+    if kind := next((kind for begin, kind in _PACKED.items() if data.startswith(begin)), ""):
+        raise RecordingError(f"is no text but packed ({kind}); unpack it, or save it as CSV")
     try:
         text = data.decode(codec)
     except UnicodeDecodeError as error:
@@ -135,10 +150,10 @@ def decoded(data: bytes, encoding: str) -> str:
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
     if (zero := text.rstrip(_ZERO).find(_ZERO)) >= 0:
+        wide = 'of text of two bytes a letter [format] says encoding = "utf-16"'
+        hint = wide if text.count(_ZERO) > _WIDE * len(text) else "the file is damaged there; keep the lines before it"
         line = text.count("\n", 0, zero) + 1
-        raise RecordingError(
-            f'zero bytes in line {line}; of text of two bytes a letter [format] says encoding = "utf-16"'
-        )
+        raise RecordingError(f"zero bytes in line {line}; {hint}")
     return text
 
 
@@ -266,6 +281,29 @@ def _decimals(cell: str, decimal: str) -> str:
     return re.sub(r"\d", "0", cell.partition(decimal)[2]).replace("-", "+")
 
 
-def words(options: Mapping[str, Any], key: str) -> list[str]:
-    """The texts of an entry of [format], none if it is missing."""
-    return texts(f"[format] {key}", options[key]) if key in options else []
+def words(label: str, values: Any, least: int = 0) -> list[str]:
+    """The texts of an entry such as missing or only: a list of texts and numbers, each once, or one of them.
+
+    RecordingError for anything else, or fewer than ``least``.
+    """
+    listed = values if isinstance(values, list) else [values]
+    found = [str(each) for each in listed if type(each) in (str, int, float)]
+    if len(found) < max(least, len(listed)):
+        raise RecordingError(f"{label} is {ascii(values)[:80]}; expected a list of texts or numbers")
+    if len(set(found)) < len(found):
+        raise RecordingError(f"{label} is {ascii(values)[:80]}; expected each once")
+    return found
+
+
+def value(word: str) -> float | None:
+    """The finite number that a text is, with a decimal point or comma, if it is one."""
+    try:
+        found = float(word.replace(",", "."))
+    except ValueError:
+        return None
+    return found if math.isfinite(found) else None
+
+
+def plain(cell: str, decimal: str) -> str:
+    """A cell as Python writes a number or a truth value, 1 or 0, if it is one."""
+    return _TRUTHS.get(cell.lower(), cell.replace(_MINUS, "-").replace(decimal, "."))

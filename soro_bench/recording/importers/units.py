@@ -1,6 +1,7 @@
 """Units that measurements come in, and their factors to SI."""
 
 import math
+import re
 
 from soro_bench.recording.recording import RecordingError
 
@@ -18,10 +19,12 @@ UNITS = {
     "Pa": ("Pa", 1.0), "hPa": ("Pa", 1e2), "kPa": ("Pa", 1e3), "MPa": ("Pa", 1e6), "mbar": ("Pa", 1e2),
     "bar": ("Pa", 1e5), "psi": ("Pa", 6894.757293168361),
     "ns": ("s", 1e-9), "us": ("s", 1e-6), "ms": ("s", 1e-3), "s": ("s", 1.0), "min": ("s", 60.0),
+    "h": ("s", 3600.0), "d": ("s", 86400.0),
     "Hz": ("1/s", 1.0), "ml": ("m^3", 1e-6), "l": ("m^3", 1e-3),
     "ml/min": ("m^3/s", 1e-6 / 60), "l/min": ("m^3/s", 1e-3 / 60),
     "mV": ("V", 1e-3), "V": ("V", 1.0), "mA": ("A", 1e-3), "A": ("A", 1.0), "ohm": ("ohm", 1.0), "K": ("K", 1.0),
 }  # fmt: skip
+TIME_UNITS = ", ".join(unit for unit, (dimension, _) in UNITS.items() if dimension == "s")
 
 
 def si(unit: str) -> tuple[str, float]:
@@ -34,8 +37,14 @@ def si(unit: str) -> tuple[str, float]:
 _NAMES = {
     "\u00b0": "deg", "\u00ba": "deg", "degree": "deg", "degrees": "deg", "\u00b0/s": "deg/s", "deg/sec": "deg/s",
     "radian": "rad", "radians": "rad", "rad/sec": "rad/s", "rev/min": "rpm", "u/min": "rpm", "1/min": "rpm",
-    "sec": "s", "second": "s", "seconds": "s", "msec": "ms", "usec": "us", "\u00b5s": "us", "\u03bcs": "us",
-    "nsec": "ns",
+    **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "sekunde", "sekunden"), "s"),
+    **dict.fromkeys(("ms", "msec", "msecs", "millis", "millisec", "millisecond", "milliseconds",
+                     "millisekunden"), "ms"),
+    **dict.fromkeys(("us", "\u00b5s", "\u03bcs", "usec", "usecs", "micros", "microsec", "microsecond", "microseconds",
+                     "mikrosekunden"), "us"),
+    **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosec", "nanosecond", "nanoseconds", "nanosekunden"), "ns"),
+    **dict.fromkeys(("min", "mins", "minute", "minutes", "minuten"), "min"),
+    **dict.fromkeys(("h", "hr", "hrs", "hour", "hours", "stunden"), "h"), "day": "d", "days": "d", "tage": "d",
     "\u00b5m": "um", "\u03bcm": "um", "mm/sec": "mm/s", "m/sec": "m/s", "m/s\u00b2": "m/s^2", "m/s2": "m/s^2",
     "n": "N", "newton": "N", "n*m": "Nm", "n m": "Nm", "n\u00b7m": "Nm", "nm": "Nm", "n-m": "Nm", "n.m": "Nm",
     "n*mm": "mNm", "nmm": "mNm", "pascal": "Pa", "pa": "Pa", "hz": "Hz", "v": "V", "volt": "V", "volts": "V", "a": "A",
@@ -50,3 +59,34 @@ def of_text(text: str) -> str | None:
     """The unit that a text in a file stands for, such as "[mm]" or "rad/sec"; None if it is unknown."""
     name = text.strip().strip("[](){}<>\"'").strip()
     return name if name in UNITS else _NAMES.get(name.lower())
+
+
+_BRACKETS = re.compile(r"^(.*?)\s*[\[(]([^\])]*)[\])]\s*$")
+_SHORT = ("1", "%", "in", "l", "g", "min", "h", "d")  # endings that rarely mean a unit
+
+
+def in_brackets(name: str) -> tuple[str, str] | None:
+    """A name in a header and the text in brackets at its end, such as "q" and "deg"; None without brackets."""
+    return (found[1], found[2]) if (found := _BRACKETS.match(name)) else None
+
+
+def split_unit(name: str) -> tuple[str, str | None]:
+    """A name in a header without its unit, and the unit: of "q [deg]", "pos_mm" or "speed_rad_s"."""
+    found = in_brackets(name)
+    if found and found[1].isdecimal():  # an index
+        return "".join(found), None
+    if found:
+        return found[0] or name, of_text(found[1])
+    if "_per_" in name:
+        amount, _, time = name.rpartition("_per_")
+        stem, _, unit = amount.rpartition("_")
+        return (stem, f"{unit}/{time}") if f"{unit}/{time}" in UNITS else (name, None)
+    parts = name.split("_")
+    for count in (3, 2, 1):
+        if len(parts) <= count:
+            continue
+        ending = parts[-count:]
+        for text in ("_".join(ending), "/".join([*ending[:-1], re.sub(r"(?<=s)2$", "^2", ending[-1])])):
+            if text in UNITS and text not in _SHORT:
+                return "_".join(parts[:-count]), text
+    return name, None
