@@ -45,10 +45,11 @@ def fisher(jacobian: Floats, deviation: Floats) -> Floats:
     """(d, d) information of a recording about the parameters: the sum over time of Jᵀ diag(deviation)⁻² J.
 
     Args:
-        jacobian: (T, k, d) of what is measured.
+        jacobian: (T, k, d) of what is measured; NaN says nothing, as where a replay beside the estimate diverged.
         deviation: (T, k) of the measurement; samples are taken for independent.
     """
     white = (jacobian / deviation[..., None]).reshape(-1, jacobian.shape[-1])
+    white = np.where(np.isfinite(white), white, 0.0)
     return white.T @ white
 
 
