@@ -101,8 +101,6 @@ class _Group:
         names = of._effects[entries[0]].parameters
         self.parameters = {name: np.array([of._effects[i].parameters[name] for i in entries]) for name in names}
         self.sources = [self._source(elements, each, kind) for each in law.variables]
-        own = of.batch.model.actuator_actnum > 0
-        self.held = np.where(own, np.maximum(of.batch.model.actuator_actadr, 0), -1)
 
     def _source(self, elements: Elements, variable: Variable, kind: str) -> _Source:
         if variable.place is None:
@@ -138,8 +136,7 @@ class _Group:
         if of.of == "time":
             return batch.time[rows]
         if of.of == "command":
-            held = self.held[ids]
-            return np.where(held >= 0, batch.act[rows, np.maximum(held, 0)] if model.na else 0.0, batch.ctrl[rows, ids])
+            return self.of.run.asked(rows, ids)
         if of.of == "force":
             return batch.actuator_force[rows, ids]
         if of.of == "distance":
@@ -277,12 +274,15 @@ class Custom(_Custom):
 class CustomSetpoint(_Custom, SetpointLaw):  # type: ignore[misc]
     """A law that is data, as an offset of a setpoint."""
 
+    def prepare(self, elements: Elements) -> None:
+        super().prepare(elements)
+        self.actuators = np.unique(self.rows * self.model.nu + self.ids, return_inverse=True)[1]
+
     def filter(self, which: Bools, setpoint: Floats) -> Floats:
-        places = np.cumsum(which) - 1  # of entries, among those that are asked for
-        found = setpoint.copy()
+        added = np.zeros(len(self.rows))
         for group, some in zip(self.groups, self.chosen(which), strict=True):
-            found[places[group.entries[some]]] += group.exerted(some)
-        return found
+            added[group.entries[some]] = group.exerted(some)
+        return setpoint + np.bincount(self.actuators, added)[self.actuators[which]]  # several add up
 
     def step(self, which: Bools) -> None:
         """Nothing: it acts on setpoints, and reads the state as laws that step do."""

@@ -227,6 +227,8 @@ class ActiveEffects:
         self.slot = np.maximum(model.actuator_actadr, 0)
         # asked for; and what the laws have added to it, summed over time [s] since the reset
         self.setpoint, self.added = np.zeros((2, self.batch.nsim, model.nu))
+        # of the time step at hand, before laws change it; of actuators that have laws
+        self.unchanged = np.zeros_like(self.setpoint)
         # (nu, 2) where activations end, and how far beyond them the last time step would have gone
         self.limits = np.where(model.actuator_actlimited[:, None], model.actuator_actrange, (-np.inf, np.inf))
         self.beyond = np.zeros_like(self.setpoint)
@@ -236,6 +238,13 @@ class ActiveEffects:
             self._touched[law.rows, law.ids] = True
         if self.filters:
             self._fields |= set(_RANGES)
+
+    def asked(self, rows: Ints, actuators: Ints) -> Floats:
+        """(n,) setpoints of the time step at hand as they were commanded, before laws change them."""
+        now = self.batch.ctrl[rows, actuators]
+        if self.batch.model.na:
+            now = np.where(self.integrates[actuators], self.batch.act[rows, self.slot[actuators]], now)
+        return np.where(self._touched[rows, actuators], self.unchanged[rows, actuators], now)
 
     def touched_in(self, ids: Ints) -> tuple[Ints, Ints]:
         """Simulations among ``ids`` and actuators whose setpoints are changed."""
@@ -333,7 +342,7 @@ class _Commands:
         now = run.setpoint[at] = np.where(self.integrates, moved, self.asked)
         # a step uses the activation at its start, or at its end if the actuator is early
         output = np.where(self.integrates & ~self.early, before, now)
-        asked = output.copy()
+        asked = run.unchanged[at] = output.copy()
         for law, which, places in self.laws:
             output[places] = law.filter(which, output[places])
         run.added[at] += run.timestep * (output - asked)

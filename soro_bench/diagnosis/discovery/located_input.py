@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 
 from soro_bench.arrays import Floats
@@ -286,7 +287,7 @@ def _values(motion: Sequence[Motion], robot: Robot, dt: float, variable: Variabl
     at = own if variable.place is None else Location(variable.place.kind, variable.place.name)
     i = elements.id(at)
     if of == "command":
-        if model.actuator_actnum[i]:
+        if model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_INTEGRATOR:
             return middle("act", int(model.actuator_actadr[i]))
         return np.concatenate([each["ctrl"][1:, i] for each in motion])
     if of == "force":
