@@ -13,6 +13,7 @@ from soro_bench.diagnosis.data_quality.noise import data_quality, noise, outlier
 from soro_bench.diagnosis.data_quality.samples import Channel
 from soro_bench.diagnosis.data_quality.stamps import interpolated, stamps
 from soro_bench.diagnosis.localisation.residual_maps import intervals, regimes
+from soro_bench.diagnosis.outliers import _noises
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.settings import DEFAULT
@@ -235,6 +236,17 @@ def paths(tmp_path):
     return found
 
 
+def test_a_first_sample_that_is_late_stays_so_at_rebuilt_stamps(paths):
+    """A robot that begins there would begin elsewhere."""
+    whole, robot = recording(paths, (), 0), ModelRobot(*paths, threads=1)
+    angle = whole.signals["angle"]
+    time = STAMPS["jitter"](np.random.default_rng(3), angle.time[5:])
+    found = inspected(replace(whole, signals={"angle": Signal(time, angle.values[5:], "rad")}), 0, robot)
+    assert [each.name for each in found.findings] == ["jitter"]
+    with pytest.raises(RecordingError, match=r"first sample of angle is 0\.1"):
+        robot.measured(found.recording)
+
+
 def _encoder(values):
     step = 2 * np.pi / 4096
     return step * np.round(values / step)
@@ -305,6 +317,13 @@ def test_an_audit_takes_the_rounding_of_a_quantised_signal_for_noise(resampled):
     assert found.sigma >= found.least
 
 
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_recordings_with_hardly_any_samples_have_no_say_in_the_noise(spoilt):
+    whole, few = np.random.default_rng(0).standard_normal((600, 3, 1)), np.full((600, 3, 1), np.nan)
+    few[:3] = 0.0
+    assert _noises([few, whole, np.full((600, 3, 1), np.nan)], spoilt, SETTINGS) == [pytest.approx(1.0, rel=0.05)]
+
+
 def test_an_audit_finds_what_is_alone_and_far_off():
     rng = np.random.default_rng(0)
     residual = rng.standard_normal((300, 21, 3)) + 5 * np.sin(np.arange(300) / 20)[:, None, None]
@@ -331,6 +350,11 @@ def test_what_is_no_recording_of_a_robot_is_refused_in_words(values, message):
     measured = Measured(np.zeros((len(values), 8)), 0.05 * np.arange(1, len(values) + 1), values, "keypoints", "m")
     with pytest.raises(RecordingError, match=message):
         data_quality(measured)
+
+
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_a_signal_that_a_recording_lacks_has_no_outliers(spoilt):
+    assert not samples.far_off(np.full((100, 21, 3), np.nan), spoilt).any()
 
 
 def test_a_jump_of_all_points_together_is_motion_and_no_outlier():

@@ -2,6 +2,7 @@
 leaves."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.forward_selection import SEEDS, Progress, silent
 from soro_bench.diagnosis.selection.moves import iterate_to_convergence
 from soro_bench.diagnosis.selection.rounds import fitted_in_growing_parts, is_discrepant
+from soro_bench.diagnosis.settings import DataQualitySettings
 from soro_bench.inference.statistical_linearisation import LowRank
 
 
@@ -134,10 +136,7 @@ def _with_noise(
     rest = np.where(problem.weight > 0, problem.discretisation.without(nominal.residual), np.nan)
     factors = []
     for which, (sigma, low) in enumerate(zip(problem.sigmas, least, strict=True)):
-        left = problem.split(rest, which)
-        left = [part for part in left if not which or np.isfinite(part).any()]  # recordings may lack other signals
-        left = [compressed(part) for part in left] if spoilt else left
-        found = max(noise(part.reshape(len(part), -1), problem.settings.data_quality) for part in left)
+        found = max(_noises(problem.split(rest, which), spoilt, problem.settings.data_quality), default=1.0)
         factors.append(1.0 / min(1.0, max(low / sigma, found)))
     sigma, *others = (sigma / factor for sigma, factor in zip(problem.sigmas, factors, strict=True))
     factor = problem.of_samples(problem.of_columns(factors)) if others else factors[0]
@@ -148,6 +147,16 @@ def _with_noise(
         discretisation=LowRank(problem.discretisation.basis * factor),
     )
     return problem, nominal.scaled(problem, factor)
+
+
+def _noises(parts: Sequence[np.ndarray], spoilt: bool, settings: DataQualitySettings) -> list[float]:
+    """Noise of the parts (T, P, D) of a signal that have enough samples; recordings may lack another one."""
+    found = []
+    for part in parts:
+        values = compressed(part) if spoilt else part
+        with suppress(ValueError):  # there are too few
+            found.append(noise(values.reshape(len(values), -1), settings))
+    return found
 
 
 def _with_more(found: Outliers, problem: Problem, nominal: Hypothesis, far: np.ndarray, weight: np.ndarray) -> Outliers:

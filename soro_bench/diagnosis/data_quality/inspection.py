@@ -247,7 +247,9 @@ class _Inspection:
     def _steps(self) -> Floats:
         """(C,) steps between the levels of quantised channels; 0 for the others."""
         steps = np.zeros(self.values.shape[1])
-        reach = np.nanmax(self.values, axis=0) - np.nanmin(self.values, axis=0)
+        seen = np.isfinite(self.values).any(axis=0)
+        reach = np.zeros(len(steps))
+        reach[seen] = np.nanmax(self.values[:, seen], axis=0) - np.nanmin(self.values[:, seen], axis=0)
         noisy = min(self.noise, noise_or_zero(self.values, self.settings))
         least = max(self.settings.least_step * noisy, self.settings.least_noise * float(reach.max()))
         for i in np.argsort(-reach, kind="stable")[:SEARCHED]:

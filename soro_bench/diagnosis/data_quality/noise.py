@@ -101,7 +101,8 @@ def outliers(residual: Floats, settings: DataQualitySettings = _DEFAULT) -> Bool
     """
     if not (sampled := np.isfinite(residual).any(axis=(1, 2))).all():
         found = np.zeros(residual.shape[:2], bool)
-        found[sampled] = outliers(residual[sampled], settings)
+        if sampled.any():
+            found[sampled] = outliers(residual[sampled], settings)
         return found
     jump = np.zeros(residual.shape[:2])
     jump[1:-1] = np.linalg.norm(residual[1:-1] - 0.5 * (residual[:-2] + residual[2:]), axis=2)

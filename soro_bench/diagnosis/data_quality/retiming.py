@@ -81,7 +81,11 @@ class RecordedSignal:
         count = max(int(np.ceil((time[-1] - begin) / step - 1e-6)), 1)
         wanted = np.asarray(begin + step * np.arange(1, count + 1), float)
         columns = [interpolated(time, column, wanted, step, noise, self.settings) for column in values.T]
-        wanted = np.concatenate([[min(time[0], begin)], wanted])
+        if time[0] <= begin + (1.0 + self.settings.same_time) * step:
+            wanted = np.concatenate([[min(time[0], begin)], wanted])
+        else:  # a robot that begins at its first sample cannot begin at so late a one
+            kept = wanted > time[0]
+            wanted, columns = np.concatenate([time[:1], wanted[kept]]), [column[kept] for column in columns]
         return replace(recording, signals={**recording.signals, self.observed.name: self._signal(
             wanted, np.vstack([values[:1], np.stack(columns, axis=1)]))})  # fmt: skip
 

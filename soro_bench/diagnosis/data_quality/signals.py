@@ -34,7 +34,8 @@ def explaining(robot: Robot, inspections: Groups, settings: Settings) -> tuple[R
                 seen = named(label, robot.measured, each.recording).only(which, signal)
                 with suppress(RecordingError):  # too few samples, or one value only: nothing to explain
                     qualities.append(_quality(seen, each.others[which - 1], settings))
-                    reach = max(reach, float(np.max(np.nanmax(seen.values, axis=0) - np.nanmin(seen.values, axis=0))))
+                    moved = seen.columns[:, np.isfinite(seen.columns).any(axis=0)]
+                    reach = max(reach, float(np.max(np.nanmax(moved, axis=0) - np.nanmin(moved, axis=0))))
         if qualities:
             kept.append((which - 1, replace(signal, reach=reach)))
         else:
