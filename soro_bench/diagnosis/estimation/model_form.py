@@ -168,7 +168,8 @@ def _modes(measured: Floats) -> Floats:
     """(C, C) orthonormal directions of the numbers of a sample (T, C), those that move most first."""
     seen = np.isfinite(measured)
     mean = np.where(seen, measured, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
-    return np.asarray(np.linalg.svd(np.where(seen, measured - mean, 0.0), full_matrices=True)[2].T, float)
+    few = len(measured) < measured.shape[1]  # samples span no more directions than there are of them
+    return np.asarray(np.linalg.svd(np.where(seen, measured - mean, 0.0), full_matrices=few)[2].T, float)
 
 
 def _octaves(count: int) -> Iterator[tuple[int, int]]:
