@@ -9,8 +9,12 @@ import pytest
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
 from soro_bench.diagnosis.candidates import terms
+from soro_bench.diagnosis.data_quality.inspection import inspected
+from soro_bench.diagnosis.data_quality.signals import explaining
+from soro_bench.diagnosis.pipeline import unexplained
 from soro_bench.diagnosis.robots.model_file import ModelError
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from tests.arm import HAND, HAND_MAP, NOMINAL, SIGNAL, goals, plain, with_initial
@@ -76,6 +80,18 @@ velocities = ["hinge", "free"]
     without = {name: signal for name, signal in signals.items() if name != "turned"}
     with pytest.raises(RecordingError, match=r"\[initial\] names the signal 'turned'; there are"):
         robot.measured(replace(recording, signals=without))
+
+
+@pytest.mark.parametrize(
+    ("text", "errors"), [('joints = ["hinge"]', 1), ('[initial.signals.speed]\nvelocities = ["hinge"]', 0)]
+)
+def test_the_noise_of_the_first_signal_is_in_a_start_at_that_signal_only(robot_of, text, errors):
+    """Another signal may have as many numbers."""
+    time, robot = 0.02 * np.arange(6), robot_of(with_initial(text))
+    signals = {"angle": Signal(time, 0.1 * time, "rad"), "speed": Signal(time, np.full(6, 0.1))}
+    measured = robot.measured(Recording({"goal": goals([0.0] * 5)}, signals))
+    assert measured.start.size == 1
+    assert unexplained(robot, (measured,), 1e-3).of_recordings == errors
 
 
 def test_a_robot_settles_from_where_it_begins(robot_of):
@@ -221,6 +237,12 @@ def test_a_proposed_motion_leaves_actuators_without_a_command_where_they_are(rob
     assert found[:, 1].tolist() == [0.03, 0.03] and np.ptp(found[:, 0]) > 0.1
 
 
+def test_an_actuator_of_several_controls_is_refused(robot_of):
+    several = HAND.replace("<actuator>", '<actuator><pid name="both" joint="slide" kp="1"/>')
+    with pytest.raises(ModelError, match="actuator 'both' has 2 controls; allowed is one"):
+        robot_of(HAND_MAP, several)
+
+
 def test_an_accurate_model_without_the_keyframe_is_named(robot_of, tmp_path):
     (tmp_path / "finer.xml").write_text(re.sub("<keyframe>.*</keyframe>", "", HAND))
     mapping = with_initial('keyframe = "home"').replace("[robot]", '[robot]\naccurate = "finer.xml"')
@@ -261,6 +283,16 @@ def test_sensors_of_accelerations_and_forces_are_those_of_the_end_of_a_step(robo
     (values,) = robot.simulate(controls, NOMINAL, [()])
     expected = np.array([state[1][entries] for state in plain(HAND, controls, 10)])
     np.testing.assert_allclose(values.reshape(40, -1), expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_the_reach_of_a_signal_is_that_of_its_live_channels(robot_of):
+    robot = robot_of(HAND_MAP + '[[signals]]\nname = "felt"\nsensors = ["felt"]\nunit = "m/s^2"')
+    time, noise = 0.02 * np.arange(101), 1e-3 * np.random.default_rng(0).standard_normal((101, 3))
+    felt = noise + np.stack([np.sin(time), 3.0 * np.sin(time), np.full(101, np.nan)], axis=1)
+    signals = {"angle": Signal(time, np.sin(time), "rad"), "felt": Signal(time, felt[:, None], "m/s^2")}
+    seen = inspected(Recording({"goal": goals([0.0] * 100)}, signals), 0, robot)
+    (signal,) = explaining(robot, ((seen,), ()), DEFAULT)[0].others
+    assert signal.reach == pytest.approx(np.ptp(felt[1:, 1]))
 
 
 def test_a_free_joint_is_no_signal(robot_of):

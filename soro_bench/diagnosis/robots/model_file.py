@@ -101,6 +101,10 @@ def load_model(model: Model, shorter: int = 1) -> mujoco.MjModel:
     low, high = _TIMESTEPS
     if not low <= compiled.opt.timestep <= high:
         raise ModelError(f"{path}: timestep is {compiled.opt.timestep} s; allowed is {low:g} to {high:g} s")
+    if (several := compiled.actuator_ctrlnum != 1).any():
+        i = int(several.argmax())
+        raise ModelError(f"{path}: actuator {compiled.actuator(i).name!r} has {compiled.actuator_ctrlnum[i]} controls; "
+                         "allowed is one")  # fmt: skip
     if not compiled.nv:
         raise ModelError(f"{path}: nothing moves in it; a robot has one joint at least")
     return compiled

@@ -276,7 +276,8 @@ class ModelRobot(Robot):
         if not self._initial.parts:
             return found
         start = self._initial.begun(recording, self.begins(recording), self.control_timestep)
-        return replace(found, start=start.reshape(self.shape) if start.size == np.prod(self.shape) else start)
+        own = [part.signal for part in self._initial.parts] == [self.signal] and start.size == np.prod(self.shape)
+        return replace(found, start=start.reshape(self.shape) if own else start)
 
     def converted(self, signal: ObservedSignal, given: Signal) -> Signal:
         """A recorded signal as it is explained: of quaternions the axes of their frames."""
