@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from gymnasium import spaces
 
-from soro_bench.diagnosis.candidates import Term, term
+from soro_bench.diagnosis.candidates import Term, term, within
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, fitted
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.pipeline import Diagnosis
@@ -335,6 +336,23 @@ def test_motions_have_holds_slow_parts_and_fast_parts():
         assert part in words
     slow = next(m for m in motions((2,), NAMES, 0.05) if m.words.startswith("slow triangles"))
     assert np.abs(slow.actions).max() == pytest.approx(0.1)
+
+
+def test_motions_leave_channels_without_a_command_alone():
+    found = motions((1,), NAMES, 0.05, driven=np.arange(8) < 3)
+    moved = {motion.words: np.flatnonzero(motion.actions.any(axis=0)).tolist() for motion in found}
+    assert {tuple(each) for each in moved.values()} == {(1,), (0, 1, 2)}
+    every = motions((0, 1, 2), NAMES, 0.05, driven=np.arange(8) < 3)
+    assert all("every channel" in motion.words and not motion.actions[:, 3:].any() for motion in every)
+    fixed = SimpleNamespace(robot=SimpleNamespace(driven=np.zeros(8, bool)), settings=DEFAULT)
+    assert proposed(fixed, Comparison(tuple(several(0.5, 0.5)), 0.0, 1e-6)) is None
+
+
+@pytest.mark.parametrize(("longest", "time"), [(8.0, 4.0), (20.0, 10.0), (300.0, 10.0)])
+def test_a_slip_is_looked_for_within_the_longest_recording(longest, time):
+    slip = Term("marker_slip", Location("sensor", "keypoints", 3), (2e-3, 2e-3, 2e-3, 10.0), (True, True, True, False))
+    found, gain = within([slip, GAIN], longest)
+    assert (found.typical, gain) == ((2e-3, 2e-3, 2e-3, time), GAIN)
 
 
 def test_motions_have_another_phase_for_another_seed():

@@ -15,6 +15,7 @@ from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import PriorSettings
 from soro_bench.effects.catalogue import ALL, MEASUREMENT, PHYSICS, QUANTITIES
 from soro_bench.effects.effect import EVERY, Effect, Location, Quantity
+from soro_bench.effects.measurement import MarkerSlip
 
 _OF_CLOCKS = ("sensor_delay", "clock_skew")
 PNEUMATIC = ("pressure_leak", "pressure_asymmetry", "supply_coupling")
@@ -161,6 +162,15 @@ def terms(robot: Robot, settings: PriorSettings = _DEFAULT) -> list[Term]:
         if robot.others and name in _OF_CLOCKS:  # one logger may have recorded all signals
             found.append(term(robot, name, Location("sensor", EVERY), settings))
     return found
+
+
+def within(candidates: Sequence[Term], longest: float) -> list[Term]:
+    """The candidates, with slips that are not after the middle of the longest recording [s]: later ones show little."""
+    latest = round(0.5 * longest, 3)  # ms: ends of control steps are sums
+    return [
+        replace(one, typical=(*one.typical[:-1], min(one.typical[-1], latest))) if one.name == MarkerSlip.name else one
+        for one in candidates
+    ]
 
 
 def _has_fault(robot: Robot, signal: ObservedSignal, name: str) -> bool:

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from soro_bench.diagnosis.candidates import terms
+from soro_bench.diagnosis.candidates import terms, within
 from soro_bench.diagnosis.data_quality.inspection import Inspected, inspected
 from soro_bench.diagnosis.data_quality.noise import DataQuality
 from soro_bench.diagnosis.data_quality.signals import (
@@ -156,7 +156,8 @@ def run_diagnosis(
     unfitted = unexplained(fitted, tested, sigma, settings, others) if tested else None
     if unfitted:
         unfitted = replace(unfitted, variants=problem.variants)
-    candidates = sized(problem, nominal, terms(robot, settings.priors), robot)
+    longest = max(float(each.time[-1]) for each in measured)
+    candidates = sized(problem, nominal, within(terms(robot, settings.priors), longest), robot)
     explanation = explained(problem, nominal, robot, refined, candidates, seed, run.progress, unfitted)
     run.progress("comparison")
     hypotheses = shortlist(explanation)
@@ -236,7 +237,7 @@ def _same(robot: Robot, one: Recording, other: Recording) -> bool:
 
 
 def _proposal(found: Diagnosis, seed: int) -> Proposal | None:
-    if not found.detected or not found.robot.channels:
+    if not found.detected:
         return None
     unknown = (
         found.ranked_locations[0].location if found.verdict == "outside_catalogue" and found.ranked_locations else None

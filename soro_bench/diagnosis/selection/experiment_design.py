@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from soro_bench.arrays import Bools
 from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.estimation.fit import Hypothesis, bounds
 from soro_bench.diagnosis.estimation.problem import Problem
@@ -55,7 +56,7 @@ class Proposal:
 def proposed(
     problem: Problem, comparison: Comparison, unknown: Location | None = None, seed: int = 0
 ) -> Proposal | None:
-    """The motion that best tells the remaining answers apart; None where there is only one.
+    """The motion that best tells the remaining answers apart; None where there is only one, or no command to move.
 
     Args:
         unknown: where a discrepancy outside the catalogue acts, if that is the answer: then the channels there move.
@@ -63,13 +64,13 @@ def proposed(
     """
     settings = problem.settings.experiment_design
     rivals = competing(comparison, problem.settings)
-    if len(rivals) < 2 and unknown is None:
+    if (len(rivals) < 2 and unknown is None) or not problem.robot.driven.any():
         return None
     robot, as_fitted = problem.robot, [(a.hypothesis.x, a.hypothesis.terms) for a in rivals]
     least_misfit = min(problem.misfit(a.hypothesis.residual) for a in comparison.answers)
     tempered_by = temperature(least_misfit, problem.settings.probabilities)
     channels = _channels(robot, rivals, unknown)
-    tried = motions(channels, robot.channels, robot.control_timestep, seed, settings)
+    tried = motions(channels, robot.channels, robot.control_timestep, seed, settings, robot.driven)
     predicted = [predictions(problem, motion.actions, as_fitted) for motion in tried]
     first = [_rated(rivals, separations(problem, rivals, rows), tempered_by) for rows in predicted]
     finalists = sorted(range(len(tried)), key=lambda i: -first[i])[: settings.finalists]
@@ -100,6 +101,7 @@ def motions(
     timestep: float,
     seed: int = 0,
     settings: ExperimentDesignSettings = DEFAULT.experiment_design,
+    driven: Bools | None = None,
 ) -> list[Motion]:
     """Candidates that move some channels, of those that fit into the duration.
 
@@ -108,12 +110,14 @@ def motions(
         names: of all nu channels.
         timestep: s between actions.
         seed: of the phases of the multisine.
+        driven: (nu,) which channels have commands; all by default.
     """
+    every = np.ones(len(names)) if driven is None else driven.astype(float)
     total = round(settings.duration / timestep)
     room = total - 2 * int(settings.rest * total)
-    groups, some = np.eye(len(names))[list(channels)], len(channels) < len(names)
+    groups, some = np.eye(len(names))[list(channels)], len(channels) < every.sum()
     together = groups.sum(axis=0, keepdims=True)
-    others = 1.0 - together if some else together
+    others = every - together if some else together
     triangle, hold = triangles(settings.stroke, (1,)), step_and_hold(round(settings.hold / timestep))
     parts = {
         "fast triangles of {}": _slowed(triangle, 1, groups, room),
@@ -135,12 +139,13 @@ def motions(
 
 
 def _channels(robot: Robot, rivals: Sequence[Answer], unknown: Location | None) -> Sequence[int]:
-    """The channels at the locations of terms that not all rivals have, or of an unknown discrepancy; all if none."""
+    """The channels at the locations of terms that not all rivals have, or of an unknown discrepancy; all if none. Only
+    those with commands can move."""
     laws = [_laws(answer) for answer in rivals]
     differing = frozenset.union(*laws) - frozenset.intersection(*laws)
     locations = [unknown] if unknown else [location for _, location in differing]
-    channels = {robot.channel(location) for location in locations}
-    return sorted(channel for channel in channels if channel is not None) or range(len(robot.channels))
+    channels, driven = {robot.channel(location) for location in locations}, np.flatnonzero(robot.driven).tolist()
+    return [channel for channel in driven if channel in channels] or driven
 
 
 def predictions(
