@@ -224,6 +224,25 @@ def test_a_result_that_is_not_of_the_robot_is_refused_in_one_line(diagnosed_arm,
     assert "\n" not in str(error.value)
 
 
+def test_a_signal_that_stands_still_is_refused_as_in_a_diagnosis(diagnosed_arm, read):
+    signal = diagnosed_arm.recordings[2].signals["angle"]
+    values = 0.2 + 5e-4 * np.random.default_rng(0).standard_normal(signal.values.shape)
+    still = replace(diagnosed_arm.recordings[2], signals={"angle": replace(signal, values=values)})
+    with pytest.raises(RecordingError, match=r"^run: .*angle: all of the samples stay within"):
+        check_replays(read, robot_of(read)[0], {"run": still})
+
+
+def test_a_law_that_adds_up_may_come_twice(diagnosed_arm, read):
+    """As where it was known and more of it was found."""
+    errors = []
+    for masses in (0.01, 0.01), (0.02,):
+        effects = tuple(Effect("payload", Location("body", "arm"), {"mass": mass}).to_json() for mass in masses)
+        result = changed(read, "patched", effects=effects)
+        found = check_replays(result, robot_of(result)[0], {"run": diagnosed_arm.recordings[0]})
+        errors.append(found.files[0].rms["patched"])
+    assert errors[0] == pytest.approx(errors[1], rel=1e-9)
+
+
 def test_a_recording_of_another_robot_is_named(diagnosed_arm, read):
     other = replace(diagnosed_arm.recordings[0], commands={"torque": diagnosed_arm.recordings[0].commands["goal"]})
     with pytest.raises(RecordingError, match=r"^b\.parquet: the recording has no command 'goal'"):
@@ -259,6 +278,8 @@ def test_a_robot_of_the_suite_has_no_files():
     with pytest.raises(ValueError, match="robot of the suite: leave out --model and --map"):
         robot_of(result, model="arm.xml")
     assert isinstance(robot_of(result)[0], SuiteRobot)
+    more = replace(result, robot=replace(result.robot, others=("tension",)))
+    assert [each.name for each in robot_of(more)[0].others] == ["tension"]
 
 
 def test_the_command_prints_a_table_and_writes_page_and_json(diagnosed_arm, read, tmp_path, call):

@@ -1,8 +1,8 @@
 """Replays of the robots of a result on any recordings: what a diagnosis prints, anybody can repeat.
 
 A replay is plain: at the time step of the model, without any covariance. What counts is what the diagnosis looks at:
-samples that the inspection of the signal keeps, at the time stamps that it rebuilds, but for points that are alone and
-far off. Of recordings of the diagnosis itself the result says which these are.
+samples that the inspection of the signal keeps, at the time stamps that it rebuilds, but for points that stand still or
+are alone and far off. Of recordings of the diagnosis itself the result says which these are.
 """
 
 import math
@@ -17,6 +17,7 @@ import numpy as np
 
 from soro_bench.arrays import Bools, Floats
 from soro_bench.diagnosis.data_quality.inspection import inspected
+from soro_bench.diagnosis.data_quality.responses import answered
 from soro_bench.diagnosis.data_quality.samples import far_off
 from soro_bench.diagnosis.result import Result, plain_json
 from soro_bench.diagnosis.result_robot import ACCURATE, ReplayedRobot, SignalQuality
@@ -118,7 +119,7 @@ def robot_of(
     if result.trainable:
         if any(told):
             raise ValueError(f"{brief(name)} is a robot of the suite: leave out --model and --map")
-        return SuiteRobot(name, result.robot.model), []
+        return SuiteRobot(name, result.robot.model, signals=result.robot.others), []
     known = result.robot.files if len(result.robot.files) == len(told) else (None, None)
     paths: list[Path] = []
     for option, given, file in zip(("--model ROBOT.xml", "--map MAP.toml"), told, known, strict=True):
@@ -223,7 +224,7 @@ def _point(robot: Robot, of: ReplayedRobot) -> tuple[Floats, tuple[Effect, ...]]
     if len(of.effects) > MAX_EFFECTS:
         raise ValueError(f"the result has {len(of.effects)} effects at once; at most {MAX_EFFECTS} are allowed")
     effects = tuple(effect_from(each, ALL) for each in of.effects)
-    if not robot.accepts(effects):
+    if not robot.simulation.accepts([each for each in effects if each.location.kind != "sensor"]):
         raise ValueError(f"this robot cannot have {', '.join(f'{e.name} at {e.location}' for e in effects)} at once")
     bounds = np.array([prior.bounds for prior in robot.priors]).reshape(-1, 2)
     return np.clip(values, *bounds.T), effects
@@ -243,7 +244,7 @@ def _alone(result: Result, robot: Robot, said: list[str]) -> Robot | None:
 def _measured(robot: Robot, recording: Recording) -> tuple[Measured, bool]:
     """What counts of a recording, as a diagnosis sees it, and whether its inspection left anything out."""
     found = inspected(recording, 0, robot, DEFAULT)
-    return found.applied(robot.measured(found.recording)), bool(found.all_findings)
+    return found.applied(answered(robot.measured(found.recording), 0, robot).measured), bool(found.all_findings)
 
 
 def _runs(measured: Measured, points: Sequence[tuple[Robot, Floats, tuple[Effect, ...]]]) -> Floats:

@@ -322,8 +322,8 @@ class Robot(Replays):
     def accepts(self, effects: Sequence[Effect]) -> bool:
         """Whether the robot can have these effects at once, beside the known ones. Its simulations stay as they are.
 
-        It cannot have a law twice at a location, unless it adds up, nor two laws on the same spring. Laws that are data
-        are others where their data are.
+        It cannot have a law twice at a location, nor two laws on the same spring. A known law may come again if it adds
+        up. Laws that are data are others where their data are.
         """
         found = [(e.name, e.location, e.law) for e in effects]
         once = [

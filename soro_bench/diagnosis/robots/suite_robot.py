@@ -17,6 +17,7 @@ from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.robots.variants import Variant, plain, trunk_chains, with_other_integrator
 from soro_bench.diagnosis.settings import RobotSettings
 from soro_bench.effects.elements import instrument
+from soro_bench.files import brief
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import Parameter
 from soro_bench.recording.known import Known
@@ -110,7 +111,7 @@ class SuiteRobot(Robot):
         found = []
         for name in dict.fromkeys(names):
             if name not in units:
-                raise ValueError(f"{self.env_id} has no signal {name!r}; it has {', '.join(units)}")
+                raise ValueError(f"{self.env_id} has no signal {brief(name)}; it has {', '.join(units)}")
             size, (unit, frame) = now[name][0].size, units[name]
             turned, points = name.endswith(_QUATERNION), unit == "m" and size % 3 == 0
             shape = (3 * size // 4, 3) if turned else (size // 3, 3) if points else (size, 1)
