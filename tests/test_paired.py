@@ -14,12 +14,14 @@ from soro_bench.diagnosis.active import DroppedFile, SimulatedAnswer, diagnose_a
 from soro_bench.diagnosis.paired.alignment import aligned
 from soro_bench.diagnosis.paired.api import compare
 from soro_bench.diagnosis.paired.explanation import probabilities
+from soro_bench.diagnosis.paired.problem import PairedProblem, Point
 from soro_bench.diagnosis.paired.result import PairedResult
 from soro_bench.diagnosis.render.paired import summary
 from soro_bench.diagnosis.result_parts import NextRecording
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.effect import Effect, Location
+from soro_bench.recording.known import Known
 from soro_bench.recording.parquet import load, save
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from soro_bench.recording.simulated import record
@@ -218,6 +220,17 @@ def test_an_excitation_of_a_model_moves_what_is_commanded_within_its_range(paths
     paths[0].write_text(ARM.replace('name="motor"', 'name="motor" ctrlrange="-0.5 0.5"'))
     controls = ModelRobot(*paths, threads=1).excited(duration=10.0)
     assert controls.shape == (500, 1) and 0.1 < np.abs(controls).max() <= 0.5
+
+
+def test_a_pair_is_replayed_where_every_parameter_is_known(paths):
+    nominal = {"inertia": 1.0, "damping": 1.0, "zero": 0.0}
+    robot = ModelRobot(*paths, threads=1).knowing(Known(nominal))
+    measured = robot.measured(arm.recording(paths, (), 0))
+    problem = PairedProblem(robot, (measured,), (measured,), ())
+    assert problem.bounds.shape == (2, 0)
+    before, change = problem.simulated([Point(np.zeros(0), np.zeros(0), ())])
+    (expected,) = robot.simulate_all([measured.drive], np.zeros((1, 0)), [()])
+    assert np.array_equal(before[0], expected.ravel()) and not change.any()
 
 
 def test_a_change_that_explains_a_little_is_chance_where_hundreds_are_possible():

@@ -37,6 +37,19 @@ def test_errors_of_known_residuals():
     assert found["rms_without_mean"] == pytest.approx(0.0, abs=1e-12)
 
 
+def test_errors_of_points_without_samples_are_none():
+    residual, seen = np.full((5, 2, 1), 0.003), np.ones((5, 2, 1), bool)
+    seen[:, 1] = False
+    found = errors(residual, seen)
+    assert found["mean_absolute"] == pytest.approx(0.003) == found["rms_of_points"]
+    assert found["rms"] is found["rms_without_mean"] is None
+    assert set(errors(residual, ~seen & seen).values()) == {None}
+    known, sets = {"study": "arm", "part": "first", "known": [], "noise": 1e-3, "unit": "rad"}, {"train": found}
+    answer = {"effects": [], "probability": 1.0, **sets}
+    summary = known | {"answers": [answer], "nominal": sets, "parameters": sets, "unknown": 0.0}
+    assert results([summary]).splitlines()[2].split(" | ")[2] == "0.003 / - / -"
+
+
 @pytest.fixture
 def study(tmp_path):
     (tmp_path / "arm.xml").write_text(ARM)

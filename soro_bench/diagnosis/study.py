@@ -283,18 +283,23 @@ def errors_of(robot: Robot, measured: dict[str, tuple[Measured, ...]], hypothesi
     return found
 
 
-def errors(residual: np.ndarray, seen: np.ndarray) -> dict[str, float]:
+def errors(residual: np.ndarray, seen: np.ndarray) -> dict[str, float | None]:
     """Of residuals (T, P, D) where they were seen: the mean absolute one of all coordinates, and root mean squares of
     the last point's distance, also without the mean of its residuals, and of all points' distances, their mean over the
-    points; in the unit of the signal."""
-    last = residual[:, -1][seen[:, -1].all(axis=1)]
-    each = [residual[:, p][seen[:, p].all(axis=1)] for p in range(residual.shape[1])]
+    points; in the unit of the signal. None where no sample was seen."""
+    points = [residual[:, p][seen[:, p].all(axis=1)] for p in range(residual.shape[1])]
+    rms = [_rms(point) for point in points if len(point)]
     return {
-        "mean_absolute": float(np.abs(residual[seen]).mean()),
-        "rms": float(np.sqrt((last**2).sum(axis=1).mean())),
-        "rms_without_mean": float(np.sqrt(((last - last.mean(axis=0)) ** 2).sum(axis=1).mean())),
-        "rms_of_points": float(np.mean([np.sqrt((point**2).sum(axis=1).mean()) for point in each])),
+        "mean_absolute": float(np.abs(residual[seen]).mean()) if seen.any() else None,
+        "rms": _rms(points[-1]) if len(points[-1]) else None,
+        "rms_without_mean": _rms(points[-1] - points[-1].mean(axis=0)) if len(points[-1]) else None,
+        "rms_of_points": float(np.mean(rms)) if rms else None,
     }
+
+
+def _rms(distances: np.ndarray) -> float:
+    """Root mean square of the lengths of residuals (n, D)."""
+    return float(np.sqrt((distances**2).sum(axis=1).mean()))
 
 
 # of every error the mean absolute one, the last point's rms, and that without its mean
@@ -338,7 +343,8 @@ def _likeliest(answers: Sequence[dict]) -> float:
 
 def _three(found: dict) -> str:
     """Mean absolute error, rms of the last point, and that without its mean."""
-    return " / ".join(f"{found[key]:.3g}" for key in ("mean_absolute", "rms", "rms_without_mean"))
+    values = (found[key] for key in ("mean_absolute", "rms", "rms_without_mean"))
+    return " / ".join("-" if value is None else f"{value:.3g}" for value in values)
 
 
 def _named(answer: dict) -> str:

@@ -68,7 +68,8 @@ class PairedProblem:
     @property
     def bounds(self) -> Floats:
         """(2, n) of the shared unknowns."""
-        return np.hstack([*(p.reach()[:, None] for p in self.robot.priors), *(s.bounds for s in self.shared)])
+        parts = *(p.reach()[:, None] for p in self.robot.priors), *(s.bounds for s in self.shared)
+        return np.hstack([np.zeros((2, 0)), *parts])  # all may be known
 
     def effects(self, x: Floats) -> list[Effect]:
         """The shared laws."""
@@ -97,7 +98,8 @@ class PairedProblem:
     def _replayed(self, recordings: Sequence[Measured], sides: Sequence[Side]) -> Floats:
         """(N, M) signals."""
         rows = np.array([side.x for side in sides])
-        parameters = np.stack([prior.value(rows[:, i]) for i, prior in enumerate(self.robot.priors)], axis=1)
+        columns = [prior.value(rows[:, i]) for i, prior in enumerate(self.robot.priors)]
+        parameters = np.stack(columns, axis=1) if columns else rows  # all may be known
         parts = self.robot.simulate_all(
             [each.drive for each in recordings], parameters, [side.effects for side in sides]
         )
