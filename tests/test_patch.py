@@ -18,12 +18,14 @@ from soro_bench.diagnosis.assembly.model_export import (
     motion_difference,
     patched_spec,
 )
-from soro_bench.diagnosis.assembly.patch import kept, model_patch, patch
+from soro_bench.diagnosis.assembly.patch import _expressible, _worse, kept, lacking, model_patch, patch
 from soro_bench.diagnosis.candidates import term
 from soro_bench.diagnosis.estimation.fit import Hypothesis
+from soro_bench.diagnosis.result_robot import ReplayError
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.selection.model_probabilities import Fit
+from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.effects.elements import AUXILIARY, FOUND, instrument, without_unused_springs
@@ -263,6 +265,25 @@ def test_a_model_that_is_better_alone_is_as_found(paths):
 def test_an_effect_is_native_if_the_fields_of_a_model_can_hold_it(robot, name, location, native):
     parameters = {q.name: q.bounds[1] if np.isfinite(q.bounds[1]) else q.typical for q in QUANTITIES[name]}
     assert robot.native(Effect(name, location, parameters)) is native
+
+
+def test_a_law_at_one_place_is_none_at_another():
+    first, other = (Effect("actuator_gain", Location("actuator", name), {"gain": 0.8}) for name in ("L1", "L2"))
+    assert lacking([first, other], [replace(first, parameters={"gain": 0.7})]) == (other,)
+
+
+@pytest.mark.parametrize(("squares", "worse"), [(1.089, False), (1.091, True)])
+def test_a_model_is_worse_by_the_samples_of_the_signal_that_errors_are_of(squares, worse):
+    """By nine variances in all; samples of another signal are not in the error."""
+    problem = SimpleNamespace(weight=np.ones(300), sensor=1.0, split=lambda samples: [samples[:100]])
+    assert _worse([ReplayError(1.0, float(np.sqrt(squares)))], [problem]) == worse
+
+
+def test_friction_of_an_actuator_is_that_of_its_joint_in_a_model(tmp_path):
+    parts = dict.fromkeys(("compiler", "default", "inertial", "joint", "bodies", "more"), "")
+    robot = robot_of(tmp_path, LINK.format(actuator=MOTORS + MOTORS.replace('motor"', 'other"'), **parts), LINK_MAP)
+    found = _expressible(robot, [term(robot, "input_friction", MOTOR)], SimpleNamespace(settings=DEFAULT))
+    assert [(each.name, each.location) for each in found] == [("coulomb_friction", HINGE), ("viscous_friction", HINGE)]
 
 
 MOTOR, HINGE = Location("actuator", "motor"), Location("joint", "hinge")

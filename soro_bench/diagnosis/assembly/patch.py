@@ -22,7 +22,7 @@ from soro_bench.diagnosis.result_robot import ReplayError
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer
 from soro_bench.effects.catalogue import CATEGORIES
-from soro_bench.effects.effect import Effect
+from soro_bench.effects.effect import Effect, Location
 
 KEPT = 0.5  # of the share of the variance that is explained
 _NOISE = 9.0  # of squared errors over that of the sensor: three standard deviations, once, make no model worse
@@ -111,10 +111,15 @@ def model_patch(diagnosis: Diagnosis, built: Sequence[float]) -> ModelPatch:
     for other in _refitted(diagnosis):
         errors = _errors(built, rms_as_it_is(robot.as_built(other.xml), problems))
         if not _worse(errors, problems):
-            remaining = tuple(effect for effect in effects if effect.name not in [one.name for one in other.effects])
-            return ModelPatch("refitted", other.xml, other.effects, remaining, obstacle, errors)
+            return ModelPatch("refitted", other.xml, other.effects, lacking(effects, other.effects), obstacle, errors)
     obstacle += ", and so is every one with parameters that were fitted to it alone"
     return ModelPatch("not_written", None, (), effects, obstacle, first)
+
+
+def lacking(effects: Sequence[Effect], held: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Those of some effects that are not among the ones that a model has, whatever their magnitudes."""
+    found = {(each.name, each.location) for each in held}
+    return tuple(each for each in effects if (each.name, each.location) not in found)
 
 
 def _with_parameters_only(diagnosis: Diagnosis) -> ExportedModel | None:
@@ -132,8 +137,9 @@ def _errors(before: Sequence[float], after: Sequence[float]) -> tuple[ReplayErro
 
 def _worse(errors: Sequence[ReplayError], problems: Sequence[Problem]) -> bool:
     """Whether any errors grew by more than the sensor's noise could do."""
-    pairs = zip(errors, problems, strict=True)
-    return any((e.patched**2 - e.built**2) * p.weight.sum() > _NOISE * p.sensor**2 for e, p in pairs)
+    samples = (sum(part.sum() for part in p.split(p.weight)) for p in problems)  # of the signal that errors are of
+    rows = zip(errors, problems, samples, strict=True)
+    return any((e.patched**2 - e.built**2) * count > _NOISE * p.sensor**2 for e, p, count in rows)
 
 
 def _refitted(diagnosis: Diagnosis) -> Iterator[ExportedModel]:
@@ -182,10 +188,17 @@ def _expressible(robot: Robot, terms: Sequence[Term], problem: Problem) -> tuple
     found: dict[tuple[str, object], Term] = {}
     for one in terms:
         if CATEGORIES.get(one.name) == "friction" and not one.removable:
-            others = [term(robot, name, one.location, problem.settings.priors) for name in _OF_FRICTION]
+            rubbed = [(name, at) for at in _rubbed(robot, one.location) for name in _OF_FRICTION]
+            others = [term(robot, name, at, problem.settings.priors) for name, at in rubbed]
         else:
             effect = one.effect(np.zeros(one.size))
             others = [one] if one.name in LAWS or robot.native(effect) else []
         found |= {(each.name, each.location): each for each in others}
     chosen = tuple(found.values())
     return chosen if robot.accepts([each.effect(np.zeros(each.size)) for each in chosen]) else ()
+
+
+def _rubbed(robot: Robot, location: Location) -> list[Location]:
+    """Where friction at a location acts: of actuators at the joints and tendons that they drive."""
+    elements = robot.elements
+    return [elements.driven_by(at) for at in elements.expand(location)] if location.kind == "actuator" else [location]
