@@ -13,7 +13,7 @@ from benchmarks.discovered_laws import case
 from benchmarks.hostile_laws import hostile, outcome
 from benchmarks.law_baselines import Data, error, nothing, parameters_only, sindy
 from soro_bench.diagnosis.api import with_seeds
-from soro_bench.diagnosis.assembly.discovered import spanned
+from soro_bench.diagnosis.assembly.discovered import legend, spanned
 from soro_bench.diagnosis.discovery.discovery import discovered
 from soro_bench.diagnosis.discovery.library import Term, series, variables_at
 from soro_bench.diagnosis.discovery.located_input import LocatedInput
@@ -126,6 +126,19 @@ def test_an_offset_of_a_setpoint_follows_the_time():
     drift = law(["multiply", "r", "t"], {"t": {"of": "time"}}, unit="rad")
     sim = flat(servo([custom(drift, "actuator", "servo", r=0.1)]))
     assert turn(sim, angle=lambda step: 0.0, steps=2000)[-1] == pytest.approx(0.1 * 4.0, rel=0.02)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_offsets_of_a_setpoint_read_the_command_as_it_was_given_and_add_up(count):
+    """Over several time steps of a control step too."""
+    half = law(["multiply", 0.5, "u"], {"u": {"of": "command"}}, unit="rad")
+    sim, ids = flat(servo([custom(half, "actuator", "servo")] * count)), np.arange(1)
+    sim.batch.reset()
+    sim.begin(ids)
+    for _ in range(200):
+        sim.batch.ctrl[0] = [0.0, 0.2]
+        sim.step(ids, 10)
+    assert sim.batch.qpos[0, 0] == pytest.approx(0.2 * (1.0 + 0.5 * count), rel=1e-3)
 
 
 def test_a_file_keeps_it(tmp_path):
@@ -352,6 +365,12 @@ def test_what_is_seen_in_time_only_has_a_spectrum_and_a_recording_to_make():
         result = replace(outside_catalogue(), discovery=found)
         assert said in " ".join(summary(result).split())
         assert said in " ".join(html(result).split())
+
+
+def test_names_in_several_laws_say_where_each_acts():
+    one, other = custom(CUBE, k=1.0), custom(CUBE, name="elbow", k=1.0)
+    assert list(legend([one])) == ["q"]
+    assert list(legend([one, other])) == ["q at joint hinge", "q at joint elbow"]
 
 
 def test_bodies_that_cannot_be_told_apart_span_a_region_of_one_branch():

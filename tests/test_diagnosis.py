@@ -12,7 +12,12 @@ import pytest
 from soro_bench.diagnosis.candidates import Term, term, terms, typical
 from soro_bench.diagnosis.estimation.discretisation import discretisation_and_residuals
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, bounds, fitted, fitted_under_discretisation
-from soro_bench.diagnosis.estimation.model_form import largest_model_form_error, spectrum, unfitted_under_model_form
+from soro_bench.diagnosis.estimation.model_form import (
+    _modes,
+    largest_model_form_error,
+    spectrum,
+    unfitted_under_model_form,
+)
 from soro_bench.diagnosis.estimation.problem import SimulationError
 from soro_bench.diagnosis.localisation.residual_maps import windows
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
@@ -294,6 +299,10 @@ def healthy(given, bound, *residuals, heldout=None):
 def test_noise_has_no_excess_and_an_error_has_its_own(given, white, slow):
     assert spectrum(given, white).excess < 0.25
     assert spectrum(given, white + slow).excess == pytest.approx(ERROR, rel=0.05)
+
+
+def test_the_modes_of_a_long_recording_need_little_memory():
+    assert np.abs(_modes(np.linspace(0.0, 1.0, 200_000)[:, None])).tolist() == [[1.0]]
 
 
 def test_a_law_that_explains_a_part_of_a_possible_error_is_no_discrepancy(given, white, slow):

@@ -3,13 +3,13 @@
 from pathlib import Path
 
 from soro_bench.diagnosis.result import SCHEMA, Result
+from soro_bench.diagnosis.result_parts import NINETY
 from soro_bench.diagnosis.robots.priors import Baseline
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import effect_from, load_effects
 from soro_bench.files import brief, read_json
 
 OLD_SCHEMA = "soro-bench/diagnosis/1"  # report.json of the version before, still read
-NINETY = 1.645  # standard deviations on either side of the middle 90 %
 
 
 def baseline(folder: str | Path) -> Baseline:

@@ -1,4 +1,4 @@
-"""``soro-bench excite``, ``map``, ``diagnose``, ``report`` and ``study``."""
+"""``soro-bench excite``, ``map``, ``diagnose``, ``report``, ``check`` and ``study``."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from soro_bench.effects.effect import Location
 
+NINETY = 1.645  # standard deviations on either side of the middle 90 %
 NEAR = 0.9  # of the best location's gain, from which another one explains nearly as much
 
 

@@ -31,7 +31,6 @@ class AcrossNeck(Law):
 
     def __init_subclass__(cls) -> None:
         cls.name, cls.category, cls.quantities = cls.joint_law.name, cls.joint_law.category, cls.joint_law.quantities
-        cls.shared = cls.only_shared = True
 
     def prepare(self, elements: Elements) -> None:
         model = self.model

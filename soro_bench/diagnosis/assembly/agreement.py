@@ -9,9 +9,9 @@ from soro_bench.arrays import Floats
 from soro_bench.diagnosis.assembly.findings import tempered_by
 from soro_bench.diagnosis.assembly.patch import kept
 from soro_bench.diagnosis.candidates import Term, slices
-from soro_bench.diagnosis.estimation.agreement import NINETY, Alone, fitted_alone, together
+from soro_bench.diagnosis.estimation.agreement import Alone, fitted_alone, together
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.result_parts import Agreement, Estimate
+from soro_bench.diagnosis.result_parts import NINETY, Agreement, Estimate
 from soro_bench.diagnosis.robots.priors import Prior
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.spread_terms import SpreadTerm

@@ -18,6 +18,7 @@ from soro_bench.diagnosis.localisation.residual_maps import explained_over_time
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.result import LawCurve, Result
 from soro_bench.diagnosis.result_parts import (
+    NINETY,
     Agreement,
     Detectable,
     Estimate,
@@ -41,7 +42,6 @@ from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.effects.catalogue import ALL, CATEGORIES
 from soro_bench.effects.effect import Location
 
-NINETY = 1.645  # standard deviations on either side of the middle 90 %
 CREDIBLE = 0.9  # probability of the credible set
 SHOWN_LOCATIONS = 10
 

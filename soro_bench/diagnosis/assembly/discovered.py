@@ -6,12 +6,12 @@ import mujoco
 import numpy as np
 
 from soro_bench.arrays import Floats
-from soro_bench.diagnosis.assembly.findings import NINETY, tempered
+from soro_bench.diagnosis.assembly.findings import tempered
 from soro_bench.diagnosis.candidates import slices
 from soro_bench.diagnosis.discovery.discovery import Discovery, Found
 from soro_bench.diagnosis.discovery.law_terms import LawTerm
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.result_parts import NEAR, DiscoveredLaw, Estimate
+from soro_bench.diagnosis.result_parts import NEAR, NINETY, DiscoveredLaw, Estimate
 from soro_bench.effects.custom_law import CustomLaw
 from soro_bench.effects.effect import Effect
 from soro_bench.effects.expression import names_in
@@ -32,7 +32,7 @@ def discovered_law(diagnosis: Diagnosis) -> DiscoveredLaw | None:
         location=found.location,
         effects=tuple(each.to_json() for each in effects),
         equations=equations,
-        legend={key: value for each in effects for key, value in _law(each).legend().items()},
+        legend=legend(effects),
         estimates=_estimates(diagnosis, found.best) if found.best else (),
         explained=float(found.explained),
         noise_share=float(found.noise_share),
@@ -80,9 +80,27 @@ def _law(effect: Effect) -> CustomLaw:
     return effect.law
 
 
+def legend(effects: Sequence[Effect]) -> dict[str, str]:
+    """What the names in the equations of some effects are; laws of several channels may have the same names."""
+    return {
+        key + place: value
+        for effect, place in zip(effects, _places(effects), strict=True)
+        for key, value in _law(effect).legend().items()
+    }
+
+
+def _places(effects: Sequence[Effect]) -> list[str]:
+    """What tells the names of each effect from those of the others: where it acts."""
+    return [f" at {each.location}{_along(_law(each))}" if len(effects) > 1 else "" for each in effects]
+
+
+def _along(law: CustomLaw) -> str:
+    return f" along {law.direction}" if isinstance(law.direction, str) and law.direction else ""
+
+
 def _equation(effect: Effect) -> str:
     law = _law(effect)
-    towards = f" along {law.direction}" if isinstance(law.direction, str) and law.direction else ""
+    towards = _along(law)
     if isinstance(law.direction, tuple):
         point = ", ".join(f"{1e3 * effect.parameters[str(name)]:.0f}" for name in law.direction)
         towards = f" towards ({point}) mm"
@@ -93,12 +111,12 @@ def _estimates(diagnosis: Diagnosis, found: Found) -> tuple[Estimate, ...]:
     """Coefficients and shapes with intervals."""
     hypothesis, first = found.hypothesis, diagnosis.explanation.problem.parameters
     spread = np.sqrt(np.diag(tempered(diagnosis, hypothesis)))
-    estimates = []
-    for term, part in zip(hypothesis.terms, slices(hypothesis.terms, first), strict=True):
+    estimates, places = [], _places(_effects(diagnosis, found))
+    for term, part, place in zip(hypothesis.terms, slices(hypothesis.terms, first), places, strict=True):
         assert isinstance(term, LawTerm)
         for unknown, x, width in zip(term.unknowns, hypothesis.x[part], spread[part], strict=True):
             low, high = sorted(unknown.value(float(x + k * NINETY * width)) for k in (-1.0, 1.0))
-            estimates.append(Estimate(unknown.name, unknown.value(float(x)), unknown.unit, low, high))
+            estimates.append(Estimate(unknown.name + place, unknown.value(float(x)), unknown.unit, low, high))
     return tuple(estimates)
 
 

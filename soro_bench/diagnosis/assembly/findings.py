@@ -12,14 +12,13 @@ from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.localisation.residual_maps import Regime, explained_over_time, intervals, regimes
 from soro_bench.diagnosis.pipeline import Diagnosis
-from soro_bench.diagnosis.result_parts import Estimate, Finding
+from soro_bench.diagnosis.result_parts import NINETY, Estimate, Finding
 from soro_bench.diagnosis.robots.priors import Prior
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer, temperature
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import Location
 
-NINETY = 1.645  # standard deviations on either side of the middle 90 %
 _TELLS = 1.2  # times more than its share of the time has to be explained for a condition to say when an effect acts
 
 _TOO_MUCH = {

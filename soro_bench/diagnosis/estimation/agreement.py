@@ -15,9 +15,8 @@ import numpy as np
 from soro_bench.arrays import Floats
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, descended, fitted, with_covariance
 from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.result_parts import NINETY
 from soro_bench.inference.statistical_linearisation import LowRank
-
-NINETY = 1.645  # standard deviations on either side of the middle 90 %
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from soro_bench.diagnosis.render import sentences, words
 from soro_bench.diagnosis.result import Result
+from soro_bench.diagnosis.result_parts import NINETY
 from soro_bench.diagnosis.result_robot import Shape
 from soro_bench.effects.effect import EACH, EVERY, Location
 from soro_bench.plotting import pyplot
@@ -21,7 +22,6 @@ FRAME = (0.9, 0.7)  # inches of labels beside an axis
 SLIM = 0.3  # of the robot's largest span: the smallest one that is drawn
 SMALL = 8  # points, of its letters
 MM = 1e3  # per m
-NINETY = 1.645  # standard deviations on either side of the middle 90 %
 GREY, BLUE, RED = "0.7", "#1f77b4", "#d62728"
 
 
