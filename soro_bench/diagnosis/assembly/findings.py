@@ -164,8 +164,8 @@ def tempered(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:
 
 
 def tempered_by(problem: Problem, hypothesis: Hypothesis) -> np.ndarray:
-    """(n, n) covariance of x, under evidence tempered as in the comparison: a model that is wrong knows less than it
-    seems. Priors are as they are."""
+    """(n, n) covariance of x, under evidence of the fitted recordings that is tempered by their misfit: a model that is
+    wrong knows less than it seems. Priors are as they are."""
     temper, prior = (
         temperature(problem.misfit(hypothesis.residual), problem.settings.probabilities),
         np.eye(len(hypothesis.x)),
