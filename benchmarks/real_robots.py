@@ -95,12 +95,17 @@ def main() -> None:
     if options.fit:
         print_fits(parser, options)
         return
-    studies = {name: load_study(name, options.data) for name in options.only}
-    runs = [(study, options.work / f"{name}_{seed}", seed) for name, study in studies.items()
-            for seed in range(options.seeds)]  # fmt: skip
-    for study, folder, seed in runs:  # before hours of work, not after them
-        check_summaries(study, folder, seed)
-    found, failed = [], []
+    runs, found, failed = [], list[dict](), list[str]()
+    for name in options.only:
+        try:
+            study = load_study(name, options.data)
+            folders = [(study, options.work / f"{name}_{seed}", seed) for seed in range(options.seeds)]
+            for each in folders:  # before hours of work, not after them
+                check_summaries(*each)
+        except (ValueError, OSError) as error:
+            failed.append(f"{name}: {error}")
+        else:
+            runs += folders
     for study, folder, seed in runs:
         try:
             found += run_study(study, folder, seed, options.threads, partial(print, folder.name, flush=True))

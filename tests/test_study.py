@@ -120,7 +120,7 @@ def test_a_summary_begins_with_the_answer_that_its_report_is_of(study, monkeypat
 def test_an_unknown_study_and_missing_recordings_are_named(tmp_path):
     with pytest.raises(ValueError, match="unknown study 'moon'; there are opencr_tdcr, "):
         load_study("moon", tmp_path)
-    with pytest.raises(FileNotFoundError, match=r"no v4_train.csv in .*opencr_tdcr; soro-bench data"):
+    with pytest.raises(FileNotFoundError, match=r"no v4_train.csv in .*; soro-bench data"):
         load_study("opencr_tdcr", tmp_path)
 
 
@@ -131,13 +131,45 @@ def test_a_part_has_its_recordings_to_explain_to_hold_out_and_never_to_see(tmp_p
     assert "kp200_sin_sin" in part.unseen[0] and "kp200_lift" in part.heldout[0] and "kp100" in part.train[0]
 
 
-def test_other_files_of_a_part_are_imported_as_those_that_their_pattern_is_like(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "part", "kind", "file", "changes"),
+    [
+        ("asl_trunk", "random", "train", "servo_random1_0g.npz", {"time": {"until": 30.0}}),
+        ("asl_trunk", "random", "train", "servo_random2_0g.npz", {}),  # which is held out elsewhere, in a window
+        ("opencr_tdcr", "patterns", "train", "v5.csv", {}),  # whose patterns are others
+        (
+            "silicone_beam",
+            "load",
+            "heldout",
+            "beam_load52_V2_c.csv",
+            {"metadata": {"load": "1"}},
+        ),  # of all in this part
+    ],
+)
+def test_other_files_are_imported_as_those_of_their_kind_or_as_all(
+    name, part, kind, file, changes, tmp_path, monkeypatch
+):
     seen = []
-    monkeypatch.setattr(module, "_recordings", lambda folder, study, entries: seen.append(entries) or ())
-    files = {"train": ["xl330_processed_kp800_new.csv"], "unseen": ["other_*.csv"]}
-    load_study("bam_servo", tmp_path, files)
-    gains = [[(e["files"], e["metadata"]["firmware_gain"]) for e in entries] for entries in seen]
-    assert gains == [[("xl330_processed_kp800_new.csv", "800")], [], [("other_*.csv", "100")]]
+    monkeypatch.setattr(module, "_recordings", lambda folder, study, entries: seen.extend(entries) or ())
+    (tmp_path / file).touch()
+    found = load_study(name, tmp_path, {kind: [file]}, part)
+    assert [{k: v for k, v in entry.items() if k != "files"} for entry in seen] == [changes]
+    assert found.parts[0].question == f"other files: {kind} {file}"
+
+
+def test_the_gain_of_a_servo_is_that_in_the_name_of_its_file(tmp_path):
+    from soro_bench.files import asset_path, read_toml
+
+    study = read_toml(asset_path("studies.toml"))["bam_servo"]
+    assert module._from_name(tmp_path / "xl330_processed_kp400_new.csv", study) == {"firmware_gain": "400"}
+    with pytest.raises(RecordingError, match="its name does not say firmware_gain; expected kp"):
+        module._from_name(tmp_path / "other.csv", study)
+
+
+def test_a_part_that_comes_after_another_one_needs_its_result(tmp_path):
+    part = module.Part("hung", "", (), (), "alone")
+    with pytest.raises(ValueError, match=r"part hung comes after alone, of which .* has no result; run it first"):
+        module.run_study(module.Study("hung_beam", tmp_path, {}, (part,)), tmp_path / "out")
 
 
 def test_a_study_reads_a_folder_of_pieces_and_asks_which_part_files_are_for(tmp_path):
@@ -162,6 +194,8 @@ def test_a_table_of_takes_gives_each_recording_its_constant_commands(tmp_path):
     takes = {"file": "takes.csv", "key": "take", "commands": {"load": {"columns": ["load_g"], "unit": "g"}}}
     found = commands_of_take(tmp_path / "a1.csv", takes)["load"]
     assert found.values.ravel() == pytest.approx([0.052]) and (found.unit, found.time.tolist()) == ("kg", [0.0])
+    with pytest.raises(FileNotFoundError, match=r"no takes\.csv beside .*a1; it has a row for each recording"):
+        commands_of_take(tmp_path / "elsewhere" / "a1", takes)
     with pytest.raises(RecordingError, match="0 rows with take 'a2'; expected one"):
         commands_of_take(tmp_path / "a2.csv", takes)
     takes["commands"]["load"]["columns"] = ["far"]

@@ -3,16 +3,18 @@
 A study is a table of ``assets/studies.toml``: a model, its mapping, how its recordings are imported, and parts. A part
 names recordings to explain, held-out ones and unseen ones, as files with the changes that their import makes to the
 mapping. The result of the part that it comes ``after`` is its baseline. Where a table of the recordings has a row for
-each file (``takes``), its numbers become commands of that recording."""
+each file (``takes``), its numbers become commands of that recording. What the groups of ``name`` find in a file's name
+become metadata."""
 
 import csv
+import glob
 import hashlib
 import io
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -93,26 +95,53 @@ def load_study(
     if files and len(chosen) > 1:
         raise ValueError(f"which part of {name} are these files for? Write --part and one of {', '.join(parts)}")
     given = Path(data).resolve()
-    read = partial(_recordings, given if given.name == table["data"] else given / table["data"], table)
+    folder = sub if (sub := given / table["data"]).is_dir() else given
     loaded = []
     for key, each in chosen.items():
-        entries = _replaced(each, files) if files else {kind: each.get(kind, []) for kind in KINDS}
-        train, heldout, unseen = (read(entries[kind]) for kind in KINDS)
-        loaded.append(Part(key, each["question"], train, heldout, each.get("after"), unseen))
+        entries = _replaced(folder, table, each, files) if files else {kind: each.get(kind, []) for kind in KINDS}
+        train, heldout, unseen = (_recordings(folder, table, entries[kind]) for kind in KINDS)
+        question = f"other files: {_listed(files)}" if files else each["question"]
+        loaded.append(Part(key, question, train, heldout, each.get("after"), unseen))
     robot_map = table["map"]
     if isinstance(robot_map, str):
         robot_map = asset_path(f"mjcf/{robot_map}")
     return Study(name, asset_path(f"mjcf/{table['model']}"), robot_map, tuple(loaded))
 
 
-def _replaced(part: Mapping[str, Any], files: Mapping[str, Sequence[str]]) -> dict[str, list[dict]]:
-    """Entries for other files. Each is imported as the entry of the part whose pattern it matches, or as the first."""
+def _listed(files: Mapping[str, Sequence[str]]) -> str:
+    return "; ".join(f"{kind} {', '.join(patterns)}" for kind, patterns in files.items() if patterns)
+
+
+def _replaced(
+    folder: Path, study: Mapping[str, Any], part: Mapping[str, Any], files: Mapping[str, Sequence[str]]
+) -> dict[str, list[dict]]:
+    """Entries for other files, one each. A file is imported as the entry of the same kind whose pattern it matches; any
+    other with the changes that all entries of the part have in common."""
     own = [entry for kind in KINDS for entry in part.get(kind, [])]
+    common = {key: value for key, value in own[0].items() if all(entry.get(key) == value for entry in own)}
 
-    def like(pattern: str) -> dict:
-        return next((entry for entry in own if fnmatchcase(pattern, entry["files"])), own[0])
+    def like(kind: str, path: Path) -> dict:
+        name = path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.name
+        matching = [entry for entry in part.get(kind, []) if fnmatchcase(name, entry["files"])]
+        return {**(matching[0] if matching else common), "files": glob.escape(str(path))}
 
-    return {kind: [like(pattern) | {"files": pattern} for pattern in files.get(kind, ())] for kind in KINDS}
+    return {
+        kind: [like(kind, path) for pattern in files.get(kind, ()) for path in _paths(folder, study, pattern)]
+        for kind in KINDS
+    }
+
+
+def _paths(folder: Path, study: Mapping[str, Any], pattern: str) -> list[Path]:
+    """The files of a pattern below a folder, or of one with a path of its own, but for a table of takes.
+
+    Raises:
+        FileNotFoundError: there are none.
+    """
+    takes = study.get("takes", {}).get("file")
+    paths = [path for found in sorted(glob.glob(str(folder / pattern))) if (path := Path(found)).name != takes]
+    if not paths:
+        raise FileNotFoundError(f"no {pattern} in {folder}; soro-bench data says where recordings are")
+    return paths
 
 
 def _recordings(folder: Path, study: Mapping[str, Any], entries: Sequence[dict]) -> tuple[Recording, ...]:
@@ -123,14 +152,25 @@ def _recordings(folder: Path, study: Mapping[str, Any], entries: Sequence[dict])
     for entry in entries:
         changes = {key: value for key, value in entry.items() if isinstance(value, dict)}
         sections = {key: {**mapping.get(key, {}), **value} for key, value in changes.items()}
-        if not (paths := sorted(folder.glob(entry["files"]))):
-            raise FileNotFoundError(f"no {entry['files']} in {folder}; soro-bench data says where recordings are")
-        for path in paths:
-            recording = import_recording(path, {**mapping, **sections})
+        for path in _paths(folder, study, entry["files"]):
+            changed = {**mapping, **sections}
+            if in_name := _from_name(path, study):
+                changed["metadata"] = {**changed.get("metadata", {}), **in_name}
+            recording = import_recording(path, changed)
             if takes := study.get("takes"):
                 recording = replace(recording, commands={**recording.commands, **commands_of_take(path, takes)})
             found.append(recording)
     return tuple(found)
+
+
+def _from_name(path: Path, study: Mapping[str, Any]) -> dict[str, str]:
+    """Metadata in the name of a file; RecordingError where its study needs some and finds none."""
+    if "name" not in study:
+        return {}
+    if not (found := re.search(study["name"], path.name)):
+        raise RecordingError(f"{path}: its name does not say {', '.join(re.compile(study['name']).groupindex)}; "
+                             f"expected {study['name']}")  # fmt: skip
+    return found.groupdict()
 
 
 def commands_of_take(path: Path, takes: Mapping[str, Any]) -> dict[str, Signal]:
@@ -147,6 +187,8 @@ def commands_of_take(path: Path, takes: Mapping[str, Any]) -> dict[str, Signal]:
     """
     check_keys("takes", takes, _TAKES)
     table = path.parent / takes["file"]
+    if not table.is_file():
+        raise FileNotFoundError(f"no {takes['file']} beside {path}; it has a row for each recording")
     with named_errors(table):
         rows = list(csv.DictReader(io.StringIO(read_bytes(table, _MAX_BYTES).decode("utf-8-sig"))))
         found = [row for row in rows if row.get(takes["key"]) == path.stem]
@@ -177,7 +219,10 @@ def run_study(
             cannot be written. Nothing has been diagnosed then.
     """
     check_summaries(study, out, seed)
+    names = [part.name for part in study.parts]
     for part in study.parts:
+        if part.after and part.after not in names and not (Path(out) / part.after).is_dir():
+            raise ValueError(f"part {part.name} comes after {part.after}, of which {out} has no result; run it first")
         check_folder(Path(out) / part.name, [*FILES, SUMMARY])
     for part in study.parts:
         folder = Path(out) / part.name
@@ -249,6 +294,7 @@ def _summary(study: Study, part: Part, found: Diagnosis, text: str, seed: int) -
         "study": study.name,
         "part": part.name,
         "question": part.question,
+        "files": {kind: [each.metadata.get("source", "") for each in some] for kind, some in sets.items()},
         "seed": seed,
         "method": METHOD,
         "inputs": _inputs(study, part),
