@@ -120,7 +120,7 @@ def test_a_summary_begins_with_the_answer_that_its_report_is_of(study, monkeypat
 def test_an_unknown_study_and_missing_recordings_are_named(tmp_path):
     with pytest.raises(ValueError, match="unknown study 'moon'; there are opencr_tdcr, "):
         load_study("moon", tmp_path)
-    with pytest.raises(FileNotFoundError, match=r"no v4_train.csv in .*; soro-bench data"):
+    with pytest.raises(FileNotFoundError, match=r"no v4_train.csv in .*opencr_tdcr; soro-bench data"):
         load_study("opencr_tdcr", tmp_path)
 
 
@@ -149,10 +149,12 @@ def test_a_part_has_its_recordings_to_explain_to_hold_out_and_never_to_see(tmp_p
 def test_other_files_are_imported_as_those_of_their_kind_or_as_all(
     name, part, kind, file, changes, tmp_path, monkeypatch
 ):
-    seen = []
+    """From a folder in the study's own."""
+    seen, data = [], {"silicone_beam": "silicone_beam_arm"}.get(name, name)
     monkeypatch.setattr(module, "_recordings", lambda folder, study, entries: seen.extend(entries) or ())
-    (tmp_path / file).touch()
-    found = load_study(name, tmp_path, {kind: [file]}, part)
+    (folder := tmp_path / data / "hidden").mkdir(parents=True)
+    (folder / file).touch()
+    found = load_study(name, folder, {kind: [file]}, part)
     assert [{k: v for k, v in entry.items() if k != "files"} for entry in seen] == [changes]
     assert found.parts[0].question == f"other files: {kind} {file}"
 

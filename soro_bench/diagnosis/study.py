@@ -77,7 +77,7 @@ def load_study(
 
     Args:
         name: of the study.
-        data: the folder with the study's own folder of recordings in it, or that folder.
+        data: the folder with the study's own folder of recordings in it, that folder, or one in it.
         files: patterns of other files to explain ("train"), to hold out and not to see, instead of all of the part's.
         part: the only part to load; needed with ``files`` where there are several.
 
@@ -95,7 +95,7 @@ def load_study(
     if files and len(chosen) > 1:
         raise ValueError(f"which part of {name} are these files for? Write --part and one of {', '.join(parts)}")
     given = Path(data).resolve()
-    folder = sub if (sub := given / table["data"]).is_dir() else given
+    folder = given if table["data"] in given.parts else given / table["data"]
     loaded = []
     for key, each in chosen.items():
         entries = _replaced(folder, table, each, files) if files else {kind: each.get(kind, []) for kind in KINDS}
