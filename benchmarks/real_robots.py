@@ -52,13 +52,16 @@ UNITS = {"m": (1000, "mm"), "rad": (1, "rad"), "N": (1, "N")}  # of a table: fac
 def left(summary: dict, fit: dict) -> str:
     """The rms distance of the last point that a fit leaves, of all kinds of data: train, held out, unseen."""
     factor, unit = UNITS[summary["unit"]]
-    return ", ".join(f"{errors['rms'] * factor:.3g}" for key, errors in fit.items() if key in DATA) + f" {unit}"
+    found = [errors["rms"] for key, errors in fit.items() if key in DATA]
+    return ", ".join("-" if rms is None else f"{rms * factor:.3g}" for rms in found) + f" {unit}"
 
 
 def unnamed(summary: dict) -> str:
     """The probability of a discrepancy outside the catalogue, and where it is, if that is the verdict."""
-    first = summary["verdict"].splitlines()[0]
-    site = re.match(r"Something acts at (.+) that has no name", first)
+    first, *rest = summary["verdict"].splitlines()
+    site = re.match(r"Something acts at (.+) that has no name", first)  # as older verdicts say it
+    if "outside the catalogue" in first:
+        site = next((found for line in rest if (found := re.match(r" +location +(\S.*)", line))), None)
     return f"{summary['unknown']:.2f}" + (f", {site[1]}" if site else "")
 
 

@@ -1,7 +1,9 @@
-"""Types of arrays, and rotations of many vectors at once.
+"""Types of arrays, what NumPy reads of others, and rotations of many vectors at once.
 
 Shapes and units are in the docstrings: the type system knows neither.
 """
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +11,11 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 Bools = NDArray[np.bool_]
+
+
+def on_host(value: Any) -> Any:
+    """The same; a tensor of any device as one that NumPy reads."""
+    return value.cpu() if hasattr(value, "cpu") else value
 
 
 def rotate_by_quaternion(vectors: Floats, quaternion: Floats) -> Floats:

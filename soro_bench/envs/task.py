@@ -19,7 +19,7 @@ import numpy as np
 from gymnasium import logger, spaces
 from numpy.typing import ArrayLike, NDArray
 
-from soro_bench.arrays import Bools, Floats, Ints
+from soro_bench.arrays import Bools, Floats, Ints, on_host
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import Effect, effect_from, load_effects
 from soro_bench.files import brief
@@ -76,11 +76,6 @@ def refuse_arguments(unknown: Mapping[str, object], known: str) -> None:
     """TypeError for arguments that an environment does not take, in Python's words, for which libraries look."""
     for name, value in unknown.items():
         raise TypeError(f"{name}={value!r}: unexpected keyword argument {name!r}; this environment takes {known}")
-
-
-def on_host(value: Any) -> Any:
-    """The same; a tensor of any device as one that NumPy reads."""
-    return value.cpu() if hasattr(value, "cpu") else value
 
 
 def shown(info: Mapping[str, Any], flat: bool) -> Mapping[str, Any]:

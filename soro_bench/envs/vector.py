@@ -10,9 +10,9 @@ from gymnasium.utils import seeding
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from soro_bench.arrays import Bools, Floats, Ints
+from soro_bench.arrays import Bools, Floats, Ints, on_host
 from soro_bench.envs.gymnasium_vector import AutoresetMode, VectorEnv, need_vector_environments
-from soro_bench.envs.task import CopiedWithTask, checked_flag, checked_options, on_host, shown
+from soro_bench.envs.task import CopiedWithTask, checked_flag, checked_options, shown
 
 if TYPE_CHECKING:  # imported when something is drawn
     from soro_bench.envs.rendering import Camera, Picture
