@@ -38,8 +38,9 @@ from soro_bench.randomization import Distribution, holding, load
 from soro_bench.recording.excitation import excitation
 from soro_bench.registration import make_task
 from soro_bench.sources import method_version
+from soro_bench.training.configuration import default_config
 from soro_bench.training.methods import METHODS
-from soro_bench.training.ppo import TRAINER, default_config, train
+from soro_bench.training.ppo import TRAINER, train
 
 ENV_ID, MODEL, KIND = "TrunkReach-v0", "cable", "fine"
 DURATIONS = {"train": 30.0, "heldout": 12.0}  # s

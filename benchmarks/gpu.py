@@ -43,7 +43,8 @@ from soro_bench.markdown import table
 from soro_bench.policies.policy import Policy
 from soro_bench.randomization import search_box
 from soro_bench.registration import task_type
-from soro_bench.training.ppo import default_config, make_agent, make_env, train
+from soro_bench.training.configuration import default_config
+from soro_bench.training.ppo import make_agent, make_env, train
 
 if TYPE_CHECKING:  # which needs the gpu extra
     from soro_bench.envs.torch_vector import TorchVectorEnv

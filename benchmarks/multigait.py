@@ -40,7 +40,8 @@ from soro_bench.models.walker_mesh import RESOLUTIONS
 from soro_bench.policies.policy import OBSERVATION_CLIP
 from soro_bench.randomization import search_box
 from soro_bench.sources import SIMULATION, claim, version_of
-from soro_bench.training.ppo import PPOConfig, default_config, make_agent
+from soro_bench.training.configuration import PPOConfig, default_config
+from soro_bench.training.ppo import make_agent
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs" / "results" / "measured.json"

@@ -45,7 +45,8 @@ from soro_bench.markdown import header, row, table
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.walker_mesh import RESOLUTIONS
 from soro_bench.registration import make_task, task_type
-from soro_bench.training.ppo import default_config, train
+from soro_bench.training.configuration import default_config
+from soro_bench.training.ppo import train
 
 # --- trunk ---
 

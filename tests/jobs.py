@@ -46,7 +46,8 @@ def die() -> None:
 
 def trained(folder: Path, dying: bool) -> tuple[bytes, bytes]:
     """Train a small policy; the worker is killed after the first of three checkpoints."""
-    from soro_bench.training.ppo import PPOConfig, train
+    from soro_bench.training.configuration import PPOConfig
+    from soro_bench.training.ppo import train
 
     config = PPOConfig(
         "TrunkReach-v0", total_steps=600, num_envs=2, rollout_steps=100, rollouts_per_segment=1, batch_size=100,

@@ -21,8 +21,9 @@ from soro_bench.parallel import HERE
 from soro_bench.policies.policy import Policy
 from soro_bench.randomization import TruncatedNormal, Uniform, from_dict
 from soro_bench.registration import task_type
+from soro_bench.training.configuration import PPOConfig
 from soro_bench.training.methods import ORACLE, Method, fixed, udr
-from soro_bench.training.ppo import TRAINER, PPOConfig, train
+from soro_bench.training.ppo import TRAINER, train
 
 TINY = PPOConfig(
     "TrunkReach-v0", total_steps=400, num_envs=2, rollout_steps=100, rollouts_per_segment=1, batch_size=100, epochs=1,

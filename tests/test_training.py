@@ -24,7 +24,8 @@ from soro_bench.evaluation import evaluate
 from soro_bench.files import read_json, write_json
 from soro_bench.policies.policy import Policy
 from soro_bench.randomization import Uniform
-from soro_bench.training.ppo import TRAINER, PPOConfig, default_config, train
+from soro_bench.training.configuration import PPOConfig, default_config
+from soro_bench.training.ppo import TRAINER, train
 
 CONFIG = PPOConfig(
     "TrunkReach-v0", total_steps=600, num_envs=2, rollout_steps=100, rollouts_per_segment=1, batch_size=100, epochs=2,

@@ -187,8 +187,8 @@ def test_training_is_resumed_and_its_policy_is_that_of_the_cpu(tmp_path):
     """The same bytes as without a break; and an evaluation on the CPU like any other."""
     pytest.importorskip("rsl_rl")
     from soro_bench.policies.policy import Policy
+    from soro_bench.training.configuration import default_config
     from soro_bench.training.device import train_on_device
-    from soro_bench.training.ppo import default_config
 
     config = default_config("TrunkReach-v0", num_envs=WORLDS, rollout_steps=4, rollouts_per_segment=1, batch_size=6,
                             epochs=1, total_steps=24, episode_steps=4, hidden=(8,))  # fmt: skip
@@ -217,8 +217,8 @@ def test_training_is_resumed_and_its_policy_is_that_of_the_cpu(tmp_path):
 def test_what_comes_after_an_episode_counts_as_the_critic_expects_it_to(finite_horizon):
     """After success too, as on the CPU: otherwise waiting beside the goal would be worth more than reaching it."""
     pytest.importorskip("rsl_rl")
+    from soro_bench.training.configuration import default_config
     from soro_bench.training.device import DeviceTrainer
-    from soro_bench.training.ppo import default_config
 
     config = default_config("TrunkReach-v0", num_envs=WORLDS, rollout_steps=4, rollouts_per_segment=1, batch_size=6,
                             total_steps=12, episode_steps=4, hidden=(8,), finite_horizon=finite_horizon)  # fmt: skip

@@ -14,8 +14,8 @@ from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.parameters import ALL_PARAMETERS, WALL_OFFSET
 from soro_bench.randomization import TruncatedNormal, search_box
 from soro_bench.registration import task_type
+from soro_bench.training.configuration import default_config
 from soro_bench.training.methods import ORACLE, Method, fixed, udr
-from soro_bench.training.ppo import default_config
 
 SEEDS, BOXES = range(3), range(10)  # published: three repetitions, and ten random boxes for UDR
 # of the two methods that the first and the second claim compare, on boards where training takes minutes: three seeds

@@ -12,8 +12,9 @@ from soro_bench.options import check_name, check_seed
 from soro_bench.packed import is_there
 from soro_bench.parallel import processors
 from soro_bench.randomization import Distribution, holding
+from soro_bench.training.configuration import PPOConfig
 from soro_bench.training.methods import Method
-from soro_bench.training.ppo import TRAINER, PPOConfig, train
+from soro_bench.training.ppo import TRAINER, train
 
 ENTRY = "ppo"  # whose the results are, on the leaderboard
 

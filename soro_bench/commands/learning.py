@@ -121,8 +121,9 @@ class Train:
     def run(self) -> None:
         """Train, or go on training; ValueError for settings that are not allowed."""
         from soro_bench.randomization import load
+        from soro_bench.training.configuration import default_config
         from soro_bench.training.methods import METHODS
-        from soro_bench.training.ppo import default_config, train
+        from soro_bench.training.ppo import train
 
         task_type(self.env)
         if self.device == "cpu" and self.room:

@@ -13,7 +13,7 @@ from soro_bench.policies.policy import Policy, TrainedPolicy
 from soro_bench.randomization import Distribution, Gaussian, from_dict, holding
 from soro_bench.recording.rerun_log import write_recording
 from soro_bench.registration import task_type
-from soro_bench.training.ppo import PPOConfig
+from soro_bench.training.configuration import PPOConfig
 
 
 def enter(folder: Path, board: str, entry: str, results: Path, threads: int = 0, replace_other: bool = False) -> Path:

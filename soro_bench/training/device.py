@@ -20,16 +20,8 @@ from soro_bench.policies.policy import OBSERVATION_CLIP, Policy
 from soro_bench.randomization import Distribution
 from soro_bench.registration import task_type
 from soro_bench.sources import metric_key
-from soro_bench.training.ppo import (
-    CheckpointFolder,
-    Curve,
-    PPOConfig,
-    Progress,
-    card,
-    claim,
-    episode_steps,
-    exploration,
-)
+from soro_bench.training.configuration import PPOConfig, card, episode_steps, exploration
+from soro_bench.training.ppo import CheckpointFolder, Curve, Progress, claim
 
 try:
     from rsl_rl.algorithms import PPO
