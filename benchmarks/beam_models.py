@@ -27,7 +27,7 @@ from soro_bench.diagnosis.baseline import baseline
 from soro_bench.diagnosis.data_quality.noise import data_quality
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.outliers import nominal_fit
-from soro_bench.diagnosis.pipeline import unexplained
+from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import FITTED
 from soro_bench.files import mjcf_path, read_toml

@@ -23,9 +23,9 @@ from soro_bench.diagnosis.assembly.limits import reached_limits
 from soro_bench.diagnosis.data_quality.inspection import inspected
 from soro_bench.diagnosis.data_quality.noise import data_quality
 from soro_bench.diagnosis.data_quality.responses import answered
-from soro_bench.diagnosis.estimation.unit_check import check_unit_and_sign
 from soro_bench.diagnosis.paired.api import compare
-from soro_bench.diagnosis.pipeline import Diagnosis, Run, run_diagnosis, unexplained
+from soro_bench.diagnosis.pipeline import Diagnosis, Run, run_diagnosis
+from soro_bench.diagnosis.preparation import check_unit_and_sign, unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.replays import Memory
 from soro_bench.diagnosis.robots.robot import Robot

@@ -11,7 +11,7 @@ pytest.importorskip("pyarrow", reason="needs the train extra")
 from soro_bench.diagnosis.candidates import terms
 from soro_bench.diagnosis.data_quality.inspection import inspected
 from soro_bench.diagnosis.data_quality.signals import explaining
-from soro_bench.diagnosis.pipeline import unexplained
+from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.robots.model_file import ModelError
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.settings import DEFAULT

@@ -12,7 +12,7 @@ from soro_bench.diagnosis.assembly.findings import estimates_of
 from soro_bench.diagnosis.candidates import Term, terms
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.outliers import nominal_fit
-from soro_bench.diagnosis.pipeline import unexplained
+from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.selection.forward_selection import Explanation, explained
 from soro_bench.diagnosis.selection.screening import evidence, responses

@@ -15,7 +15,7 @@ from soro_bench.diagnosis.baseline import baseline
 from soro_bench.diagnosis.candidates import terms
 from soro_bench.diagnosis.estimation.fit import Guess, fitted
 from soro_bench.diagnosis.estimation.problem import SimulationError
-from soro_bench.diagnosis.pipeline import unexplained
+from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.render import render
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.priors import Baseline

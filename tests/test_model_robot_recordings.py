@@ -19,8 +19,7 @@ from soro_bench.diagnosis.commands import Diagnose
 from soro_bench.diagnosis.data_quality.inspection import inspected
 from soro_bench.diagnosis.data_quality.noise import data_quality
 from soro_bench.diagnosis.data_quality.signals import explaining
-from soro_bench.diagnosis.estimation.unit_check import check_unit_and_sign
-from soro_bench.diagnosis.pipeline import unexplained
+from soro_bench.diagnosis.preparation import check_unit_and_sign, unexplained
 from soro_bench.diagnosis.render.summary import summary
 from soro_bench.diagnosis.robots.model_file import ModelError
 from soro_bench.diagnosis.robots.model_robot import ModelRobot

@@ -14,7 +14,7 @@ from soro_bench.diagnosis.candidates import term, terms
 from soro_bench.diagnosis.data_quality.responses import answered
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, descended, fitted, linearised_at
 from soro_bench.diagnosis.outliers import nominal_fit
-from soro_bench.diagnosis.pipeline import unexplained
+from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.selection.forward_selection import explained
 from soro_bench.diagnosis.selection.moves import (

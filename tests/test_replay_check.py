@@ -14,7 +14,7 @@ pytest.importorskip("rerun", reason="needs the train extra")
 from soro_bench.diagnosis.assembly.errors import plain_replays, replayed_robots
 from soro_bench.diagnosis.candidates import term
 from soro_bench.diagnosis.estimation.fit import Hypothesis
-from soro_bench.diagnosis.pipeline import unexplained
+from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.render.html import html
 from soro_bench.diagnosis.render.summary import summary
 from soro_bench.diagnosis.replay_check import FITTED, HELD_OUT, NEW, check_replays, checked_model, robot_of

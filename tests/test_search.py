@@ -14,7 +14,7 @@ from soro_bench.diagnosis.candidates import term, terms
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, descended, fitted, with_covariance
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.outliers import nominal_fit
-from soro_bench.diagnosis.pipeline import unexplained
+from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.selection.moves import is_rival
 from soro_bench.diagnosis.selection.rounds import is_discrepant

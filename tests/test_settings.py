@@ -16,11 +16,11 @@ from soro_bench.diagnosis.data_quality.noise import data_quality, outliers
 from soro_bench.diagnosis.data_quality.samples import Channel
 from soro_bench.diagnosis.data_quality.stamps import stamps
 from soro_bench.diagnosis.estimation.model_form import UnderModelForm, largest_model_form_error
-from soro_bench.diagnosis.estimation.unit_check import check_unit_and_sign
 from soro_bench.diagnosis.localisation.input_models import Free, Nodes
 from soro_bench.diagnosis.localisation.residual_maps import intervals, regimes
 from soro_bench.diagnosis.paired.alignment import aligned
 from soro_bench.diagnosis.paired.api import compare
+from soro_bench.diagnosis.preparation import check_unit_and_sign
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.priors import Prior

@@ -10,7 +10,8 @@ from soro_bench.blind_benchmark.report import report_of, unseen
 from soro_bench.diagnosis.assembly.build import build_result
 from soro_bench.diagnosis.data_quality.noise import data_quality
 from soro_bench.diagnosis.outliers import nominal_fit
-from soro_bench.diagnosis.pipeline import run_diagnosis, unexplained
+from soro_bench.diagnosis.pipeline import run_diagnosis
+from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import FITTED, REFINED, Robot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot

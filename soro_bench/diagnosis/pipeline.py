@@ -1,32 +1,21 @@
 """The stages of a diagnosis, from recordings to the discrepancies of a simulation."""
 
-import itertools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from soro_bench.diagnosis.candidates import terms, within
-from soro_bench.diagnosis.data_quality.inspection import Inspected, inspected
 from soro_bench.diagnosis.data_quality.noise import DataQuality
-from soro_bench.diagnosis.data_quality.signals import (
-    answers_of,
-    explaining,
-    imported,
-    labels,
-    left_out,
-    named,
-    qualities_of,
-)
+from soro_bench.diagnosis.data_quality.signals import imported, left_out
 from soro_bench.diagnosis.discovery.discovery import Discovery, discovered
 from soro_bench.diagnosis.estimation.fit import Hypothesis, with_covariance
 from soro_bench.diagnosis.estimation.model_form import largest_model_form_error, unfitted_under_model_form
 from soro_bench.diagnosis.estimation.problem import Problem
-from soro_bench.diagnosis.estimation.unit_check import check_unit_and_sign
 from soro_bench.diagnosis.localisation.ranking import RankedLocation, ranked_locations
 from soro_bench.diagnosis.outliers import far_points, fitted_again, masked, nominal_fit, of_samples
+from soro_bench.diagnosis.preparation import Prepared, prepared, unexplained
 from soro_bench.diagnosis.result_robot import DataFinding, Outliers
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
@@ -35,12 +24,9 @@ from soro_bench.diagnosis.selection.forward_selection import Explanation, Progre
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, compared, shortlist
 from soro_bench.diagnosis.selection.sizing import sized
 from soro_bench.diagnosis.settings import DEFAULT, Settings
-from soro_bench.inference.statistical_linearisation import LowRank
 from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
-from soro_bench.recording.recording import Recording, RecordingError
-
-_MOST_NUMBERS = 300_000  # of all recordings: four minutes of a trunk; every candidate term adds as many
+from soro_bench.recording.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -124,62 +110,58 @@ def run_diagnosis(
     """
     start, seed, settings = time.perf_counter(), run.seed, run.settings
     run.progress("data quality")
-    inspections = _inspected(robot, recordings, heldout, settings)
-    robot, inspections = explaining(robot, inspections, settings)
-    fitted = robot.shortened(settings.discretisation.fitted_refinement)
-    refined = robot.refined(settings.discretisation.reference_refinement)
-    measured, tested = _measured(robot, *inspections)
-    measured, tested, answers = answers_of(robot, measured, tested, settings)
-    looked_at = tuple(each for group in inspections for each in group)
-    qualities = qualities_of(robot, (*measured, *tested), looked_at, settings)
-    data_qualities = tuple(each for each in qualities[0] if each is not None)
-    measured, tested = (
-        tuple(found.applied(each) for each, found in zip(some, group, strict=True))
-        for some, group in zip((measured, tested), inspections, strict=True)
-    )
-    found_of = [[each for each in group if each is not None] for group in qualities]
-    least = tuple(max(a.least for a in group) for group in found_of)
-    # of one sensor: motion only adds to it
-    sigma, *others = (max(min(a.sigma for a in group), low) for group, low in zip(found_of, least, strict=True))
-    spoilt = any(found.all_findings for found in looked_at)
-    check_unit_and_sign(unexplained(robot, measured, sigma, settings, others))
-    untouched = unexplained(fitted, measured, sigma, settings, others)
-    untouched = replace(untouched, variants=robot.variants())
-    problem, nominal = nominal_fit(untouched, refined, seed, run.progress)
-    for each in (robot, fitted):
-        problem.check_finite(each, problem.simulated(each, [(nominal.x, ())]))
-    known_outliers = of_samples(looked_at[: len(measured)], untouched)
-    problem, nominal, found_outliers = fitted_again(
-        problem, nominal, untouched, refined, known_outliers, least, spoilt, seed, run.progress
-    )
-    problem = replace(problem, model_form=largest_model_form_error(problem, nominal.jacobian))
-    unfitted = unexplained(fitted, tested, sigma, settings, others) if tested else None
-    if unfitted:
-        unfitted = replace(unfitted, variants=problem.variants)
-    longest = max(float(each.time[-1]) for each in measured)
-    candidates = sized(problem, nominal, within(terms(robot, settings.priors), longest), robot)
-    explanation = explained(problem, nominal, robot, refined, candidates, seed, run.progress, unfitted)
+    given = prepared(robot, recordings, heldout, settings)
+    problem, nominal, outliers, left = _nominal(given, run)
+    explanation = _explanation(given, problem, nominal, run)
     run.progress("comparison")
-    hypotheses = shortlist(explanation)
-    trial = tried_on(explanation, tested, refined, hypotheses)
-    comparison = compared(explanation, trial)
-    explanation, comparison = _with_covariances(explanation, comparison, seed)
+    trial = tried_on(explanation, given.heldout, given.refined, shortlist(explanation))
+    explanation, comparison = _with_covariances(explanation, compared(explanation, trial), seed)
     found = Diagnosis(
-        robot, data_qualities, found_outliers, explanation, comparison, (), None, 0.0,
+        given.robot, given.qualities, outliers, explanation, comparison, (), None, 0.0,
         tested=trial[0] if trial else None,
-        data=(*imported((*recordings, *heldout)), *_findings(looked_at), *answers, *left_out(untouched, problem)),
+        data=(*imported((*recordings, *heldout)), *given.findings, *left),
         digests=tuple(each.digest() for each in (*recordings, *heldout)), seed=seed,
     )  # fmt: skip
     if comparison.detected and comparison.unknown > settings.report.least_probability:
-        run.progress("localisation")
-        found = replace(
-            found, ranked_locations=tuple(ranked_locations(explanation.problem, robot, explanation.nominal, refined))
-        )
-        run.progress("laws outside the catalogue")
-        found = replace(found, discovery=_discovery(found, seed))
+        found = _outside_catalogue(found, given.refined, run)
     run.progress("next recording")
-    proposal = _proposal(found, seed)
-    return replace(found, proposal=proposal, seconds=time.perf_counter() - start)
+    return replace(found, proposal=_proposal(found, seed), seconds=time.perf_counter() - start)
+
+
+def _nominal(given: Prepared, run: Run) -> tuple[Problem, Hypothesis, Outliers, tuple[DataFinding, ...]]:
+    """The problem without outliers and with its errors of discretisation and model form, the nominal robot fitted to
+    it, the outliers, and what the fits left out of the recordings."""
+    untouched = replace(given.unexplained(given.fitted, given.measured), variants=given.robot.variants())
+    problem, nominal = nominal_fit(untouched, given.refined, run.seed, run.progress)
+    for each in (given.robot, given.fitted):
+        problem.check_finite(each, problem.simulated(each, [(nominal.x, ())]))
+    known = of_samples(given.inspected[: len(given.measured)], untouched)
+    problem, nominal, outliers = fitted_again(
+        problem, nominal, untouched, given.refined, known, given.least, given.spoilt, run.seed, run.progress
+    )
+    problem = replace(problem, model_form=largest_model_form_error(problem, nominal.jacobian))
+    return problem, nominal, outliers, tuple(left_out(untouched, problem))
+
+
+def _explanation(given: Prepared, problem: Problem, nominal: Hypothesis, run: Run) -> Explanation:
+    """The hypotheses that a search over all candidate terms finds."""
+    unfitted = None
+    if given.heldout:
+        unfitted = replace(given.unexplained(given.fitted, given.heldout), variants=problem.variants)
+    longest = max(float(each.time[-1]) for each in given.measured)
+    every = within(terms(given.robot, run.settings.priors), longest)
+    candidates = sized(problem, nominal, every, given.robot)
+    return explained(problem, nominal, given.robot, given.refined, candidates, run.seed, run.progress, unfitted)
+
+
+def _outside_catalogue(found: Diagnosis, refined: Sequence[Robot], run: Run) -> Diagnosis:
+    """The diagnosis with the places where something unknown may act, and a law for it."""
+    run.progress("localisation")
+    explanation = found.explanation
+    places = ranked_locations(explanation.problem, found.robot, explanation.nominal, refined)
+    found = replace(found, ranked_locations=tuple(places))
+    run.progress("laws outside the catalogue")
+    return replace(found, discovery=_discovery(found, run.seed))
 
 
 def _discovery(found: Diagnosis, seed: int) -> Discovery | None:
@@ -203,39 +185,6 @@ def _with_covariances(explanation: Explanation, comparison: Comparison, seed: in
     return replace(explanation, nominal=nominal), replace(comparison, answers=tuple(answers))
 
 
-def _inspected(
-    robot: Robot, recordings: Sequence[Recording], heldout: Sequence[Recording], settings: Settings
-) -> tuple[tuple[Inspected, ...], tuple[Inspected, ...]]:
-    """The recordings to explain and the held-out ones, freed of what sensors and loggers did to them."""
-    if not recordings:
-        raise RecordingError("there is no recording to explain")
-    found = []
-    for number, (label, recording) in enumerate(zip(labels(recordings, heldout), (*recordings, *heldout), strict=True)):
-        check = partial(inspected, number=number, robot=robot, settings=settings)
-        found.append(named(label, check, recording))
-    return tuple(found[: len(recordings)]), tuple(found[len(recordings) :])
-
-
-def _measured(robot: Robot, *groups: Sequence[Inspected]) -> list[tuple[Measured, ...]]:
-    """What the diagnosis sees of the recordings to explain, and of held-out ones."""
-    names = iter(labels(*groups))
-    found = [tuple(named(next(names), robot.measured, each.recording) for each in group) for group in groups]
-    recorded = zip(labels(*groups), (each.recording for group in groups for each in group), strict=True)
-    for (first, one), (second, other) in itertools.combinations(recorded, 2):
-        if _same(robot, one, other):
-            raise RecordingError(f"{first} and {second} are the same; what is explained twice is no more certain, and "
-                                 "held-out recordings have to be others than those that are explained")  # fmt: skip
-    if (size := sum(each.columns.size for group in found for each in group)) > _MOST_NUMBERS:
-        raise RecordingError(f"{size} numbers to explain; at most {_MOST_NUMBERS}, so cut the recordings")
-    return found
-
-
-def _same(robot: Robot, one: Recording, other: Recording) -> bool:
-    """Whether two recordings have the same samples of the robot's signal."""
-    first, second = (each.signals.get(robot.signal) for each in (one, other))
-    return first is not None and second is not None and np.array_equal(first.values, second.values, equal_nan=True)
-
-
 def _proposal(found: Diagnosis, seed: int) -> Proposal | None:
     if not found.detected:
         return None
@@ -243,68 +192,6 @@ def _proposal(found: Diagnosis, seed: int) -> Proposal | None:
         found.ranked_locations[0].location if found.verdict == "outside_catalogue" and found.ranked_locations else None
     )
     return proposed(found.explanation.problem, found.comparison, unknown, seed)
-
-
-def unexplained(
-    robot: Robot,
-    measured: tuple[Measured, ...],
-    sigma: float,
-    settings: Settings = DEFAULT,
-    others: Sequence[float] = (),
-) -> Problem:
-    """Recordings of which nothing is explained yet, without discretisation error.
-
-    Args:
-        sigma: noise of the first signal [its unit]. others: that of the robot's other signals; 1 by default.
-    """
-    weight = np.concatenate([np.isfinite(each.columns).ravel().astype(float) for each in measured])
-    sigmas = tuple((each, 0.0) for each in (others or [1.0] * len(robot.others)))
-    nothing = LowRank(np.zeros((0, weight.size)))
-    problem = Problem(robot, measured, sigma, weight, nothing, settings=settings, others=sigmas)
-    errors = np.concatenate([_late(measured), _begun_apart(robot, measured, sigma)])
-    problem = problem.with_discretisation(errors * problem.of_samples(problem.scales) if sigmas else errors)
-    return replace(problem, of_recordings=len(errors))
-
-
-def _begun_apart(robot: Robot, measured: tuple[Measured, ...], sigma: float) -> np.ndarray:
-    """(F, M) how the signals [their units] change where a replay that begins at a noisy sample begins a standard
-    deviation of its noise apart, in each of its numbers. Where nothing drives a robot back, it stays apart."""
-    nominal = np.array([[prior.nominal for prior in robot.priors]])
-    size = sum(each.columns.size for each in measured)
-    rows, begin = [np.zeros((0, size))], 0
-    for each in measured:
-        if each.start is not None and each.start.shape == robot.shape:
-            apart = sigma * np.eye(each.start.size).reshape(-1, *robot.shape)
-            drives = [replace(each.drive, start=start) for start in (each.start, *(each.start + apart))]
-            before, *after = (values[0].ravel() for values in robot.simulate_all(drives, nominal, [()]))
-            found = np.zeros((len(after), size))
-            found[:, begin : begin + each.columns.size] = np.nan_to_num(np.array(after) - before)
-            rows.append(found)
-        begin += each.columns.size
-    return np.concatenate(rows)
-
-
-def _late(measured: tuple[Measured, ...]) -> np.ndarray:
-    """(F, M) how the signals [their units] change with each possible error of their time stamps."""
-    size = sum(each.columns.size for each in measured)
-    rows, start = [np.zeros((0, size))], 0
-    for each in measured:
-        if each.late is not None:
-            found = np.zeros((len(each.late), size))
-            found[:, start : start + each.columns.size] = (each.late * _rate(each)).reshape(len(each.late), -1)
-            rows.append(found)
-        start += each.columns.size
-    return np.concatenate(rows)
-
-
-def _rate(measured: Measured) -> np.ndarray:
-    """(T, C) rates of change of the signals, across missing samples too."""
-    columns = measured.columns
-    for column in columns.T:
-        seen = np.isfinite(column)
-        if seen.any():
-            column[:] = np.gradient(np.interp(measured.time, measured.time[seen], column[seen]), measured.time)
-    return np.nan_to_num(columns)
 
 
 def tried_on(
@@ -325,7 +212,3 @@ def tried_on(
     tested = replace(tested, variants=problem.variants)
     tested = masked(tested, far_points(tested, tested.residuals([(found.nominal.x, ())])[0]))
     return unfitted_under_model_form(tested, refined, [(h.x, h.terms) for h in hypotheses])
-
-
-def _findings(found: Sequence[Inspected]) -> tuple[DataFinding, ...]:
-    return tuple(finding for each in found for finding in each.all_findings)

@@ -23,7 +23,8 @@ import numpy as np
 from soro_bench.diagnosis.assembly.build import build_result
 from soro_bench.diagnosis.baseline import baseline
 from soro_bench.diagnosis.estimation.fit import Hypothesis
-from soro_bench.diagnosis.pipeline import Diagnosis, Run, run_diagnosis, unexplained
+from soro_bench.diagnosis.pipeline import Diagnosis, Run, run_diagnosis
+from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.render import FILES, render
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot

@@ -78,7 +78,7 @@ def plain_replays(diagnosis: Diagnosis) -> PlainReplays:
     hypotheses += [law.best.hypothesis] if (law := diagnosis.discovery) and law.best else []
     points = {_key(each): (each.x, each.terms) for each in hypotheses}
     robot = diagnosis.robot if diagnosis.robot.shorter == 1 else diagnosis.robot.shortened(1)
-    parts = [plain(each, robot).simulated(robot, list(points.values())) for each in problems]
+    parts = _samples(robot, problems, list(points.values()))
     rows = {key: tuple(part[i] for part in parts) for i, key in enumerate(points)}
     built = robot.as_built()
     nominal = {prior.name: float(prior.nominal) for prior in built.priors}
@@ -99,8 +99,7 @@ def _accurate(diagnosis: Diagnosis, problems: Sequence[Problem]) -> tuple[float,
             return None
     except CannotHave:
         return None
-    point = [(found.x, found.terms)]
-    return tuple(plain_rms(each, plain(each, accurate).simulated(accurate, point)[0]) for each in problems)
+    return tuple(_rms(accurate, problems, (found.x, found.terms)))
 
 
 def _found(diagnosis: Diagnosis) -> Hypothesis:
@@ -171,8 +170,21 @@ def plain(problem: Problem, robot: Robot) -> Problem:
 def rms_as_it_is(robot: Robot, problems: Sequence[Problem]) -> list[float]:
     """Of each problem's recordings the rms [signal's unit] of replays by a robot with nominal parameters and without
     effects."""
-    points: Points = [(np.zeros(len(robot.priors)), ())]
-    return [plain_rms(problem, plain(problem, robot).simulated(robot, points)[0]) for problem in problems]
+    return _rms(robot, problems, (np.zeros(len(robot.priors)), ()))
+
+
+def _samples(robot: Robot, problems: Sequence[Problem], points: Points) -> list[Floats]:
+    """(N, M) samples [first signal's unit] of replays of each problem's recordings by a robot, all side by side."""
+    found = [plain(each, robot) for each in problems]
+    every = tuple(recording for each in found for recording in each.recordings)
+    replace(found[0], recordings=every).simulated(robot, points)  # which the robot remembers
+    return [each.simulated(robot, points) for each in found]
+
+
+def _rms(robot: Robot, problems: Sequence[Problem], point: tuple[Floats, Sequence[Term]]) -> list[float]:
+    """Of each problem's recordings the rms of a coordinate [signal's unit] by a robot at a point."""
+    rows = _samples(robot, problems, [point])
+    return [plain_rms(problem, row[0]) for problem, row in zip(problems, rows, strict=True)]
 
 
 def plain_rms(problem: Problem, simulated: Floats, which: int = 0) -> float:

@@ -23,7 +23,7 @@ from soro_bench.diagnosis.paired.fit import (
     screened,
 )
 from soro_bench.diagnosis.paired.problem import PairedProblem, Point
-from soro_bench.diagnosis.pipeline import unexplained
+from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.result_parts import Estimate
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
