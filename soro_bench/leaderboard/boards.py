@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from soro_bench.envs.episode import Episode
-from soro_bench.evaluation import evaluate
+from soro_bench.evaluation import Episode, evaluate
 from soro_bench.policies.policy import TrainedPolicy
 from soro_bench.registration import task_type
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from soro_bench.envs.episode import Episode
+from soro_bench.evaluation import Episode
 from soro_bench.recording.drawing import Points
 from soro_bench.recording.recording import Recording, Signal
 

@@ -7,7 +7,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from soro_bench.envs.episode import Episode
+from soro_bench.evaluation import Episode
 from soro_bench.markdown import table
 from soro_bench.parameters import ALL_PARAMETERS
 from soro_bench.recording.drawing import Drawing, Mesh, Pose

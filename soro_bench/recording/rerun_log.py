@@ -11,7 +11,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from soro_bench.envs.episode import Episode
+from soro_bench.evaluation import Episode
 from soro_bench.recording.drawing import Drawing
 from soro_bench.recording.rerun_stream import identity, recorded, require_rerun
 from soro_bench.recording.trunk_drawing import draw_trunk

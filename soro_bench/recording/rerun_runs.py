@@ -13,7 +13,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from soro_bench.envs.episode import Episode
+from soro_bench.evaluation import Episode
 from soro_bench.markdown import table
 from soro_bench.parameters import ALL_PARAMETERS
 from soro_bench.recording.distances import distances, measured_points, over_points

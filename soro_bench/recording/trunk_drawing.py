@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from soro_bench.arrays import rotate_by_quaternion
-from soro_bench.envs.episode import Episode
+from soro_bench.evaluation import Episode
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.trunk_geometry import build_skin

@@ -6,8 +6,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from soro_bench.envs.episode import Episode
 from soro_bench.envs.multigait import SCENE
+from soro_bench.evaluation import Episode
 from soro_bench.files import mjcf_path
 from soro_bench.models.walker_mesh import CHAMBERS, RESOLUTIONS, Mesh, build_mesh
 from soro_bench.recording.drawing import Box, Drawing, Line, Plot, Pose
