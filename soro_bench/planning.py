@@ -72,7 +72,7 @@ def roll_out(
     for first in range(0, len(actions), task.num_envs):
         part = actions[first : first + task.num_envs]
         ids = np.arange(len(part))
-        task.reset(ids, [np.random.default_rng(0)] * len(ids), [options] * len(ids))
+        task.reset(ids, [np.random.default_rng(0) for _ in ids], [options] * len(ids))
         lost, rows = np.zeros(len(ids), bool), []
         for t in range(part.shape[1]):
             lost |= task.step(ids, part[:, t]).diverged

@@ -1,10 +1,16 @@
 """Later versions of the tasks, TrunkGrasp, and episodes that begin where another one was."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import soro_bench
+from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.envs.trunk_lift import REST_HEIGHT
+from soro_bench.inference.replay import Replay
+from soro_bench.recording.recording import RecordingError
+from soro_bench.recording.simulated import record
 from tests.test_envs import GOAL, TIP, commanded, task_of
 
 
@@ -126,6 +132,28 @@ def test_what_is_observed_where_an_episode_begins_is_in_the_space(make):
     state["qpos"][task._object_qpos : task._object_qpos + 3] = [1.5, 0.3, -3.0]
     observation, _ = env.reset(options={"state": state})
     assert observation in env.observation_space and observation[66:69].tolist() == [1.0, 0.3, -1.0]
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_replays_begin_where_the_cube_of_the_recording_did(told):
+    """As the metadata say, or the first sample; the same in all simulations."""
+    recording = record("TrunkPush-v1", model="cable", steps=3, seed=3)
+    if not told:
+        recording = replace(recording, metadata={k: v for k, v in recording.metadata.items() if k != "object"})
+    replay = Replay(recording, ("cube_mass",), threads=1)
+    assert not replay.residuals(np.array([[recording.parameters["cube_mass"]]] * 3)).any()
+    robot = SuiteRobot("TrunkPush-v1", "cable", threads=1)
+    seen, nominal = robot.measured(recording), np.array([[prior.nominal for prior in robot.priors]] * 2)
+    (found,) = robot.simulate_all([seen.drive], nominal, [(), ()])
+    np.testing.assert_allclose(found, np.broadcast_to(seen.columns, found.shape), atol=1e-3)
+
+
+def test_a_recording_that_says_nowhere_where_the_cube_was_is_refused():
+    recording = record("TrunkPush-v1", model="cable", steps=3)
+    signals = {"keypoints": recording.signals["keypoints"]}
+    metadata = {name: text for name, text in recording.metadata.items() if name != "object"}
+    with pytest.raises(RecordingError, match="says nowhere where the object begins"):
+        SuiteRobot("TrunkPush-v1", "cable", threads=1).measured(replace(recording, signals=signals, metadata=metadata))
 
 
 def test_places_of_the_cube_in_version_1_of_push(make):

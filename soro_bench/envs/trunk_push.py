@@ -53,7 +53,10 @@ class TrunkPushV1Task(Version1, TrunkPushTask):
 
     def _place(self, ids: Ints, starts: Sequence[Floats]) -> None:
         super()._place(ids, [start[:3] for start in starts])
-        places = self.sim.array(np.array([start[3:] for start in starts]))
+        self.put(ids, self.sim.array(np.array([start[3:] for start in starts])))
+
+    def put(self, ids: Ints, places: Floats) -> None:
+        """Put the cubes of simulations ``ids`` at places (n, 2), x and z [m]."""
         self.sim.batch.qpos[ids, self._object_qpos] = places[:, 0]
         self.sim.batch.qpos[ids, self._object_qpos + 2] = places[:, 1]
 

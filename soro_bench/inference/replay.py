@@ -14,7 +14,7 @@ from soro_bench.models.simulation import quiet
 from soro_bench.parallel import processors
 from soro_bench.parameters import Parameter
 from soro_bench.recording.recording import Recording, RecordingError, Signal, resampled, sampled
-from soro_bench.recording.simulated import COMMAND, recorded_actions
+from soro_bench.recording.simulated import COMMAND, recorded_actions, start_of
 from soro_bench.registration import make_task, task_type
 
 # What a simulation is trusted to beside the sensor's noise, standard deviations by unit: in metres that of the
@@ -78,6 +78,7 @@ class Replay:
                 raise ValueError(f"cannot infer from {name!r}; {env_id} has {', '.join(kind.signal_units)}")
         self.names, self.signal_names = tuple(names), tuple(dict.fromkeys((*self._task.inferred_from, *also)))
         self._states = _states(recording, len(self.actions), self._task) if restart else None
+        self._start = start_of(recording)
         self._read(recording, noise)
 
     def _read(self, recording: Recording, noise: float) -> None:
@@ -88,7 +89,10 @@ class Replay:
         sensor: list[float] = []
         self.groups: list[slice] = []
         first = 0
-        self._task.reset(np.arange(1), [np.random.default_rng(0)], [{}])  # another replay may have used it
+        try:
+            self._task.reset(np.arange(1), [np.random.default_rng(0)], [self._start])  # another replay may have used it
+        except ValueError as error:
+            raise RecordingError(str(error)) from error
         simulated = self._task.signals(np.arange(1))
         for name in self.signal_names:
             if name not in recording.signals:
@@ -138,7 +142,7 @@ class Replay:
 
     def fingerprint(self) -> str:
         """Names what is replayed: another recording, environment, model or known value has another one."""
-        named = (*self._simulated[:2], self.names, sorted(self.known.items()))
+        named = (*self._simulated[:2], self.names, sorted(self.known.items()), *self._start.items())
         digest, nominal = hashlib.sha256(repr(named).encode()), self._task.parameters.nominal
         for array in (nominal, self.actions, self.measured, self.deviation, *(self._states or {}).values()):
             digest.update(np.ascontiguousarray(array).tobytes())
@@ -176,9 +180,9 @@ class Replay:
 
     def _roll_out(self, params: Floats, steps: int) -> Floats:
         task, ids = self._task, np.arange(len(params))
-        options = [{"params": {**self.known, **dict(zip(self.names, row, strict=True))}} for row in params.tolist()]
-        task.reset(ids, [np.random.default_rng(0)] * len(ids), options)
-        lost, rows = np.zeros(len(ids), bool), []
+        rows = [{**self.known, **dict(zip(self.names, row, strict=True))} for row in params.tolist()]
+        task.reset(ids, [np.random.default_rng(0) for _ in ids], [{"params": row, **self._start} for row in rows])
+        lost, samples = np.zeros(len(ids), bool), []
         for t, action in enumerate(self.actions[:steps]):
             if self._states is not None:
                 task.set_state(ids, {name: values[t] for name, values in self._states.items()})
@@ -186,8 +190,8 @@ class Replay:
             lost |= task.step(ids, np.repeat(action[None], len(ids), axis=0)).diverged
             row = self._measure(ids)
             row[lost] = np.nan
-            rows.append(row)
-        return np.stack(rows, axis=1)
+            samples.append(row)
+        return np.stack(samples, axis=1)
 
     def _measure(self, ids: Ints) -> Floats:
         signals = self._task.signals(ids)

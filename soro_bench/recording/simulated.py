@@ -13,9 +13,8 @@ from gymnasium import spaces
 import soro_bench
 from soro_bench.arrays import Floats
 from soro_bench.effects.effect import Effect
-from soro_bench.envs.episode import Episode
 from soro_bench.envs.task import ACTION_MODES
-from soro_bench.evaluation import evaluate
+from soro_bench.evaluation import Episode, evaluate
 from soro_bench.packed import is_there
 from soro_bench.policies.policy import Policy, TrainedPolicy
 from soro_bench.recording.excitation import excitation
@@ -24,6 +23,7 @@ from soro_bench.registration import ENV_IDS, make_task, task_type
 
 POLICIES = ("random", "excitation")  # and the folder or leaderboard entry of a trained one
 COMMAND = "action"  # the command that an episode is driven by
+_OBJECT = "object_position"  # the signal of an object's centre
 MAX_STEPS = 100_000  # of a replay
 MARKER_DISTANCE = 0.0125  # m: orientations are as noisy as those of markers so far off the centre
 
@@ -106,10 +106,9 @@ def replay(recording: Recording, model: str | None = None, **options: Any) -> Ep
     """
     metadata = recording.metadata
     env_id, actions = recorded_actions(recording)
-    start: dict[str, Any] = {"params": recording.parameters}
-    for name in ("goal", "object"):
-        if name in metadata and name in task_type(env_id).options:
-            start[name] = _coordinates(name, metadata[name])
+    start = {"params": recording.parameters, **start_of(recording)}
+    if "goal" in metadata and "goal" in task_type(env_id).options:
+        start["goal"] = _coordinates("goal", metadata["goal"])
     model = model or metadata.get("model") or task_type(env_id).accurate
     return _run(_in_turn(actions), env_id, model, metadata["action"], start, len(actions), **options)
 
@@ -118,6 +117,24 @@ def replay_begins(recording: Recording) -> float:
     """When time is 0 in a replay [s], in the time of the recording: when the first action of it is sent."""
     timestep = task_type(recording.metadata["env_id"]).control_timestep
     return recording.control_steps([COMMAND], timestep)[0]
+
+
+def start_of(recording: Recording) -> dict[str, list[float]]:
+    """Reset options that say where an object begins, for environments that may put it anywhere: by the metadata, or by
+    the first sample.
+
+    Raises:
+        RecordingError: the recording does not say where.
+    """
+    if "object" not in task_type(recording.metadata["env_id"]).options:
+        return {}
+    if "object" in recording.metadata:
+        return {"object": _coordinates("object", recording.metadata["object"])}
+    if _OBJECT not in recording.signals:
+        raise RecordingError(f"the recording says nowhere where the object begins: metadata have no object, x and z "
+                             f"[m], and there is no {_OBJECT}")  # fmt: skip
+    first = recording.signals[_OBJECT].values[0]
+    return {"object": first[::2].tolist()}
 
 
 def recorded_actions(recording: Recording) -> tuple[str, np.ndarray]:
@@ -188,7 +205,7 @@ def _recording(episode: Episode, action: str, noise: float, seed: int, metadata:
     if episode.goal is not None:
         metadata["goal"] = json.dumps(episode.goal.tolist())
     if "object" in task_type(episode.env_id).options:  # x and z of its place
-        metadata["object"] = json.dumps(episode.signals["object_position"][0, ::2].tolist())
+        metadata["object"] = json.dumps(episode.signals[_OBJECT][0, ::2].tolist())
     return Recording(commands, signals, episode.params, metadata)
 
 

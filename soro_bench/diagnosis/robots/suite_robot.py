@@ -8,7 +8,7 @@ from functools import partial
 import mujoco
 import numpy as np
 
-from soro_bench.arrays import Bools, Floats
+from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.diagnosis.robots.measured import Drive, ObservedSignal
 from soro_bench.diagnosis.robots.model_state import as_axes, axes
 from soro_bench.diagnosis.robots.priors import Baseline, Prior
@@ -17,12 +17,14 @@ from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.robots.variants import Variant, plain, trunk_chains, with_other_integrator
 from soro_bench.diagnosis.settings import RobotSettings
 from soro_bench.effects.elements import instrument
+from soro_bench.envs.trunk import given_point
+from soro_bench.envs.trunk_push import TrunkPushV1Task
 from soro_bench.files import brief
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import Parameter
 from soro_bench.recording.known import Known
 from soro_bench.recording.recording import Recording, RecordingError, Signal
-from soro_bench.recording.simulated import COMMAND, recorded_actions
+from soro_bench.recording.simulated import COMMAND, recorded_actions, start_of
 from soro_bench.registration import ENV_IDS, make_task, task_type
 
 _TRUNK = ("tendon", "actuator", "body", "model")  # its necks have no friction of their own
@@ -197,7 +199,24 @@ class SuiteRobot(Robot):
         """Start the simulations; see :meth:`Robot._begin`."""
         n, names = len(parameters), task_type(self.env_id).parameters.names
         options = [{"params": dict(zip(names, row, strict=True))} for row in parameters.tolist()]
-        self._task.reset(np.arange(n), [np.random.default_rng(0)] * n, options)
+        self._task.reset(np.arange(n), [np.random.default_rng(0) for _ in options], options)
+
+    def settings(self, recording: Recording, steps: int) -> Floats | None:
+        """(steps, 2) x and z [m] of the place where the object begins, in tasks that may put it anywhere, else None."""
+        start = start_of(recording)
+        if not start:
+            return None
+        try:
+            return np.tile(given_point("object", start["object"], 2), (steps, 1))
+        except ValueError as error:
+            raise RecordingError(str(error)) from error
+
+    def _set(self, ids: Ints, settings: Floats) -> None:
+        """Put the objects of simulations ``ids`` where they begin."""
+        if not isinstance(self._task, TrunkPushV1Task):
+            raise NotImplementedError
+        self._task.put(ids, settings)
+        self.simulation.begin(ids)
 
     def _step(self, actions: Floats) -> Bools:
         """Advance the simulations by a control step; (n,) whether each diverged."""
