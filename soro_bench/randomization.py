@@ -164,6 +164,11 @@ class Gaussian:
             raise ValueError(f"the covariance is not positive semi-definite: its correlation has eigenvalue {lowest}")
         _check_reach(self.names, self.mean, np.sqrt(np.diag(cov)))
 
+    def holds(self, name: str, value: float) -> bool:
+        """Whether a parameter always has a value, as one that was known when the others were inferred."""
+        i = self.names.index(name) if name in self.names else None
+        return i is not None and bool(self.mean[i] == value) and not bool(self.cov[i, i])
+
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
         """One draw of all parameters, by name [SI units]; what lies beyond the bounds becomes them."""
         scale = np.sqrt(np.diag(self.cov))
@@ -202,7 +207,9 @@ def holding(distribution: Distribution | None, values: Mapping[str, float]) -> D
     if distribution is None:
         return constants
     if isinstance(distribution, Gaussian):
-        raise ValueError(f"{', '.join(values)} cannot be held in a Gaussian; infer the others with it known")
+        if free := [name for name, value in values.items() if not distribution.holds(name, value)]:
+            raise ValueError(f"{', '.join(free)} cannot be held in a Gaussian; infer the others with it known")
+        return distribution
     columns = ("low", "high") if isinstance(distribution, Uniform) else ("mean", "std")
     rows = distribution.to_dict()["parameters"]
     for name, value in values.items():

@@ -18,7 +18,7 @@ pytest.importorskip("jsonschema", reason="needs the board extra")
 import soro_bench
 from soro_bench import packed
 from soro_bench.commands.leaderboard import Pack, Verify
-from soro_bench.envs.episode import Episode
+from soro_bench.evaluation import Episode
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.entry import (
     SCHEMA,
@@ -26,6 +26,7 @@ from soro_bench.leaderboard.entry import (
     check_free,
     load_policy,
     policy_of,
+    read_curve,
     read_entry,
     thinned_curve,
     write_entry,
@@ -78,6 +79,26 @@ def test_a_long_training_curve_becomes_fifty_means(tmp_path):
     curve = thinned_curve(tmp_path / "curve.csv", "distance")
     assert len(curve["steps"]) == len(curve["final_mm"]) == 50
     np.testing.assert_allclose(curve["final_mm"], 0.005 * np.array(curve["steps"]), atol=1.0)
+
+
+def test_parts_of_a_curve_have_as_many_updates(tmp_path):
+    rows = [f"{i},1,4,{i},0" for i in range(1, 201)]
+    (tmp_path / "curve.csv").write_text("\n".join(["steps,seconds,episodes,final_distance_mm,return", *rows]))
+    _, means = read_curve(tmp_path / "curve.csv", "distance", 50)
+    np.testing.assert_allclose(means, 2.5 + 4.0 * np.arange(50))
+
+
+def test_a_kill_while_an_entry_is_replaced_leaves_no_wrong_one(path, tmp_path, monkeypatch):
+    """The entry is missing then, and the next run writes it."""
+    other = replace(policy(), tensors={name: 2 * value for name, value in policy().tensors.items()})
+    monkeypatch.setattr("soro_bench.leaderboard.entry.write_json", lambda *_: sys.exit("killed"))
+    with pytest.raises(SystemExit):
+        write_entry(tmp_path, BOARD, "ours", other, scores(3.0, 4.0))
+    assert not path.exists()
+    monkeypatch.undo()
+    shrink_board(monkeypatch)
+    write_entry(tmp_path, BOARD, "ours", other, scores(3.0, 4.0))
+    assert policy_of(path, read_entry(path)).card == CARD
 
 
 def _set(*keys, value):

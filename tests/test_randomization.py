@@ -11,7 +11,16 @@ from gymnasium.envs.registration import EnvSpec
 from soro_bench.effects.effect import Effect, Location
 from soro_bench.envs.wrappers import DomainRandomization, VectorDomainRandomization
 from soro_bench.parameters import ALL_PARAMETERS, FRICTION, POISSON_RATIO, TRUNK_MASS, YOUNG_MODULUS
-from soro_bench.randomization import Gaussian, TruncatedNormal, Uniform, from_dict, load, random_box, search_box
+from soro_bench.randomization import (
+    Gaussian,
+    TruncatedNormal,
+    Uniform,
+    from_dict,
+    holding,
+    load,
+    random_box,
+    search_box,
+)
 
 NAMES = ("trunk_mass", "poisson_ratio", "young_modulus")
 SEARCH = search_box((TRUNK_MASS, POISSON_RATIO, YOUNG_MODULUS))
@@ -149,6 +158,9 @@ def test_gaussian_with_a_fixed_parameter():
     inside = (modulus > 1e6) & (modulus < 1e7)  # the others were clipped to the bounds
     np.testing.assert_allclose((mass - 0.42)[inside] / 0.01, (modulus - 4.5e6)[inside] / 1e6, atol=1e-6)
     assert mass.std() > 0.005
+    assert holding(gaussian, {"friction": 0.3}) is gaussian
+    with pytest.raises(ValueError, match="trunk_mass cannot be held in a Gaussian"):
+        holding(gaussian, {"trunk_mass": 0.42, "friction": 0.3})
 
 
 def test_a_distribution_of_nothing_is_refused():

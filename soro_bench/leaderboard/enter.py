@@ -62,7 +62,7 @@ def _holds(given: Distribution | None, name: str, value: float) -> bool:
     if given is None or name not in given.names:
         return ALL_PARAMETERS[name].nominal == value
     if isinstance(given, Gaussian):
-        return False
+        return given.holds(name, value)
     held = holding(given, {name: value})
     return held is not None and held.to_dict() == given.to_dict()
 

@@ -28,6 +28,7 @@ from soro_bench.sources import metric_key, versions
 
 FORMAT, SCHEMA = "soro_bench/control/1", "control_entry.schema.json"
 CURVE_POINTS = 50
+_ROUNDING = 1e-9  # of a part, that its end may be off
 FARTHEST = 1e6  # mm, of the schema
 _KINDS = {kind.suffix: kind for kind in (Policy, OnnxPolicy)}
 
@@ -190,6 +191,7 @@ def write_entry(
     check_entry(written, path)
     if (needed := BOARDS[board].env_id) != card.env_id:
         raise ValueError(f"{path}: the policy is for {card.env_id}; the board needs {needed}")
+    path.unlink(missing_ok=True)  # killed between the two, an old entry would be of another policy
     with replacing(path.with_name(file)) as temporary:
         temporary.write_bytes(data)
     write_json(path, written)
@@ -243,7 +245,7 @@ def read_curve(path: str | Path, metric: str, parts: int) -> tuple[Floats, Float
         raise ValueError(f"{path} is no table of {', '.join(names)} ({type(error).__name__}: {error})") from error
     if not ((steps > 0) & (episodes > 0)).all() or not np.isfinite(rows).all():
         raise ValueError(f"{path} has steps or episodes that are not positive, or other numbers that are not finite")
-    part = np.minimum((parts * steps / steps[-1]).astype(int), parts - 1)
+    part = np.ceil(parts * steps / steps[-1] - _ROUNDING).astype(int) - 1  # an update belongs to the part it ends in
     present = np.unique(part)
     means = [np.average(value[part == k], weights=episodes[part == k]) for k in present]
     return (present + 0.5) / parts * steps[-1], np.array(means)
