@@ -219,8 +219,31 @@ def test_an_estimate_that_is_worse_than_nominal_parameters_or_at_a_bound_is_said
 def test_samples_that_are_alike_count_once(alike, expected):
     shape = {"nothing": (40, 6), "columns": (40, 1), "steps": (1, 6), "all": (1, 1)}[alike]
     rng = np.random.default_rng(0)
-    found = [independent(np.broadcast_to(rng.standard_normal(shape), (40, 6))) for _ in range(50)]
+    seen = np.ones((40, 6), bool)
+    found = [independent(np.broadcast_to(rng.standard_normal(shape), (40, 6)), seen) for _ in range(50)]
     assert np.mean(found) == pytest.approx(expected, rel=0.35)
+
+
+@pytest.mark.parametrize("every", [2, 4])
+def test_a_slow_sensor_sees_as_many_independent_samples_of_slow_motion(every):
+    slow = np.sin(2 * np.pi * np.arange(400) / 80)[:, None]
+    seen = (np.arange(400) % every == 0)[:, None]
+    whole = independent(slow, np.ones_like(seen))
+    assert independent(np.where(seen, slow, 0.0), seen) == pytest.approx(whole, rel=0.1)
+
+
+def test_of_a_diverging_fit_the_file_says_no_error(reach, tmp_path):
+    posterior = infer("sysid", Replay(reach[0], ("trunk_mass",), threads=1), starts=1, max_iterations=1)
+    replace(posterior, fit={"keypoints": np.nan}).save(tmp_path / "posterior.json")
+    assert json.loads((tmp_path / "posterior.json").read_text())["fit"] == {"keypoints": None}
+
+
+def test_variances_are_widened_once(weak):
+    """By the misfit over the noise, and by the samples that are alike; not by the misfit alone besides."""
+    replay = Replay(weak, ("trunk_mass",), noise=5e-4, threads=1)
+    posterior = infer("sysid", replay, max_iterations=5, starts=2)
+    (low, high), spread = replay.parameters[0].search, float(np.sqrt(posterior.distribution.cov[0, 0]))
+    assert spread <= rf_dropo.LARGEST_STD * (high - low)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from soro_bench.arrays import Floats
+from soro_bench.inference.replay import MISSING
 from soro_bench.inference.search import EvaluationLog, Progress, Residuals
 from soro_bench.inference.statistical_linearisation import LENGTHS, LowRank, linearised, sample_around
 
@@ -29,7 +30,8 @@ def best_track(
 ) -> Floats:
     """(d,) the point of the unit cube that explains the recording best: :func:`track`, and where much is left
     :func:`refine`, from other starting points until little is."""
-    enough = len(deviation) * len(groups) * np.log1p(EXPLAINED**2)
+    measured = sum(int((deviation[:, group] < MISSING).any(axis=1).sum()) for group in groups)
+    enough = measured * np.log1p(EXPLAINED**2)
     best, lowest = np.full(dimension, 0.5), np.inf
     for attempt in range(ATTEMPTS):
         point, cost = track(residuals, deviation, groups, dimension, log, [seed, attempt], starts, progress)

@@ -40,16 +40,17 @@ class Guard:
     def to_dict(self) -> dict[str, object]:
         """As a posterior's file has it; None for what a replay that diverges leaves."""
         return {
-            "nominal_fit": {name: _finite(value) for name, value in self.nominal.items()},
+            "nominal_fit": {name: finite(value) for name, value in self.nominal.items()},
             "worse_than_nominal": list(self.worse),
             "at_bounds": self.at_bounds,
-            "misfit_over_noise": {name: _finite(value) for name, value in self.misfit.items()},
+            "misfit_over_noise": {name: finite(value) for name, value in self.misfit.items()},
             "unexplained": list(self.unexplained),
-            "widening": _finite(self.widening),
+            "widening": finite(self.widening),
         }
 
 
-def _finite(value: float) -> float | None:
+def finite(value: float) -> float | None:
+    """A number for JSON, which has no infinite ones; None for one of those, as where a replay diverges."""
     return value if math.isfinite(value) else None
 
 
@@ -91,20 +92,31 @@ def motion(values: Floats) -> float:
     return float(np.sqrt(np.nanmean((known - np.nanmean(known, axis=0)) ** 2)))
 
 
-def independent(residual: Floats) -> float:
-    """The number of samples of white noise that say as much as a residual (T, n) in units of its noise, 1 or more.
+def independent(residual: Floats, seen: Bools) -> float:
+    """The number of samples of white noise that say as much as a residual, 1 or more.
 
     Numbers that are alike over time count once in an integrated autocorrelation time (up to where it is lost, Geyer,
     "Practical Markov chain Monte Carlo", Statistical Science 7(4), 1992), and those of one time as many as the
     participation ratio of their covariance says.
+
+    Args:
+        residual: (T, n) in units of its noise, 0 where nothing was measured.
+        seen: (T, n) which numbers were measured. Steps without any do not count: a sensor may be slower than control.
     """
+    rows = seen.any(axis=1)
+    residual, weight = residual[rows], seen[rows].astype(float)
     steps, size = residual.shape
-    power = float((residual**2).sum())
+    power, count = float((residual**2).sum()), float(weight.sum())
     if power == 0.0:
-        return float(steps * size)
+        return max(count, 1.0)
     time = 1.0
     for lag in range(1, steps):
-        alike = float((residual[lag:] * residual[:-lag]).sum()) / power
+        both = float((weight[lag:] * weight[:-lag]).sum())
+        if both == 0.0:
+            continue
+        # of a whole residual the sum over power, which weighs distant lags less
+        share = both / count * steps / (steps - lag)
+        alike = float((residual[lag:] * residual[:-lag]).sum()) / power / share
         if alike <= 0.0:
             break
         time += 2.0 * alike
@@ -137,7 +149,8 @@ def _widening(replay: Replay, residual: Floats, unexplained: tuple[str, ...]) ->
     if not columns:
         return 1.0
     white = np.concatenate([(residual / replay.deviation)[:, group] for group in columns], axis=1)
-    count = sum(int(seen.sum()) for name, _, seen in _groups(replay) if name in unexplained)
+    seen = np.concatenate([each for name, _, each in _groups(replay) if name in unexplained], axis=1)
+    count = int(seen.sum())
     if not np.isfinite(white).all():
         return math.inf
-    return float(np.sqrt((white**2).sum() / count) * np.sqrt(max(count / independent(white), 1.0)))
+    return float(np.sqrt((white**2).sum() / count) * np.sqrt(max(count / independent(white, seen), 1.0)))

@@ -19,7 +19,7 @@ from soro_bench.inference.posterior import Posterior, combinations, fisher
 from soro_bench.inference.replay import SIMULATIONS, Replay
 from soro_bench.inference.search import EvaluationLog, Progress, cma_search
 from soro_bench.parallel import HERE, Workers, each, one_blas_thread
-from soro_bench.randomization import Distribution, Gaussian, TruncatedNormal
+from soro_bench.randomization import Gaussian, TruncatedNormal
 
 LEAST_SIMULATIONS = 50  # of BayesSim, whose network would learn nothing from fewer
 _LEAST = {"simulations": LEAST_SIMULATIONS, "iterations": 1, "max_iterations": 1, "popsize": 2, "samples": 2,
@@ -171,7 +171,7 @@ def _sysid(search: Search, max_iterations: int = 30, start: float | None = None,
         for point in points[np.argsort(costs, kind="stable")[: starts - 1]]:
             other = _least_squares(search, point, max_iterations)
             found = search.log(lambda p: search.residuals(p[None], steps)[0], other, "fit")
-            if not _left(replay, found) >= _left(replay, left):
+            if _left(replay, found) < _left(replay, left) or np.isnan(_left(replay, left)):
                 best, left = other, found
             if _left(replay, left) < EXPLAINED:
                 break
@@ -222,7 +222,9 @@ def _bayes_sim(search: Search, features: str = "mdn", simulations: int = 1000, s
 
     def simulated(first: int, _points: Floats) -> Floats:
         signals = measured - next(to_come)
-        return bayes_sim.summarise(signals + _sensor_noise(replay, len(signals), [search.seed, first]), replay.actions)
+        # another seed than that of the points, which [seed, 0] is too
+        noise = _sensor_noise(replay, len(signals), [search.seed, 1 + first])
+        return bayes_sim.summarise(signals + noise, replay.actions)
 
     parts = []
     for first in range(0, simulations, SIMULATIONS):
@@ -303,7 +305,7 @@ def _widened(
     errors = uncertainty(slope * search.width, guard.widening * search.replay.deviation)
     if isinstance(found, Gaussian):
         errors = np.outer(search.width, search.width) * 0.5 * (errors + errors.T)
-        return Gaussian(found.names, found.mean, found.cov + errors)
+        return Gaussian(found.names, found.mean, errors)  # the covariance was of the same errors, as if independent
     std = np.minimum(np.hypot(found.std / search.width, np.sqrt(np.diag(errors))), rf_dropo.LARGEST_STD)
     return TruncatedNormal(found.names, found.mean, search.width * std)
 
@@ -314,7 +316,7 @@ def _deviation(replay: Replay, residual: Floats) -> Floats:
     return max(1.0, float(np.sqrt((left**2).mean()))) * replay.deviation
 
 
-def _with_known(distribution: TruncatedNormal | Gaussian, known: dict[str, float]) -> Distribution:
+def _with_known(distribution: TruncatedNormal | Gaussian, known: dict[str, float]) -> TruncatedNormal | Gaussian:
     """The distribution together with the known values, which training has to hold as well."""
     names, values, count = (*distribution.names, *known), np.array(list(known.values()), float), len(known)
     mean = np.append(distribution.mean, values)

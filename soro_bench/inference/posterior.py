@@ -10,9 +10,9 @@ import numpy as np
 
 from soro_bench.arrays import Floats
 from soro_bench.files import write_json
-from soro_bench.inference.guard import Guard
+from soro_bench.inference.guard import Guard, finite
 from soro_bench.parameters import Parameter
-from soro_bench.randomization import Distribution
+from soro_bench.randomization import Gaussian, TruncatedNormal
 
 DETERMINED, VAGUE = 0.05, 0.3  # relative standard deviations below and above which the words change
 MINOR = 0.15  # a parameter with a smaller part than this of the largest is left out of the words
@@ -120,7 +120,7 @@ class Posterior:
     """
 
     method: str
-    distribution: Distribution
+    distribution: TruncatedNormal | Gaussian
     estimate: dict[str, float]
     fit: dict[str, float]
     guard: Guard
@@ -143,7 +143,7 @@ class Posterior:
             "method": self.method,
             "estimate": self.estimate,
             "known": self.known,
-            "fit": self.fit,
+            "fit": {name: finite(value) for name, value in self.fit.items()},
             **self.guard.to_dict(),
             "identifiability": [c.to_dict() for c in self.combinations],
             "model": self.model,

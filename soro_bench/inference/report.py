@@ -14,6 +14,7 @@ from soro_bench.inference.posterior import Posterior, scales
 from soro_bench.inference.replay import Replay
 from soro_bench.markdown import table
 from soro_bench.plotting import pyplot
+from soro_bench.randomization import Gaussian, TruncatedNormal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,9 +30,10 @@ def write_report(posterior: Posterior, replay: Replay, path: str | Path) -> str:
     draws = np.array([[d[name] for name in replay.names] for d in drawn])
     picture = path.with_suffix(".png")
     corner_plot(posterior, replay, draws, picture)
+    deviations = _deviations(posterior.distribution)
     rows = [
-        (p.name, rounded(posterior.estimate[p.name], values.std()), f"{values.std():.2g}", p.unit)
-        for p, values in zip(replay.parameters, draws.T, strict=True)
+        (p.name, rounded(posterior.estimate[p.name], deviations[p.name]), f"{deviations[p.name]:.2g}", p.unit)
+        for p in replay.parameters
     ]
     lines = [table(("parameter", "estimate", "standard deviation", "unit"), rows)]
     lines += ["", left("the estimate leaves", posterior.fit, replay), f"{posterior.replays:.0f} replays"]
@@ -39,6 +41,12 @@ def write_report(posterior: Posterior, replay: Replay, path: str | Path) -> str:
     lines += [f"\n{warning}" for warning in warnings(posterior, replay)]
     lines += ["", f"{path}, {picture}; train on it with: soro-bench train ENV --randomization {path}"]
     return "\n".join(lines)
+
+
+def _deviations(found: TruncatedNormal | Gaussian) -> dict[str, float]:
+    """Of each parameter the standard deviation that the file has; draws are cut at two of them, and vary less."""
+    values = np.sqrt(np.diag(found.cov)) if isinstance(found, Gaussian) else found.std
+    return dict(zip(found.names, map(float, values), strict=True))
 
 
 def left(what: str, values: Mapping[str, float], replay: Replay) -> str:

@@ -116,7 +116,13 @@ def refined(residuals: Residuals, deviation: Floats, mean: Floats, log: Evaluati
     """
     steps, reach, std = len(deviation), 0.1, np.full(len(mean), 1e-3)
     residual = log(lambda m: residuals(m[None], steps)[0], mean, "residual")
-    jacobian = log(lambda m: jacobian_at(residuals, m, steps), mean, "jacobian")
+
+    def slopes(mean: Floats) -> Floats:
+        """The Jacobian; 0 where it is not known."""
+        found = log(lambda m: jacobian_at(residuals, m, steps), mean, "jacobian")
+        return np.where(np.isfinite(found), found, 0.0)
+
+    jacobian = slopes(mean)
     for _ in range(ROUNDS):
         shift, std = _best_gaussian(residual, jacobian, deviation, mean, std, reach)
         now = _linear_log_likelihood(residual, jacobian, std, deviation)
@@ -128,7 +134,7 @@ def refined(residuals: Residuals, deviation: Floats, mean: Floats, log: Evaluati
                 break
             continue
         mean, residual = candidate, moved
-        jacobian = log(lambda m: jacobian_at(residuals, m, steps), mean, "jacobian")
+        jacobian = slopes(mean)
         if np.abs(shift).max() < 1e-7:
             break
     _, std = _best_gaussian(residual, jacobian, deviation, mean, std, 0.0)
@@ -166,12 +172,16 @@ def _sampled_log_likelihood(residuals: Floats, deviation: Floats) -> float:
 
 
 def jacobian_at(residuals: Residuals, mean: Floats, steps: int) -> Floats:
-    """(T, k, d) derivative of the residuals, by central differences inside the unit cube."""
+    """(T, k, d) derivative of the residuals, by central differences inside the unit cube; one-sided where the other end
+    diverges, NaN where both do."""
     offsets = DIFFERENCE * np.eye(len(mean))
     ends = np.clip(np.concatenate([mean + offsets, mean - offsets]), 0, 1)
-    found = residuals(ends, steps)
-    width = (ends[: len(mean)] - ends[len(mean) :]).sum(axis=1)
-    return np.moveaxis((found[: len(mean)] - found[len(mean) :]) / width[:, None, None], 0, -1)
+    found, reach = residuals(ends, steps), (ends - mean).sum(axis=1)[:, None, None]
+    if not (there := np.isfinite(found)).all():
+        found = np.where(there, found, residuals(mean[None], steps))
+    (up, down), (right, left) = np.split(found, 2), np.split(np.where(there, reach, 0.0), 2)
+    width = np.where(right > left, right - left, np.nan)
+    return np.moveaxis((up - down) / width, 0, -1)
 
 
 def _unpack(points: Floats) -> tuple[Floats, Floats]:

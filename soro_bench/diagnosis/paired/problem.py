@@ -131,7 +131,7 @@ class PairedProblem:
         """How many independent samples (M,) numbers ``left`` are."""
         total = 0.0
         for part, there in zip(self.split(np.where(seen, left, 0.0)), self.split(seen.astype(float)), strict=True):
-            total += _independent(part[:, there.any(axis=0)], float(there.sum()))
+            total += _independent(part[there.any(axis=1)][:, there.any(axis=0)], float(there.sum()))
         return max(total, 1.0)
 
 
