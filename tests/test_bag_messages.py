@@ -176,6 +176,15 @@ def test_a_message_with_an_empty_list_is_no_sample(tmp_path):
     assert "position[b]: 1 values stand beside 2 names" in recording.metadata[NOTES]
 
 
+def test_a_message_without_names_or_a_stamp_is_no_sample(tmp_path):
+    whole = {"name": ["a"], "position": [1.0]}
+    signal, notes = read(tmp_path, [{**whole, "name": [] if k == 3 else ["a"]} for k in range(9)], names=["a"])
+    assert len(signal.time) == 8 and "no list of as many names stands beside" in notes
+    stamped = [{**whole, **({} if k == 3 else {"stamp": 5.0 + k})} for k in range(9)]
+    signal, notes = read(tmp_path, stamped, time="stamp")
+    assert len(signal.time) == 8 and "a message has no field stamp" in notes
+
+
 def test_a_message_without_a_field_is_no_sample(tmp_path):
     """Which is said; that none has it is refused."""
     rows = [{"position": {"a": k}} if k % 2 else {"velocity": {"a": k}} for k in range(10)]
@@ -285,9 +294,9 @@ def test_other_encodings_are_refused(tmp_path):
 
 def test_missing_numbers(tmp_path):
     """Null, NaN as a text, and what is infinite, which is said."""
-    written = ["NaN", "nan", None, 1e999, "-Infinity", 7, "8.5"]
+    written = ["NaN", "nan", None, 1e999, "-Infinity", "n/a", "", "null", 7, "8.5"]
     signal, notes = read(tmp_path, [{"position": [value, 1]} for value in written])
-    np.testing.assert_array_equal(signal.values[:, 0], [np.nan] * 5 + [7, 8.5])
+    np.testing.assert_array_equal(signal.values[:, 0], [np.nan] * 8 + [7, 8.5])
     assert "2 infinite numbers are taken as missing" in notes
     assert not read(tmp_path, [{"position": ["NaN", 1]}, {"position": [1, 1]}])[1]
 

@@ -162,6 +162,29 @@ def test_stamps_that_go_back_are_said(tmp_path):
     assert recording.signals["x"].values.tolist() == [1, 2, 3, 3, 5, 5, 7, 7]
 
 
+def test_of_the_newest_row_first_the_times_are_sorted(guessed):
+    mapping, recording = guessed("t,x\n" + "\n".join(f"{3 - 0.1 * i:.1f},{i}" for i in range(30)))
+    assert mapping["time"] == {"column": "t", "order": "sort"}
+    assert recording.signals["x"].values.tolist() == list(range(29, -1, -1))
+
+
+def test_microseconds_and_a_number_of_frames_are_no_seconds_and_nanoseconds(guessed):
+    mapping, recording = guessed("t_us,frame_id,x\n" + "\n".join(f"{1251 * i},{i},0.{i:02d}" for i in range(40)))
+    assert mapping["time"] == {"column": "t_us", "unit": "us"}
+    assert recording.duration == pytest.approx(39 * 1251e-6, rel=0.1)
+
+
+def test_decimal_commas_between_commas_are_refused(tmp_path):
+    (tmp_path / "log.csv").write_text("t,x,u\n" + "\n".join(f"0,{i:02d},1,{i},0,5" for i in range(30)))
+    with pytest.raises(RecordingError, match="3 names stand above 6 cells; are these decimal commas"):
+        guess_mapping(tmp_path / "log.csv")
+
+
+def test_pairs_above_a_table_are_no_rows_of_it(guessed):
+    _, recording = guessed("Device,XY\nRate,100\n\n" + table("t,u", "{t},{i}"))
+    assert list({**recording.signals, **recording.commands}) == ["u"]
+
+
 def test_long_rows(guessed):
     mapping, recording = guessed(table("t,note,q", "{t}," + "a" * 30_000 + ",{i}"))
     assert recording.signals["q"].values.shape == (50,)

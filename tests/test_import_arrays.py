@@ -279,6 +279,13 @@ def test_what_is_no_file_of_matlab(tmp_path, data):
         import_recording(tmp_path / "a.mat", {"signals": {"x": {"arrays": ["x"], "unit": "m"}}})
 
 
+def test_the_unit_in_the_name_of_an_array_is_guessed_and_doubted(read, tmp_path):
+    mapping = '[time]\ninterval = 0.1\n[signals.x]\narrays = ["angle_rad"]\nunit = "deg"\n'
+    recording = read(mapping, angle_rad=TIME)
+    assert "and the name 'angle_rad' says rad" in recording.metadata["import_notes"]
+    assert tomllib.loads(guess_mapping(tmp_path / "a.npz"))["signals"]["angle_rad"]["unit"] == "rad"
+
+
 @pytest.mark.parametrize("suffix", ["npz", "5", "v73"])
 def test_a_guess_is_a_mapping_that_imports_the_file(read, tmp_path, suffix):
     """It finds the times, the commands and the axis of the samples, and leaves out what does not fit."""

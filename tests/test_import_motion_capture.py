@@ -267,6 +267,13 @@ def test_bad_export_or_mapping(read, name, text, mapping, parts):
     assert "\n" not in str(error.value)
 
 
+def test_a_last_number_that_was_cut_is_left_out(read):
+    """Its line has all cells."""
+    recording = read("a.tsv", QUALISYS[:-3], BOTH)
+    assert len(recording.signals["points"].time) == 2
+    assert "the file: its last line, 13, was cut" in recording.metadata["import_notes"]
+
+
 def test_a_last_line_that_was_cut_is_left_out(read):
     recording = read("a.trc", TRC.replace("3\t0.0200\t\t\t\t\t\t\t\n", "3\t0.0200\t12"), BOTH)
     assert len(recording.signals["points"].time) == 2

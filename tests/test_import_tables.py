@@ -87,19 +87,22 @@ def test_csv_without_header(csv):
 
 def test_a_command_is_one_until_its_numbers_leave_where_they_were(csv):
     """The moment lies between two samples, and is shifted; the other signals keep their times."""
-    table = "t,x,y\n0,5,1\n1,5,1\n2,5,1.3\n3,2,5\n4,5,1\n"
+    places = [*["5,1"] * 5, "5,1.3", *["2,5"] * 3, "5,1"]
+    table = "\n".join(["t,x,y", *(f"{t},{place}" for t, place in enumerate(places)), ""])
     held = '[commands.held]\ncolumns = ["x", "y"]\nunit = "mm"\nleaves = 0.0026\nshift = -0.25\n'
     mapping = f'[time]\ncolumn = "t"\n{held}[signals.x]\ncolumns = ["x"]\nunit = "mm"\n'
     recording = csv(table, mapping)
     command, (before, after) = recording.commands["held"], (0.0003, 0.005)
     share = (0.0026 - before) / (after - before)
-    np.testing.assert_allclose(command.time, [0, 2 + share - 0.25])
+    np.testing.assert_allclose(command.time, [0, 5 + share - 0.25])
     assert command.values.tolist() == [1, 0]
-    np.testing.assert_array_equal(recording.signals["x"].time, range(5))
+    np.testing.assert_array_equal(recording.signals["x"].time, range(10))
+    lost = csv(table.replace("1,5,1\n", "1,0,0\n"), mapping)  # a marker, in one sample
+    np.testing.assert_array_equal(lost.commands["held"].time, command.time)
     kept = csv(table, mapping.replace("0.0026", "0.01")).commands["held"]
     assert kept.values.tolist() == [1]
-    with pytest.raises(RecordingError, match="first sample has gaps"):
-        csv(table.replace("0,5,1", "0,,1"), mapping)
+    with pytest.raises(RecordingError, match="first samples have gaps"):
+        csv(table.replace("5,1\n", "5,\n"), mapping)
 
 
 def test_a_recording_can_begin_later_than_its_file(csv):

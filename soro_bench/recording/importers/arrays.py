@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from soro_bench.recording.importers.mapping import FileMapping, Source, load_mapping, texts
+from soro_bench.recording.importers.mapping import FileMapping, Source, load_mapping, texts, unit_doubt
 from soro_bench.recording.importers.tracks import signal_name
 from soro_bench.recording.importers.units import split_unit
 from soro_bench.recording.recording import Recording, RecordingError
@@ -52,6 +52,10 @@ def import_arrays(path: str | Path, file: ArrayFile, spec: FileMapping, max_byte
     most = EXPANSION * max_bytes
     arrays = _Arrays(file, most)
     cut = _Cut(arrays, spec.format)
+    for group, sources in (("commands", spec.commands), ("signals", spec.signals)):
+        for label, source in sources.items():
+            names = [name for name in source.place.get("arrays", []) if isinstance(name, str)]
+            spec.notes.add(f"{group}.{label}", unit_doubt(source, names))
 
     def read(source: Source) -> tuple[np.ndarray, np.ndarray]:
         """(T,) times [s] or [ns] and (T, k) numbers: rows of the arrays, one after the other."""
@@ -348,7 +352,9 @@ def _section(name: str, array: np.ndarray, rows: int, indices: str = "") -> list
     group = "commands" if name.rpartition(".")[2].lower() in _COMMANDS else "signals"
     line = _line(array)
     head = f"[{group}.{signal_name(name)}]  # shape {array.shape}"
-    found = ["", head, f"arrays = [{json.dumps(name)}]", 'unit = "1"']
+    unit = split_unit(name.rpartition(".")[2])[1]
+    said = f'unit = "{unit}"  # from its name' if unit else 'unit = "1"'
+    found = ["", head, f"arrays = [{json.dumps(name)}]", said]
     if indices:
         found.insert(3, f"indices = {indices}")
     elif len(line) != rows and rows in line.shape:

@@ -149,12 +149,21 @@ def _rows_before(rows: list[list[str]], decimal: str, delimiter: str) -> dict[st
     if data is None:
         raise RecordingError("no row of numbers is found; a table of text has rows of numbers between delimiters")
     above = [i for i in range(data) if any(rows[i])]
+    if delimiter == "," and above and _split_decimals(rows[above[-1]], rows[data]):
+        raise RecordingError(f"{len(rows[above[-1]])} names stand above {len(rows[data])} cells; are these decimal "
+                             "commas between commas? Export with semicolons or decimal points")  # fmt: skip
     if not above or abs(_named(rows[above[-1]], delimiter) - len(rows[data])) > 1:
         return {"header": False, **({"skip_rows": data} if data else {})}
     header, options = above[-1], {}
     if len(above) > 1 and _is_units(rows[above[-1]]) and abs(_named(rows[above[-2]], delimiter) - len(rows[data])) <= 1:
         header, options = above[-2], {"unit_row": "take"}
     return ({"skip_rows": header} if any(any(row) for row in rows[:header]) else {}) | options
+
+
+def _split_decimals(names: list[str], cells: list[str]) -> bool:
+    """Whether two whole numbers stand under each name."""
+    whole = all(cell.removeprefix("-").isdigit() for cell in cells)
+    return len(names) > 1 and len(cells) == 2 * len(names) and whole and all(any(map(str.isalpha, n)) for n in names)
 
 
 def _named(row: list[str], delimiter: str) -> int:
@@ -176,7 +185,7 @@ def _is_data(row: list[str], numeric: list[int], decimal: str) -> bool:
     """Whether most cells of a row are numbers where they are expected."""
     said = [row[i] for i in numeric if i < len(row) and row[i]]
     good = sum(is_number(cell, decimal) or is_stamp(cell) for cell in said)
-    return good > 0 and good >= _MOST * len(said)
+    return good > 0 and good > _MOST * len(said)
 
 
 def _is_units(row: list[str]) -> bool:

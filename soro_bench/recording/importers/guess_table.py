@@ -134,6 +134,8 @@ def _section(column: Column, comment: str) -> list[str]:
 
 
 def _are_seconds_and_nanoseconds(first: Column, second: Column) -> bool:
+    if (split_unit(first.name)[1] or "s") != "s" or _COUNT.fullmatch(second.name.lower()):
+        return False
     a, b = (column.numbers[np.isfinite(column.numbers)] for column in (first, second))
     if not len(a) or len(a) != len(b) or (a != np.rint(a)).any() or (b != np.rint(b)).any():
         return False
@@ -144,10 +146,13 @@ def _are_seconds_and_nanoseconds(first: Column, second: Column) -> bool:
 
 
 def _goes_on(column: Column) -> bool:
-    """Whether numbers increase but for some, or stay for some rows each time."""
+    """Whether numbers increase but for some, or stay for some rows each time; those of a column called time may
+    decrease, where the newest row is the first."""
     steps = np.diff(column.numbers[np.isfinite(column.numbers)])
-    on = _ON if _TIME.fullmatch(split_unit(column.name)[0].lower()) else 0.5
-    return len(steps) > 0 and (steps > 0).mean() > on and (steps < 0).mean() < _BACK
+    called = _TIME.fullmatch(split_unit(column.name)[0].lower()) is not None
+    if called and len(steps) > 0 and (steps < 0).mean() > 1.0 - _BACK:
+        return True
+    return len(steps) > 0 and (steps > 0).mean() > (_ON if called else 0.5) and (steps < 0).mean() < _BACK
 
 
 def _like_times(column: Column) -> bool:
@@ -190,7 +195,7 @@ def _time_unit(column: Column) -> tuple[str, str]:
         if _EPOCH[0] < numbers[0] * UNITS[unit][1] < _EPOCH[1]:
             return unit, "from its size: a time since 1970"
     steps = np.diff(numbers)
-    step = float(np.median(steps[steps > 0]))
+    step = float(np.median(np.abs(steps[steps != 0])))
     if (numbers == np.rint(numbers)).all():
         for unit, least, most in _STEPS:
             if least <= step < most:
@@ -208,6 +213,8 @@ def _order(*columns: Column) -> list[str]:
     same, back = int((steps == 0).sum()), int((steps < 0).sum())
     if not same + back:
         return []
+    if back > len(steps) / 2:
+        return ['order = "sort"  # the newest row is the first']
     choice = '"keep_first", "keep_last", "sort" or "continue"'
     return [f'# order = "keep_first"  # stamps that repeat: {same}, that go back: {back}; choose {choice}']
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from soro_bench.files import parsed_toml, shown
 from soro_bench.recording.importers.clock import ORDERS, chosen, continued, overflowed
-from soro_bench.recording.importers.source import Source, check_keys, positive, read_source, unwrapped
+from soro_bench.recording.importers.source import Source, check_keys, positive, read_source, unwrapped, when_left
 from soro_bench.recording.importers.units import of_text, si, split_unit
 from soro_bench.recording.recording import MAX_SIGNALS, MAX_TEXT, NOTES, Recording, RecordingError, Signal, check_name
 from soro_bench.recording.untrusted import named_errors, read_bytes
@@ -151,6 +151,9 @@ class FileMapping:
             unit = unit_of(source) if unit_of and source.unit is None else None
             label = f"{group}.{name}"
             groups[group][name] = self._signal(label, source, unit, start, *samples)
+        for name, command in groups["commands"].items():
+            if self.commands[name].leaves is None:
+                self.notes.add(f"commands.{name}", _short(command, [*groups["signals"].values()]))
         begin = self.time.get("begin", 0.0)
         about = {"source": shown(file_name[:200]), "start_time": repr(float(seconds(start) + begin))}
         if lines := self.notes.lines():
@@ -201,7 +204,10 @@ class FileMapping:
             self.notes.add(label, _named(label, source.note, numbers, unit))
         self.notes.add(label, _pace(since))
         self.notes.add(label, _pause(since))
-        return _named(label, source.signal, np.maximum(since, 0.0), numbers, unit)
+        found = _named(label, source.signal, np.maximum(since, 0.0), numbers, unit)
+        if source.leaves is not None:
+            self.notes.add(label, when_left(found))
+        return found
 
 
 def _between(since: np.ndarray, until: float) -> np.ndarray:
@@ -226,6 +232,19 @@ def _pause(since: np.ndarray) -> str:
         return ""
     after = since[steps.argmax()] - since[0]
     return f"nothing came for {steps.max():.3g} s, {after:.3g} s after its first sample; [time] begin and until cut"
+
+
+def _short(command: Signal, signals: Sequence[Signal]) -> str:
+    """Where signals go on long before or after a command that comes at intervals, or ""."""
+    time = command.time[np.isfinite(command.values).reshape(len(command.time), -1).all(axis=1)]
+    if not _regular(time) or not signals:
+        return ""
+    least = max(_PAUSE, _INTERVALS * float(np.median(np.diff(time))))
+    late = time[0] - min(each.time[0] for each in signals)
+    early = max(each.time[-1] for each in signals) - time[-1]
+    found = [f"begins {late:.3g} s after the first signal"] * bool(late > least)
+    found += [f"ends {early:.3g} s before the last signal, and is held"] * bool(early > least)
+    return " and ".join(found) + "; is it complete, and on the same clock?" if found else ""
 
 
 def _check_clocks(begins: Mapping[str, float]) -> None:

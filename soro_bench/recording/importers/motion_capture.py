@@ -142,7 +142,7 @@ class _Rows:
         Args:
             blocks: whether an empty line ends them.
         """
-        cells, count = array("d"), 0
+        cells, count, longest = array("d"), 0, 0  # letters of the last number of a line
         while (row := self.look()) is not None:
             if not any(row):
                 self.take("")
@@ -150,13 +150,14 @@ class _Rows:
                     break
                 continue
             self.take("")
-            if len(row) < width and self._is_cut():
+            if self._is_cut() and (len(row) < width or (len(row) == width and len(row[-1]) < longest)):
                 self.notes.append(f"its last line, {self.line}, was cut and is left out")
                 break
             if any(row[width:]):
                 raise RecordingError(f"line {self.line} has {len(row)} cells; the header has {width}")
             cells.extend(self._numbers(row[:width]))
             cells.extend([math.nan] * (width - len(row)))
+            longest = max(longest, len(row[width - 1]) if len(row) >= width else 0)
             count += 1
             if self._progress and not count % _TOLD:
                 self._progress("read", self._lines.tell(), self._size)

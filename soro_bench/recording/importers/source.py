@@ -23,6 +23,8 @@ _BESIDE, _LOOKED_AT = 5, 100  # steps on each side of a jump that tell how fast 
 _ON = 0.5  # of the way beside the jump of a counter leads on at least, and not back
 _ALIKE = 0.02  # of a period, by which the shown one differs at most from a power of two
 _MOST_INTERPOLATED = 1_000_000  # samples
+_FIRST, _IN_A_ROW = 5, 3  # samples that say where something is held, and that say that it has left
+_AT_ONCE = 0.05  # s after the first sample
 _FAST = 0.35  # of a period, over which steps may as well be wraps the other way
 
 
@@ -363,14 +365,36 @@ def _interpolated(time: np.ndarray, values: np.ndarray, interval: float) -> tupl
 
 
 def _staying(time: np.ndarray, values: np.ndarray, distance: float, shift: float) -> Signal:
-    """1 until the values (T, ...) are further than a distance from the first ones, a time [s] after that 0."""
+    """1 until the values (T, ...) stay further than a distance from the first ones, a time [s] after that 0.
+
+    One sample decides nothing, as a marker may be lost or swapped in it: the first one counts unless it is far from the
+    median of a few, and a release is several samples in a row.
+    """
     rows = values.reshape(len(values), -1)
-    if np.isnan(rows[0]).any():
-        raise RecordingError("its first sample has gaps; leaves counts from it")
-    away = np.linalg.norm(rows - rows[0], axis=1)
-    if not (beyond := np.flatnonzero(away > distance)).size:
+    seen = np.flatnonzero(~np.isnan(rows).any(axis=1))
+    if not seen.size or seen[0] >= _FIRST:
+        raise RecordingError("its first samples have gaps; leaves counts from them")
+    time, rows = time[seen], rows[seen]
+    usual = np.median(rows[:_FIRST], axis=0)
+    first = rows[0] if np.linalg.norm(rows[0] - usual) <= distance else usual
+    away = np.linalg.norm(rows - first, axis=1)
+    beyond = np.concatenate([away > distance, np.ones(_IN_A_ROW - 1, bool)])  # it may leave with the last sample
+    staying = np.lib.stride_tricks.sliding_window_view(beyond, _IN_A_ROW).all(axis=1)
+    if not (left := np.flatnonzero(staying & (away > distance))).size:
         return Signal(time[:1], np.ones(1), "1")
-    i = beyond[0]
-    share = np.nan_to_num((distance - away[i - 1]) / (away[i] - away[i - 1]))  # 0 where the sample before is missing
-    left = time[i - 1] + share * (time[i] - time[i - 1]) + shift
-    return Signal(np.array([time[0], max(left, np.nextafter(time[0], np.inf))]), np.array([1.0, 0.0]), "1")
+    i = left[0]
+    at = time[0]
+    if i:
+        at = time[i - 1] + (distance - away[i - 1]) / (away[i] - away[i - 1]) * (time[i] - time[i - 1])
+    return Signal(np.array([time[0], max(at + shift, np.nextafter(time[0], np.inf))]), np.array([1.0, 0.0]), "1")
+
+
+def when_left(held: Signal) -> str:
+    """What the time of a release gives reason to say, or ""."""
+    if len(held.time) == 1:
+        return "it never leaves where it was first; is leaves too large, or the recording cut?"
+    if held.time[1] - held.time[0] < _AT_ONCE:
+        return (
+            f"it leaves {held.time[1] - held.time[0]:.2g} s after the first sample; does the recording begin too late?"
+        )
+    return ""

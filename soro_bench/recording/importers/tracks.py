@@ -95,7 +95,7 @@ def import_tracks(
 
     with named_errors(path):
         for note in tracks.notes:
-            spec.notes.add("", note)
+            spec.notes.add("the file", note)
         return spec.recording(read, Path(path).name, EXPANSION * max_bytes, partial(_unit, tracks=tracks))
 
 

@@ -157,7 +157,12 @@ class Collector:
             )
         if not self._path:
             return leaves, (), seen
-        return leaves, stamp_parts(follow(content, self._path, Seen()), self.topic), seen
+        try:
+            stamp = follow(content, self._path, Seen())
+        except AbsentError as error:
+            self._absence = self._absence or str(error)
+            return [], (), seen
+        return leaves, stamp_parts(stamp, self.topic), seen
 
     def arrays(
         self, topics: Sequence[str], said: Sequence[str], note: Callable[[str], None]

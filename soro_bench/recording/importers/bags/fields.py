@@ -15,6 +15,7 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 from soro_bench.files import brief
+from soro_bench.recording.importers.table_text import MISSING as NOTHING
 from soro_bench.recording.recording import MAX_SIZE, RecordingError
 
 SECOND = 1_000_000_000  # ns
@@ -179,13 +180,15 @@ def flatten(node: Any, leaves: list[Any]) -> None:
 
 
 def number(leaf: Any) -> float:
-    """A number of a JSON message; null and "NaN" are missing ones."""
+    """A number of a JSON message; null, "NaN" and what tables take for missing are missing ones."""
     if isinstance(leaf, (int, float)):
         return float(leaf)
     if leaf is None or leaf is MISSING:
         return math.nan
     if isinstance(leaf, str) and _NUMBER.fullmatch(leaf.strip()):
         return float(leaf)
+    if isinstance(leaf, str) and leaf.strip().lower() in NOTHING:
+        return math.nan
     raise RecordingError(f"{ascii(leaf)[:80]} is no number")
 
 
@@ -290,7 +293,7 @@ def _only(found: Mapping[str, Any], path: Sequence[Step]) -> str:
         return next(iter(found))
     if found:
         raise RecordingError(f"names of {shown_path(path)} stand in {listed(found)}: say which with names_from")
-    raise RecordingError(f"no list of as many names stands beside {shown_path(path)}")
+    raise AbsentError(f"no list of as many names stands beside {shown_path(path)}")
 
 
 def _beside(node: Any, above: list[Any], key: str = "") -> dict[str, Any]:
