@@ -125,7 +125,7 @@ def models() -> None:
 # --- recordings ---
 
 FREQUENCY = {"gravity": 7.7, "load52": 4.4}  # Hz, about
-LOADS = {"gravity": "0", "load52": "1"}  # on a string
+LOADS = {"gravity": "0", "load52": "52"}  # g on a string
 WINDOWS, FROM = 5, 0.3  # from 0.3 s after the hand lets go: its fingers and the slack string are out of the way
 
 

@@ -153,7 +153,7 @@ def released(effects=(), load=0.0, seconds=1.5):
     assert one.control_timestep == STEP
     steps = round(seconds / STEP)
     held = (np.arange(steps) < HELD).astype(float)
-    settings = np.stack([held, np.full(steps, load)], axis=1)
+    settings = np.stack([held, np.full(steps, load), np.ones(steps)], axis=1)
     nominal = {prior.name: prior.nominal for prior in one.priors} | {"damping": 1e-3}
     commands = np.tile([0.074, 0.0306], (steps, 1))
     rows = np.array([list(nominal.values())])

@@ -19,6 +19,7 @@ from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison
 from soro_bench.diagnosis.study import STUDIES, Part, Study, commands_of_take, errors, load_study, results, run_study
+from soro_bench.files import asset_path, read_toml
 from soro_bench.recording import published
 from soro_bench.recording.published import PublishedFile, Source, bam_table, fetch, sources, summary
 from soro_bench.recording.recording import RecordingError
@@ -120,7 +121,7 @@ def test_a_summary_begins_with_the_answer_that_its_report_is_of(study, monkeypat
 def test_an_unknown_study_and_missing_recordings_are_named(tmp_path):
     with pytest.raises(ValueError, match="unknown study 'moon'; there are opencr_tdcr, "):
         load_study("moon", tmp_path)
-    with pytest.raises(FileNotFoundError, match=r"no v4_train.csv in .*opencr_tdcr; soro-bench data"):
+    with pytest.raises(FileNotFoundError, match=r"no v4_train.csv in .*opencr_tdcr; --data names another folder"):
         load_study("opencr_tdcr", tmp_path)
 
 
@@ -137,13 +138,6 @@ def test_a_part_has_its_recordings_to_explain_to_hold_out_and_never_to_see(tmp_p
         ("asl_trunk", "random", "train", "servo_random1_0g.npz", {"time": {"until": 30.0}}),
         ("asl_trunk", "random", "train", "servo_random2_0g.npz", {}),  # which is held out elsewhere, in a window
         ("opencr_tdcr", "patterns", "train", "v5.csv", {}),  # whose patterns are others
-        (
-            "silicone_beam",
-            "load",
-            "heldout",
-            "beam_load52_V2_c.csv",
-            {"metadata": {"load": "1"}},
-        ),  # of all in this part
     ],
 )
 def test_other_files_are_imported_as_those_of_their_kind_or_as_all(
@@ -159,12 +153,25 @@ def test_other_files_are_imported_as_those_of_their_kind_or_as_all(
     assert found.parts[0].question == f"other files: {kind} {file}"
 
 
-def test_the_gain_of_a_servo_is_that_in_the_name_of_its_file(tmp_path):
-    from soro_bench.files import asset_path, read_toml
+@pytest.mark.parametrize(
+    ("file", "load"), [("beam_gravity_V3_a.csv", {}), ("beam_load101_V2_a.csv", {"load": "101", "load_mass": "101"})]
+)
+def test_what_hangs_on_the_beam_is_told_by_the_name_of_its_file(file, load, tmp_path):
+    study = read_toml(asset_path("studies.toml"))["silicone_beam"]
+    assert module._from_name(tmp_path / file, study) == load
 
+
+def test_a_file_whose_name_looks_like_a_pattern_is_found(tmp_path):
+    (folder := tmp_path / "run[1]").mkdir()
+    (folder / "piece[a].csv").touch()
+    for pattern in ("piece[[]a].csv", "piece[a].csv", "piece*", str(folder / "piece[a].csv")):
+        assert module._paths(folder, {}, pattern) == [folder / "piece[a].csv"]
+
+
+def test_the_gain_of_a_servo_is_that_in_the_name_of_its_file(tmp_path):
     study = read_toml(asset_path("studies.toml"))["bam_servo"]
     assert module._from_name(tmp_path / "xl330_processed_kp400_new.csv", study) == {"firmware_gain": "400"}
-    with pytest.raises(RecordingError, match="its name does not say firmware_gain; expected kp"):
+    with pytest.raises(RecordingError, match=r"names like .*, a regular expression; is it of another robot or kind"):
         module._from_name(tmp_path / "other.csv", study)
 
 

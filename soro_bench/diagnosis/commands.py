@@ -303,7 +303,7 @@ class Study:
     out: Path
     """Folder for the reports, one folder for each part, and for a table of all of them, results.md."""
     data: Path = Path("data/real")
-    """Folder with the recordings; `soro-bench data` says where they come from."""
+    """Folder with the recordings; `soro-bench data` gets some of them, and says where they come from."""
     part: str | None = None
     """The only part to run; all of them by default."""
     train: tuple[str, ...] = ()

@@ -124,7 +124,7 @@ def _replaced(
     def like(kind: str, path: Path) -> dict:
         name = path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.name
         matching = [entry for entry in part.get(kind, []) if fnmatchcase(name, entry["files"])]
-        return {**(matching[0] if matching else common), "files": glob.escape(str(path))}
+        return {**(matching[0] if matching else common), "files": str(path)}
 
     return {
         kind: [like(kind, path) for pattern in files.get(kind, ()) for path in _paths(folder, study, pattern)]
@@ -139,9 +139,10 @@ def _paths(folder: Path, study: Mapping[str, Any], pattern: str) -> list[Path]:
         FileNotFoundError: there are none.
     """
     takes = study.get("takes", {}).get("file")
-    paths = [path for found in sorted(glob.glob(str(folder / pattern))) if (path := Path(found)).name != takes]
+    named = [pattern] if (folder / pattern).is_file() else sorted(glob.glob(pattern, root_dir=folder))
+    paths = [folder / each for each in named if Path(each).name != takes]
     if not paths:
-        raise FileNotFoundError(f"no {pattern} in {folder}; soro-bench data says where recordings are")
+        raise FileNotFoundError(f"no {pattern} in {folder}; --data names another folder, soro-bench data gets some")
     return paths
 
 
@@ -169,9 +170,9 @@ def _from_name(path: Path, study: Mapping[str, Any]) -> dict[str, str]:
     if "name" not in study:
         return {}
     if not (found := re.search(study["name"], path.name)):
-        raise RecordingError(f"{path}: its name does not say {', '.join(re.compile(study['name']).groupindex)}; "
-                             f"expected {study['name']}")  # fmt: skip
-    return found.groupdict()
+        raise RecordingError(f"{path}: this study's recordings have names like {study['name']}, a regular expression; "
+                             "is it of another robot or kind?")  # fmt: skip
+    return {name: text for name, text in found.groupdict().items() if text is not None}
 
 
 def commands_of_take(path: Path, takes: Mapping[str, Any]) -> dict[str, Signal]:
@@ -191,11 +192,20 @@ def commands_of_take(path: Path, takes: Mapping[str, Any]) -> dict[str, Signal]:
     if not table.is_file():
         raise FileNotFoundError(f"no {takes['file']} beside {path}; it has a row for each recording")
     with named_errors(table):
-        rows = list(csv.DictReader(io.StringIO(read_bytes(table, _MAX_BYTES).decode("utf-8-sig"))))
+        reader = csv.DictReader(io.StringIO(read_bytes(table, _MAX_BYTES).decode("utf-8-sig")))
+        columns, rows = [takes["key"], *_columns(takes["commands"])], list(reader)
+        if wrong := [each for each in columns if list(reader.fieldnames or ()).count(each) != 1]:
+            raise RecordingError(f"its first line has to name {', '.join(columns)} once each, between commas; "
+                                 f"not so {', '.join(wrong)}")  # fmt: skip
         found = [row for row in rows if row.get(takes["key"]) == path.stem]
         if len(found) != 1:
             raise RecordingError(f"{len(found)} rows with {takes['key']} {path.stem!a}; expected one")
         return {name: _command(name, entry, found[0]) for name, entry in takes["commands"].items()}
+
+
+def _columns(commands: Mapping[str, Any]) -> list[str]:
+    """The columns of all commands of a table of takes."""
+    return [column for name, entry in commands.items() for column in texts(f"{name} columns", entry.get("columns"))]
 
 
 def _command(name: str, entry: Mapping[str, Any], row: Mapping[str, str]) -> Signal:
@@ -203,10 +213,11 @@ def _command(name: str, entry: Mapping[str, Any], row: Mapping[str, str]) -> Sig
     source = read_source(entry, ("columns",), False)
     numbers = []
     for column in texts(f"{name} columns", entry.get("columns")):
+        text = row[column] or ""
         try:
-            numbers.append(float(row[column]))
-        except (KeyError, TypeError, ValueError) as error:
-            raise RecordingError(f"commands.{name}: {row.get(column)!a} in {column} is no number") from error
+            numbers.append(float(text.replace("_", "no number")))
+        except ValueError as error:
+            raise RecordingError(f"commands.{name}: {text!a} in {column} is no number") from error
     return source.signal(np.zeros(1), np.array([numbers]))
 
 
