@@ -222,14 +222,18 @@ def _object(kind: type) -> str:
     meanings = field_meanings(paragraphs[-1], names)
     summary = re.sub(r"\s+", " ", paragraphs[0])
     hints = typing.get_type_hints(kind)
-    rows = [(f"`{name}`", in_json(hints[name]), meanings.get(name) or meaning_of(hints[name])) for name in names]
+    said = {name: meanings.get(name) or meaning_of(hints[name]) for name in names}
+    rows = [(f"`{name}`", in_json(hints[name]), re.sub(r"\bNone\b", "`null`", said[name])) for name in names]
     return f"### {kind.__name__}\n\n{summary}\n\n{table(('key', 'value', 'what'), rows)}"
 
 
 def meaning_of(hint) -> str:
     """What the objects of an annotation are, if they are of one kind."""
     kinds = objects_in(hint)
-    return re.split(r"[.:;] |\.$", re.sub(r"\s+", " ", inspect.getdoc(kinds[0])))[0].lower() if len(kinds) == 1 else ""
+    if len(kinds) != 1:
+        return ""
+    first = re.split(r"[.:;] |\.$", re.sub(r"\s+", " ", inspect.getdoc(kinds[0])))[0]
+    return first[:1].lower() + first[1:]
 
 
 def field_meanings(text: str, names: list[str]) -> dict[str, str]:

@@ -1,6 +1,7 @@
 """Physical parameters that a simulation can be given at run time.
 
-``search`` is the box in which the published studies look for the parameter; ``bounds`` is what the models accept.
+``search`` is the box in which studies look for the parameter, published where they do; ``bounds`` is what the models
+accept.
 """
 
 from collections.abc import Iterable, Mapping
@@ -19,7 +20,7 @@ class Parameter:
         name: as files and commands call it.
         unit: SI; "1" without one.
         nominal: its value where none is given.
-        search: the box in which the published studies look for it.
+        search: the box in which it is looked for; published where the studies randomise it.
         bounds: what the models accept.
         meaning: for people.
     """

@@ -68,7 +68,7 @@ class Uniform:
     """Independent uniform distributions on [low, high], both (d,) in SI units.
 
     Raises:
-        ValueError: an interval is none, or not inside the bounds of its parameter.
+        ValueError: an interval is empty, or not inside the bounds of its parameter.
     """
 
     names: tuple[str, ...]

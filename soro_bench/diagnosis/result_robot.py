@@ -59,7 +59,7 @@ class DataFinding:
     """What a sensor, a logger or a broken line did to a recording: no physics of the robot.
 
     name: such as "quantisation", "spikes" or "held". signal: of a signal or command. recording: index of it in
-        ``recordings``. samples: numbers concerned, and share: of those that there are.
+        ``recordings``. samples: numbers concerned. share: of those that there are.
     text: what was found and done, and what to do, in one sentence.
     """
 

@@ -107,7 +107,7 @@ class SB3VecEnv(VecEnv):
         return list(self.envs.unwrapped.render() or [None] * self.num_envs)
 
     def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
-        """Not: wrappers are not around single environments."""
+        """False for each: wrappers are around the vector environment only."""
         return [False] * len(self._indices(indices))
 
     def _indices(self, indices: VecEnvIndices) -> list[int]:

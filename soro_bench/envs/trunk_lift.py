@@ -220,7 +220,7 @@ class TrunkGraspEnv(SoftRobotEnv):
     missing.
 
     ## Version history
-    * v0: the trunk of version 1 of :class:`TrunkReachEnv`.
+    * v0: the trunk of TrunkReach-v1 (:class:`TrunkReachEnv`).
     """
 
     task_type = TrunkGraspTask

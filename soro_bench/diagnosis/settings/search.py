@@ -33,10 +33,12 @@ class SelectionSettings:
     )
     part_left: float = setting(2.0, "noise deviations", "rms misfit of a part at most; more is no error of parameters")
     # which terms are tried
-    candidates: int = setting(6, "screened candidates", "that are fitted in a round, and hypotheses that are compared")
+    candidates: int = setting(6, "screened candidates", "replayed in a round, and hypotheses that are compared")
     candidates_per_law: int = setting(2, "screened candidates", "of the same laws, and laws at each element of a kind")
     unchecked_terms: int = setting(3, "terms", "before each must lower held-out error; recordings of 30 s show so many")
-    least_gain: float = setting(400.0, "nats", "predicted gain that is worth a fit; 40 healthy cases reach 85, but one")
+    least_gain: float = setting(
+        400.0, "nats", "predicted gain that is worth a fit; 39 of 40 healthy cases stay below 85"
+    )
     least_gain_of_misfit: float = setting(
         0.05,
         "1",
@@ -83,7 +85,9 @@ class ProbabilitySettings:
     """How probable hypotheses are, from development cases and from opened blind benchmarks."""
 
     healthy_gain: float = setting(
-        60.0, "nats", "location and scale of a Gumbel distribution of predicted gains; 39 of 40 healthy cases reach 85"
+        60.0,
+        "nats",
+        "location and scale of a Gumbel distribution of gains; 39 of 40 healthy cases stay below 85",
     )
     gain_of_term: float = setting(100.0, "nats", "that a fit gains by chance from one more term")
     gain_of_unknown: float = setting(50.0, "nats", "that a fit gains by chance from each unknown of a term")
