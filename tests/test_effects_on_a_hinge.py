@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
-from soro_bench.effects.catalogue import PHYSICS
-from soro_bench.effects.effect import Effect, EffectError, Location
+from soro_bench.effects.catalogue import ALL, PHYSICS
+from soro_bench.effects.effect import Effect, EffectError, Location, effect_from
 from soro_bench.effects.elements import Elements, instrument
 from soro_bench.files import mjcf_path
 from soro_bench.models.simulation import Simulation
@@ -309,3 +309,85 @@ def test_a_typical_friction_of_a_joint_that_nothing_drives_is_a_share_of_what_ha
     for name in ("motor", "servo"):
         spec.delete(spec.actuator(name))
     assert Elements(spec.compile()).scale(Location("joint", "hinge"), "force") == pytest.approx(0.03 * WEIGHT, rel=1e-6)
+
+
+FALL = """<mujoco><option timestep="0.002" integrator="implicitfast"/>
+<worldbody><body name="light"><joint name="drop" type="slide" axis="0 0 1"/>
+<inertial pos="0 0 0" mass="1e-4" diaginertia="1e-9 1e-9 1e-9"/>
+<body name="heavy"><inertial pos="0 0 0" mass="0.9999" diaginertia="1e-3 1e-3 1e-3"/></body></body>
+<body name="probe" pos="0 1 0"><joint name="still" type="slide" axis="0 0 1"/><geom size="0.01" mass="1"/></body>
+</worldbody></mujoco>"""
+
+
+def fallen(effects, steps=1000):
+    """A simulation in which everything has fallen for two seconds."""
+    sim = Simulation(instrument(mujoco.MjSpec.from_string(FALL)).compile(), ParameterSet(), (), 1, 1, effects)
+    sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+    sim.begin(np.arange(1))
+    sim.step(np.arange(1), steps)
+    return sim
+
+
+def test_drag_of_a_light_body_brakes_what_it_carries():
+    """The terminal velocity is that of the whole weight."""
+    sim = fallen([Effect("fluid_drag", Location("body", "light"), {"drag": 1.0})])
+    assert sim.batch.qvel[0, 0] == pytest.approx(-np.sqrt(9.81), rel=1e-3)
+
+
+def test_a_body_accelerates_as_the_joint_that_it_hangs_on():
+    pushes = []
+    for place, axis in (({"kind": "joint", "name": "drop"}, {}), ({"kind": "body", "name": "heavy"}, {"axis": "z"})):
+        read = {"a": {"of": "acceleration", "range": [-100.0, 100.0], "location": place, **axis}}
+        law = {"unit": "N", "limit": 100.0, "variables": read, "expression": ["multiply", 1.0, "a"]}
+        data = {"name": "custom", "location": {"kind": "joint", "name": "still"}, "parameters": {}, "law": law}
+        pushes.append(fallen([effect_from(data, ALL)]).batch.qfrc_applied[0, 1])
+    np.testing.assert_allclose(pushes, -9.81, rtol=1e-6)
+
+
+def test_a_variable_of_time_or_of_all_elements_has_no_location():
+    for of, place in (("time", {"kind": "joint", "name": "still"}), ("velocity", {"kind": "joint", "name": "*"})):
+        law = {"unit": "N", "limit": 1.0, "variables": {"x": {"of": of, "range": [0, 1], "location": place}},
+               "expression": ["multiply", 1.0, "x"]}  # fmt: skip
+        data = {"name": "custom", "location": {"kind": "joint", "name": "still"}, "parameters": {}, "law": law}
+        with pytest.raises(EffectError, match="variable x"):
+            effect_from(data, ALL)
+
+
+def test_dry_friction_holds_whatever_a_parameter_makes_of_the_inertia():
+    sim = flat(servo([on_hinge("coulomb_friction", friction=1.0, presliding=1e-5)]))
+    for name in ("body_mass", "body_inertia"):
+        sim.batch.expand(name)[...] *= 0.3
+    sim.batch.set_const(np.arange(1))
+    way = turn(sim, torque=0.5, steps=1000)
+    assert np.abs(way).max() < 0.01
+
+
+def test_what_is_refused_leaves_the_effects_before_it_as_they_were():
+    sim = servo([on_hinge("stiffening", beta=10.0)])
+    ways = [turn(sim, torque=0.2)]
+    with pytest.raises(EffectError, match="need the same spring"):
+        sim.assign_effects([[on_hinge("hysteresis"), on_hinge("viscoelastic_creep")]])
+    np.testing.assert_array_equal(turn(sim, torque=0.2), ways[0])
+
+
+def test_laws_of_setpoints_keep_what_models_and_parameters_limit():
+    """A range of commands that a parameter has changed, and an activation that ends."""
+    sim = servo([Effect("actuator_gain", Location("actuator", "servo"), {"gain": 1.0})])
+    sim.set_params(np.arange(1), np.zeros((1, 0)))
+    sim.batch.expand("actuator_ctrlrange")[0, 1] = (-0.5, 0.5)
+    sim._instrumented.write(np.arange(1))
+    assert sim._instrumented.within("ctrl", np.zeros(1, int), np.ones(1, int), np.array([2.0])) == [0.5]
+    slow = SERVO.replace('<motor name="motor"', '<general name="motor" dyntype="filter" dynprm="0.01" actlimited="true" '
+                         'actrange="-0.1 0.1"')  # fmt: skip
+    ways = []
+    for effects in ([], [Effect("actuator_gain", Location("actuator", "motor"), {"gain": 1.0})]):
+        spec = mujoco.MjSpec.from_string(slow)
+        ways.append(turn(Simulation(instrument(spec).compile(), ParameterSet(), (), 1, 1, effects), torque=3.0))
+    np.testing.assert_allclose(ways[1], ways[0], atol=1e-12)
+
+
+def test_models_with_an_actuator_of_several_controls_have_no_laws_of_setpoints():
+    text = SERVO.replace("</actuator>", '<pid name="two" joint="hinge" kp="1" kv="0.1"/></actuator>')
+    spec, gain = mujoco.MjSpec.from_string(text), Effect("actuator_gain", Location("actuator", "motor"), {"gain": 0.5})
+    with pytest.raises(EffectError, match="actuator two has 2 controls"):
+        Simulation(instrument(spec).compile(), ParameterSet(), (), 1, 1, [gain])

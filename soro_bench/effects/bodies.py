@@ -65,8 +65,9 @@ class FluidDrag(Law):
         velocity = (here - self.before[which]) / self.dt
         self.before[which] = here
         speed = np.sqrt((velocity * velocity).sum(axis=1))
-        # no more than would stop the body within a time step, so that it never pushes
-        most = np.maximum(self.field("body_mass")[rows, ids], 1e-9) / self.dt
+        # no more than would stop it, with what it carries, within a time step, so that it never pushes; a third of that
+        # where it is free in all three directions, over which the inverse weight is a mean
+        most = 1.0 / np.maximum(3.0 * self.field("body_invweight0")[rows, ids, 0], 1e-9) / self.dt
         factor = np.minimum(self.values["drag"][which] * speed, most)
         push = -factor[:, None] * velocity - self._pushed[which]
         self._pushed[which] += push

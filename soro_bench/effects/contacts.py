@@ -67,7 +67,8 @@ class Stiction(_Sliding):
 
 
 class Adhesion(Law):
-    """Contacts that hold on until each of their points is pulled off with this force, within a reach of 10 um."""
+    """Contacts that hold on until each of their points is pulled off with this force, within a reach of 10 um. Only
+    stiff ones, of a solref of some 4 ms, stretch so little before they bear it; others let go much earlier."""
 
     name, category, kinds = "adhesion", "contact", ("geom",)
     quantities = (Quantity("force", "N", 0.1, (0.0, np.inf)),)

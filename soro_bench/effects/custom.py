@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from soro_bench.effects.runtime import ActiveEffects
 
 _ACCELERATION = 0.02  # s, time constant of the filter of accelerations, which are differences of velocities
-_SLOTS = 2  # numbers that a variable or a state may remember
+_SLOTS = 3  # numbers that a variable or a state may remember
 _NEEDS = {  # data fields that are read beside the state
     ("position", "tendon"): "ten_length",
     ("velocity", "tendon"): "ten_velocity",
@@ -98,8 +98,9 @@ class _Group:
     def __init__(self, of: _Custom, elements: Elements, law: CustomLaw, kind: str, entries: Ints):
         self.of, self.law, self.entries = of, law, entries
         self.rows, self.ids = of.rows[entries], of.ids[entries]
-        names = of._effects[entries[0]].parameters
-        self.parameters = {name: np.array([of._effects[i].parameters[name] for i in entries]) for name in names}
+        given = [of._effects[i].parameters for i in entries]
+        names = [name for name in given[0] if all(name in each for each in given)]  # one may have more than the law has
+        self.parameters = {name: np.array([each[name] for each in given]) for name in names}
         self.sources = [self._source(elements, each, kind) for each in law.variables]
 
     def _source(self, elements: Elements, variable: Variable, kind: str) -> _Source:
@@ -143,7 +144,12 @@ class _Group:
             return np.linalg.norm(batch.xipos[rows, ids] - _point(of.point, values), axis=-1)
         if source.kind == "body":
             place = batch.xipos[rows, ids, AXES.index(of.axis or "x")]
-            return place if of.of == "position" else self._changed(place, of.of, memory, entries, fresh)
+            if of.of == "position":
+                return place
+            velocity = self._rate(place, memory, entries, fresh)
+            if of.of == "velocity":
+                return velocity
+            return self._filtered(np.where(fresh, np.nan, velocity), memory, entries)
         if source.kind == "tendon":
             if of.of == "position":
                 return batch.ten_length[rows, ids] - model.tendon_length0[ids]
@@ -152,14 +158,22 @@ class _Group:
             if of.of == "position":
                 return batch.qpos[rows, model.jnt_qposadr[ids]]
             velocity = batch.qvel[rows, model.jnt_dofadr[ids]]
-        return velocity if of.of == "velocity" else self._changed(velocity, of.of, memory, entries, fresh)
+        if of.of == "velocity":
+            return velocity
+        memory[entries[fresh], 2] = np.nan
+        return self._filtered(velocity, memory, entries)
 
-    def _changed(self, value: Floats, of: str, memory: Floats, entries: Ints, fresh: Bools) -> Floats:
-        """(n,) rates of change since the last time step; accelerations are filtered."""
+    def _rate(self, value: Floats, memory: Floats, entries: Ints, fresh: Bools) -> Floats:
+        """(n,) rates of change since the last time step, 0 in the first one."""
         rate = np.where(fresh, 0.0, (value - memory[entries, 0]) / self.of.dt)
-        share = 1.0 if of == "velocity" else -np.expm1(-self.of.dt / _ACCELERATION)
         memory[entries, 0] = value
-        memory[entries, 1] += share * (rate - memory[entries, 1])
+        return rate
+
+    def _filtered(self, velocity: Floats, memory: Floats, entries: Ints) -> Floats:
+        """(n,) filtered rates of change of velocities, 0 until two are known."""
+        rate = np.nan_to_num((velocity - memory[entries, 2]) / self.of.dt)
+        memory[entries, 1] += -np.expm1(-self.of.dt / _ACCELERATION) * (rate - memory[entries, 1])
+        memory[entries, 2] = velocity
         return memory[entries, 1]
 
     def directions(self, some: Ints) -> Floats:
@@ -214,6 +228,7 @@ class Custom(_Custom):
         model = self.model
         width = max([3, *(int(model.ten_J_rownnz[i]) for i in np.unique(self.ids[self._at("tendon")]))])
         self.pushed = np.zeros((len(self.rows), width))
+        self.of_kind = {kind: own for kind in KINDS if (own := self._at(kind)).any()}
         if any(location.kind == "model" for location in self.locations):
             self.fields = ("opt.gravity",)  # type: ignore[misc]
             self.run.scaled("opt.gravity")
@@ -240,13 +255,19 @@ class Custom(_Custom):
         return self.model.ten_J_colind[first : first + self.model.ten_J_rownnz[tendon]]
 
     def step(self, which: Bools) -> None:
+        value, ways = np.zeros(len(self.rows)), np.zeros((len(self.rows), 3))
         for group, some in zip(self.groups, self.chosen(which), strict=True):
-            if len(some):
-                self._exert(group, some, group.exerted(some))
+            entries = group.entries[some]
+            value[entries] = group.exerted(some)
+            if group.law.direction:
+                ways[entries] = group.directions(some)
+        # in the order of their effects, so that sums do not depend on the laws of other simulations
+        for kind, own in self.of_kind.items():
+            if len(entries := np.flatnonzero(which & own)):
+                self._exert(kind, entries, value[entries], ways[entries])
 
-    def _exert(self, group: _Group, some: Ints, value: Floats) -> None:
-        rows, ids, entries = group.rows[some], group.ids[some], group.entries[some]
-        kind = self.locations[entries[0]].kind
+    def _exert(self, kind: str, entries: Ints, value: Floats, ways: Floats) -> None:
+        rows, ids = self.rows[entries], self.ids[entries]
         if kind == "joint":
             more = value - self.pushed[entries, 0]
             self.pushed[entries, 0] = value
@@ -255,11 +276,11 @@ class Custom(_Custom):
             for tendon in np.unique(ids):
                 self._pull(tendon, ids == tendon, rows, entries, value)
         elif kind == "body":
-            push = value[:, None] * group.directions(some)
+            push = value[:, None] * ways
             more, self.pushed[entries, :3] = push - self.pushed[entries, :3], push
             np.add.at(self.batch.xfrc_applied[:, :, :3], (rows, ids), more)
         else:  # every time step begins with the model's own gravity
-            np.add.at(self.field("opt.gravity"), rows, value[:, None] * group.directions(some))
+            np.add.at(self.field("opt.gravity"), rows, value[:, None] * ways)
 
     def _pull(self, tendon: int, own: Bools, rows: Ints, entries: Ints, value: Floats) -> None:
         """Shorten a tendon by a force."""

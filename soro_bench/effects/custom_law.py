@@ -181,6 +181,8 @@ def _variable(name: str, data: object, parameters: set[str], kind: str) -> Varia
     if low > high:
         raise LawError(f"range of {name} is {brief(span)}; its ends have to rise")
     place = _place(data.get("location"), where)
+    if of == "time" and place:
+        raise LawError(f"{where} is of time, which has no location")
     if READS[of] and (place.kind if place else kind) not in READS[of]:
         raise LawError(f"{where} is of {of}, which {place.kind if place else kind} has not; "
                        f"allowed is a location of kind {', '.join(READS[of])}")  # fmt: skip
@@ -200,6 +202,8 @@ def _place(data: object, where: str) -> Place | None:
     valid = isinstance(data, dict) and data.keys() == {"kind", "name"}
     if not valid or not all(isinstance(each, str) and len(each) < 200 for each in data.values()):  # type: ignore[attr-defined]
         raise LawError(f"location of {where} is {brief(data)}; it has a kind and a name")
+    if data["name"].startswith("*"):  # type: ignore[index]
+        raise LawError(f"location of {where} is {brief(data)}; it has to be one element")
     return Place(data["kind"], data["name"])  # type: ignore[index]
 
 

@@ -56,7 +56,8 @@ class Bumps:
         squares: Any = 0.0
         for name, width, centre in zip(self.names, self.widths, centres, strict=True):
             squares = squares + (np.asarray(values[name])[..., None] / width - centre) ** 2
-        return np.asarray(np.exp(-0.5 * squares) @ weights)
+        # no product of matrices, whose rounding depends on how many rows there are
+        return np.asarray((np.exp(-0.5 * squares) * weights).sum(axis=-1))
 
 
 def _product(*values: Floats) -> Floats:

@@ -99,6 +99,8 @@ class FrameMisalignment(Fault):
 
     @staticmethod
     def apply(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
+        if values.shape[-1] != 3:
+            raise EffectError(f"frame_misalignment turns points of 3 coordinates; these have {values.shape[-1]}")
         vector = np.array([p[f"about_{axis}"] for axis in "xyz"])
         flat = values.reshape(-1, 3)
         turned = rotate_by_vector(flat, np.broadcast_to(vector, flat.shape)).reshape(values.shape)

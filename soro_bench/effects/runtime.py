@@ -40,8 +40,18 @@ class ActiveEffects:
         """Give simulation i the effects ``effects[i]``; the parameters have to be set again after this.
 
         Raises:
-            EffectError: an effect has no place in the model, comes twice at one, or two need the same spring.
+            EffectError: an effect has no place in the model, comes twice at one, or two need the same spring; those
+                before it go on.
         """
+        before, fields = dict(vars(self)), set(self._fields)
+        try:
+            self._assign(effects)
+        except EffectError:
+            vars(self).update(before)
+            self._fields = fields
+            raise
+
+    def _assign(self, effects: Sequence[Sequence[Effect]]) -> None:
         by_law: dict[tuple[str, bool], list] = {}  # and whether it needs another class there
         seen = set()
         for row, of_row in enumerate(effects):
@@ -167,10 +177,14 @@ class ActiveEffects:
             law.write(np.isin(law.rows, ids))
         for scaled in self._scaled.values():
             scaled.keep(ids)
+        for field in _RANGES:
+            if (values := self.batch.expanded(field)) is not None:
+                self.ranges[field][ids] = values[ids]
         if self.filters:  # a setpoint may move faster and farther than commands may
             rows, actuators = self.touched_in(ids)
-            for field in _RANGES:
-                self.batch.expand(field)[rows, actuators] = (-1e9, 1e9)
+            # the activation of others than integrators is MuJoCo's own
+            for field, chosen in zip(_RANGES, (np.full(len(rows), True), self.integrates[actuators]), strict=True):
+                self.batch.expand(field)[rows[chosen], actuators[chosen]] = (-1e9, 1e9)
 
     def reset(self, ids: Ints) -> None:
         """Begin an episode in simulations ``ids``, whose state is complete."""
@@ -229,21 +243,48 @@ class ActiveEffects:
         self.setpoint, self.added = np.zeros((2, self.batch.nsim, model.nu))
         # of the time step at hand, before laws change it; of actuators that have laws
         self.unchanged = np.zeros_like(self.setpoint)
-        # (nu, 2) where activations end, and how far beyond them the last time step would have gone
-        self.limits = np.where(model.actuator_actlimited[:, None], model.actuator_actrange, (-np.inf, np.inf))
+        # how far beyond their ends activations would have gone in the last time step
         self.beyond = np.zeros_like(self.setpoint)
         self._starts = np.ones(self.batch.nsim, bool)
         self._touched = np.zeros((self.batch.nsim, model.nu), bool)
         for law in self.filters:
             self._touched[law.rows, law.ids] = True
         if self.filters:
+            self._check_actuators(np.flatnonzero(self._touched.any(axis=0)))
+        # as models and parameters have them
+        self.ranges = {name: np.tile(getattr(model, name), (self.batch.nsim, 1, 1)) for name in _RANGES}
+        if self.filters:
             self._fields |= set(_RANGES)
+
+    def _check_actuators(self, touched: Ints) -> None:
+        """Refuse laws of setpoints at actuators that they cannot act on."""
+        model = self.batch.model
+        if (several := np.flatnonzero(model.actuator_ctrlnum != 1)).size:
+            raise EffectError(f"no law changes setpoints of this model: actuator {model.actuator(several[0]).name} has "
+                              f"{model.actuator_ctrlnum[several[0]]} controls")  # fmt: skip
+        for i in touched:
+            if self.integrates[i] and model.actuator_delay[i] > 0:
+                raise EffectError(f"no law changes the setpoint of actuator {model.actuator(i).name}: it integrates "
+                                  "its control after a delay of its own")  # fmt: skip
+
+    def within(self, name: str, rows: Ints, actuators: Ints, values: Floats) -> Floats:
+        """(n,) controls or activations within their ranges, before laws widened these.
+
+        Args:
+            name: "ctrl" or "act".
+        """
+        limited = getattr(self.batch.model, f"actuator_{name}limited")[actuators].astype(bool)
+        return np.where(limited, np.clip(values, *self.ranges[f"actuator_{name}range"][rows, actuators].T), values)
 
     def asked(self, rows: Ints, actuators: Ints) -> Floats:
         """(n,) setpoints of the time step at hand as they were commanded, before laws change them."""
-        now = self.batch.ctrl[rows, actuators]
-        if self.batch.model.na:
-            now = np.where(self.integrates[actuators], self.batch.act[rows, self.slot[actuators]], now)
+        model = self.batch.model
+        now = self.within("ctrl", rows, actuators, self.batch.ctrl[rows, actuators])
+        if model.na:
+            at_start = self.batch.act[rows, self.slot[actuators]]
+            at_end = self.within("act", rows, actuators, at_start + self.timestep * now)
+            used = np.where(model.actuator_actearly[actuators], at_end, at_start)
+            now = np.where(self.integrates[actuators], used, now)
         return np.where(self._touched[rows, actuators], self.unchanged[rows, actuators], now)
 
     def touched_in(self, ids: Ints) -> tuple[Ints, Ints]:
@@ -318,8 +359,6 @@ class _Commands:
         self.rows, self.actuators = run.touched_in(ids)
         i = self.actuators
         self.integrates, self.early = run.integrates[i], model.actuator_actearly[i].astype(bool)
-        self.limited, self.limits = model.actuator_ctrllimited[i].astype(bool), model.actuator_ctrlrange[i].T
-        self.low, self.high = run.limits[i].T
         place = np.zeros(run.setpoint.shape, int)
         place[self.rows, i] = np.arange(len(i))
         self.laws = []
@@ -330,14 +369,14 @@ class _Commands:
     def hold(self) -> None:
         """Ask for the control for some time steps."""
         asked = self.run.batch.ctrl[self.rows, self.actuators]
-        self.asked = np.where(self.limited, np.clip(asked, *self.limits), asked)
+        self.asked = self.run.within("ctrl", self.rows, self.actuators, asked)
 
     def step(self) -> None:
         """One time step."""
         run, at = self.run, (self.rows, self.actuators)
         before = run.setpoint[at]
         wanted = before + run.timestep * self.asked
-        moved = np.clip(wanted, self.low, self.high)
+        moved = run.within("act", self.rows, self.actuators, wanted)
         run.beyond[at] = np.where(self.integrates, wanted - moved, 0.0)
         now = run.setpoint[at] = np.where(self.integrates, moved, self.asked)
         # a step uses the activation at its start, or at its end if the actuator is early

@@ -206,7 +206,7 @@ class _Pneumatic(_Following):
         refilled = self.pressure(which, before, change + self.run.beyond[rows, ids])
         refilled = np.clip(refilled, np.minimum(changed, setpoint), np.maximum(changed, setpoint))
         magnitude = self.values[self.quantities[0].name][which]
-        self.output[which] = np.where(magnitude > 0, np.clip(refilled, *self.run.limits[ids].T), setpoint)
+        self.output[which] = np.where(magnitude > 0, self.run.within("act", rows, ids, refilled), setpoint)
         return self.output[which]
 
     def pressure(self, which: Bools, before: Floats, change: Floats) -> Floats:

@@ -49,10 +49,7 @@ class _Friction(Law):
             raise EffectError(f"{self.name} needs tendons without a spring of their own; see instrument()")
         self.run.claim(self, self.rows, self.springs)
         # only the discrete integrator is implicit in stiffness
-        implicit = self.model.opt.integrator == mujoco.mjtIntegrator.mjINT_DISCRETE
-        weight = self.model.tendon_invweight0[self.springs] * (0.0 if implicit else 1.0)
-        with np.errstate(divide="ignore"):
-            self.stiffest = _STABLE / (weight * self.dt**2)
+        self.explicit = self.model.opt.integrator != mujoco.mjtIntegrator.mjINT_DISCRETE
         actuators = [elements.actuators_on(location) for location in self.locations]
         self.actuators = np.full((len(actuators), max(map(len, actuators), default=0)), -1)
         for i, each in enumerate(actuators):
@@ -95,7 +92,11 @@ class _Friction(Law):
 
     def _presliding(self, which: Bools, level: Floats, ratio: Floats | float = 1.0) -> Floats:
         """(n,) how far it gives: ``ratio`` times its presliding, more where a spring would be too stiff."""
-        return np.maximum(self.values["presliding"][which] * ratio, level / self.stiffest[which])
+        reach = self.values["presliding"][which] * ratio
+        if not self.explicit:
+            return reach
+        weight = self.field("tendon_invweight0")[self.rows[which], self.springs[which]]
+        return np.maximum(reach, level * weight * self.dt**2 / _STABLE)
 
     def _set(self, which: Bools, level: Floats, reach: Floats) -> None:
         at = self.rows[which], self.springs[which]
@@ -195,7 +196,8 @@ class LoadFriction(_Friction):
         turns = turns.reshape(*turns.shape[:3], 3, 3)
         along, onward = (turns @ self.ways[:, which, :, :, None])[..., 0]
         sine = np.linalg.norm(np.cross(along, onward), axis=-1)
-        return np.arctan2(sine, (along * onward).sum(axis=-1)).sum(axis=1)
+        # one after the other, so that a sum does not depend on how long the longest tendon is
+        return np.add.accumulate(np.arctan2(sine, (along * onward).sum(axis=-1)), axis=1)[:, -1]
 
 
 class GearFriction(_Friction):
