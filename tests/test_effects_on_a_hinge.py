@@ -377,8 +377,8 @@ def test_laws_of_setpoints_keep_what_models_and_parameters_limit():
     sim.batch.expand("actuator_ctrlrange")[0, 1] = (-0.5, 0.5)
     sim._instrumented.write(np.arange(1))
     assert sim._instrumented.within("ctrl", np.zeros(1, int), np.ones(1, int), np.array([2.0])) == [0.5]
-    slow = SERVO.replace('<motor name="motor"', '<general name="motor" dyntype="filter" dynprm="0.01" actlimited="true" '
-                         'actrange="-0.1 0.1"')  # fmt: skip
+    motor = '<general name="motor" dyntype="filter" dynprm="0.01" actlimited="true" actrange="-0.1 0.1"'
+    slow = SERVO.replace('<motor name="motor"', motor)
     ways = []
     for effects in ([], [Effect("actuator_gain", Location("actuator", "motor"), {"gain": 1.0})]):
         spec = mujoco.MjSpec.from_string(slow)
