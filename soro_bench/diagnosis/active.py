@@ -72,9 +72,11 @@ def diagnose_actively(
         result = diagnose(robot, recordings, heldout, seed, progress, settings, known)
         wanted = result.next_recording if len(rounds) < most else None
         best = result.hypotheses[0]
-        answer = " + ".join(best.names) or "none"
+        answer, probability = " + ".join(best.names) or "none", best.probability
+        if result.verdict == "outside_catalogue":
+            answer, probability = result.answer, result.unknown
         proposed = wanted.motion if wanted else ""
-        rounds.append(Round(len(recordings), result.verdict, answer, best.probability, proposed))
+        rounds.append(Round(len(recordings), result.verdict, answer, probability, proposed))
         if wanted is None:
             return result, tuple(rounds)
         recordings.append(source(wanted, len(rounds)))

@@ -90,7 +90,7 @@ def _curve(problem: Problem, hypothesis: Hypothesis, i: int, site: Springs | Ser
     known = np.where((deviation < _UNKNOWN) & np.isfinite(law), size, np.nan)
     columns = (law, law + known * change, known * deviation)
     fitted, measured, spread = ((site.scale * each).reshape(2, -1) for each in columns)
-    scale, unit = (1.0, "rad") if site.turns else (1e3, "mm")
+    scale, unit = site.of_state
     label = f"rate of the {site.state} [{unit}/s]" if of_rate else f"{site.state} [{unit}]"
     return Curve(of_terms[i][0], scale * nodes, fitted, measured, spread, share, (label, site.force))
 

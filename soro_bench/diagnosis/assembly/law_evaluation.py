@@ -34,7 +34,7 @@ class Springs:
     Attributes:
         state, force: names of both, the second one with its unit.
         turns: whether the state is an angle [rad]; else it is a length [m].
-        scale: from forces to the unit in which they are shown.
+        scale: from forces to the unit in which they are shown. of_state: from the state to its unit, and that.
     """
 
     scale = 1.0
@@ -45,12 +45,13 @@ class Springs:
             self._batch.bind(name)
         kind, self._ids = locations[0].kind, [elements.id(each) for each in locations]
         if kind == "tendon":
-            self._joints, self.turns = None, False
+            self._joints, self.turns, self.of_state = None, False, (1e3, "mm")
             self.state, self.force = "length pulled in", "force in the tendon [N]"
             return
         bodies = kind == "body"
         self._joints = [elements.joints_of(i, bending_only=True) if bodies else np.array([i]) for i in self._ids]
         self.turns = _turns(self._model, self._joints[0][0])
+        self.of_state = (1.0, "rad") if self.turns else (1e3, "mm")
         self.state, self.force = "bend" if bodies else "position", "moment [N m]" if self.turns else "force [N]"
 
     def observed(self) -> np.ndarray:
@@ -96,14 +97,13 @@ class Servos:
     state = "command"
 
     def __init__(self, robot: Robot, locations: Sequence[Location]):
-        self._simulation, model = robot.simulation, robot.simulation.model
+        self._simulation = robot.simulation
         self._bias, self._gain = (robot.simulation.batch.expand(f"actuator_{name}prm") for name in ("bias", "gain"))
         self._ids, self._timestep = [robot.elements.id(location) for location in locations], robot.control_timestep
         self._added = np.zeros(len(locations))
-        on_joint = model.actuator_trntype[self._ids[0]] == mujoco.mjtTrn.mjTRN_JOINT
-        self.turns = bool(on_joint) and _turns(model, model.actuator_trnid[self._ids[0], 0])
-        self.scale = 1.0 if self.turns else 1e3
-        self.force = f"beside the command by [{'rad' if self.turns else 'mm'}]"
+        unit = robot.setpoint_unit_at(locations[0])
+        self.of_state = (1e3, "mm") if unit == "m" else (1.0, unit)
+        self.scale, self.force = self.of_state[0], f"beside the command by [{self.of_state[1]}]"
 
     def observed(self) -> np.ndarray:
         """As of springs: commands, and what the law adds to them."""

@@ -100,18 +100,23 @@ def model_patch(diagnosis: Diagnosis, built: Sequence[float]) -> ModelPatch:
         return ModelPatch("not_written", None, (), effects, str(error))
     problems = [each for each in (diagnosis.explanation.problem, diagnosis.tested) if each is not None]
     alone = rms_as_it_is(robot.as_built(found.xml), problems)
-    first = _errors(built, alone)
-    if not _worse(first, problems):
-        simple = _with_parameters_only(diagnosis) if found.remaining else None
-        if simple is None or not _worse(_errors(rms_as_it_is(robot.as_built(simple.xml), problems), alone), problems):
-            return ModelPatch("as_found", found.xml, found.effects, found.remaining, None, first)
+    first, simple = _errors(built, alone), _with_parameters_only(diagnosis)
+    least = rms_as_it_is(robot.as_built(simple.xml), problems) if simple else built
+    good = not _worse(first, problems)
+    if good and not (found.remaining and _worse(_errors(least, alone), problems)):
+        return ModelPatch("as_found", found.xml, found.effects, found.remaining, None, first)
+    obstacle = "replayed alone, it is worse than the model as built"
+    if good:
         obstacle = "replayed alone, it is worse than with parameters that were fitted without effects"
-    else:
-        obstacle = "replayed alone, it is worse than the model as built"
     for other in _refitted(diagnosis):
-        errors = _errors(built, rms_as_it_is(robot.as_built(other.xml), problems))
-        if not _worse(errors, problems):
+        after = rms_as_it_is(robot.as_built(other.xml), problems)
+        errors = _errors(built, after)
+        if not (_worse(errors, problems) or _worse(_errors(least, after), problems)):
             return ModelPatch("refitted", other.xml, other.effects, lacking(effects, other.effects), obstacle, errors)
+    if simple and not _worse(errors := _errors(built, least), problems):
+        return ModelPatch("refitted", simple.xml, simple.effects, lacking(effects, simple.effects), obstacle, errors)
+    if good:
+        return ModelPatch("as_found", found.xml, found.effects, found.remaining, None, first)
     obstacle += ", and so is every one with parameters that were fitted to it alone"
     return ModelPatch("not_written", None, (), effects, obstacle, first)
 
@@ -144,8 +149,7 @@ def _worse(errors: Sequence[ReplayError], problems: Sequence[Problem]) -> bool:
 
 def _refitted(diagnosis: Diagnosis) -> Iterator[ExportedModel]:
     """Models with parameters, and laws of MJCF in the place of the patch's, that were fitted by least squares, from one
-    start after the other; the last one with fitted parameters only. A fit ends where a step changes the rms by less
-    than what counts as the same error."""
+    start after the other. A fit ends where a step changes the rms by less than what counts as the same error."""
     robot, problem = diagnosis.robot, plain(diagnosis.explanation.problem, diagnosis.robot)
     least_gain = max(LEAST_GAIN, 2.0 * problem.settings.report.same_error)
     for start in _begun(diagnosis, problem):
@@ -155,8 +159,6 @@ def _refitted(diagnosis: Diagnosis) -> Iterator[ExportedModel]:
             yield exported(robot, robot.parameters(each.x), effects, _REFITTED)
         except PatchError:
             continue
-    if simple := _with_parameters_only(diagnosis):
-        yield simple
 
 
 def _begun(diagnosis: Diagnosis, problem: Problem) -> list[Hypothesis]:

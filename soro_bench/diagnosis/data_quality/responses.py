@@ -18,6 +18,7 @@ import numpy as np
 
 from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.diagnosis.data_quality.lattice import chance
+from soro_bench.diagnosis.data_quality.noise import noise_or_zero
 from soro_bench.diagnosis.data_quality.texts import text
 from soro_bench.diagnosis.result_robot import DataFinding
 from soro_bench.diagnosis.robots.measured import Drive, Measured
@@ -31,6 +32,8 @@ _EMPTY = 1e-6  # of a whole response, that is seen in what lacks of a command wi
 _MOVES = 0.1  # share of the widest motion, of less nothing is known
 _STEPS = 10  # of a descent, at most
 _STEP = 0.3  # prior deviations, for a slope by replays; narrow ones see jumps only
+_UNEXPLAINED = 0.3  # of the signal's squares about its mean, above its noise, that a command which never arrived leaves
+_NO_MOTION = 2.0  # times the squares of the noise
 _SMALLEST = 1e-300  # sum of squares, of which there is a logarithm
 
 
@@ -190,7 +193,11 @@ class _Comparison:
         actions[:, self.moving[chosen]] = goals[chosen]
         held = replace(self.measured, actions=actions)
         # slopes mislead where the robot touches something: the parameters are fitted to tell
-        if not self._least_misfit(held) < self.settings.unanswered * self._least_misfit(self.measured):
+        left = self._least_misfit(held)
+        if not left < self.settings.unanswered * self._least_misfit(self.measured):
+            return expected
+        # a missing spring makes a replay drift as if a command had not arrived; then that explains no motion
+        if not self._explains(left):
             return expected
         self.measured = held
         self._note_commands("unanswered_command", self.moving[chosen])
@@ -217,6 +224,14 @@ class _Comparison:
                 break
             x, best = points[cost.argmin()], tried[cost.argmin()]
         return float((best**2).sum())
+
+    def _explains(self, left: float) -> bool:
+        """Whether a sum of squares is little beside that of the signal's own motion above its noise."""
+        values = self.measured.values.reshape(len(self.measured.values), -1)
+        values = values[:, np.isfinite(values).any(axis=0)]
+        motion = float(np.nansum((values - np.nanmean(values, axis=0)) ** 2))
+        white = int(np.isfinite(values).sum()) * noise_or_zero(values, self.settings) ** 2
+        return left - white <= _UNEXPLAINED * (motion - white) or motion <= _NO_MOTION * white
 
     def _misfits(self, measured: Measured, points: Floats) -> Floats:
         """(n, M) signal less replays with parameters (n, d) in prior deviations; infinite where one diverges."""

@@ -136,9 +136,13 @@ def settings_of(model: mujoco.MjModel, table: dict[str, Any]) -> tuple[list[Sett
 
 
 def parameters_of(
-    model: mujoco.MjModel, table: dict[str, Any], scaled: dict[str, list[Entry]]
+    model: mujoco.MjModel, table: dict[str, Any], scaled: dict[str, list[Entry]], patched: bool = False
 ) -> tuple[tuple[Prior, ...], Fields]:
-    """Priors of the parameters, and the fields that these and the settings change; settings change ``scaled``."""
+    """Priors of the parameters, and the fields that these and the settings change; settings change ``scaled``.
+
+    Args:
+        patched: whether the model is one that a diagnosis wrote: an effect may have taken all that is scaled.
+    """
     priors: list[Prior] = []
     entries, added = dict(scaled), set()
     for name, entry in table.items():
@@ -158,7 +162,8 @@ def parameters_of(
             priors.append(Prior(name, str(entry.get("unit", "1")), 0.0, deviation, False, bounds))
         else:
             for text, one in zip(entry["fields"], entries[name], strict=True):
-                _check_scaled(model, label, text, one)
+                if not patched:
+                    _check_scaled(model, label, text, one)
             priors.append(Prior(name, "1", 1.0, deviation, True, (1e-3, 1e3)))
     if not priors:
         raise ModelError("the mapping has no [parameters.<name>]; a diagnosis fits at least one")

@@ -79,7 +79,9 @@ class ModelRobot(Robot):
         shorter: int = 1,
         baseline: Baseline | None = None,
         known: Known = _NOTHING,
+        patched: bool = False,
     ):
+        self._patched = patched
         self._sources, self.threads, self._baseline = (model, mapping), threads, baseline
         self._known = known
         self.shorter = shorter
@@ -142,7 +144,7 @@ class ModelRobot(Robot):
         folder = TemporaryDirectory()
         path = Path(folder.name) / f"{self.name}.xml"
         path.write_text(xml, encoding="utf-8")
-        robot = ModelRobot(path, self._sources[1], self.threads)
+        robot = ModelRobot(path, self._sources[1], self.threads, patched=True)
         robot._folder = folder  # as long as the robot may read it again
         return self._alike(robot)
 
@@ -160,7 +162,7 @@ class ModelRobot(Robot):
         self, model: mujoco.MjModel, table: dict[str, Any], scaled: dict[str, list[Entry]]
     ) -> tuple[tuple[Prior, ...], ParameterMap]:
         """Priors of the parameters, and the fields that these and the settings change; settings change ``scaled``."""
-        return parameters_of(model, table, scaled)
+        return parameters_of(model, table, scaled, self._patched)
 
     def _said(self, timestep: float, fixed: set[int], keyframes: str | None) -> list[str]:
         """What a user should know of the model and the mapping.
