@@ -48,6 +48,8 @@ def magnitude_errors(truth: dict, said: dict) -> tuple[float, bool] | None:
     if truth["name"] != said["name"] or truth["name"] not in _SAME:
         return None
     own, others, factor = _SAME[truth["name"]]
+    if others not in said["parameters"]:  # a law at every element has a magnitude at each
+        return None
     exact, found = factor * truth["parameters"][own]["value"], said["parameters"][others]
     low, high = found["ci90"]
     size = abs(exact - _NULL.get(truth["name"], 0.0))

@@ -13,7 +13,7 @@ import numpy as np
 
 from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.estimation.discretisation import differences
-from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, descended
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.moves import (
@@ -368,9 +368,20 @@ class _Search:
         self.responses = [response for term, response in kept if term in allowed]
         self.possible = allowed
 
+    def _fit_to_noise(self) -> None:
+        """The best hypothesis fitted to the sensor's noise, where a misfit was the noise before: discretisation errors
+        that were negligible beside it count again."""
+        best, *others = self.tried
+        self.problem, (best,) = with_own_discretisation(self.problem, self.refined, [best], next(self.seeds))
+        (best,) = descended(self.problem, [best])
+        self.nominal, *others = (under_present_error(self.problem, h) for h in (self.nominal, *others))
+        self.tried = [best, *others]
+
     def _keep_misfit_dominated(self, new: list[Hypothesis]) -> None:
         """The same where the best hypothesis says how large the noise is; the nominal robot is compared under it."""
         others = [self.nominal, *new, *self.tried]
         self.problem, (self.nominal, *self.tried) = allowing(self.problem, new[0], others)
+        if not self.problem.misfit_dominated:
+            self._fit_to_noise()
         self.possible = compatible(self.robot, self.tried[0], self.candidates)
         self.responses = list(screen(self.problem, self.tried[0], self.possible, self.robot).responses)
