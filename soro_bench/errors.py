@@ -49,5 +49,7 @@ def plain_errors(program: str) -> Iterator[None]:
             raise
         messages = error.messages if isinstance(error, SeveralErrors) else [error]
         sys.exit("\n".join([f"{program}: {one_line(messages[0])}", *map(one_line, messages[1:])]))
+    except MemoryError as error:
+        sys.exit(f"{program}: not enough memory: {one_line(error)}")
     except KeyboardInterrupt:
         sys.exit(f"{program}: interrupted; train, run, infer, study and blind-benchmark resume if repeated")

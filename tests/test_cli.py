@@ -182,7 +182,7 @@ def test_a_study_whose_report_could_not_be_written_is_not_begun(tmp_path):
 
 
 def test_a_study_without_its_recordings_says_which_is_missing(call, tmp_path):
-    with pytest.raises(SystemExit, match=r"no v4_train.csv in .*opencr_tdcr; soro-bench data"):
+    with pytest.raises(SystemExit, match=r"no v4_train.csv in .*opencr_tdcr; --data names another folder"):
         call("study", "opencr_tdcr", "--data", tmp_path, "--out", tmp_path / "out")
 
 

@@ -1,5 +1,6 @@
 """Environments in MuJoCo Warp, which also runs on a CPU; skipped without the gpu extra."""
 
+import json
 import pickle
 
 import gymnasium
@@ -169,6 +170,40 @@ def test_actions_of_a_wrong_shape_are_refused(reach):
     reach.reset(seed=0)
     with pytest.raises(ValueError, match=r"actions have shape \(3, 7\); expected \(3, 8\)"):
         reach.step(torch.zeros(WORLDS, 7))
+
+
+def test_an_action_that_is_no_number_is_refused_with_its_world(reach):
+    reach.reset(seed=0)
+    actions = torch.zeros((WORLDS, 8))
+    actions[1, 3] = torch.nan
+    with pytest.raises(WorldError, match="the action of world 1 at control step"):
+        reach.step(actions)
+    reach.reset(seed=0)
+    reach.step(torch.zeros((WORLDS, 8)))
+
+
+def test_a_step_before_a_reset_and_options_of_other_worlds_are_refused():
+    envs = torch_env()
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        envs.step(torch.zeros((WORLDS, 8)))
+    with pytest.raises(ValueError, match="1 reset options for 3 worlds"):
+        envs.reset(options=[{}])
+
+
+def test_what_the_device_cannot_train_deletes_no_older_run(tmp_path):
+    pytest.importorskip("rsl_rl")
+    from soro_bench.training.configuration import default_config
+    from soro_bench.training.device import train_on_device
+
+    box = search_box(task_type("MultiGait-v0").randomized)
+    config = default_config("MultiGait-v0", action="continuous", num_envs=2, rollout_steps=6, rollouts_per_segment=1,
+                            batch_size=6, total_steps=12)  # fmt: skip
+    (tmp_path / "config.json").write_text(json.dumps({**config.settings(), "distribution": box.to_dict(), "trainer": 3,
+                                                      "learner": "rsl_rl"}))  # fmt: skip
+    (tmp_path / "curve.csv").write_text("steps\n")
+    with pytest.raises(ValueError, match="is the same for all worlds of a GPU"):
+        train_on_device(config, tmp_path, box, device="cpu")
+    assert json.loads((tmp_path / "config.json").read_text())["trainer"] == 3 and (tmp_path / "curve.csv").exists()
 
 
 def test_same_bytes_twice(reach):

@@ -53,7 +53,7 @@ def _diagnose_hidden(folder: Path) -> None:
     from soro_bench.campaign.inputs import ENV_ID, SUMMARY, record_hidden
     from soro_bench.diagnosis.commands import Diagnose
 
-    if (folder / "report.html").exists():
+    if (folder / "result.json").exists():  # written last
         return console.print(
             f"{folder / 'report.html'} has the diagnosis of a robot with hidden physics", soft_wrap=True
         )
@@ -176,7 +176,7 @@ def campaign(runs: "Sequence[Run]", work: Path, results: Path, workers: Workers,
     failed = [f"{len(failures)} of {len(missing)} runs failed:", *failures] if failures else []
     try:
         build(results, work)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         raise SeveralErrors([*failed, f"no page of results: {one_line(error)}"]) from error
     boards, _ = gathered(results, work)
     console.print(markdown_table([group for groups in boards.values() for group in groups]), soft_wrap=True)

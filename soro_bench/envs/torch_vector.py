@@ -81,6 +81,7 @@ class TorchVectorEnv:
         # start and parameters of worlds' next episodes, and what their generators were in before
         self._next: dict[int, tuple[Any, np.ndarray, dict[str, Any]]] = {}
         self._missing: list[int] = []  # worlds without
+        self._begun = False
         sim: Any = self.task.sim
         sim.meanwhile = self._draw_ahead
 
@@ -96,6 +97,7 @@ class TorchVectorEnv:
         Returns:
             Observations (N, k) and info, a dict of (N,) tensors.
         """
+        self._begun = False
         if seed is not None or not self._rngs:
             first = int(np.random.default_rng().integers(2**31)) if seed is None else seed
             self._rngs = [seeding.np_random(first + i)[0] for i in range(self.num_envs)]
@@ -105,12 +107,14 @@ class TorchVectorEnv:
             self._begin(ids)
         else:
             options = options or [{}] * self.num_envs
+            if len(options) != self.num_envs:
+                raise ValueError(f"{len(options)} reset options for {self.num_envs} worlds; one each is needed")
             for i, (*_, before) in self._next.items():  # drawn ahead, and not wanted
                 self._rngs[i].bit_generator.state = before
             self._next = {}
             self.task.begin(ids, *self.task.draw(self._rngs, options), self.task.states(options))
             self._missing = ids.tolist()
-        self.elapsed[:] = 0
+        self.elapsed[:], self._begun = 0, True
         return self.task.observe(self._everyone), self.task._info(self._everyone)
 
     def step(
@@ -125,12 +129,16 @@ class TorchVectorEnv:
             observations (N, k), rewards (N,), terminated (N,), truncated (N,), and info. Where an episode has ended the
             observation is that of the next one, and ``info["final_obs"]`` (N, k) has the last one.
         """
+        if not self._begun:
+            raise gymnasium.error.ResetNeeded("no episode has begun; reset the environments first")
         space = self.single_action_space
         if (found := tuple(actions.shape)) != (expected := (self.num_envs, *(space.shape or ()))):
             raise ValueError(f"actions have shape {found}; expected {expected}")
         if isinstance(space, gymnasium.spaces.Discrete):
             actions = actions.clamp(0, int(space.n) - 1)
         else:
+            sim: Any = self.task.sim
+            sim.refused = ~actions.isfinite().all(dim=1)  # looked at with the states, as asking waits for the device
             actions = actions.clamp(-1.0, 1.0)
         step = self.task.step(self._everyone, actions)
         self.elapsed += 1

@@ -202,6 +202,7 @@ class WarpSimulation:
         self.params = self.array(np.tile(parameters.nominal, (nsim, 1)))
         self._params = np.full((nsim, len(parameters.nominal)), np.nan)  # on the host; not written yet
         self._steps = 0
+        self.refused = torch.zeros(nsim, dtype=torch.bool, device=device)  # worlds whose last action was no number
         self.meanwhile: Callable[[], None] = lambda: None  # work of the host while the device simulates
         self.set_params(np.arange(nsim), np.tile(parameters.nominal, (nsim, 1)))
         self._before: dict[str, torch.Tensor] = {}
@@ -263,9 +264,14 @@ class WarpSimulation:
             WorldError: so it is, and ``on_nan`` is "raise"; or a world has more contacts or constraints than fit.
         """
         overflow = self.batch.bind("overflow")
-        bad = ~(self.batch.bind("qpos").isfinite().all(dim=1) & self.batch.bind("qvel").isfinite().all(dim=1))
+        # MuJoCo's limits; NaN is within none
+        position, velocity = (self.batch.bind(name).abs() <= mujoco.mjMAXVAL for name in ("qpos", "qvel"))
+        bad = ~(position.all(dim=1) & velocity.all(dim=1))
         full = (overflow & int(_OVERFLOWS)) != 0
-        if bool((full | bad).any()):
+        if bool((full | bad | self.refused).any()):
+            if bool(self.refused.any()):
+                world = int(self.refused.nonzero()[0])
+                raise WorldError(f"the action of world {world} at control step {self._steps} is no number")
             if bool(full.any()):
                 world = int(full.nonzero()[0])
                 kinds = mjw.OverflowType(int(overflow[world]) & int(_OVERFLOWS))
@@ -304,7 +310,7 @@ class WarpSimulation:
             if not np.allclose(values, self._common[name]):
                 raise ValueError(
                     f"{name} is the same for all worlds of a GPU, and a parameter changes it; on this model randomise "
-                    "parameters that do not, or train on model='cable'"
+                    "parameters that do not, or train on another model"
                 )
         where = self.array(ids)
         for name in self._own:

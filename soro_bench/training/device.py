@@ -142,6 +142,8 @@ class DeviceTrainer:
                 self.agent.compute_returns(self.normaliser(observation))
             self.agent.update()
             self.updates += 1
+            if not all(bool(each.isfinite().all()) for each in self.agent.actor.parameters()):
+                raise ValueError(f"training diverged after {steps + per_rollout} steps; the last checkpoint is kept")
             if finished:
                 ended = torch.cat(finished).cpu().numpy()
                 row = {"steps": steps + per_rollout, "seconds": round(time.monotonic() - start, 1),
@@ -219,6 +221,7 @@ def train_on_device(
     folder = Path(folder)
     described, old = claim(folder, config, distribution, learner="rsl_rl")
     trainer = DeviceTrainer(config, distribution, device, room)
+    trainer.envs.reset(seed=config.seed)  # what the device refuses is refused before anything is deleted
     for path in old:
         path.unlink(missing_ok=True)
     write_json(folder / "config.json", described)
