@@ -162,6 +162,7 @@ def campaign(runs: "Sequence[Run]", work: Path, results: Path, workers: Workers,
     from soro_bench.files import check_folder
     from soro_bench.leaderboard.page import build, gathered
     from soro_bench.leaderboard.statistics import markdown_table
+    from soro_bench.recording.rerun_stream import require_rerun
 
     gathered(results, work)  # before the work, not after it
     missing = [run.name for run in runs if not run.done(results)]
@@ -169,6 +170,7 @@ def campaign(runs: "Sequence[Run]", work: Path, results: Path, workers: Workers,
     if only_plan:
         console.print("\n".join(missing), soft_wrap=True)
         return
+    require_rerun()
     check_folder(work, ["index.html"])
     check_folder(results)
     with CampaignBar() as bar:

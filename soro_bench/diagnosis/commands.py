@@ -147,9 +147,10 @@ class Diagnose:
     def run(self) -> None:
         from soro_bench.diagnosis.active import diagnose_actively
         from soro_bench.diagnosis.api import diagnose, with_seeds
-        from soro_bench.diagnosis.render import FILES, render
+        from soro_bench.diagnosis.render import FILES, render, require_packages
         from soro_bench.recording.parquet import load
 
+        require_packages()
         if self.next < 0 or (self.answer and not self.next):
             raise ValueError(f"--next {self.next}: 0 or more recordings; --answer needs 1 or more")
         if self.seeds < 1 or (self.seeds > 1 and (self.next or self.before or self.after)):
@@ -316,9 +317,11 @@ class Study:
     seed: int = 0
 
     def run(self) -> None:
+        from soro_bench.diagnosis.render import require_packages
         from soro_bench.diagnosis.study import load_study, results, run_study
         from soro_bench.files import replacing
 
+        require_packages()
         check_folder(self.out, ["results.md"])
         files = {"train": self.train, "heldout": self.heldout, "unseen": self.unseen}
         if any(files.values()) and not self.train:

@@ -12,6 +12,7 @@ from soro_bench.parameters import ALL_PARAMETERS
 from soro_bench.policies.policy import Policy, TrainedPolicy
 from soro_bench.randomization import Distribution, Gaussian, from_dict, holding
 from soro_bench.recording.rerun_log import write_recording
+from soro_bench.recording.rerun_stream import require_rerun
 from soro_bench.registration import task_type
 from soro_bench.training.configuration import PPOConfig
 
@@ -89,6 +90,7 @@ def record_evaluations(
     Raises:
         ValueError: that cannot be written; nothing has been evaluated.
     """
+    require_rerun()
     check_folder(folder, [f"evaluation_{label}.rrd" for label in labels])
     scores = {}
     for label in labels:

@@ -14,12 +14,20 @@ from soro_bench.diagnosis.render.summary import summary
 from soro_bench.diagnosis.result import Result
 from soro_bench.effects.effect import SCHEMA
 from soro_bench.files import replacing, write_json
+from soro_bench.plotting import pyplot
 from soro_bench.randomization import Gaussian
 from soro_bench.recording.excitation import write_actions
+from soro_bench.recording.rerun_stream import require_rerun
 
 MODEL, REMAINING, NEXT = "patched_model.xml", "remaining_effects.json", "next_actions.csv"
 OPTIONAL = ("posterior.json", MODEL, REMAINING, NEXT)
 FILES = ("report.html", "comparison.rrd", "effects.json", "result.json", *OPTIONAL)
+
+
+def require_packages() -> None:
+    """Raise ImportError if a package is not installed that reports need: before the work, not after it."""
+    require_rerun()
+    pyplot()
 
 
 def render(result: Result, folder: str | Path) -> str:
