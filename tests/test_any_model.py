@@ -10,6 +10,7 @@ pytest.importorskip("pyarrow", reason="needs the train extra")
 
 from soro_bench.diagnosis.candidates import terms
 from soro_bench.diagnosis.data_quality.inspection import inspected
+from soro_bench.diagnosis.data_quality.responses import answered
 from soro_bench.diagnosis.data_quality.signals import explaining
 from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.robots.model_file import ModelError
@@ -313,3 +314,50 @@ def test_a_wide_sensor_is_so_many_numbers(robot_of):
     assert robot.shape == (9, 1) and expected[-1, 0] == pytest.approx(9.81 / 4, rel=0.01)
     (values,) = robot.simulate(measured.actions, NOMINAL, [()])
     np.testing.assert_allclose(values, measured.values, atol=1e-3)
+
+
+CART = """<mujoco><option timestep="0.005" integrator="implicitfast"/>
+<worldbody><body name="cart"><joint name="rail" type="slide" axis="1 0 0" damping="2" {spring}/>
+<geom size="0.05" mass="1" contype="0" conaffinity="0"/></body></worldbody>
+<actuator><motor name="drive" joint="rail"/></actuator></mujoco>"""
+RAIL = """[robot]
+control_timestep = 0.02
+[commands.force]
+actuators = ["drive"]
+[signal]
+name = "position"
+joints = ["rail"]
+unit = "m"
+[parameters.damping]
+fields = ["dof_damping:rail"]
+deviation = 0.3
+"""
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_command_arrives_though_a_missing_spring_makes_the_model_drift(seed, tmp_path):
+    """The model drifts as if the command that pushes it were one that never came."""
+    robots = []
+    for name, spring in (("real", 'stiffness="40"'), ("model", "")):
+        (tmp_path / f"{name}.xml").write_text(CART.format(spring=spring))
+        (tmp_path / f"{name}.toml").write_text(RAIL)
+        robots.append(ModelRobot(tmp_path / f"{name}.xml", tmp_path / f"{name}.toml", threads=1))
+    rng = np.random.default_rng(seed)
+    force = np.repeat(rng.uniform(-5, 5, 20), 10)[:, None]
+    (values,) = robots[0].simulate(force, np.ones((1, 1)), [()])
+    values = np.concatenate([np.zeros(1), values.ravel()]) + 5e-4 * rng.standard_normal(len(force) + 1)
+    time = 0.02 * np.arange(len(values))
+    recording = Recording({"force": Signal(time[:-1], force)}, {"position": Signal(time, values, "m")})
+    assert answered(robots[1].measured(recording), 0, robots[1]).findings == ()
+
+
+def test_a_patched_model_may_have_nothing_left_of_what_a_parameter_scales(tmp_path):
+    """A law took it away; a user's own model is refused."""
+    for name, text in (("cart.xml", CART.format(spring="")), ("cart.toml", RAIL)):
+        (tmp_path / name).write_text(text)
+    robot = ModelRobot(tmp_path / "cart.xml", tmp_path / "cart.toml", threads=1)
+    bare = CART.format(spring="").replace('damping="2"', 'damping="0"')
+    assert robot.as_built(bare).priors[0].name == "damping"
+    (tmp_path / "cart.xml").write_text(bare)
+    with pytest.raises(ModelError, match="is 0 in the model, and no factor changes that"):
+        ModelRobot(tmp_path / "cart.xml", tmp_path / "cart.toml", threads=1)
