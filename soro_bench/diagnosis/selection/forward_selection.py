@@ -369,13 +369,8 @@ class _Search:
         self.possible = allowed
 
     def _fit_to_noise(self) -> None:
-        """The best hypothesis fitted to the sensor's noise, where a misfit was the noise before: discretisation errors
-        that were negligible beside it count again."""
-        best, *others = self.tried
-        self.problem, (best,) = with_own_discretisation(self.problem, self.refined, [best], next(self.seeds))
-        (best,) = descended(self.problem, [best])
-        self.nominal, *others = (under_present_error(self.problem, h) for h in (self.nominal, *others))
-        self.tried = [best, *others]
+        """The best hypothesis fitted to the sensor's noise, where a misfit was the noise before."""
+        self.tried[:1] = descended(self.problem, self.tried[:1])
 
     def _keep_misfit_dominated(self, new: list[Hypothesis]) -> None:
         """The same where the best hypothesis says how large the noise is; the nominal robot is compared under it."""
