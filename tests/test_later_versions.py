@@ -9,7 +9,7 @@ import soro_bench
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.envs.trunk_lift import REST_HEIGHT
 from soro_bench.inference.replay import Replay
-from soro_bench.recording.recording import RecordingError
+from soro_bench.recording.recording import RecordingError, Signal
 from soro_bench.recording.simulated import record
 from tests.test_envs import GOAL, TIP, commanded, task_of
 
@@ -152,6 +152,10 @@ def test_a_recording_that_says_nowhere_where_the_cube_was_is_refused():
     recording = record("TrunkPush-v1", model="cable", steps=3)
     signals = {"keypoints": recording.signals["keypoints"]}
     metadata = {name: text for name, text in recording.metadata.items() if name != "object"}
+    for values in (np.zeros(4), np.full((4, 3), np.nan), np.full((4, 3), 1e300)):
+        odd = {**signals, "object_position": Signal(np.arange(4.0), values, "m", "world")}
+        with pytest.raises(RecordingError, match="object"):
+            SuiteRobot("TrunkPush-v1", "cable", threads=1).measured(replace(recording, signals=odd, metadata=metadata))
     with pytest.raises(RecordingError, match="says nowhere where the object begins"):
         SuiteRobot("TrunkPush-v1", "cable", threads=1).measured(replace(recording, signals=signals, metadata=metadata))
 

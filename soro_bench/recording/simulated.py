@@ -133,7 +133,7 @@ def start_of(recording: Recording) -> dict[str, list[float]]:
     if _OBJECT not in recording.signals:
         raise RecordingError(f"the recording says nowhere where the object begins: metadata have no object, x and z "
                              f"[m], and there is no {_OBJECT}")  # fmt: skip
-    first = recording.signals[_OBJECT].values[0]
+    first = np.ravel(recording.signals[_OBJECT].values[0])  # a stranger's may have any shape
     return {"object": first[::2].tolist()}
 
 

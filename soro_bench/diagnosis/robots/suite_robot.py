@@ -213,8 +213,7 @@ class SuiteRobot(Robot):
 
     def _set(self, ids: Ints, settings: Floats) -> None:
         """Put the objects of simulations ``ids`` where they begin."""
-        if not isinstance(self._task, TrunkPushV1Task):
-            raise NotImplementedError
+        assert isinstance(self._task, TrunkPushV1Task)  # of no other task a recording says a place
         self._task.put(ids, settings)
         self.simulation.begin(ids)
 

@@ -237,6 +237,7 @@ def _pause(since: np.ndarray) -> str:
 def _short(command: Signal, signals: Sequence[Signal]) -> str:
     """Where signals go on long before or after a command that comes at intervals, or ""."""
     time = command.time[np.isfinite(command.values).reshape(len(command.time), -1).all(axis=1)]
+    signals = [each for each in signals if len(each.time)]
     if not _regular(time) or not signals:
         return ""
     least = max(_PAUSE, _INTERVALS * float(np.median(np.diff(time))))
