@@ -73,7 +73,8 @@ class Result:
         "measurement_fault", or "recordings_disagree" (no law was detected, but parameters change).
     p_value: probability of as much misfit where nothing is missing; None where the model error is far above the sensor
         noise. alpha: the level at which a discrepancy is as likely as none.
-    unknown: probability that the discrepancy is outside the catalogue. healthy: that there is none.
+    unknown: probability that the discrepancy is outside the catalogue, or hidden by model-form error. healthy: that
+        there is none.
     predicted_gain: in log evidence, of the best single term. remaining_gain: likewise of one more term, on top of the
         best hypothesis.
     trained_on: number of recordings that were fitted to, the first ones; the others were held out.

@@ -117,11 +117,11 @@ def _tables(result: Result) -> list[Table]:
 
 
 def _candidates(result: Result) -> words.Rows:
-    return [_candidate(each) for each in result.findings if each.name not in ("none",)][:RANKED]
+    return [_candidate(each, result) for each in result.findings if each.name not in ("none",)][:RANKED]
 
 
-def _candidate(found: Finding) -> tuple[str, ...]:
-    name = "outside the catalogue" if found.name == "unknown" else words.law(found.name)
+def _candidate(found: Finding, result: Result) -> tuple[str, ...]:
+    name = sentences.unnamed(result) if found.name == "unknown" else words.law(found.name)
     magnitudes = "; ".join(f"{words.law(each.name)} {words.estimate(each)}" for each in found.estimates)
     location = str(found.location) if found.location else ""
     return words.probability(found.probability), name, location, magnitudes, words.plain("; ".join(found.drawbacks))

@@ -95,6 +95,11 @@ def p_value(result: Result) -> str:
     return chance(result.p_value)
 
 
+def unnamed(result: Result) -> str:
+    """What the probability of a discrepancy that no law describes stands for."""
+    return "physics hidden by model-form error" if model_form(result) else "outside the catalogue"
+
+
 def best_findings(result: Result) -> list[Finding]:
     """The effects of the hypothesis that the report is about."""
     return [each for each in result.findings if each.is_best]
@@ -233,7 +238,7 @@ def alternatives(result: Result) -> list[str]:
         if each.probability >= LIKELY
     ][:3]
     if result.verdict != "outside_catalogue" and result.unknown >= LIKELY:
-        found.append(f"outside the catalogue ({probability(result.unknown)})")
+        found.append(f"{unnamed(result)} ({probability(result.unknown)})")
     return found
 
 

@@ -72,7 +72,7 @@ def _replays(result: Result) -> list[str]:
 
 def _confidence(result: Result) -> str:
     if result.verdict == "adequate":
-        return f" ({sentences.p_value(result)})." if result.p_value is not None else "."
+        return f" (probability {words.probability(result.healthy)})."
     if result.verdict == "outside_catalogue":
         return f" (probability {words.probability(result.unknown)})."
     found = sentences.best_findings(result)

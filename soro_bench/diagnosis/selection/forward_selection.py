@@ -48,7 +48,7 @@ from soro_bench.diagnosis.selection.stopping import FormJudge, is_better, simple
 
 SEEDS = 10_000  # of samples, for each seed of a diagnosis
 # times the gain before fits, or before further ones, that they give at most where simulators differ by so much
-_MOST_BY_FITS, _MOST_BY_TURNS = 1.5, 2.0
+_MOST_BY_FITS = 2.0
 _FIRST_SEED, _SEED_STEP = 10, 10  # after those of the nominal fit, and between those of two calls
 
 Progress = Callable[[str], None]  # is told the name of each stage
@@ -74,6 +74,7 @@ class Explanation:
         best hypothesis.
     rounds: how the hypotheses came about; one whose candidates may be model-form error may have fitted none.
     looked_for: names of the effects that were screened anywhere.
+    of_all: misfit that all candidates explain together beside the nominal robot, to first order [nats].
     """
 
     problem: Problem
@@ -85,6 +86,7 @@ class Explanation:
     minimum: tuple[tuple[Term, float], ...]
     rounds: tuple[Round, ...] = ()
     looked_for: frozenset[str] = frozenset()
+    of_all: float = 0.0
 
 
 def explained(
@@ -208,14 +210,15 @@ class _Search:
             return self._is_predicted() or self._is_worth_it_from_priors()
         gain, least = self.remaining_gain, self.problem.settings.selection.least_gain
         rough, most = self.problem.misfit_dominated, _MOST_BY_FITS * gain
-        if covered := not rough and gain >= least and self.form.covers(self.problem, self.best, most):
+        of_all = self.screened.of_all
+        if covered := not rough and gain >= least and self.form.covers(self.problem, self.best, most, of_all):
             self.unfitted = (round_of(self.problem, self.best, singles(self.screened), ()),)
         return (gain >= self.worth and not covered) or self._is_worth_it_from_priors()
 
     def _is_predicted(self) -> bool:
         """Whether one more term is predicted to gain what is worth a fit, and no model-form error."""
         gain = self.remaining_gain
-        return gain >= self.worth and not self.form.covers(self.problem, self.best, gain)
+        return gain >= self.worth and not self.form.covers(self.problem, self.best, gain, self.screened.of_all)
 
     def _is_worth_it_from_priors(self) -> bool:
         """Whether a law that promises nothing here explains more as fitted from the priors of parameters."""
@@ -225,7 +228,7 @@ class _Search:
         promising = {each.terms[-1].name for each in singles(self.screened) if each.gain >= self.worth}
         if not (others := [one for one in self.candidates if one.name not in promising]):
             return False
-        if self.rounds and not self.form.stands_out(problem, self.nominal, best, self.worth):
+        if self.rounds and not self.form.stands_out(problem, self.nominal, best, self.worth, self.first.of_all):
             return False  # what was found may be model-form error
         self.progress("fits from the parameters' priors")
         screened, fits = fitted_from_priors(problem, self.robot, best, self.screened, others, next(self.seeds))
@@ -257,7 +260,8 @@ class _Search:
         self.tried[1:1] = others
         settings, before = self.problem.settings.selection, self._as_tried(base)
         if unpromised:
-            better = self.form.stands_out(self.problem, before, self.best, worth(self.problem, self.nominal, before))
+            least = worth(self.problem, self.nominal, before)
+            better = self.form.stands_out(self.problem, before, self.best, least, screened.of_all)
         else:
             better = number < settings.unchecked_terms or is_better(self.problem, self.heldout, before, self.best)
         if not better:
@@ -282,6 +286,7 @@ class _Search:
             self.screened.detectable(self.worth),
             tuple(self.rounds) or self.unfitted,
             frozenset(term.name for term in self.candidates),
+            self.first.of_all,
         )
 
     def remove_terms(self) -> None:
@@ -360,7 +365,7 @@ class _Search:
         """The new hypotheses before the others, refined if they may be worth having; and the candidates that are
         possible beside the best one."""
         gain = under_present_error(self.problem, self.best).cost - min(h.cost for h in new)
-        if not self.form.covers(self.problem, self.best, _MOST_BY_TURNS * gain):
+        if not self.form.covers(self.problem, self.best, _MOST_BY_FITS * gain, self.screened.of_all):
             self.problem, new = refined_in_turns(self.problem, self.robot, self.refined, new, self.seeds)
         self.tried = [under_present_error(self.problem, h) for h in new + self.tried]
         allowed = compatible(self.robot, self.tried[0], self.possible)

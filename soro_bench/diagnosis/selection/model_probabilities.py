@@ -135,6 +135,11 @@ def alpha(settings: Settings = DEFAULT) -> float:
     return p_value(settings.selection.least_gain, settings.probabilities)
 
 
+def _p_of(missing: float, settings: Settings) -> float:
+    """The p-value at which a discrepancy is as probable as that."""
+    return min(1.0, alpha(settings) * (1.0 - missing) / max(missing, 1e-300))
+
+
 def p_slow(slow: float, pairs: float, settings: Settings = DEFAULT) -> float:
     """Probability that a healthy robot leaves so much slow variance.
 
@@ -205,7 +210,8 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
     misfits = [problem.misfit(h.residual) for h in hypotheses]
     tested: list[Fit | None] = [None] * len(hypotheses)
     form = UnderModelForm.of(problem, [h.residual for h in hypotheses])
-    stand_out = form.stand_out(np.array(misfits), settings.discretisation)
+    gains = misfits[0] - np.array(misfits) if explanation.found else np.array([explanation.predicted_gain])
+    missing = form.missing(gains, explanation.of_all, settings.discretisation)
     if heldout is not None:
         unfitted, residuals = heldout
         unfitted_misfits = [unfitted.misfit(row) for row in residuals]
@@ -215,21 +221,26 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
                   for after, row in zip(rms, residuals, strict=True)]  # fmt: skip
         of_nominal.append((unfitted, residuals[0]))
         form = form.beside(UnderModelForm.of(unfitted, residuals))
-    # of held-out recordings alone it says little: parameters that a law moves may suit them by chance
-    stand_out &= form.stand_out(np.array(misfits), settings.discretisation)
-    if form.possible[0] and not stand_out.any():
-        gain = 0.0
-    p = p_value(gain, settings.probabilities)
-    if not form.possible[0]:
+        if explanation.found:  # what is missing may not show there, but does no harm
+            lost = np.array(unfitted_misfits) - unfitted_misfits[0]
+            missing = np.where(lost <= settings.probabilities.lost_by_chance * gains, missing, 0.0)
+    p, hidden = p_value(gain, settings.probabilities), 0.0
+    if form.possible[0]:
+        p = max(p, _p_of(float(missing.max()), settings))
+        hidden = min(settings.probabilities.hidden * float(form.left[0]), settings.probabilities.most_hidden)
+    else:
         # where the misfit is far above the sensor's noise something is missing, whether or not a law explains it
         p = 0.0 if problem.misfit_dominated else min(p, p_slow(*slow_variance(of_nominal), settings))
     nothing = p / (p + alpha(settings))
     scores = scores - _of_law_errors(problem, hypotheses, misfits)
-    probabilities = _probabilities(scores, nothing, temperature(min(misfits), settings.probabilities))
     mistaken = settings.probabilities.wrong_when_certain
     remaining = 0.0 if form.possible.any() else explanation.remaining_gain
-    unknown = (1.0 - nothing) * _probability_of_unknown(problem, hypotheses, remaining)
-    unknown = float(np.clip(unknown, mistaken, 1.0 - mistaken))
+    outside = _probability_of_unknown(problem, hypotheses, remaining)
+    # what may hide changes no verdict: it is taken from what is beyond even odds
+    none, laws = nothing - hidden * max(2.0 * nothing - 1.0, 0.0), (1.0 - nothing) * (1.0 - outside)
+    unknown = float(np.clip(1.0 - none - laws, mistaken, 1.0 - mistaken))
+    none /= max(none + laws, 1e-300)
+    probabilities = _probabilities(scores, none, temperature(min(misfits), settings.probabilities))
     fits = [Fit(train[0], after, problem.sensor, _own(problem, hypotheses[0].residual, h.residual))
             for h, after in zip(hypotheses, train, strict=True)]  # fmt: skip
     rows = zip(hypotheses, probabilities, scores.tolist(), fits, tested, misfits, strict=True)
@@ -269,7 +280,7 @@ def _unknowns(hypothesis: Hypothesis) -> int:
 
 
 def _probabilities(scores: np.ndarray, nothing: float, temperature: float) -> np.ndarray:
-    """(H,) from log evidence (H,); the first is that of nothing missing, which is known."""
+    """(H,) from log evidence (H,), if it is one of them; the first is that of nothing missing, which is known."""
     if len(scores) == 1:
         return np.ones(1)
     tempered = scores[1:] / temperature

@@ -71,6 +71,11 @@ class Evidence:
     settings: ScreeningSettings
     simulated: frozenset[Term] = frozenset()
 
+    @property
+    def of_all(self) -> float:
+        """Misfit that all candidates explain together, whatever the signs of their magnitudes [nats]."""
+        return 0.5 * float(self.pull @ np.linalg.solve(self.matrix, self.pull))
+
     def screened_candidate(self, chosen: Sequence[int]) -> ScreenedCandidate:
         """The best magnitudes of some candidates together."""
         rows = np.concatenate([self.blocks[i] for i in chosen])

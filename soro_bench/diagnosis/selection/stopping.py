@@ -140,13 +140,22 @@ class FormJudge:
             self._last = hypothesis, bool(fitted.beside(unfitted).possible[0])
         return self._last[1]
 
-    def covers(self, problem: Problem, hypothesis: Hypothesis, gain: float) -> bool:
-        """Whether what a hypothesis leaves may be model-form error, and one more term is predicted to gain no more
-        [nats] than terms do where that is all."""
-        form, misfit = UnderModelForm.of(problem, [hypothesis.residual]), problem.misfit(hypothesis.residual)
-        return gain < form.least_gain(misfit, problem.settings.discretisation) and self.possible(problem, hypothesis)
+    def covers(self, problem: Problem, hypothesis: Hypothesis, gain: float, of_all: float) -> bool:
+        """Whether what a hypothesis leaves may be model-form error, and is likelier to be that than one more term with
+        so large a gain [nats].
 
-    def stands_out(self, problem: Problem, before: Hypothesis, after: Hypothesis, least: float) -> bool:
-        """Whether a hypothesis has so much less cost [nats] than another one, and than model form can do."""
+        Args:
+            of_all: misfit that all candidates explain together beside the hypothesis [nats].
+        """
+        form = UnderModelForm.of(problem, [hypothesis.residual])
+        missing = form.missing(np.array([gain]), of_all, problem.settings.discretisation)
+        return missing[0] < 0.5 and self.possible(problem, hypothesis)
+
+    def stands_out(self, problem: Problem, before: Hypothesis, after: Hypothesis, least: float, of_all: float) -> bool:
+        """Whether a hypothesis has so much less cost [nats] than another one, and is likelier than model-form error.
+
+        Args:
+            of_all: misfit that all candidates explain together beside ``before`` [nats].
+        """
         gain = before.cost - after.cost
-        return gain >= least and not self.covers(problem, before, gain)
+        return gain >= least and not self.covers(problem, before, gain, of_all)

@@ -26,13 +26,12 @@ class DiscretisationSettings:
     reference_refinement: int = setting(4, "1", "of the time step in the reference; twice as fine as that of the fits")
     negligible: float = setting(0.1, "noise deviations", "rms of an error that explains none of a large misfit")
     model_form_share: float = setting(0.75, "1", "of how far simulators of the robot are apart; others differ so much")
-    model_form_left: float = setting(
-        0.7, "1", "share of a possible model-form error that a law may leave: half its power"
+    model_form_gain: float = setting(
+        0.012,
+        "1",
+        "of the largest model-form error's misfit, gained by a law that explains as much as all others: even odds",
     )
-    model_form_gain: float = setting(0.1, "1", "share of the misfit that a law gains; healthy Cosserat rods: 0.08")
-    model_form_gain_of_largest: float = setting(
-        0.04, "1", "share of the misfit of the largest model-form error, likewise; healthy Cosserat rods: 0.03"
-    )
+    model_form_power: float = setting(2.0, "1", "with which these odds grow with the gain")
 
 
 @dataclass(frozen=True)

@@ -105,6 +105,13 @@ class ProbabilitySettings:
         500.0, "nats", "predicted for one more term, where a catalogue law is as likely as not"
     )
     unknown_gain_width: float = setting(0.2, "1", "of the logarithm of that gain; right laws leave two thirds of it")
+    lost_by_chance: float = setting(
+        0.1, "1", "of its gain that a law that is missing may lose on held-out motion, where it need not show"
+    )
+    hidden: float = setting(
+        0.27, "1", "of robots hide physics, for each noise deviation of model-form error that they leave; release 7"
+    )
+    most_hidden: float = setting(0.45, "1", "of robots at most, likewise; 15 of 33 that left more than 1.3 deviations")
     wrong_when_certain: float = setting(0.03, "1", "share of answers that seemed certain and were wrong: 5 of 111")
     slow_variance: float = setting(
         0.12, "1", "of the residual, slow over fast, where a discrepancy is as likely as not"
