@@ -16,7 +16,9 @@ from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.robots.model_file import ModelError
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.settings import DEFAULT
+from soro_bench.effects.catalogue import MEASUREMENT, QUANTITIES
 from soro_bench.effects.effect import EVERY, Effect, Location
+from soro_bench.effects.measurement import distorted
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from tests.arm import HAND, HAND_MAP, NOMINAL, SIGNAL, goals, plain, with_initial
 
@@ -93,6 +95,26 @@ def test_the_noise_of_the_first_signal_is_in_a_start_at_that_signal_only(robot_o
     measured = robot.measured(Recording({"goal": goals([0.0] * 5)}, signals))
     assert measured.start.size == 1
     assert unexplained(robot, (measured,), 1e-3).of_recordings == errors
+
+
+@pytest.mark.parametrize(
+    ("joint", "unit", "fault", "happened", "recorded"),
+    [
+        ("hinge", "rad", ("sensor_bias", {"x": 0.03}), 0.5, 0.53),
+        ("hinge", "rad", ("marker_slip", {"x": 0.03, "time": 0.0}), 0.5, 0.53),
+        ("ball", "1", ("frame_misalignment", {"about_x": 1.0}), (1, 0, 0, 0), (np.cos(0.5), np.sin(0.5), 0, 0)),
+    ],
+)
+def test_a_replay_begins_where_the_robot_was_not_where_a_wrong_sensor_saw_it(
+    robot_of, joint, unit, fault, happened, recorded
+):
+    name, values = fault
+    fault = Effect(name, Location("sensor", "s"), {**{q.name: 0.0 for q in QUANTITIES[name]}, **values})
+    mapping = HAND_MAP.replace(SIGNAL, f'name = "s"\njoints = ["{joint}"]\nunit = "{unit}"')
+    robot, actions = robot_of(f'{mapping}[initial]\njoints = ["{joint}"]'), np.zeros((20, 2))
+    (true,) = robot.simulate(actions, NOMINAL, [()], np.array(happened, float))
+    (seen,) = robot.simulate(actions, NOMINAL, [[fault]], np.array(recorded, float))
+    np.testing.assert_allclose(seen, distorted(MEASUREMENT, [fault], np.arange(20), true, "s"), atol=1e-9)
 
 
 def test_a_robot_settles_from_where_it_begins(robot_of):

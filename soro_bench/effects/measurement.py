@@ -35,6 +35,11 @@ class Fault:
         """(T, P, D) what is recorded at ``time`` (T,) s of what happened."""
         raise NotImplementedError
 
+    @staticmethod
+    def undone(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
+        """(T, P, D) what happened at ``time`` (T,) s of what was recorded; asked of the beginning of a recording."""
+        return values
+
 
 class SensorDelay(Fault):
     """Every sample shows what was some time before."""
@@ -72,6 +77,10 @@ class SensorBias(Fault):
     def apply(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
         return _shifted(values, p, index, np.ones(len(time), bool))
 
+    @staticmethod
+    def undone(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
+        return _shifted(values, _opposite(p), index, np.ones(len(time), bool))
+
 
 class MarkerSlip(Fault):
     """One point is recorded with an offset from some time on."""
@@ -87,6 +96,10 @@ class MarkerSlip(Fault):
     def apply(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
         return _shifted(values, p, index, time - time[0] >= p["time"])
 
+    @staticmethod
+    def undone(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
+        return _shifted(values, _opposite(p), index, time - time[0] >= p["time"])
+
 
 class FrameMisalignment(Fault):
     """The frame of the sensor is turned and shifted against the robot's."""
@@ -99,12 +112,11 @@ class FrameMisalignment(Fault):
 
     @staticmethod
     def apply(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
-        if values.shape[-1] != 3:
-            raise EffectError(f"frame_misalignment turns points of 3 coordinates; these have {values.shape[-1]}")
-        vector = np.array([p[f"about_{axis}"] for axis in "xyz"])
-        flat = values.reshape(-1, 3)
-        turned = rotate_by_vector(flat, np.broadcast_to(vector, flat.shape)).reshape(values.shape)
-        return turned + np.array([p[axis] for axis in "xyz"])
+        return _turned(_in_space(values), p) + np.array([p[axis] for axis in "xyz"])
+
+    @staticmethod
+    def undone(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
+        return _turned(_in_space(values) - np.array([p[axis] for axis in "xyz"]), _opposite(p))
 
 
 class Outliers(Fault):
@@ -124,12 +136,27 @@ def distorted(
     faults: Mapping[str, type[Fault]], effects: Iterable[Effect], time: Floats, values: Floats, signal: str
 ) -> Floats:
     """(T, P, D) samples of a signal with the measurement faults among ``effects`` that concern it."""
-    for effect in effects:
-        if effect.location.kind == "sensor" and effect.location.name in ("*", signal):
-            if _point(effect) >= values.shape[1]:
-                raise EffectError(f"{effect.name} is at {effect.location}; {signal} has {values.shape[1]} points")
-            values = faults[effect.name].apply(time, values, effect.parameters, _point(effect))
+    for effect in _of(effects, values, signal):
+        values = faults[effect.name].apply(time, values, effect.parameters, _point(effect))
     return values
+
+
+def undone(
+    faults: Mapping[str, type[Fault]], effects: Iterable[Effect], time: Floats, values: Floats, signal: str
+) -> Floats:
+    """(T, P, D) what happened when samples of a signal were recorded with the measurement faults among ``effects``."""
+    for effect in reversed(_of(effects, values, signal)):
+        values = faults[effect.name].undone(time, values, effect.parameters, _point(effect))
+    return values
+
+
+def _of(effects: Iterable[Effect], values: Floats, signal: str) -> list[Effect]:
+    """The measurement faults among ``effects`` that concern a signal with samples (T, P, D)."""
+    found = [each for each in effects if each.location.kind == "sensor" and each.location.name in ("*", signal)]
+    for effect in found:
+        if _point(effect) >= values.shape[1]:
+            raise EffectError(f"{effect.name} is at {effect.location}; {signal} has {values.shape[1]} points")
+    return found
 
 
 def _point(effect: Effect) -> int:
@@ -151,6 +178,23 @@ def _at(when: Floats, time: Floats, values: Floats) -> Floats:
         found[before] = make_interp_spline(time[:sound], values[:sound], k=min(_DEGREE, sound - 1))(when[before])
     # bit for bit where nothing is between samples
     return np.where(np.isin(when, time)[:, None, None], values[np.searchsorted(time, when)], found)
+
+
+def _opposite(p: Mapping[str, float]) -> dict[str, float]:
+    """The offset and the turn that take those of ``p`` back."""
+    return {name: -value for name, value in p.items()}
+
+
+def _in_space(values: Floats) -> Floats:
+    if values.shape[-1] != 3:
+        raise EffectError(f"frame_misalignment turns points of 3 coordinates; these have {values.shape[-1]}")
+    return values
+
+
+def _turned(values: Floats, p: Mapping[str, float]) -> Floats:
+    flat = values.reshape(-1, 3)
+    vector = np.array([p[f"about_{axis}"] for axis in "xyz"])
+    return rotate_by_vector(flat, np.broadcast_to(vector, flat.shape)).reshape(values.shape)
 
 
 def _shifted(values: Floats, p: Mapping[str, float], index: int, when: Bools) -> Floats:

@@ -4,6 +4,7 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -45,6 +46,7 @@ class Drive:
     start: Floats | None = None
     settings: Floats | None = None
 
+    @cached_property
     def digest(self) -> bytes:
         """What tells one input from another."""
         parts = [b"" if part is None else part.tobytes() for part in (self.actions, self.start, self.settings)]

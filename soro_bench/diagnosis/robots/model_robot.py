@@ -358,6 +358,10 @@ class ModelRobot(Robot):
         self._initial.write(self.simulation.batch, ids, start)
         self.simulation.begin(ids)
 
+    def _happened(self, start: Floats, effects: Sequence[Effect]) -> Floats:
+        """The start without faults of sensors; see :meth:`Robot._happened`."""
+        return self._initial.happened(start, effects, self.signals)
+
     def _set(self, ids: Ints, settings: Floats) -> None:
         """Give simulations their settings; their parameters stay."""
         if len(ids):

@@ -1,5 +1,6 @@
 """What of a MuJoCo model's state a recording shows (the signal), and where a recording begins (the initial state)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,6 +20,9 @@ from soro_bench.diagnosis.robots.model_file import (
     names_of,
     scalar_joint,
 )
+from soro_bench.effects.catalogue import MEASUREMENT
+from soro_bench.effects.effect import Effect
+from soro_bench.effects.measurement import undone
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 
 _PLACES = ("sites", "bodies", "joints", "sensors")
@@ -90,6 +94,14 @@ def axes(quaternions: Floats) -> Floats:
     each = each / np.linalg.norm(each, axis=-1, keepdims=True)
     found = rotate_by_quaternion(np.eye(3), np.broadcast_to(each, (*each.shape[:2], 3, _QUATERNION)))
     return np.asarray(found.reshape(*each.shape[:2], 9))
+
+
+def quaternions(frames: Floats) -> Floats:
+    """(4 K,) the unit quaternions, w first, that turn the axes of K frames (3 K, 3): what ``axes`` makes of them."""
+    found = np.zeros((len(frames) // 3, _QUATERNION))
+    for each, frame in zip(found, frames.reshape(-1, 3, 3), strict=True):
+        mujoco.mju_mat2Quat(each, frame.T.ravel())
+    return found.ravel()
 
 
 def signal_sources(
@@ -201,6 +213,25 @@ class InitialState:
             values = numbers[:, done : done + len(part.ids)]
             getattr(batch, part.field)[np.ix_(ids, part.ids)] = values
             done += len(part.ids)
+
+    def happened(self, start: Floats, effects: Sequence[Effect], signals: Sequence[ObservedSignal]) -> Floats:
+        """What was there of a state of which ``start`` was recorded, with faults of sensors among ``effects``.
+
+        Args:
+            start: as ``begun`` gives it, of any shape.
+            signals: that are explained; the sensors of others have no faults.
+        """
+        found, done = start.copy(), 0
+        for part in self.parts:
+            numbers = found.reshape(-1)[done : done + len(part.ids)]  # a view
+            done += len(part.ids)
+            for signal in signals:
+                if signal.name == part.signal:
+                    turned = len(numbers) != signal.size  # quaternions, which are explained as axes
+                    first = (axes(numbers[None]) if turned else numbers).reshape(1, *signal.shape)
+                    (first,) = undone(MEASUREMENT, effects, np.zeros(1), first, signal.name)
+                    numbers[:] = quaternions(first) if turned else first.ravel()
+        return found
 
     def begun(self, recording: Recording, begin: float, step: float) -> Floats:
         """(S,) what the recording says of the state at its begin [s].

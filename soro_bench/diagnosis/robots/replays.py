@@ -3,7 +3,8 @@
 import itertools
 from abc import ABC, abstractmethod
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -98,6 +99,10 @@ class Replays(ABC):
         """(count, P, D) each of the other signals of the first ``count`` simulations now."""
         return []
 
+    def _happened(self, start: Floats, effects: Sequence[Effect]) -> Floats:
+        """A start without the faults of sensors among ``effects``; for robots that begin at it."""
+        return start
+
     def _complete(self, parameters: Floats) -> Floats:
         """(N, D) values of all parameters, from those (N, d) that replays differ in."""
         return parameters
@@ -121,7 +126,7 @@ class Replays(ABC):
             actions: (T, ...) one per control step.
             parameters: (N, d) values in the order of ``priors``.
             effects: of each of the N replays, physics and faults of measurement.
-            start: (P, D) the signal before the first step, for robots that begin at it.
+            start: (P, D) the signal before the first step, as its sensor recorded it, for robots that begin at it.
             before_step: called with the number of every control step; replay i, of ``SIMULATIONS`` at most, then runs
                 in simulation i.
             settings: (T, S) as ``Measured`` has them.
@@ -145,12 +150,19 @@ class Replays(ABC):
         effects = [(*self.known, *each) for each in effects]
         # what differs only in the sensor is simulated once
         physics = [tuple(e for e in each if e.location.kind != "sensor") for each in effects]
-        values = self._replayed(drives, parameters, physics, before_step)
+        driven = {(k, i): self._driven(drive, each) for k, drive in enumerate(drives) for i, each in enumerate(effects)}
+        values = self._replayed(driven, parameters, physics, before_step)
         times = [np.asarray(self.control_timestep * np.arange(len(drive.actions) + 1), float) for drive in drives]
         return [
             np.stack([self._recorded(each, time, values[k, i])[1:] for i, each in enumerate(effects)])
             for k, time in enumerate(times)
         ]
+
+    def _driven(self, drive: Drive, effects: Sequence[Effect]) -> Drive:
+        """A drive under effects: it begins at what happened, not at what a wrong sensor recorded of it."""
+        if drive.start is None or not any(effect.location.kind == "sensor" for effect in effects):
+            return drive
+        return replace(drive, start=self._happened(drive.start, effects))
 
     @cached_property
     def _memory(self) -> Memory:
@@ -159,19 +171,21 @@ class Replays(ABC):
 
     def _replayed(
         self,
-        drives: Sequence[Drive],
+        drives: Mapping[_Job, Drive],
         parameters: Floats,
         physics: Sequence[Sequence[Effect]],
         before_step: Callable[[int], None] | None,
     ) -> dict[_Job, Floats]:
-        """(1 + T, C) signals of every drive under every row of parameters and effects, each simulated once."""
-        every = list(itertools.product(range(len(drives)), range(len(physics))))
+        """(1 + T, C) signals of every drive under every row of parameters and effects, each simulated once.
+
+        Args:
+            drives: of every replay.
+        """
         if before_step:
-            return self._simulated(every, drives, parameters, physics, before_step)
+            return self._simulated(list(drives), drives, parameters, physics, before_step)
         names = tuple(each.name for each in self.signals)
         rows = [(row.tobytes(), repr(each)) for row, each in zip(parameters, physics, strict=True)]
-        inputs = [drive.digest() for drive in drives]
-        keys = {(k, i): (names, inputs[k], rows[i]) for k, i in every}
+        keys = {job: (names, drive.digest, rows[job[1]]) for job, drive in drives.items()}
         known = {key: found for key in keys.values() if (found := self._memory.get(key)) is not None}
         new = {key: job for job, key in reversed(keys.items()) if key not in known}
         simulated = self._simulated(sorted(new.values()), drives, parameters, physics, None)
@@ -183,7 +197,7 @@ class Replays(ABC):
     def _simulated(
         self,
         jobs: Sequence[_Job],
-        drives: Sequence[Drive],
+        drives: Mapping[_Job, Drive],
         parameters: Floats,
         physics: Sequence[Sequence[Effect]],
         before_step: Callable[[int], None] | None,
@@ -193,13 +207,13 @@ class Replays(ABC):
 
         def alike(job: _Job) -> tuple[int, int]:
             """Replays that run side by side: as much work between steps, as many steps."""
-            return work[job[1]], len(drives[job[0]].actions)
+            return work[job[1]], len(drives[job].actions)
 
         def rolled_out(robot: Replays, parts: Sequence[list[_Job]]) -> dict[_Job, Floats]:
             """Signals of replays, simulated part by part on a robot."""
             found: dict[_Job, Floats] = {}
             for jobs in parts:
-                driven, rows = [drives[k] for k, _ in jobs], [i for _, i in jobs]
+                driven, rows = [drives[job] for job in jobs], [i for _, i in jobs]
                 values = robot._roll_out(driven, parameters[rows], [physics[i] for i in rows], before_step)
                 found |= dict(zip(jobs, values, strict=True))
             return found
