@@ -117,6 +117,17 @@ def test_a_replay_begins_where_the_robot_was_not_where_a_wrong_sensor_saw_it(
     np.testing.assert_allclose(seen, distorted(MEASUREMENT, [fault], np.arange(20), true, "s"), atol=1e-9)
 
 
+def test_a_replay_under_a_delay_begins_where_the_late_sensor_saw_the_robot_later(robot_of):
+    """It was moved by hand, and let go when the commands began."""
+    robot, time = robot_of(with_initial('joints = ["hinge"]')), 0.02 * np.arange(21)
+    (true,) = robot.simulate(np.zeros((20, 2)), NOMINAL, [()], np.array([[0.5]]))
+    late = np.concatenate([[0.3, 0.4, 0.5], true[:-2].ravel()])
+    measured = robot.measured(Recording({"goal": goals([0.0] * 20)}, {"angle": Signal(time, late, "rad")}))
+    fault = Effect("sensor_delay", Location("sensor", "angle"), {"delay": 0.04})
+    ((seen,),) = robot.simulate_all([measured.drive], NOMINAL, [[fault]])
+    np.testing.assert_allclose(seen.ravel()[1:], late[2:], atol=1e-9)
+
+
 def test_a_robot_settles_from_where_it_begins(robot_of):
     """A bistable one stays on the side of its keyframe."""
     rod = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" springref="0"/>

@@ -51,6 +51,10 @@ class SensorDelay(Fault):
     def apply(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
         return _at(time - p["delay"], time, values)
 
+    @staticmethod
+    def undone(time: Floats, values: Floats, p: Mapping[str, float], index: int) -> Floats:
+        return _at(time + p["delay"], time, values)
+
 
 class ClockSkew(Fault):
     """The clock of the sensor runs faster than that of the commands."""

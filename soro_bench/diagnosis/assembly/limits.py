@@ -64,7 +64,7 @@ def limits_of(
     steps = 0
     for drive in drives:
         watch = _Watch(robot, settings)
-        robot.simulate(drive.actions, parameters, [effects], drive.start, watch, drive.settings)
+        robot.simulate_all([drive], parameters, [effects], watch)
         found += watch.found
         steps += watch.steps
     shares = {one: count / max(steps, 1) for one, count in found.items()}

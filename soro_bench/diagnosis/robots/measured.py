@@ -39,16 +39,17 @@ class Drive:
     """Input of a replay.
 
     actions: (T, ...) one per control step. start: (P, D) the signal before the first step, or (S,) what the recording
-    says of the state then. settings: (T, S) what is known of the robot in each control step.
+    says of the state then. settings: (T, S) what is known of the robot in each control step. early: as of ``Measured``.
     """
 
     actions: Floats
     start: Floats | None = None
     settings: Floats | None = None
+    early: Floats | None = None
 
     @cached_property
     def digest(self) -> bytes:
-        """What tells one input from another."""
+        """What tells the input of one simulation from another."""
         parts = [b"" if part is None else part.tobytes() for part in (self.actions, self.start, self.settings)]
         return hashlib.sha256(b"".join(len(part).to_bytes(8) + part for part in parts)).digest()
 
@@ -63,6 +64,8 @@ class Measured:
     start: of robots that begin at it, (P, D) the first sample of the signal, before the first step, or (S,) what
     several signals say of the state then. settings: (T, S) what is known of the robot in each control step, for robots
     that have such settings. notes: what a user should know of the recording, in words.
+    early: (E, S) of robots that begin at a signal, the numbers of ``start`` as recorded then and in each control step
+    after, for as long as a sensor may be late.
     late: (F, T, C) s, errors that the time stamps of each number may have, one standard deviation each; None where
     they are exact.
     """
@@ -77,6 +80,7 @@ class Measured:
     notes: tuple[str, ...] = ()
     late: Floats | None = None
     others: tuple[Floats, ...] = ()
+    early: Floats | None = None
 
     @property
     def columns(self) -> Floats:
@@ -111,7 +115,7 @@ class Measured:
     @property
     def drive(self) -> Drive:
         """The input of the robot."""
-        return Drive(self.actions, self.start, self.settings)
+        return Drive(self.actions, self.start, self.settings, self.early)
 
     def under(self, actions: Floats) -> "Measured":
         """The same robot under other actions (T', ...), with its first settings throughout."""

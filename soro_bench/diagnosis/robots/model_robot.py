@@ -277,9 +277,9 @@ class ModelRobot(Robot):
         found = replace(found, notes=tuple(text for _, text in self._clipped(found.actions)))
         if not self._initial.parts:
             return found
-        start = self._initial.begun(recording, self.begins(recording), self.control_timestep)
-        own = [part.signal for part in self._initial.parts] == [self.signal] and start.size == np.prod(self.shape)
-        return replace(found, start=start.reshape(self.shape) if own else start)
+        early = self._initial.begun(recording, self.begins(recording), self.control_timestep)
+        own = [part.signal for part in self._initial.parts] == [self.signal] and early[0].size == np.prod(self.shape)
+        return replace(found, start=early[0].reshape(self.shape) if own else early[0], early=early)
 
     def converted(self, signal: ObservedSignal, given: Signal) -> Signal:
         """A recorded signal as it is explained: of quaternions the axes of their frames."""
@@ -358,9 +358,9 @@ class ModelRobot(Robot):
         self._initial.write(self.simulation.batch, ids, start)
         self.simulation.begin(ids)
 
-    def _happened(self, start: Floats, effects: Sequence[Effect]) -> Floats:
+    def _happened(self, start: Floats, early: Floats, effects: Sequence[Effect]) -> Floats:
         """The start without faults of sensors; see :meth:`Robot._happened`."""
-        return self._initial.happened(start, effects, self.signals)
+        return self._initial.happened(start, early, self.control_timestep, effects, self.signals)
 
     def _set(self, ids: Ints, settings: Floats) -> None:
         """Give simulations their settings; their parameters stay."""

@@ -22,13 +22,14 @@ from soro_bench.diagnosis.robots.model_file import (
 )
 from soro_bench.effects.catalogue import MEASUREMENT
 from soro_bench.effects.effect import Effect
-from soro_bench.effects.measurement import undone
+from soro_bench.effects.measurement import SensorDelay, undone
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 
 _PLACES = ("sites", "bodies", "joints", "sensors")
 _COORDINATES = 3  # of a point, at most
 _QUATERNION = 4  # numbers
 _UNIT_LENGTH = 0.05  # by which the length of a quaternion may differ from 1, as rounded ones do
+_LATEST = SensorDelay.quantities[0].bounds[1]  # s, by which a sensor may be late
 _KEYFRAME = mujoco.mjtObj.mjOBJ_KEY
 _JOINT = mujoco.mjtObj.mjOBJ_JOINT
 
@@ -214,27 +215,37 @@ class InitialState:
             getattr(batch, part.field)[np.ix_(ids, part.ids)] = values
             done += len(part.ids)
 
-    def happened(self, start: Floats, effects: Sequence[Effect], signals: Sequence[ObservedSignal]) -> Floats:
+    def happened(
+        self,
+        start: Floats,
+        early: Floats,
+        step: float,
+        effects: Sequence[Effect],
+        signals: Sequence[ObservedSignal],
+    ) -> Floats:
         """What was there of a state of which ``start`` was recorded, with faults of sensors among ``effects``.
 
         Args:
-            start: as ``begun`` gives it, of any shape.
+            start: the first row of ``early``, of any shape; or not far from it, as noise is.
+            early: (E, S) as ``begun`` gives it.
+            step: s, of the control.
             signals: that are explained; the sensors of others have no faults.
         """
-        found, done = start.copy(), 0
+        rows, time = early + (start.ravel() - early[0]), np.asarray(step * np.arange(len(early)), float)
+        found, done = rows[0], 0
         for part in self.parts:
-            numbers = found.reshape(-1)[done : done + len(part.ids)]  # a view
-            done += len(part.ids)
+            where = slice(done, done := done + len(part.ids))
             for signal in signals:
                 if signal.name == part.signal:
-                    turned = len(numbers) != signal.size  # quaternions, which are explained as axes
-                    first = (axes(numbers[None]) if turned else numbers).reshape(1, *signal.shape)
-                    (first,) = undone(MEASUREMENT, effects, np.zeros(1), first, signal.name)
-                    numbers[:] = quaternions(first) if turned else first.ravel()
-        return found
+                    turned = len(part.ids) != signal.size  # quaternions, which are explained as axes
+                    values = (axes(rows[:, where]) if turned else rows[:, where]).reshape(-1, *signal.shape)
+                    first = undone(MEASUREMENT, effects, time, values, signal.name)[0]
+                    found[where] = quaternions(first) if turned else first.ravel()
+        return found.reshape(start.shape)
 
     def begun(self, recording: Recording, begin: float, step: float) -> Floats:
-        """(S,) what the recording says of the state at its begin [s].
+        """(E, S) what the recording says of the state at its begin [s], and in the control steps after until its
+        sensors cannot be later.
 
         Args:
             step: s, of the control; a sample counts if it is not later than that.
@@ -242,12 +253,13 @@ class InitialState:
         Raises:
             RecordingError: a signal is not there, or its first sample is missing or late.
         """
-        found = []
+        found, after = [], begin + step * np.arange(1, int(_LATEST / step) + 1)
         for part in self.parts:
             if part.signal not in recording.signals:
                 raise RecordingError(f"[initial] names the signal {part.signal!r}; there are {recording.names}")
             signal = recording.signals[part.signal]
-            first, later = signal.values[0].ravel(), float(signal.time[0]) - begin
+            samples, later = signal.values.reshape(len(signal.time), -1), float(signal.time[0]) - begin
+            first = samples[0]
             if len(first) != len(part.ids):
                 raise RecordingError(f"[initial] needs {len(part.ids)} numbers of {part.signal}; it has {len(first)}")
             if not np.isfinite(first).all():
@@ -257,8 +269,10 @@ class InitialState:
                     f"the first sample of {part.signal} is {later:g} s after the recording begins; [initial] needs one "
                     f"within a control step, {step:g} s"
                 )
-            found.append(first)
-        return np.concatenate(found)
+            columns = [(column, np.isfinite(column)) for column in samples.T]
+            rows = [np.interp(after, signal.time[seen], column[seen]) for column, seen in columns]
+            found.append(np.vstack([first, np.transpose(rows)]))
+        return np.hstack(found)
 
 
 def initial_state(model: mujoco.MjModel, table: dict[str, Any], source: SignalSource, signal: str) -> InitialState:

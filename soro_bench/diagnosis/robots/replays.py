@@ -99,8 +99,12 @@ class Replays(ABC):
         """(count, P, D) each of the other signals of the first ``count`` simulations now."""
         return []
 
-    def _happened(self, start: Floats, effects: Sequence[Effect]) -> Floats:
-        """A start without the faults of sensors among ``effects``; for robots that begin at it."""
+    def _happened(self, start: Floats, early: Floats, effects: Sequence[Effect]) -> Floats:
+        """A start without the faults of sensors among ``effects``; for robots that begin at it.
+
+        Args:
+            early: (E, S) what was recorded then and in the control steps after.
+        """
         return start
 
     def _complete(self, parameters: Floats) -> Floats:
@@ -162,7 +166,8 @@ class Replays(ABC):
         """A drive under effects: it begins at what happened, not at what a wrong sensor recorded of it."""
         if drive.start is None or not any(effect.location.kind == "sensor" for effect in effects):
             return drive
-        return replace(drive, start=self._happened(drive.start, effects))
+        early = drive.start.reshape(1, -1) if drive.early is None else drive.early
+        return replace(drive, start=self._happened(drive.start, early, effects))
 
     @cached_property
     def _memory(self) -> Memory:
