@@ -150,6 +150,9 @@ def test_a_rod_has_a_model_of_its_own_and_no_motion_that_is_unseen(tmp_path):
     write_cases(cases, 1, seed, healthy=1, durations=SHORT, others=1, sorosim=data)
     (found,) = opened_labels(cases)
     assert set(found["sha256"]) == {"train.parquet", "model.xml", "map.toml", "finer.xml"}
+    assert {name: each["unit"] for name, each in found["parameters"].items()} == dict.fromkeys(
+        ("stiffness", "mass", "damping"), "1"
+    )
     said = report("none", "none", verdict="none_detected")
     write_json(tmp_path / "reports" / "case_000.json", said | {"unseen": None})
     (row,) = rescored(cases, tmp_path / "reports")["cases"]

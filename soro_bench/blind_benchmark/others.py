@@ -151,7 +151,7 @@ def _built(
 
 def _label(case: OtherCase, found: dict) -> dict:
     """As those of the suite's models, with the kind of the robot."""
-    units = {each.name: each.unit for each in trunk.PARAMETERS}
+    units = {} if case.kind == SOROSIM else {each.name: each.unit for each in trunk.PARAMETERS}  # a rod has factors
     effects = [each | {"class": released(ALL[each["name"]][0]), "law": case.law} for each in found["effects"]]
     return {
         "id": case.id,
