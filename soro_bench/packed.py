@@ -12,7 +12,7 @@ import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from soro_bench.files import brief, is_temporary, read_bytes, replacing
@@ -67,16 +67,24 @@ def read(path: str | Path, max_bytes: int) -> bytes:
         ValueError: the file, or the archive, is not what is allowed.
         FileNotFoundError: it is in neither of them.
     """
+    return next(contents(path, max_bytes))
+
+
+def contents(path: str | Path, max_bytes: int) -> Iterator[bytes]:
+    """What a file holds in its folder and in each archive of it; :func:`read` gives the first, and raises the same."""
     path = Path(path)
-    archives = _archives(path.parent)
+    archives, missing = _archives(path.parent), True
     if os.path.lexists(path) or not archives:
-        return read_bytes(path, max_bytes, links=False)
+        missing = False
+        yield read_bytes(path, max_bytes, links=False)
     for archive, prefix in archives:
         opened, members = _members(archive)
         if (member := members.get(prefix + path.name)) is not None:
-            return _content(path, archive, opened, member, max_bytes)
-    said = " nor in ".join(str(archive) for archive, _ in archives)
-    raise FileNotFoundError(errno.ENOENT, f"neither a file nor in {said}", str(path))
+            missing = False
+            yield _content(path, archive, opened, member, max_bytes)
+    if missing:
+        said = " nor in ".join(str(archive) for archive, _ in archives)
+        raise FileNotFoundError(errno.ENOENT, f"neither a file nor in {said}", str(path))
 
 
 def _content(path: Path, archive: Path, opened: zipfile.ZipFile, member: zipfile.ZipInfo, max_bytes: int) -> bytes:
@@ -93,10 +101,11 @@ def _content(path: Path, archive: Path, opened: zipfile.ZipFile, member: zipfile
     return data
 
 
-def pack(folder: str | Path, chosen: Sequence[str]) -> Path:
-    """Move files of a folder, or of folders in it, those with the chosen names, into its archive; returns that.
+def pack(folder: str | Path, chosen: Mapping[str, bytes]) -> Path:
+    """Put the chosen names with their content into the archive of a folder, and remove files of these names from the
+    folder, or from folders in it; returns the archive.
 
-    Members that the archive has stay there, unless a chosen file has their name. Folders go if they are empty then.
+    Members that the archive has stay there, unless they have a chosen name. Folders go if they are empty then.
     """
     folder, archive = Path(folder), archive_of(folder)
     if archive.is_dir():
@@ -104,10 +113,10 @@ def pack(folder: str | Path, chosen: Sequence[str]) -> Path:
     kept = set(_members(archive)[1]) if archive.is_file() else set()
     with replacing(archive) as temporary:
         with zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as file:
-            for name in sorted(kept | set(chosen)):
+            for name in sorted(kept.union(chosen)):
                 member = zipfile.ZipInfo(name, _TIME)
                 member.compress_type, member.create_system, member.external_attr = zipfile.ZIP_DEFLATED, 3, 0o644 << 16
-                file.writestr(member, read(folder / name, MAX_BYTES))
+                file.writestr(member, chosen[name] if name in chosen else read(folder / name, MAX_BYTES))
         try:
             _members(temporary)  # refuses what could not be read again
         except ValueError as error:

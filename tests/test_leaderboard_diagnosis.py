@@ -3,6 +3,8 @@
 import hashlib
 import os
 import zipfile
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,9 +16,11 @@ from soro_bench.commands.blind_benchmark import BlindBenchmark
 from soro_bench.files import write_json
 from soro_bench.leaderboard import diagnosis_entry
 from soro_bench.leaderboard.diagnosis_entry import Release
+from soro_bench.leaderboard.entry import pack_entries, policy_of, read_entry, write_entry
+from soro_bench.leaderboard.gather import gather_control
 from soro_bench.leaderboard.verify import verify_diagnosis, verify_release
 from soro_bench.packed import archive_of, folder_of, is_there, names, pack, read
-from tests.results import edit
+from tests.results import BOARD, CARD, edit, policy, scores, shrink_board
 from tests.test_bad_input import says
 from tests.test_blind_benchmark_score import label, report
 
@@ -136,7 +140,8 @@ def folder(tmp_path):
     folder.mkdir()
     for name in ("a.json", "b.json"):
         (folder / name).write_text(f"old {name}")
-    assert pack(folder, ("a.json", "b.json")) == archive_of(folder) == tmp_path / "oracle.zip"
+    both = {name: f"old {name}".encode() for name in ("a.json", "b.json")}
+    assert pack(folder, both) == archive_of(folder) == tmp_path / "oracle.zip"
     assert not folder.exists() and folder_of(tmp_path / "oracle.zip") == folder
     folder.mkdir()
     (folder / "b.json").write_text("new b.json")
@@ -166,10 +171,10 @@ def test_paths_without_a_folder_are_read_from_where_one_is(folder, monkeypatch):
 
 
 def test_what_is_packed_again_takes_the_place_of_what_was_there(folder):
-    pack(folder, ["b.json"])
+    pack(folder, {"b.json": b"new b.json"})
     assert read(folder / "b.json", 100) == b"new b.json" and read(folder / "a.json", 100) == b"old a.json"
     before = archive_of(folder).read_bytes()
-    pack(folder, ["a.json"])
+    pack(folder, {"a.json": b"old a.json"})
     assert archive_of(folder).read_bytes() == before, "the same files give the same bytes"
 
 
@@ -177,8 +182,60 @@ def test_a_file_that_could_not_be_read_again_is_not_packed(folder):
     (folder / "a b.json").write_text("")
     before = archive_of(folder).read_bytes()
     with pytest.raises(ValueError, match=says("oracle.zip", "member 'a b.json'", "allowed")):
-        pack(folder, ["a b.json"])
+        pack(folder, {"a b.json": b""})
     assert archive_of(folder).read_bytes() == before and (folder / "a b.json").exists()
+
+
+def _killed_after(steps, work):
+    """Do some work, of which nothing more happens after so many renamings and removals; whether it came to its end."""
+    left = steps
+
+    def counted(done):
+        def step(*args, **kwargs):
+            nonlocal left
+            left -= 1
+            if left < 0:
+                raise KeyboardInterrupt
+            return done(*args, **kwargs)
+
+        return step
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("replace", "unlink", "rmdir"):
+            patch.setattr(os, name, counted(getattr(os, name)))
+        try:
+            work()
+        except KeyboardInterrupt:
+            return False
+    return True
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_an_archived_entry_is_whole_whenever_its_replacement_or_its_packing_is_killed(tmp_path, level, monkeypatch):
+    """It is the old one or the new one, with its own policy, in the archive of its method or of all methods."""
+    shrink_board(monkeypatch)
+    old, new = policy(), replace(policy(5), card=CARD)
+
+    def entered(results, given):
+        path = write_entry(results, BOARD, "ours", given, scores(3.0, 4.0))
+        pack_entries(path.parents[level])
+        return path
+
+    def held(path):
+        found = policy_of(path, read_entry(path)).to_bytes()
+        assert found in (old.to_bytes(), new.to_bytes()) and len(gather_control(path.parents[3])[BOARD]) == 1
+        return found
+
+    done, steps = False, 0
+    while not done:
+        path = entered(results := tmp_path / str(steps), old)
+        done = _killed_after(steps, partial(entered, results, new))
+        before = held(path)
+        if any(path.parents[level].rglob("*")):
+            pack_entries(path.parents[level])
+        assert held(path) == before
+        steps += 1
+    assert before == new.to_bytes() and steps > 5
 
 
 @pytest.mark.parametrize("name", ["../outside.json", "/etc/passwd", "a/b/seed0.json", ".hidden", "C:\\seed0.json"])

@@ -20,7 +20,7 @@ from soro_bench.arrays import Floats
 from soro_bench.envs.task import Task
 from soro_bench.files import check_folder, replacing, write_json
 from soro_bench.leaderboard.boards import BOARDS, Board
-from soro_bench.leaderboard.strict import check, read_strict
+from soro_bench.leaderboard.strict import ENTRY_BYTES, check, read_strict
 from soro_bench.policies.onnx_policy import OnnxPolicy
 from soro_bench.policies.policy import MAX_BYTES, Policy, PolicyCard, TrainedPolicy
 from soro_bench.registration import make_task, task_type
@@ -78,12 +78,14 @@ def card_of(entry: dict) -> PolicyCard:
 
 
 def policy_bytes(path: str | Path, entry: dict) -> bytes:
-    """The content of the policy file beside the entry ``path``; ValueError if it is not what was entered."""
-    file = Path(path).parent / entry["policy"]["file"]
-    data = packed.read(file, MAX_BYTES)
-    if (found := hashlib.sha256(data).hexdigest()) != (entered := entry["policy"]["sha256"]):
-        raise ValueError(f"{file} has the SHA-256 {found}; {path} says {entered}")
-    return data
+    """The content of the policy file of the entry ``path``, beside it or in an archive: while an archived entry is
+    replaced, the two differ. ValueError if neither is what was entered."""
+    file, entered, found = Path(path).parent / entry["policy"]["file"], entry["policy"]["sha256"], []
+    for data in packed.contents(file, MAX_BYTES):
+        found.append(hashlib.sha256(data).hexdigest())
+        if found[-1] == entered:
+            return data
+    raise ValueError(f"{file} has the SHA-256 {' and '.join(found)}; {path} says {entered}")
 
 
 def policy_of(path: str | Path, entry: dict) -> TrainedPolicy:
@@ -128,16 +130,15 @@ def pack_entries(folder: str | Path) -> Path:
     Raises:
         ValueError: there is no entry, or one is invalid; nothing has been moved.
     """
-    folder, chosen = Path(folder), []
+    folder, chosen = Path(folder), {}
     inner = [path for path in folder.iterdir() if path.is_dir()] if folder.is_dir() else []
     nearer = [path for path in (folder.iterdir() if folder.is_dir() else ()) if path.suffix == packed.SUFFIX]
     for method in sorted({folder, *inner, *map(packed.folder_of, nearer)}):
         for path in entries_of(method):
             policy_of(path, entry := read_entry(path))
-            chosen += [
-                path.relative_to(folder).as_posix(),
-                (method / entry["policy"]["file"]).relative_to(folder).as_posix(),
-            ]
+            file = method / entry["policy"]["file"]
+            chosen[path.relative_to(folder).as_posix()] = packed.read(path, ENTRY_BYTES)
+            chosen[file.relative_to(folder).as_posix()] = policy_bytes(path, entry)
     if not chosen:
         raise ValueError(f"{folder} has no entries to pack")
     archive = packed.pack(folder, chosen)
