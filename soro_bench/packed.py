@@ -60,6 +60,11 @@ def is_there(path: str | Path) -> bool:
     return path.exists() or path.name in names(path.parent)
 
 
+def places(path: str | Path) -> list[Path]:
+    """Where the content of a file may be: itself, whether it is there or not, and the archives of its folder."""
+    return [Path(path), *(archive for archive, _ in _archives(Path(path).parent))]
+
+
 def read(path: str | Path, max_bytes: int) -> bytes:
     """The content of a regular file, no link, of at most ``max_bytes``, in its folder or in an archive of it.
 

@@ -9,7 +9,8 @@ import pytest
 pytest.importorskip("stable_baselines3", reason="needs the train extra")
 pytest.importorskip("rerun", reason="needs the view extra")
 
-from soro_bench.campaign.campaign import carry_out_all, state
+from soro_bench import packed
+from soro_bench.campaign.campaign import Seen, carry_out_all, state
 from soro_bench.campaign.plan import BOXES, SEEDS, UNMODELLED, chosen, paper, runs_of, variance_for_deviation
 from soro_bench.campaign.run import Run
 from soro_bench.commands.campaign import campaign
@@ -240,9 +241,30 @@ def test_the_state_of_a_campaign_is_read_from_its_files(tmp_path):
     curve = tmp_path / one.name / "curve.csv"
     curve.parent.mkdir(parents=True)
     curve.write_text("steps,seconds,episodes,final_distance_mm,return\n200,1.0,2,50.125,-3.0\n")
-    share, active = state([one, other], tmp_path, tmp_path / "results")
+    share, active = state([one, other], tmp_path, tmp_path / "results", seen := Seen())
     assert share == pytest.approx(0.25 * 0.95)
     assert active == [f"{one.name}: 200 of 400 steps, 50.125 mm in training"]
+    curve.write_text(curve.read_text() + "400,2.0,2,40.125,-3.0\n")
+    assert state([one, other], tmp_path, tmp_path / "results", seen)[1] == [f"{one.name}: 400 of 400 steps, evaluation"]
+
+
+def test_who_watches_a_campaign_reads_an_archive_of_entries_only_when_it_has_changed(tmp_path, monkeypatch):
+    (run,) = [Run("TrunkReach-v0", ORACLE, TINY)]
+    read, read_bytes = [], packed.read_bytes
+
+    def noted(path, *args, **how):
+        read.append(path)
+        return read_bytes(path, *args, **how)
+
+    monkeypatch.setattr(packed, "read_bytes", noted)
+    folder, seen = run.result(tmp_path).parent, Seen()
+    for trainer, share in ((TRAINER - 1, 0.0), (TRAINER, 1.0)):
+        training = {"trainer": trainer, "settings": run.config.settings()}
+        archive = packed.pack(folder, {"seed0.json": json.dumps({"training": training, "distribution": None}).encode()})
+        read.clear()
+        assert state([run], tmp_path / "work", tmp_path, seen) == (share, []) and archive in read
+        read.clear()
+        assert state([run], tmp_path / "work", tmp_path, seen) == (share, []) and not read
 
 
 def test_seeds_and_steps_are_those_asked_for():

@@ -6,10 +6,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from threading import Event, Thread
+from typing import Any, TypeVar
 
 from soro_bench.campaign.run import Run, carry_out
 from soro_bench.errors import one_line
 from soro_bench.files import replacing
+from soro_bench.packed import places
 from soro_bench.parallel import Workers, each
 
 TRAINING = 0.95  # of a run; the rest is its evaluation
@@ -19,6 +21,7 @@ POLL = 2.0  # s between looks at what the runs have written
 _COST = {"TrunkReach-v0": 1.0, "TrunkPush-v0": 1.3, "TrunkLift-v0": 1.5, "MultiGait-v0": 60.0}
 _ACCURATE = 10.0
 
+T = TypeVar("T")
 Progress = Callable[[float, list[str]], None]
 
 
@@ -36,10 +39,11 @@ def carry_out_all(
         ChildProcessError: a process died (:func:`soro_bench.parallel.each`).
     """
     work, results = Path(work).resolve(), Path(results).resolve()  # the same for the workers of a cluster
-    todo = [run for run in runs if not run.done(results)]
-    with _watching(runs, work, results, progress):
+    seen = Seen()
+    todo = [run for run in runs if not seen.done(run, results)]
+    with _watching(runs, work, results, progress, seen):
         said = list(each(attempted, [(run, work, results) for run in todo], workers))
-    progress(*state(runs, work, results))
+    progress(*state(runs, work, results, seen))
     return [failure for failure in said if failure]
 
 
@@ -56,21 +60,45 @@ def attempted(run: Run, work: Path, results: Path) -> str | None:
     return None
 
 
-def state(runs: Sequence[Run], work: Path, results: Path) -> tuple[float, list[str]]:
+class Seen:
+    """What was read of runs, kept until their files change: archives of entries have megabytes."""
+
+    def __init__(self) -> None:
+        self._kept: dict[Path, tuple[list[tuple[int, int, int]], Any]] = {}
+
+    def done(self, run: Run, results: Path) -> bool:
+        """As :meth:`Run.done` says."""
+        path = run.result(results)
+        return self._read(path, places(path), lambda: run.done(results))
+
+    def last_row(self, curve: Path) -> dict[str, str] | None:
+        """Of a training's table; None before it has one."""
+        return self._read(curve, [curve], lambda: _last_row(curve))
+
+    def _read(self, name: Path, files: Sequence[Path], reader: Callable[[], T]) -> T:
+        found = [file.stat() for file in files if file.exists()]
+        versions = [(each.st_ino, each.st_mtime_ns, each.st_size) for each in found]
+        if name not in self._kept or self._kept[name][0] != versions:
+            self._kept[name] = versions, reader()
+        return self._kept[name][1]
+
+
+def state(runs: Sequence[Run], work: Path, results: Path, seen: Seen) -> tuple[float, list[str]]:
     """The share of the work that is done, and what the runs are doing that have begun but not ended.
 
-    Read from the files, so that it is the same whoever works on them.
+    Read from the files, so that it is the same whoever works on them, but not again from those that have not changed
+    since they were ``seen``.
     """
     total = done = 0.0
     active = []
     for run in runs:
         cost = _cost(run)
         total += cost
-        if run.done(results):
+        if seen.done(run, results):
             done += cost
             continue
         folder = Path(work) / run.name
-        row = _last_row(folder / "curve.csv")
+        row = seen.last_row(folder / "curve.csv")
         if row is None:
             if folder.exists():
                 active.append(f"{run.name}: begins")
@@ -99,14 +127,14 @@ def _last_row(path: Path) -> dict[str, str] | None:
 
 
 @contextmanager
-def _watching(runs: Sequence[Run], work: Path, results: Path, progress: Progress) -> Iterator[None]:
+def _watching(runs: Sequence[Run], work: Path, results: Path, progress: Progress, seen: Seen) -> Iterator[None]:
     """Looks at the files from a thread, as what runs elsewhere cannot call back."""
     stop = Event()
 
     def watch() -> None:
         while not stop.wait(POLL):
             with suppress(OSError, ValueError):  # of a file that is not what it should be the run itself will say more
-                progress(*state(runs, work, results))
+                progress(*state(runs, work, results, seen))
 
     thread = Thread(target=watch, daemon=True)
     thread.start()
