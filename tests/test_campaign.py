@@ -12,12 +12,14 @@ pytest.importorskip("rerun", reason="needs the view extra")
 from soro_bench import packed
 from soro_bench.campaign.campaign import Seen, carry_out_all, state
 from soro_bench.campaign.plan import BOXES, SEEDS, UNMODELLED, chosen, paper, runs_of, variance_for_deviation
-from soro_bench.campaign.run import Run
+from soro_bench.campaign.run import Run, carry_out
 from soro_bench.commands.campaign import campaign
+from soro_bench.diagnosis.render import render
 from soro_bench.files import read_json
 from soro_bench.leaderboard.boards import BOARDS, board_of
 from soro_bench.leaderboard.enter import _check_fixed, enter
 from soro_bench.leaderboard.entry import policy_of, read_entry
+from soro_bench.leaderboard.page import build
 from soro_bench.parallel import HERE
 from soro_bench.policies.policy import Policy
 from soro_bench.randomization import TruncatedNormal, Uniform, from_dict
@@ -25,6 +27,7 @@ from soro_bench.registration import task_type
 from soro_bench.training.configuration import PPOConfig
 from soro_bench.training.methods import ORACLE, Method, fixed, udr
 from soro_bench.training.ppo import TRAINER, train
+from tests.results import adequate
 
 TINY = PPOConfig(
     "TrunkReach-v0", total_steps=400, num_envs=2, rollout_steps=100, rollouts_per_segment=1, batch_size=100, epochs=1,
@@ -191,6 +194,20 @@ def test_a_page_that_could_not_be_written_is_said_before_the_work(small_board, t
     with pytest.raises(ValueError, match=r"notes.json"):
         campaign([run], tmp_path / "out", tmp_path / "results", HERE)
     assert not (tmp_path / "out").exists()
+
+
+def test_that_rerun_is_switched_off_is_said_before_the_work(small_board, tmp_path, monkeypatch):
+    adequate().save(tmp_path / "result.json")
+    (run,) = [Run("TrunkReach-v0", ORACLE, TINY)]
+    monkeypatch.setenv("RERUN", "Off")
+    for work in (
+        lambda: carry_out(run, tmp_path / "work", tmp_path / "results"),
+        lambda: build(tmp_path / "results", tmp_path / "page", record=True),
+        lambda: render(adequate(), tmp_path),
+    ):
+        with pytest.raises(ValueError, match=r"^recordings need rerun, which .* RERUN=Off switches off; unset it$"):
+            work()
+    assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
 
 
 def test_a_method_that_was_changed_is_told_from_what_was_trained(small_board, tmp_path):

@@ -12,6 +12,7 @@ from soro_bench.options import check_name, check_seed
 from soro_bench.packed import is_there
 from soro_bench.parallel import processors
 from soro_bench.randomization import Distribution, holding
+from soro_bench.recording.rerun_stream import require_rerun
 from soro_bench.training.configuration import PPOConfig
 from soro_bench.training.methods import Method
 from soro_bench.training.ppo import TRAINER, train
@@ -89,6 +90,7 @@ def carry_out(run: Run, work: Path, results: Path) -> None:
     if run.done(results):
         return
     check_output(run.result(results), ".json")  # before the training, not after it
+    require_rerun()
     folder, threads = Path(work) / run.name, processors()
     train(replace(run.config, num_threads=threads), folder, run.distribution(folder))
     enter(folder, run.board, ENTRY, results, threads, replace_other=True)

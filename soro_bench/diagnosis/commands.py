@@ -150,7 +150,6 @@ class Diagnose:
         from soro_bench.diagnosis.render import FILES, render, require_packages
         from soro_bench.recording.parquet import load
 
-        require_packages()
         if self.next < 0 or (self.answer and not self.next):
             raise ValueError(f"--next {self.next}: 0 or more recordings; --answer needs 1 or more")
         if self.seeds < 1 or (self.seeds > 1 and (self.next or self.before or self.after)):
@@ -162,6 +161,7 @@ class Diagnose:
             return
         if not self.recordings:
             raise ValueError("no recording to explain; give one or more .parquet files, or --before and --after")
+        require_packages()
         with results_folder(self.out, FILES), StageStatus() as status:
             robot = self._robot()
             for note in robot.notes:
@@ -197,12 +197,14 @@ class Diagnose:
         """Compare recordings before and after a change."""
         from soro_bench.diagnosis.paired.api import compare
         from soro_bench.diagnosis.render.paired import FILES, render
+        from soro_bench.plotting import pyplot
         from soro_bench.recording.parquet import load
 
         if self.recordings or self.heldout:
             raise ValueError("--before and --after have all recordings of a change; give no others")
         if not (self.before and self.after):
             raise ValueError("a change needs recordings of both sides: --before A.parquet --after B.parquet")
+        pyplot()  # before the work, not after it
         with results_folder(self.out, FILES), StageStatus() as status:
             robot = self._robot() if self.env or self.model or self.map else None
             before, after = ([load(path) for path in paths] for paths in (self.before, self.after))

@@ -23,6 +23,7 @@ from soro_bench.leaderboard.statistics import (
 from soro_bench.leaderboard.strict import ENTRY_BYTES
 from soro_bench.packed import read
 from soro_bench.recording.rerun_log import write_recording
+from soro_bench.recording.rerun_stream import require_rerun
 from soro_bench.registration import task_type
 
 REFERENCES = ("oracle", "no_dr")  # methods that others are compared with: the first one that a board has
@@ -51,6 +52,8 @@ def build(
         record: whether to write rerun recordings too, of the best policy of every method in every condition.
         progress: is told what is being done.
     """
+    if record:
+        require_rerun()
     out = Path(out)
     boards, diagnoses = gathered(results, out)
     check_folder(out, ["index.html"])

@@ -2,6 +2,7 @@
 
 import hashlib
 import importlib.util
+import os
 import uuid
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 APPLICATION_ID = "soro_bench"
 TIMELINE = "time"
+_OFF = ("0", "false", "off")  # what rerun takes in its variable, in small or large letters
 
 
 @contextmanager
@@ -28,8 +30,6 @@ def recorded(path: str | Path, title: str, recording_id: str) -> Iterator["rerun
 
     # without properties, which hold the time of writing; in memory, so that a full disk raises below
     stream = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id, send_properties=False)
-    if not rr.is_enabled(stream):
-        raise ValueError("rerun is switched off by the environment variable RERUN; unset it")
     memory = stream.memory_recording()
     stream.send_recording_name(title)
     yield stream
@@ -38,9 +38,11 @@ def recorded(path: str | Path, title: str, recording_id: str) -> Iterator["rerun
 
 
 def require_rerun() -> None:
-    """Raise ImportError if rerun, an optional dependency, is not installed."""
+    """Raise ImportError if rerun, an optional dependency, is not installed, and ValueError if it is switched off."""
     if importlib.util.find_spec("rerun") is None:
         raise ImportError("recordings need rerun: pip install soro_bench[view]")
+    if (said := os.environ.get("RERUN", "")).lower() in _OFF:
+        raise ValueError(f"recordings need rerun, which the environment variable RERUN={said} switches off; unset it")
 
 
 def identity(title: str, content: Iterable[NDArray[Any]]) -> str:

@@ -25,13 +25,15 @@ FILES = ("report.html", "comparison.rrd", "effects.json", "result.json", *OPTION
 
 
 def require_packages() -> None:
-    """Raise ImportError if a package is not installed that reports need: before the work, not after it."""
+    """Raise ImportError or ValueError if a package that reports need is not installed or switched off: before the
+    work, not after it."""
     require_rerun()
     pyplot()
 
 
 def render(result: Result, folder: str | Path) -> str:
     """Write all files of a result into a folder, and return its summary for a console of 80 columns."""
+    require_packages()
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "result.json").unlink(missing_ok=True)  # of an earlier diagnosis
