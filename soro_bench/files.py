@@ -21,6 +21,7 @@ from typing import Any
 _PACKAGE = Path(__file__).parent
 _HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]
 _TEMPORARY = re.compile(r"\..+\.([0-9a-f]{8})-(\d+)-[0-9a-f]{8}\.part")  # host and process of what is being written
+_SHOWN = 64  # bytes of a name in that of its temporary file
 _WRITING, _FORGOTTEN = 60.0, 86400.0  # s since the last change: a file may be written to, none is any more
 
 
@@ -33,7 +34,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     sweep(path.parent)
-    temporary = path.with_name(f".{path.name}.{_HOST}-{os.getpid()}-{secrets.token_hex(4)}.part")
+    begin = os.fsencode(path.name)[:_SHOWN].decode(errors="ignore")  # the whole one and the rest may be too long
+    temporary = path.with_name(f".{begin}.{_HOST}-{os.getpid()}-{secrets.token_hex(4)}.part")
     temporary.touch(exist_ok=False)  # with the permissions that the user's umask gives, unlike those of tempfile
     try:
         yield temporary
@@ -94,21 +96,33 @@ def check_output(path: Path, suffix: str) -> None:
 def check_folder(folder: Path, names: Iterable[str] = ()) -> None:
     """ValueError if files of these names could not be written into a folder, which need not exist, after all the work
     that goes before. Leaves nothing behind."""
+    names = tuple(names)
     for path in (folder, *(folder / name for name in names)):
         try:
             str(path).encode()
         except UnicodeEncodeError as error:
             raise ValueError(f"{str(path)!a}: expected a name in UTF-8") from error
-        if path != folder and path.is_dir():
-            raise ValueError(f"{path} is a folder; the name of a file is needed")
     absolute = folder.absolute()
     nearest = next(each for each in (absolute, *absolute.parents) if os.path.lexists(each))
     try:
+        if os.name == "posix":
+            _check_lengths(nearest, [*absolute.relative_to(nearest).parts, *names])
         with tempfile.TemporaryFile(dir=nearest):
             pass
     except OSError as error:
         said = f"{nearest} is no folder, or one that may not be written to ({error.strerror})"
         raise ValueError(f"{folder} cannot be written to: {said}") from error
+    for name in names:
+        if (folder / name).is_dir():
+            raise ValueError(f"{folder / name} is a folder; the name of a file is needed")
+
+
+def _check_lengths(existing: Path, names: Iterable[str]) -> None:
+    """ValueError for a name that is longer than the file system of a folder allows."""
+    allowed = os.pathconf(existing, "PC_NAME_MAX")
+    for name in names:
+        if (length := len(os.fsencode(name))) > allowed:
+            raise ValueError(f"the name {brief(name)} has {length} bytes; {existing} allows at most {allowed}")
 
 
 @contextmanager

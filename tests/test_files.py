@@ -42,6 +42,18 @@ def test_where_nothing_can_be_written_is_said_before_the_work(tmp_path, path, sa
     assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.skipif(os.name != "posix", reason="needs a file system that tells how long names may be")
+def test_a_name_is_as_long_as_the_file_system_allows_or_refused_before_the_work(tmp_path):
+    allowed = os.pathconf(tmp_path, "PC_NAME_MAX")
+    name = (allowed - 5) // 2 * "é" + (allowed - 5) % 2 * "a" + ".json"
+    check_output(tmp_path / "new" / name, ".json")
+    write_json(tmp_path / name, 1)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    for path in (tmp_path / f"a{name}", tmp_path / f"a{name}" / "a.json"):
+        with pytest.raises(ValueError, match=rf"has {allowed + 1} bytes; {tmp_path} allows at most {allowed}$"):
+            check_output(path, ".json")
+
+
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a file system that nobody may write to")
 def test_a_folder_that_nobody_may_write_to_is_said_before_the_work():
     with pytest.raises(ValueError, match=r"/proc/new cannot be written to: /proc is no folder, or one that may not be"):
