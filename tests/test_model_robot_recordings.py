@@ -26,6 +26,8 @@ from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.effect import EVERY, Effect, Location
+from soro_bench.recording.importers import import_recording
+from soro_bench.recording.parquet import load, save
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from soro_bench.recording.simulated import record
 from tests.arm import ARM, MAP, TRUTH, recording
@@ -130,13 +132,30 @@ def test_samples_with_points_and_coordinates_exchanged_are_refused(paths):
         measured(3, 2)
 
 
-def test_an_error_says_which_recording_it_is_of(paths):
+def test_an_error_says_which_recording_it_is_of(paths, tmp_path):
     good, robot = recording(paths, [], 0), ModelRobot(*paths, threads=1)
     bad = replace(recording(paths, [], 1), commands={"goal": Signal(np.array([0.0, 1.0]), np.array([[0.0], [np.nan]]))})
     with pytest.raises(RecordingError, match=r"^recording 2: the command 'goal' has missing numbers, first at 1 s"):
         diagnose(robot, [good, bad])
     with pytest.raises(RecordingError, match=r"^held-out recording 1: the command 'goal'"):
         diagnose(robot, [good], [bad])
+    save(bad, tmp_path / "b.parquet")
+    with pytest.raises(RecordingError, match=rf"^recording 2 \({tmp_path / 'b.parquet'}\): the command 'goal'"):
+        diagnose(robot, [good, load(tmp_path / "b.parquet")])
+
+
+def test_an_error_of_two_imported_files_names_both(paths, tmp_path):
+    given = recording(paths, [], 0)
+    rows = np.column_stack([given.signals["angle"].time[:-1], given.signals["angle"].values[:-1].ravel(),
+                            given.commands["goal"].values.ravel()])  # fmt: skip
+    for name in ("a.csv", "b.csv"):
+        np.savetxt(tmp_path / name, rows, delimiter=",", header="t,angle,goal", comments="")
+    mapping = {"time": {"column": "t", "unit": "s"}, "commands": {"goal": {"columns": ["goal"], "unit": "rad"}},
+               "signals": {"angle": {"columns": ["angle"], "unit": "rad"}}}  # fmt: skip
+    found = [import_recording(tmp_path / name, mapping) for name in ("a.csv", "b.csv")]
+    said = r"^recording 1 \(.*a\.csv\) and recording 2 \(.*b\.csv\) are the same"
+    with pytest.raises(RecordingError, match=said):
+        diagnose(ModelRobot(*paths, threads=1), found)
 
 
 def test_a_signal_by_another_clock_is_refused(paths):

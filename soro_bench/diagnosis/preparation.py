@@ -110,9 +110,11 @@ def _inspected(
 
 def _measured(robot: Robot, *groups: Sequence[Inspected]) -> list[tuple[Measured, ...]]:
     """What the diagnosis sees of the recordings to explain, and of held-out ones."""
-    names = iter(labels(*groups))
-    found = [tuple(named(next(names), robot.measured, each.recording) for each in group) for group in groups]
-    recorded = zip(labels(*groups), (each.recording for group in groups for each in group), strict=True)
+    given = [[each.recording for each in group] for group in groups]
+    names = labels(*given)
+    left = iter(names)
+    found = [tuple(named(next(left), robot.measured, each) for each in group) for group in given]
+    recorded = zip(names, itertools.chain(*given), strict=True)
     for (first, one), (second, other) in itertools.combinations(recorded, 2):
         if _same(robot, one, other):
             raise RecordingError(f"{first} and {second} are the same; what is explained twice is no more certain, and "

@@ -9,6 +9,7 @@ schema are JSON in the table's, under "soro_bench". docs/reference/recordings.md
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,7 @@ def load(path: str | Path, max_bytes: int = MAX_BYTES) -> Recording:
         file = BoundedParquet(data, max_bytes)
         head = _head(file.schema.metadata or {})
         table = file.read(file.schema.names)
-        return _recording(table, file.schema, head)
+        return replace(_recording(table, file.schema, head), file=str(path))
 
 
 def _array(signal: Signal, times: np.ndarray) -> pa.Array:

@@ -80,6 +80,7 @@ class Recording:
         signals: what was measured, by name.
         parameters: physical parameters that are known, in SI units; may be empty.
         metadata: texts such as env_id, model, action ("discrete" or "continuous"), noise, goal, robot, source.
+        file: what it was read from, for messages; no part of what is recorded.
 
     Raises:
         RecordingError: says what is wrong.
@@ -89,6 +90,7 @@ class Recording:
     signals: dict[str, Signal] = field(default_factory=dict)
     parameters: dict[str, float] = field(default_factory=dict)
     metadata: dict[str, str] = field(default_factory=dict)
+    file: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         count = len(self.commands) + len(self.signals)
@@ -197,6 +199,11 @@ def latest(signal: Signal, times: np.ndarray) -> np.ndarray:
     """
     late = _ROUNDING * float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     return np.searchsorted(signal.time, times + late, side="right") - 1
+
+
+def with_file(name: str, file: str) -> str:
+    """What a recording is called in an error, such as "recording 2", with its file if it was read from one."""
+    return f"{name} ({file})" if file else name
 
 
 def check_name(name: str) -> str:

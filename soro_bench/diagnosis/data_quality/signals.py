@@ -17,7 +17,7 @@ from soro_bench.diagnosis.result_robot import DataFinding
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import Settings
-from soro_bench.recording.recording import NOTES, Recording, RecordingError
+from soro_bench.recording.recording import NOTES, Recording, RecordingError, with_file
 
 S = TypeVar("S")
 T = TypeVar("T")
@@ -29,7 +29,8 @@ def explaining(robot: Robot, inspections: Groups, settings: Settings) -> tuple[R
     kept, notes = [], []
     for which, signal in enumerate(robot.others, 1):
         qualities, reach = [], 0.0
-        for label, each in zip(labels(inspections[0], ()), inspections[0], strict=True):
+        names = labels([each.recording for each in inspections[0]], ())
+        for label, each in zip(names, inspections[0], strict=True):
             if signal.name in each.recording.signals:
                 seen = named(label, robot.measured, each.recording).only(which, signal)
                 with suppress(RecordingError):  # too few samples, or one value only: nothing to explain
@@ -105,10 +106,10 @@ def left_out(before: Problem, after: Problem) -> Iterator[DataFinding]:
                 yield DataFinding("spikes", signal.name, number, count, share, said)
 
 
-def labels(recordings: Sequence, heldout: Sequence) -> list[str]:
+def labels(recordings: Sequence[Recording | Measured], heldout: Sequence[Recording | Measured]) -> list[str]:
     """Names of the recordings to explain and of the held-out ones."""
-    groups = ("", recordings), ("held-out ", heldout)
-    return [f"{label}recording {number}" for label, group in groups for number in range(1, len(group) + 1)]
+    groups = ("recording", recordings), ("held-out recording", heldout)
+    return [with_file(f"{kind} {number}", each.file) for kind, group in groups for number, each in enumerate(group, 1)]
 
 
 def named(label: str, function: Callable[[S], T], recording: S) -> T:

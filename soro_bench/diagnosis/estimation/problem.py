@@ -12,6 +12,7 @@ from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.robots.variants import Variant
 from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.inference.statistical_linearisation import LowRank
+from soro_bench.recording.recording import with_file
 
 Points = Sequence[tuple[Floats, Sequence[Term]]]  # unknowns, and the candidate terms that they belong to
 
@@ -132,7 +133,7 @@ class Problem:
             if not (good := part.all(axis=1)).all():
                 raise SimulationError(
                     f"the simulation by {robot.model_name} diverges {each.time[good.argmin()]:.3g} s "
-                    f"into recording {number}; a shorter time step may help"
+                    f"into {with_file(f'recording {number}', each.file)}; a shorter time step may help"
                 )
 
     def rows(self, samples: np.ndarray) -> list[np.ndarray]:

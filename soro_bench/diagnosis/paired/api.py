@@ -13,7 +13,7 @@ from soro_bench.diagnosis.settings import DEFAULT, DataQualitySettings, Settings
 from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
 from soro_bench.recording.known import Told, known_parameters
-from soro_bench.recording.recording import Recording, RecordingError
+from soro_bench.recording.recording import Recording, RecordingError, with_file
 
 
 @one_blas_thread
@@ -75,7 +75,7 @@ def _check_distinct(before: Sequence[Recording], after: Sequence[Recording]) -> 
     known: dict[str, str] = {}
     for side, recordings in (("before", before), ("after", after)):
         for number, each in enumerate(recordings, 1):
-            label = f"recording {number} {side} the change"
+            label = with_file(f"recording {number} {side} the change", each.file)
             if (first := known.setdefault(each.digest(), label)) != label:
                 raise RecordingError(f"{first} and {label} are the same; give another one for one of them")
 
@@ -91,7 +91,8 @@ def _paired(
     used: set[int] = set()
     for number, each in enumerate(after):
         order = sorted(range(len(before)), key=lambda i: (i in used, i != number, i))
-        pair, i = _first_aligned(before, order, each, settings, f"recording {number + 1} after the change")
+        label = with_file(f"recording {number + 1} after the change", each.file)
+        pair, i = _first_aligned(before, order, each, settings, label)
         pairs.append(pair)
         used.add(i)
     repeats = _repeats(before, settings) + _repeats(after, settings)
@@ -108,8 +109,7 @@ def _first_aligned(
             return aligned(before[i], after, settings), i
         except RecordingError as error:
             first = first or error
-    label = f"{name}: " if len(before) > 1 else ""
-    raise RecordingError(f"{label}{first}") from first
+    raise RecordingError(f"{name}: {first}") from first
 
 
 def _repeats(recordings: Sequence[Recording], settings: Settings) -> list[Pair]:

@@ -67,7 +67,7 @@ class Measured:
     early: (E, S) of robots that begin at a signal, the numbers of ``start`` as recorded then and in each control step
     after, for as long as a sensor may be late.
     late: (F, T, C) s, errors that the time stamps of each number may have, one standard deviation each; None where
-    they are exact.
+    they are exact. file: of the recording, for messages.
     """
 
     actions: Floats
@@ -81,6 +81,7 @@ class Measured:
     late: Floats | None = None
     others: tuple[Floats, ...] = ()
     early: Floats | None = None
+    file: str = ""
 
     @property
     def columns(self) -> Floats:

@@ -370,8 +370,9 @@ class Robot(Replays):
         more = tuple(self._samples(each, recording, times) for each in others)
         settings = self.settings(recording, len(actions))
         return Measured(
-            actions, times - begin, values, self.signal, self.unit, settings=settings, notes=notes, others=more
-        )
+            actions, times - begin, values, self.signal, self.unit, settings=settings, notes=notes, others=more,
+            file=recording.file,
+        )  # fmt: skip
 
     def converted(self, signal: ObservedSignal, given: Signal) -> Signal:
         """A recorded signal as it is explained."""

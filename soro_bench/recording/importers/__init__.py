@@ -3,6 +3,7 @@
 import importlib
 import importlib.util
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -46,7 +47,8 @@ def import_recording(
         raise RecordingError(f"{path} has no episodes; only a LeRobot dataset, .npz, .npy and .mat have")
     if progress and name in _WITH_PROGRESS:
         selection["progress"] = progress
-    return getattr(module, _FUNCTIONS[name])(path, mapping, **selection)
+    found: Recording = getattr(module, _FUNCTIONS[name])(path, mapping, **selection)
+    return replace(found, file=str(path))
 
 
 def guess_mapping(path: str | Path) -> str:

@@ -158,7 +158,7 @@ class FileMapping:
         about = {"source": shown(file_name[:200]), "start_time": repr(float(seconds(start) + begin))}
         if lines := self.notes.lines():
             about[NOTES] = "\n".join(lines)[:MAX_TEXT]
-        return Recording(**groups, parameters=self.parameters, metadata={**about, **self.metadata})
+        return Recording(groups["commands"], groups["signals"], self.parameters, {**about, **self.metadata})
 
     def _check_effects(self) -> None:
         """Refuse entries of [time] that would do nothing."""
