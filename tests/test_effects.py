@@ -290,16 +290,35 @@ def test_load_friction_needs_a_tendon_that_goes_through_sites_and_takes_its_bran
         assert refused or springs._bends(model, 0) == []
 
 
-def test_springs_begin_anew_when_an_episode_goes_on_from_a_state(elements):
-    task, ids = trunk([(effect(elements, "hysteresis", "body"),)]), np.arange(1)
-    motion(task, steps=3)
-    state, ends = {name: values.copy() for name, values in task.state(ids).items()}, []
-    for _ in range(2):
-        task.set_state(ids, state)
-        for _ in range(5):
-            task.step(ids, np.ones((1, 8), np.float32))
-        ends.append(task.keypoints(ids).copy())
-    assert np.array_equal(*ends)
+@pytest.mark.parametrize(("name", "kind"), CASES)
+def test_from_a_state_an_episode_goes_on_with_the_same_bytes_as_it_would_have(name, kind, elements):
+    """A setpoint that a law has changed is not changed again, and what a law remembers is there."""
+    effects = (effect(elements, name, kind),)
+    task, ids = trunk([effects]), np.arange(1)
+    motion(task, steps=7)
+    state, motions = {key: values[0] for key, values in task.state(ids).items()}, []
+    other = make_task("TrunkPush-v0", 1, 1, "cable", action="continuous", effects=effects)
+    other.reset(ids, [np.random.default_rng(0)], [{"state": state}])
+    for one in (task, other):
+        rows = []
+        for action in np.random.default_rng(1).uniform(-1, 1, (8, 1, 8)).astype(np.float32):
+            one.step(ids, action)
+            rows.append(one.keypoints(ids).copy())
+        motions.append(rows)
+    assert np.array_equal(*motions)
+
+
+def test_what_effects_remember_is_refused_where_there_are_none_and_may_be_left_out(elements):
+    ids, effects = np.arange(1), (effect(elements, "actuator_gain", "actuator"),)
+    state = {key: values[0] for key, values in trunk([effects]).state(ids).items()}
+    begins = [np.random.default_rng(0)]
+    with pytest.raises(ValueError, match="has effects, and this environment has none; leave it out"):
+        trunk(None).reset(ids, begins, [{"state": state}])
+    with pytest.raises(ValueError, match=r"state effects .* has to be"):
+        trunk([effects]).reset(ids, begins, [{"state": {**state, "effects": state["effects"][1:]}}])
+    del state["effects"]
+    for task in (trunk(None), trunk([effects])):
+        task.reset(ids, begins, [{"state": state}])
 
 
 def test_typical_forces_and_masses_are_those_of_the_robot():

@@ -48,7 +48,7 @@ class FluidDrag(Law):
     name, category, kinds, stepped, shared = "fluid_drag", "inertia", ("body",), True, True
     only_shared = True
     quantities = (Quantity("drag", "N s^2/m^2", 0.1, (0.0, 1e6)),)
-    outputs = ("xipos",)
+    outputs, remembers = ("xipos",), ("before", "_pushed")
 
     def prepare(self, elements: Elements) -> None:
         super().prepare(elements)

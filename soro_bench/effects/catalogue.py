@@ -17,7 +17,7 @@ PHYSICS: dict[str, type[Law]] = {
         stiffness.Stiffening,
         stiffness.ViscousFriction,
         springs.PlasticSet,
-        springs.RestBend,
+        stiffness.RestBend,
         springs.Hysteresis,
         springs.ViscoelasticCreep,
         springs.CoulombFriction,

@@ -17,7 +17,7 @@ class _Sliding(Law):
 
     category, kinds, stepped = "contact", ("geom",), True
     fields: ClassVar = ("geom_friction",)
-    outputs = ("geom_xpos",)
+    outputs, remembers = ("geom_xpos",), ("before",)
 
     def prepare(self, elements: Elements) -> None:
         super().prepare(elements)

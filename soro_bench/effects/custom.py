@@ -5,7 +5,7 @@ Entries with the same expression are evaluated together, so a law costs as much 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -36,6 +36,7 @@ class _Custom(Law):
     name, category, kinds = NAME, "outside_catalogue", KINDS
     quantities = ()
     stepped, adds, welded = True, True, True
+    remembers: ClassVar[tuple[str, ...]] = ("memory", "fresh")
 
     def __init__(self, run: "ActiveEffects", entries: Sequence[tuple[int, Location, Effect]]):
         self._effects = [effect for _, _, effect in entries]
@@ -220,6 +221,8 @@ def _followed(
 class Custom(_Custom):
     """A law that is data, as a force or moment of a joint, a pull of a tendon, a force on a body along an axis or
     towards a point, or an acceleration of everything."""
+
+    remembers = ("memory", "fresh", "pushed")
 
     def prepare(self, elements: Elements) -> None:
         super().prepare(elements)

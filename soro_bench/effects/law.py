@@ -1,7 +1,7 @@
 """A law in N simulations: what all the laws of the catalogue have in common."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from mujoco.batch import Batch
@@ -33,6 +33,7 @@ class Law:
     only_shared: ClassVar[bool] = False  # a property of the material or the surroundings, the same everywhere
     adds: ClassVar[bool] = False  # may come several times at one location
     welded: ClassVar[bool] = False  # may act at a body without a joint that moves with one before it
+    remembers: ClassVar[tuple[str, ...]] = ()  # its arrays (n, ...) that change from one time step to the next
     elastic: ClassVar[bool] = False  # of the material: every body is then every one that hangs on springs or a flex
 
     def __init__(self, run: "ActiveEffects", entries: Sequence[tuple[int, Location, Effect]]):
@@ -72,6 +73,10 @@ class Law:
     def step(self, which: Bools) -> None:
         """Before a time step."""
 
+    def remembered(self, own: Bools) -> list[tuple[np.ndarray, Any]]:
+        """Arrays, and where in them is what the entries ``own`` (n,) go on from."""
+        return [(getattr(self, name), own) for name in self.remembers]
+
     def field(self, name: str) -> Floats:
         """The per-simulation values of a model field."""
         return self.batch.expand(name)
@@ -79,6 +84,26 @@ class Law:
     def time(self, which: Bools) -> Floats:
         """(n,) s since the reset."""
         return self.batch.time[self.rows[which]]
+
+
+class Scaled:
+    """A model field that several laws scale, each by a factor of the moment: every time step begins with what it was
+    after all laws had written.
+
+    Args:
+        values: (N, ...) of the field.
+    """
+
+    def __init__(self, values: Floats):
+        self.values, self._own = values, values.copy()
+
+    def keep(self, ids: Ints) -> None:
+        """Remember the values of simulations ``ids``."""
+        self._own[ids] = self.values[ids]
+
+    def begin(self, ids: Ints) -> None:
+        """Begin a time step of simulations ``ids``."""
+        self.values[ids] = self._own[ids]
 
 
 class OnJoints(Law):

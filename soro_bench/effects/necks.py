@@ -13,8 +13,8 @@ from soro_bench.arrays import Bools, Floats, rotate_by_quaternion
 from soro_bench.effects.effect import EffectError
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.law import Law
-from soro_bench.effects.springs import Hysteresis, PlasticSet, RestBend, ViscoelasticCreep
-from soro_bench.effects.stiffness import MullinsSoftening, Stiffening
+from soro_bench.effects.springs import Hysteresis, PlasticSet, ViscoelasticCreep
+from soro_bench.effects.stiffness import MullinsSoftening, RestBend, Stiffening
 
 _CELL = 24  # numbers that place the eight nodes of a flex's cell
 
@@ -27,7 +27,7 @@ class AcrossNeck(Law):
     """
 
     joint_law: ClassVar[type[Law]]  # the law of joints that says the same
-    kinds, stepped, outputs = ("body",), True, ("xquat",)
+    kinds, stepped, outputs, remembers = ("body",), True, ("xquat",), ("memory", "_pushed")
 
     def __init_subclass__(cls) -> None:
         cls.name, cls.category, cls.quantities = cls.joint_law.name, cls.joint_law.category, cls.joint_law.quantities

@@ -1,7 +1,7 @@
 """Effects at work in N simulations, each with its own."""
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from operator import attrgetter
 from typing import Any
 
@@ -14,12 +14,14 @@ from soro_bench.effects.catalogue import PHYSICS, SIMULATED
 from soro_bench.effects.custom import Custom, CustomSetpoint, checked_custom
 from soro_bench.effects.effect import Effect, EffectError, Location, checked
 from soro_bench.effects.elements import Elements
-from soro_bench.effects.law import Law
+from soro_bench.effects.law import Law, Scaled
 from soro_bench.effects.necks import NECKS
 from soro_bench.effects.setpoints import SetpointLaw
 
 _RANGES = ("actuator_ctrlrange", "actuator_actrange")
 _REMEMBERED = ("setpoint", "added", "beyond", "_starts")  # arrays of N rows
+_OF_STATE = ("time", "qfrc_applied", "xfrc_applied")  # what laws read or write of MuJoCo's state
+_OF_STEP = ("actuator_force", "qfrc_actuator", "qfrc_constraint")  # what of the outputs only a time step computes
 
 
 class ActiveEffects:
@@ -164,6 +166,37 @@ class ActiveEffects:
             output[...] = values
             output.flags.writeable = False
 
+    def remembered(self, ids: Ints) -> Floats | None:
+        """(n, k) numbers that effects of simulations ``ids`` go on from, beside positions, velocities and activations;
+        rows of simulations with less to remember end with zeros. None where there are no effects."""
+        if not self._laws:
+            return None
+        rows = [np.concatenate([np.ravel(array[at]) for array, at in self._memories(i)]) for i in ids]
+        found = np.zeros((len(rows), max(map(len, rows))))
+        for row, numbers in zip(found, rows, strict=True):
+            row[: len(numbers)] = numbers
+        return found
+
+    def go_on(self, ids: Ints, remembered: Floats) -> None:
+        """Let the effects of simulations ``ids`` remember what the same effects did, (n, k) numbers."""
+        for i, numbers in zip(ids, remembered, strict=True):
+            first = 0
+            for array, at in self._memories(i):
+                part, writeable = array[at], array.flags.writeable
+                array.flags.writeable = True  # of outputs, MuJoCo's own memory as in ``show``
+                array[at] = numbers[first : first + np.size(part)].reshape(np.shape(part))
+                array.flags.writeable = writeable
+                first += np.size(part)
+
+    def _memories(self, row: int) -> Iterator[tuple[np.ndarray, Any]]:
+        """Arrays, and where in them is what the effects of a simulation go on from."""
+        yield from ((getattr(self, name), row) for name in _REMEMBERED)
+        yield from ((getattr(self.batch, name), row) for name in _OF_STATE)
+        for law in self._laws:
+            yield from law.remembered(law.rows == row)
+        read = {name for law in self._laws for name in law.outputs}
+        yield from ((getattr(self.batch, name), row) for name in _OF_STEP if name in read)
+
     def restore(self, ids: Ints) -> None:
         """Model fields that effects changed become nominal again."""
         for field in self._fields:
@@ -298,26 +331,6 @@ def _arrays(law: Law) -> dict[str, np.ndarray]:
     """All arrays of a law, its parameters too."""
     arrays = {name: value for name, value in vars(law).items() if isinstance(value, np.ndarray)}
     return {**arrays, **{f"values of {name}": values for name, values in law.values.items()}}
-
-
-class Scaled:
-    """A model field that several laws scale, each by a factor of the moment: every time step begins with what it was
-    after all laws had written.
-
-    Args:
-        values: (N, ...) of the field.
-    """
-
-    def __init__(self, values: Floats):
-        self.values, self._own = values, values.copy()
-
-    def keep(self, ids: Ints) -> None:
-        """Remember the values of simulations ``ids``."""
-        self._own[ids] = self.values[ids]
-
-    def begin(self, ids: Ints) -> None:
-        """Begin a time step of simulations ``ids``."""
-        self.values[ids] = self._own[ids]
 
 
 class _Once:

@@ -41,6 +41,8 @@ class SetpointLaw(Law):
 class _Following(SetpointLaw):
     """A law whose output remembers where it was, ``output`` (n,)."""
 
+    remembers: ClassVar[tuple[str, ...]] = ("output",)
+
     def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
         self.output = np.zeros(len(self.rows))
@@ -149,6 +151,7 @@ class ActuatorDelay(SetpointLaw):
     the model."""
 
     name, category, shared = "actuator_delay", "timing", True
+    remembers = ("buffer", "next")
     quantities = (Quantity("delay", "s", 0.015, (-2.0, 2.0), takes=True),)
     fields: ClassVar = ("actuator_delay",)
 
@@ -185,7 +188,7 @@ class ActuatorDelay(SetpointLaw):
 class _Pneumatic(_Following):
     """A law of a chamber that is filled through a supply: an actuator whose control is the rate of its activation."""
 
-    shared = True
+    shared, remembers = True, ("output", "asked")
 
     def prepare(self, elements: Elements) -> None:
         super().prepare(elements)

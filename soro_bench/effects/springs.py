@@ -10,7 +10,7 @@ therefore a soft spring with the same force.
 """
 
 import itertools
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
@@ -80,6 +80,10 @@ class _Friction(Law):
         reach = np.where(slides, _SOFTER * np.maximum(reach, np.abs(velocity) * self.dt), reach)
         self._set(which, level, reach)
         self._set_rest(which, length - reach * force / np.maximum(level, 1e-12))
+
+    def remembered(self, own: Bools) -> list[tuple[Floats, Any]]:
+        at = self.rows[own], self.springs[own]
+        return [*_rests(self, own), *((self.field(name), at) for name in _Friction.fields)]
 
     def level(self, which: Bools) -> Floats:
         """(n,) the force at which it slips while it becomes shorter."""
@@ -285,6 +289,9 @@ class _SecondSpring(OnJoints):
         rest = self.field("qpos_spring")[rows, self.qpos[which]]
         self.batch.plastic[rows, slots] = self.batch.plastic[rows, slots + 1] = rest
 
+    def remembered(self, own: Bools) -> list[tuple[Floats, Any]]:
+        return _rests(self, own)
+
 
 class Hysteresis(_SecondSpring):
     """A Jenkins element beside the springs: stiffness ratio times theirs, slipping beyond the yield strain."""
@@ -354,6 +361,12 @@ class PlasticSet(_SecondSpring):
         stiffness[rows, self.joints[which]] *= 1.0 - share
 
 
+def _rests(law: _Friction | _SecondSpring, own: Bools) -> list[tuple[Floats, Any]]:
+    """Where the rest lengths of the springs of entries ``own`` (n,) are, both ends of them."""
+    slots = law.model.tendon_plasticadr[law.springs[own]]
+    return [(law.batch.plastic, (law.rows[own], slots + end)) for end in (0, 1)]
+
+
 def _bends(model: mujoco.MjModel, tendon: int) -> list[tuple[int, int, Floats, Floats]]:
     """Where a spatial tendon goes from one body to another: both, and its direction there at rest in their frames."""
     wraps = np.arange(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
@@ -372,29 +385,3 @@ def _bends(model: mujoco.MjModel, tendon: int) -> list[tuple[int, int, Floats, F
             along = way / np.linalg.norm(way)
             found.append((near, far, *(data.xmat[body].reshape(3, 3).T @ along for body in (near, far))))
     return found
-
-
-class RestBend(OnJoints):
-    """Springs that are at rest elsewhere: a part that was moulded, mounted or stored bent."""
-
-    name, category, bending_only = "rest_bend", "static_error", True
-    quantities = (
-        Quantity("angle_x", "rad or m", 0.02, (-3.0, 3.0)),  # of the first joint, or of the only one
-        Quantity("angle_y", "rad or m", 0.02, (-3.0, 3.0)),  # of the second one
-    )
-    fields = ("qpos_spring",)
-
-    @classmethod
-    def idle(cls, elements: Elements, location: Location) -> frozenset[str]:
-        joints = elements.joints_of(elements.id(location), bending_only=True) if location.kind == "body" else [location]
-        return frozenset({"angle_y"} if len(joints) == 1 else ())
-
-    def prepare(self, elements: Elements) -> None:
-        super().prepare(elements)
-        self.first = np.searchsorted(self.place, self.place)
-
-    def write(self, which: Bools) -> None:
-        number = (np.arange(len(self.place)) - self.first)[which]
-        angles = np.stack([self.values["angle_x"][which], self.values["angle_y"][which]])
-        angle = np.where(number < 2, angles[np.minimum(number, 1), np.arange(len(number))], 0.0)
-        self.field("qpos_spring")[self.rows[which], self.qpos[which]] += angle

@@ -1,4 +1,4 @@
-"""Laws of what resists motion in proportion: stiffness and viscous friction."""
+"""Laws of what resists motion in proportion, stiffness and viscous friction, and of where springs are at rest."""
 
 import mujoco
 import numpy as np
@@ -69,6 +69,32 @@ class StiffnessDrift(OnJoints):
         self.springs.scale(factor, which)
 
 
+class RestBend(OnJoints):
+    """Springs that are at rest elsewhere: a part that was moulded, mounted or stored bent."""
+
+    name, category, bending_only = "rest_bend", "static_error", True
+    quantities = (
+        Quantity("angle_x", "rad or m", 0.02, (-3.0, 3.0)),  # of the first joint, or of the only one
+        Quantity("angle_y", "rad or m", 0.02, (-3.0, 3.0)),  # of the second one
+    )
+    fields = ("qpos_spring",)
+
+    @classmethod
+    def idle(cls, elements: Elements, location: Location) -> frozenset[str]:
+        joints = elements.joints_of(elements.id(location), bending_only=True) if location.kind == "body" else [location]
+        return frozenset({"angle_y"} if len(joints) == 1 else ())
+
+    def prepare(self, elements: Elements) -> None:
+        super().prepare(elements)
+        self.first = np.searchsorted(self.place, self.place)
+
+    def write(self, which: Bools) -> None:
+        number = (np.arange(len(self.place)) - self.first)[which]
+        angles = np.stack([self.values["angle_x"][which], self.values["angle_y"][which]])
+        angle = np.where(number < 2, angles[np.minimum(number, 1), np.arange(len(number))], 0.0)
+        self.field("qpos_spring")[self.rows[which], self.qpos[which]] += angle
+
+
 class _StrainDependent(OnJoints):
     """Springs whose stiffness depends on how far they are, or were, strained."""
 
@@ -109,6 +135,7 @@ class MullinsSoftening(_StrainDependent):
         Quantity("softening", "1", 0.3, (0.0, 0.9)),
         Quantity("strain", "rad or m", 0.05, (1e-4, 10.0), also=(0.2,)),
     )
+    remembers = ("largest",)
 
     def prepare(self, elements: Elements) -> None:
         super().prepare(elements)

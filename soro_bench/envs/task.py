@@ -34,6 +34,7 @@ ROUNDING = 1e-6
 _REBUILT = ("sim", "model")  # what a task has that cannot be copied
 _NOT_COPIED = ("task", "_renderer")  # what an environment has: simulations, and a window or an OpenGL context
 STATE = ("qpos", "qvel", "act", "qacc_warmstart")  # what a simulation goes on from; MuJoCo's names
+EFFECTS = "effects"  # beside these, what effects remember
 
 
 def effects_of(effects: Sequence[Effect | dict] | str | Path | None) -> tuple[Effect, ...] | None:
@@ -172,10 +173,11 @@ class Task(ABC):
         self.sim.batch.reset(ids, stage=mujoco.mjtStage.mjSTAGE_NONE)
         self._place(ids, starts)
         self.sim.begin(ids)
-        given = [(i, state) for i, state in zip(ids, states, strict=False) if state is not None]
-        if given:
-            rows = {name: np.stack([state[name] for _, state in given]) for name in STATE}
-            self.set_state(self.sim.array([int(i) for i, _ in given]), {k: self.sim.array(v) for k, v in rows.items()})
+        given = [(int(i), state) for i, state in zip(ids, states, strict=False) if state is not None]
+        for names in dict.fromkeys(tuple(state) for _, state in given):  # with what effects remember, and without
+            chosen, alike = zip(*((i, state) for i, state in given if tuple(state) == names), strict=True)
+            rows = {name: self.sim.array(np.stack([state[name] for state in alike])) for name in names}
+            self.set_state(self.sim.array(chosen), rows)
         self._begin(ids)
 
     def step(self, ids: Ints, actions: NDArray[Any]) -> Step:
@@ -225,18 +227,22 @@ class Task(ABC):
         self._distribution = distribution
 
     def state(self, ids: Ints) -> dict[str, Floats]:
-        """What simulations go on from, bit for bit but for what effects remember: arrays of n rows by MuJoCo's name."""
+        """What simulations go on from, bit for bit: arrays of n rows by MuJoCo's name, and "effects" where there are
+        some, which say what they remember."""
         for name in STATE:
             self.sim.batch.bind(name)
-        return {name: getattr(self.sim.batch, name)[ids] for name in STATE}
+        found = {name: getattr(self.sim.batch, name)[ids] for name in STATE}
+        return found if (memory := self.sim.remembered(ids)) is None else {**found, EFFECTS: memory}
 
     def set_state(self, ids: Ints, state: Mapping[str, Floats]) -> None:
-        """Continue simulations ``ids`` from a state; parameters, goals and what rewards count from stay, and what
-        effects remember begins anew."""
+        """Continue simulations ``ids`` from a state; parameters, goals and what rewards count from stay. Where it does
+        not say what effects remember, as that of a robot without some, they begin anew."""
         for name in STATE:
             self.sim.batch.bind(name)
             getattr(self.sim.batch, name)[ids] = state[name]
         self.sim.begin(ids)
+        if EFFECTS in state:
+            self.sim.go_on(ids, state[EFFECTS])
 
     def saved(self) -> dict[str, Any]:
         """Everything that this task has and one that is just built has not: what a copy resumes from."""
@@ -300,9 +306,11 @@ class Task(ABC):
 
     def _checked_state(self, given: Any) -> dict[str, Floats]:
         own, found = self.state(np.arange(1)), {}
-        if not isinstance(given, Mapping) or set(given) != set(own):
+        if isinstance(given, Mapping) and EFFECTS in given and EFFECTS not in own:
+            raise ValueError(f"state has {EFFECTS}, and this environment has none; leave it out to go on without them")
+        if not isinstance(given, Mapping) or set(given) | {EFFECTS} != {*STATE, EFFECTS}:
             raise ValueError(f"state {brief(given)} has to be a dict with {', '.join(own)}")
-        for name, rows in own.items():
+        for name, rows in ((name, rows) for name, rows in own.items() if name in given):
             found[name] = values = np.asarray(on_host(given[name]))
             numbers = values.shape == rows.shape[1:] and values.dtype.kind in "fiu"
             if not numbers or not (np.abs(values) <= mujoco.mjMAXVAL).all():

@@ -196,6 +196,17 @@ class Simulation:
         if self._effects:
             self._effects.reset(ids)
 
+    def remembered(self, ids: Ints) -> Floats | None:
+        """(n, k) what effects of simulations ``ids`` remember, as numbers; None where there are no effects."""
+        return None if self._effects is None else self._effects.remembered(ids)
+
+    @quiet()
+    def go_on(self, ids: Ints, remembered: Floats) -> None:
+        """Let the effects of simulations ``ids``, which ``begin`` has begun, go on from what they remembered (n, k)."""
+        self._instrumented.go_on(ids, remembered)
+        self.batch.forward(ids, stage=mujoco.mjtStage.mjSTAGE_VEL)
+        self._instrumented.go_on(ids, remembered)  # what only a time step computes
+
     def saved(self) -> dict[str, Any]:
         """Copies of what ``resume`` needs: parameters, states, counted warnings, model fields and what effects
         remember."""

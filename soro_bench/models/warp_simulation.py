@@ -209,6 +209,9 @@ class WarpSimulation:
 
     native = True  # all effects are model fields
 
+    def remembered(self, ids: Ints) -> None:
+        """Nothing: what such effects remember is on the device, and is not read."""
+
     def array(self, values: Any) -> torch.Tensor:
         """Numbers as a tensor on the device; those that are no integers in single precision."""
         if isinstance(values, torch.Tensor):
