@@ -8,7 +8,7 @@ from soro_bench.blind_benchmark import body_laws, cable_laws
 from soro_bench.blind_benchmark.robot import simulate
 from soro_bench.diagnosis.candidates import terms, typical
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
-from soro_bench.effects.catalogue import MEASUREMENT
+from soro_bench.effects.catalogue import MEASUREMENT, QUANTITIES
 from soro_bench.effects.effect import Effect, EffectError, Location
 from soro_bench.effects.elements import Elements, instrument
 from soro_bench.models import trunk
@@ -217,6 +217,39 @@ def test_a_neck_at_rest_elsewhere_bends_by_that_angle_on_either_model():
         ends.append(np.arctan2(way[0], way[2]))
     assert ends[0] == pytest.approx(0.1, rel=0.1)  # between keypoints that lie on the neck's side too
     assert ends[1] == pytest.approx(ends[0], rel=0.01)
+
+
+def test_a_neck_bends_by_that_angle_whatever_joints_its_far_end_moves_on():
+    """A free joint, or three sliders and three hinges without springs."""
+    turned = Effect("rest_bend", Location("body", "vertebra9"), {"angle_x": 0.0, "angle_y": 0.1})
+    turns = []
+    for replaced in (False, True):
+        spec = make_task("TrunkReach-v0", 1, 1, "flex", effects=()).spec()
+        body = spec.body("vertebra9")
+        for joint in body.joints if replaced else ():
+            spec.delete(joint)
+        for kind in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE) if replaced else ():
+            for axis in np.eye(3):
+                body.add_joint(name=f"{kind.name}{axis.argmax()}", type=kind, axis=axis)
+        sim = Simulation(instrument(spec).compile(), ParameterSet(), (), 1, 1, [turned])
+        sim.batch.bind("xquat")
+        sim.batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
+        sim.batch.expand("opt.gravity")[:] = 0
+        sim.begin(np.arange(1))
+        sim.step(np.arange(1), 200)
+        turns.append(2.0 * np.arcsin(sim.batch.xquat[0, sim.model.body("vertebra9").id, 2]))
+    assert turns[0] == pytest.approx(0.1, rel=0.1)
+    assert turns[1] == pytest.approx(turns[0], rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["rest_bend", "stiffening", "mullins_softening", "local_stiffness", "hysteresis"])
+def test_a_node_of_a_mesh_has_no_springs_of_its_own(name):
+    sim = make_task("MultiGait-v0", 1, 1, "coarse", effects=()).sim
+    values = {q.name: q.typical for q in QUANTITIES[name]}
+    for location in (Location("body", "vertex0"), Location("body", "*")):
+        with pytest.raises(EffectError, match=f"{name}.* has n"):
+            sim.assign_effects([[Effect(name, location, values)]])
+        assert not sim.accepts([Effect(name, location, values)])
 
 
 # --- a loaded gear ---

@@ -146,13 +146,21 @@ class Elements:
         hinges = joints[model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE]
         return hinges if bending_only and len(hinges) else joints[np.isin(model.jnt_type[joints], _SCALARS)]
 
+    def sprung(self, body: int, bending_only: bool = False) -> Ints:
+        """The joints of ``joints_of`` whose springs laws may change: none where the model has no springs but a flex,
+        whose nodes or vertices the body moves. Other springs may get their stiffness at run time."""
+        model, joints = self.model, self.joints_of(body, bending_only)
+        of_flex = body in model.flex_nodebodyid or body in model.flex_vertbodyid
+        return joints if not of_flex or model.jnt_stiffness[joints].any() else joints[:0]
+
     def flex_before(self, body: int) -> int | None:
-        """The flex that joins a body to one before it, as a neck does; None if there is none."""
+        """The flex that joins a body, where several of its nodes are, to one before it, as a neck does; None if there
+        is none."""
         model = self.model
         for flex in range(model.nflex):
             first = model.flex_nodeadr[flex]
             nodes = model.flex_nodebodyid[first : first + model.flex_nodenum[flex]]
-            if len(nodes) > 1 and nodes.max() == body:
+            if np.count_nonzero(nodes == body) > 1 and nodes.max() == body:
                 return flex
         return None
 
@@ -265,7 +273,7 @@ class Elements:
         return float(model.body_mass[~loose & (model.body_weldid != 0)].sum())
 
     def _hangs(self, body: int) -> bool:
-        return len(self.joints_of(body)) > 0 or self.flex_before(body) is not None
+        return len(self.sprung(body)) > 0 or self.flex_before(body) is not None
 
     def _tendons(self) -> list[str]:
         names = _names(self.model, mujoco.mjtObj.mjOBJ_TENDON, self.model.ntendon)

@@ -130,12 +130,12 @@ class OnJoints(Law):
         return np.sqrt(np.bincount(self.place, strained * strained))[self.place]
 
     def _joints(self, elements: Elements, location: Location) -> Ints:
-        if location.kind == "joint":
-            return np.array([elements.id(location)])
-        joints = elements.joints_of(elements.id(location), self.bending_only)
+        one = location.kind == "joint"
+        body = self.model.jnt_bodyid[elements.id(location)] if one else elements.id(location)
+        joints = elements.sprung(body, self.bending_only and not one)
         if not len(joints):
-            raise EffectError(f"{self.name} acts on scalar joints; {location} has none")
-        return joints
+            raise EffectError(f"{self.name} acts on springs of joints or of a neck of flex; {location} has none")
+        return np.array([elements.id(location)]) if one else joints
 
 
 def tension(batch: Batch, rows: Ints, actuators: Ints) -> Floats:

@@ -37,8 +37,9 @@ class AcrossNeck(Law):
         self.far = np.array([elements.id(location) for location in self.locations])
         self.flexes: list[int] = []
         for location, body in zip(self.locations, self.far, strict=True):
-            if (flex := elements.flex_before(body)) is None or model.flex_nodenum[flex] * 3 != _CELL:
-                raise EffectError(f"{self.name} acts on scalar joints or a neck of flex; {location} has none")
+            flex = elements.flex_before(body)
+            if flex is None or model.flex_nodenum[flex] * 3 != _CELL or model.flex_stiffnessadr[flex] < 0:
+                raise EffectError(f"{self.name} acts on springs of joints or of a neck of flex; {location} has none")
             self.flexes.append(flex)
         first = model.flex_nodeadr[self.flexes]
         self.near = np.array([model.flex_nodebodyid[a : a + _CELL // 3].min() for a in first])

@@ -16,7 +16,7 @@ from soro_bench.effects.effect import Effect, EffectError, Location, checked
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.law import Law, Scaled
 from soro_bench.effects.necks import NECKS
-from soro_bench.effects.setpoints import SetpointLaw
+from soro_bench.effects.setpoints import Commands, SetpointLaw
 
 _RANGES = ("actuator_ctrlrange", "actuator_actrange")
 _REMEMBERED = ("setpoint", "added", "beyond", "_starts")  # arrays of N rows
@@ -64,7 +64,10 @@ class ActiveEffects:
                 complete = checked_custom(effect) if law is Custom else checked(effect, law.quantities)
                 if effect.location.kind not in law.kinds:
                     raise EffectError(f"{effect.name} acts on {', '.join(law.kinds)}, not on {effect.location}")
-                places = self.elements.expand(effect.location, law.elastic, law.welded)
+                try:
+                    places = self.elements.expand(effect.location, law.elastic, law.welded)
+                except EffectError as error:
+                    raise EffectError(f"{effect.name}: {error}") from error
                 self._check_taken(law, complete, places)
                 for location in places:
                     if (row, law, location) in seen and not law.adds:
@@ -116,7 +119,7 @@ class ActiveEffects:
 
     def _on_neck(self, location: Location) -> bool:
         """Whether a body hangs on what precedes it by a flex, not by joints that could have springs."""
-        return location.kind == "body" and not len(self.elements.joints_of(self.elements.id(location)))
+        return location.kind == "body" and not len(self.elements.sprung(self.elements.id(location)))
 
     def claim(self, law: Law, rows: Ints, springs: Ints) -> None:
         """Note that a law uses springs; EffectError if another one does."""
@@ -256,7 +259,7 @@ class ActiveEffects:
         if self._ids is None or not np.array_equal(ids, self._ids):
             self._ids = ids.copy()
             self._which = {law: np.isin(law.rows, ids) for law in self._stepped}
-            self._commands = _Commands(self, ids)
+            self._commands = Commands(self, ids)
 
     def _start(self, ids: Ints) -> None:
         """The first setpoints of an episode: the activation, or where it is none the first control."""
@@ -362,42 +365,3 @@ class _Untouched:
         """A copy of a field's values."""
         found = self._batch.expanded(name)
         return np.array(attrgetter(name)(self._batch.model)[None] if found is None else found)
-
-
-class _Commands:
-    """The setpoints of some simulations on their way through the laws."""
-
-    def __init__(self, run: ActiveEffects, ids: Ints):
-        self.run, model = run, run.batch.model
-        self.rows, self.actuators = run.touched_in(ids)
-        i = self.actuators
-        self.integrates, self.early = run.integrates[i], model.actuator_actearly[i].astype(bool)
-        place = np.zeros(run.setpoint.shape, int)
-        place[self.rows, i] = np.arange(len(i))
-        self.laws = []
-        for law in run.filters:
-            which = np.isin(law.rows, ids)
-            self.laws.append((law, which, place[law.rows[which], law.ids[which]]))
-
-    def hold(self) -> None:
-        """Ask for the control for some time steps."""
-        asked = self.run.batch.ctrl[self.rows, self.actuators]
-        self.asked = self.run.within("ctrl", self.rows, self.actuators, asked)
-
-    def step(self) -> None:
-        """One time step."""
-        run, at = self.run, (self.rows, self.actuators)
-        before = run.setpoint[at]
-        wanted = before + run.timestep * self.asked
-        moved = run.within("act", self.rows, self.actuators, wanted)
-        run.beyond[at] = np.where(self.integrates, wanted - moved, 0.0)
-        now = run.setpoint[at] = np.where(self.integrates, moved, self.asked)
-        # a step uses the activation at its start, or at its end if the actuator is early
-        output = np.where(self.integrates & ~self.early, before, now)
-        asked = run.unchanged[at] = output.copy()
-        for law, which, places in self.laws:
-            output[places] = law.filter(which, output[places])
-        run.added[at] += run.timestep * (output - asked)
-        run.batch.ctrl[at] = np.where(self.integrates, 0.0, output)
-        own = self.integrates
-        run.batch.act[self.rows[own], run.slot[self.actuators[own]]] = output[own]

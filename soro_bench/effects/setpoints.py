@@ -4,16 +4,19 @@ They act on the setpoint: what an actuator is asked to be at, which is its activ
 the control otherwise. Those that change the actuator's force act on MuJoCo's own gains.
 """
 
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import mujoco
 import numpy as np
 
-from soro_bench.arrays import Bools, Floats
+from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.effects.effect import EffectError, Location, Quantity
 from soro_bench.effects.elements import Elements
 from soro_bench.effects.law import Law
 from soro_bench.effects.springs import INFINITE
+
+if TYPE_CHECKING:
+    from soro_bench.effects.runtime import ActiveEffects
 
 _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 _SOFTEST = 0.1  # of 1 + k c: a servo that is ten times stiffer than its model
@@ -302,3 +305,42 @@ class ActuatorSaturation(Law):
 
     def write(self, which: Bools) -> None:
         self.field("actuator_forcerange")[self.rows[which], self.ids[which]] *= 1.0 - self.values["loss"][which, None]
+
+
+class Commands:
+    """The setpoints of some simulations on their way through the laws."""
+
+    def __init__(self, run: "ActiveEffects", ids: Ints):
+        self.run, model = run, run.batch.model
+        self.rows, self.actuators = run.touched_in(ids)
+        i = self.actuators
+        self.integrates, self.early = run.integrates[i], model.actuator_actearly[i].astype(bool)
+        place = np.zeros(run.setpoint.shape, int)
+        place[self.rows, i] = np.arange(len(i))
+        self.laws = []
+        for law in run.filters:
+            which = np.isin(law.rows, ids)
+            self.laws.append((law, which, place[law.rows[which], law.ids[which]]))
+
+    def hold(self) -> None:
+        """Ask for the control for some time steps."""
+        asked = self.run.batch.ctrl[self.rows, self.actuators]
+        self.asked = self.run.within("ctrl", self.rows, self.actuators, asked)
+
+    def step(self) -> None:
+        """One time step."""
+        run, at = self.run, (self.rows, self.actuators)
+        before = run.setpoint[at]
+        wanted = before + run.timestep * self.asked
+        moved = run.within("act", self.rows, self.actuators, wanted)
+        run.beyond[at] = np.where(self.integrates, wanted - moved, 0.0)
+        now = run.setpoint[at] = np.where(self.integrates, moved, self.asked)
+        # a step uses the activation at its start, or at its end if the actuator is early
+        output = np.where(self.integrates & ~self.early, before, now)
+        asked = run.unchanged[at] = output.copy()
+        for law, which, places in self.laws:
+            output[places] = law.filter(which, output[places])
+        run.added[at] += run.timestep * (output - asked)
+        run.batch.ctrl[at] = np.where(self.integrates, 0.0, output)
+        own = self.integrates
+        run.batch.act[self.rows[own], run.slot[self.actuators[own]]] = output[own]

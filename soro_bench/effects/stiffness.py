@@ -81,7 +81,7 @@ class RestBend(OnJoints):
 
     @classmethod
     def idle(cls, elements: Elements, location: Location) -> frozenset[str]:
-        joints = elements.joints_of(elements.id(location), bending_only=True) if location.kind == "body" else [location]
+        joints = elements.sprung(elements.id(location), bending_only=True) if location.kind == "body" else [location]
         return frozenset({"angle_y"} if len(joints) == 1 else ())
 
     def prepare(self, elements: Elements) -> None:
@@ -167,15 +167,16 @@ class _Springs:
         model, i = law.model, elements.id(location)
         joints = np.zeros(0, int)
         if location.kind in ("joint", "body"):
-            joints = np.array([i]) if location.kind == "joint" else elements.joints_of(i)
+            joints = elements.sprung(i if location.kind == "body" else model.jnt_bodyid[i])
         if not len(joints):
-            flex = i if location.kind == "flex" else elements.flex_before(i)
+            flex = {"flex": i, "body": elements.flex_before(i)}.get(location.kind)
             if flex is None:
-                raise EffectError(f"{law.name} needs joints or a flex; {location} has none")
+                raise EffectError(f"{law.name} acts on springs of joints or of a flex; {location} has none")
             found = [(field, column) for field in _OF_FLEX for column in _columns(model, field, flex)]
             if not found:
                 raise EffectError(f"{law.name} needs elasticity of the flex; that of {location} has none")
             return found  # its damping is in proportion
+        joints = np.array([i]) if location.kind == "joint" else joints
         return [("jnt_stiffness", j) for j in joints] + [("dof_damping", model.jnt_dofadr[j]) for j in joints]
 
     def share(self) -> None:
