@@ -333,3 +333,28 @@ def test_typical_forces_and_masses_are_those_of_the_robot():
     for name in ("driven", "passive"):
         assert elements.scale(Location("joint", name), "force") == pytest.approx(0.03 * 0.1)
     assert elements.scale(Location("body", "end"), "mass") == pytest.approx(7.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "factor"),
+    [
+        ("local_stiffness", {"factor": 0.5}, lambda q: 0.5),
+        ("stiffening", {"beta": 5.0}, lambda q: 1.0 + 5.0 * q**2),
+        ("hysteresis", {"ratio": 0.5, "yield_strain": 9.0}, lambda q: 1.5),  # which does not slip
+        ("viscoelastic_creep", {"ratio": 0.5, "time_constant": 1e4}, lambda q: 1.5),
+        ("plastic_set", {"softness": 0.1, "share": 0.5}, lambda q: 1.0),  # which does not yield
+    ],
+)
+def test_a_law_of_springs_acts_on_all_coefficients_of_a_polynomial(name, values, factor):
+    """A hinge with a spring of q + 20 q^3 [N m] and a law that multiplies it holds 0.5 N m."""
+    spec = mujoco.MjSpec.from_string("""<mujoco><option timestep="0.002" gravity="0 0 0"/><worldbody><body name="arm">
+        <joint name="hinge" axis="0 1 0" stiffness="1 0 20" damping="0.05"/><geom size="0.05" pos="0.1 0 0" mass="0.1"/>
+        </body></worldbody><actuator><motor joint="hinge"/></actuator></mujoco>""")
+    law = [Effect(name, Location("joint", "hinge"), values)]
+    sim = Simulation(instrument(spec).compile(), ParameterSet(), (), 1, 1, law)
+    sim.begin(np.arange(1))
+    for step in range(1500):
+        sim.batch.ctrl[0] = 0.5 * min(1.0, step / 1000)
+        sim.step(np.arange(1), 1)
+    angle = sim.batch.qpos[0, 0]
+    assert factor(angle) * (angle + 20.0 * angle**3) == pytest.approx(0.5, rel=1e-3)

@@ -151,7 +151,12 @@ class Elements:
         whose nodes or vertices the body moves. Other springs may get their stiffness at run time."""
         model, joints = self.model, self.joints_of(body, bending_only)
         of_flex = body in model.flex_nodebodyid or body in model.flex_vertbodyid
-        return joints if not of_flex or model.jnt_stiffness[joints].any() else joints[:0]
+        return joints if not of_flex or self.stiff(joints) else joints[:0]
+
+    def stiff(self, joints: Ints) -> bool:
+        """Whether the model has a spring in any of some joints."""
+        model = self.model
+        return bool(model.jnt_stiffness[joints].any() or model.jnt_stiffnesspoly[joints].any())
 
     def flex_before(self, body: int) -> int | None:
         """The flex that joins a body, where several of its nodes are, to one before it, as a neck does; None if there

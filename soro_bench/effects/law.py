@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
@@ -12,6 +13,21 @@ from soro_bench.effects.elements import Elements
 
 if TYPE_CHECKING:
     from soro_bench.effects.runtime import ActiveEffects
+
+
+_HIGHER = ("jnt_stiffnesspoly", "tendon_stiffnesspoly", "dof_dampingpoly")  # coefficients of polynomials
+
+
+def coefficients(model: mujoco.MjModel, field: str) -> tuple[str, ...]:
+    """A model field of linear coefficients of springs or dampers, then that of higher ones if the model has any."""
+    higher = field + "poly"
+    has = higher in _HIGHER and any(getattr(model, name).any() for name in _HIGHER)
+    return (field, higher) if has else (field,)
+
+
+def per_row(factor: Floats, values: Floats) -> Floats:
+    """Factors (n,) in the shape that multiplies rows of values (n, ...)."""
+    return factor.reshape(-1, *[1] * (values.ndim - 1))
 
 
 class Law:
@@ -41,6 +57,7 @@ class Law:
         self.rows = np.array([row for row, _, _ in entries])
         self.locations = [location for _, location, _ in entries]
         self.values = {q.name: np.array([e.parameters[q.name] for _, _, e in entries]) for q in self.quantities}
+        self.fields = tuple(each for name in self.fields for each in coefficients(self.model, name))  # type: ignore[misc]
         for name in self.outputs:
             self.batch.bind(name)
         self.prepare(run.elements)

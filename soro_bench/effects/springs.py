@@ -18,7 +18,7 @@ import numpy as np
 from soro_bench.arrays import Bools, Floats
 from soro_bench.effects.effect import EffectError, Location, Quantity
 from soro_bench.effects.elements import NEVER, Elements
-from soro_bench.effects.law import Law, OnJoints, tension
+from soro_bench.effects.law import Law, OnJoints, coefficients, per_row, tension
 
 _SOFTER = 100.0  # a spring that slides, than one that sticks, and than one that yields within a time step
 _STABLE = 2.0  # of inertia over the square of a time step, an explicit spring; from 4 on it would be unstable
@@ -44,7 +44,8 @@ class _Friction(Law):
         # a tendon's own spring, a joint's second one
         on_joint = [location.kind == "joint" for location in self.locations]
         self.springs = np.array([elements.spring_of(i) if j else i for i, j in zip(self.ids, on_joint, strict=True)])
-        taken = (self.model.tendon_plasticadr[self.springs] < 0) | (self.model.tendon_stiffness[self.springs] != 0)
+        stiff = [getattr(self.model, name)[self.springs] != 0 for name in ("tendon_stiffness", "tendon_stiffnesspoly")]
+        taken = (self.model.tendon_plasticadr[self.springs] < 0) | stiff[0] | stiff[1].any(axis=1)
         if taken.any():
             raise EffectError(f"{self.name} needs tendons without a spring of their own; see instrument()")
         self.run.claim(self, self.rows, self.springs)
@@ -283,6 +284,14 @@ class _SecondSpring(OnJoints):
         self.run.claim(self, self.rows, self.springs)
         self.slots = self.model.tendon_plasticadr[self.springs]
 
+    def beside(self, which: Bools, ratio: Floats) -> None:
+        """Make them ratios (n,) of the springs of joints."""
+        at, rows = (self.rows[which], self.springs[which]), (self.rows[which], self.joints[which])
+        pairs = [coefficients(self.model, name) for name in ("jnt_stiffness", "tendon_stiffness")]
+        for own, name in zip(*pairs, strict=True):
+            values = self.field(own)[rows]
+            self.field(name)[at] = per_row(ratio, values) * values
+
     def reset(self, which: Bools) -> None:
         """It begins at rest where the joint's own spring is."""
         rows, slots = self.rows[which], self.slots[which]
@@ -304,10 +313,8 @@ class Hysteresis(_SecondSpring):
     fields = ("tendon_stiffness", "tendon_springyield")
 
     def write(self, which: Bools) -> None:
-        rows, springs = self.rows[which], self.springs[which]
-        own = self.field("jnt_stiffness")[rows, self.joints[which]]
-        self.field("tendon_stiffness")[rows, springs] = self.values["ratio"][which] * own
-        self.field("tendon_springyield")[rows, springs] = self.values["yield_strain"][which]
+        self.beside(which, self.values["ratio"][which])
+        self.field("tendon_springyield")[self.rows[which], self.springs[which]] = self.values["yield_strain"][which]
 
 
 class ViscoelasticCreep(_SecondSpring):
@@ -323,9 +330,7 @@ class ViscoelasticCreep(_SecondSpring):
     outputs = ("ten_length",)
 
     def write(self, which: Bools) -> None:
-        rows = self.rows[which]
-        own = self.field("jnt_stiffness")[rows, self.joints[which]]
-        self.field("tendon_stiffness")[rows, self.springs[which]] = self.values["ratio"][which] * own
+        self.beside(which, self.values["ratio"][which])
 
     def step(self, which: Bools) -> None:
         rows, slots = self.rows[which], self.slots[which]
@@ -353,12 +358,13 @@ class PlasticSet(_SecondSpring):
     def write(self, which: Bools) -> None:
         rows, softness = self.rows[which], self.values["softness"][which]
         share = np.where(softness > 0, self.values["share"][which], 0.0)
-        stiffness = self.field("jnt_stiffness")
-        self.field("tendon_stiffness")[rows, self.springs[which]] = share * stiffness[rows, self.joints[which]]
+        self.beside(which, share)
         self.field("tendon_springyield")[rows, self.springs[which]] = np.where(
             softness > 0, 1.0 / np.maximum(softness, 1e-9), NEVER
         )
-        stiffness[rows, self.joints[which]] *= 1.0 - share
+        for name in coefficients(self.model, "jnt_stiffness"):
+            own = self.field(name)
+            own[rows, self.joints[which]] *= per_row(1.0 - share, own[0])
 
 
 def _rests(law: _Friction | _SecondSpring, own: Bools) -> list[tuple[Floats, Any]]:

@@ -6,7 +6,7 @@ import numpy as np
 from soro_bench.arrays import Bools, Floats
 from soro_bench.effects.effect import EffectError, Location, Quantity
 from soro_bench.effects.elements import Elements
-from soro_bench.effects.law import Law, OnJoints
+from soro_bench.effects.law import Law, OnJoints, coefficients, per_row
 
 _OF_FLEX = ("flex_stiffness", "flex_bending")
 
@@ -103,11 +103,14 @@ class _StrainDependent(OnJoints):
 
     def prepare(self, elements: Elements) -> None:
         super().prepare(elements)
-        self.run.scaled("jnt_stiffness")
+        for name in self.fields:
+            self.run.scaled(name)
 
     def step(self, which: Bools) -> None:
-        factor = self.factor(self.strain(), which)[which]
-        np.multiply.at(self.field("jnt_stiffness"), (self.rows[which], self.joints[which]), factor)
+        factor, at = self.factor(self.strain(), which)[which], (self.rows[which], self.joints[which])
+        for name in self.fields:
+            values = self.field(name)
+            np.multiply.at(values, at, per_row(factor, values[0]))
 
     def factor(self, strain: Floats, which: Bools) -> Floats:
         """(n,) of the stiffness at strains (n,)."""
@@ -177,7 +180,9 @@ class _Springs:
                 raise EffectError(f"{law.name} needs elasticity of the flex; that of {location} has none")
             return found  # its damping is in proportion
         joints = np.array([i]) if location.kind == "joint" else joints
-        return [("jnt_stiffness", j) for j in joints] + [("dof_damping", model.jnt_dofadr[j]) for j in joints]
+        springs, dampers = coefficients(model, "jnt_stiffness"), coefficients(model, "dof_damping")
+        found = [(field, j) for field in springs for j in joints]
+        return found + [(field, model.jnt_dofadr[j]) for field in dampers for j in joints]
 
     def share(self) -> None:
         """Let other laws scale the same ones in every time step."""
@@ -188,7 +193,8 @@ class _Springs:
         """Multiply them by factors (n,) of the law's entries."""
         for field in np.unique(self.fields):
             i = np.flatnonzero(which & (self.fields == field))
-            np.multiply.at(self.law.field(str(field)), (self.law.rows[i], self.columns[i]), factor[i])
+            values = self.law.field(str(field))
+            np.multiply.at(values, (self.law.rows[i], self.columns[i]), per_row(factor[i], values[0]))
 
 
 def _columns(model: mujoco.MjModel, field: str, flex: int) -> range:

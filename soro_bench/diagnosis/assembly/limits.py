@@ -141,7 +141,8 @@ def _of_tendons(model: mujoco.MjModel, data: mujoco.MjData, tolerance: float) ->
         if name.startswith(AUXILIARY):
             continue
         low, high = model.tendon_lengthspring[i]
-        if low < high and np.any(model.tendon_stiffness[i]) and low <= length <= high:
+        stiff = model.tendon_stiffness[i] != 0 or model.tendon_stiffnesspoly[i].any()
+        if low < high and stiff and low <= length <= high:
             yield _Reached("slack", _name(model, "tendon", i))
         if model.tendon_limited[i] and _end(length, model.tendon_range[i], tolerance) is not None:
             yield _Reached("stop", _name(model, "tendon", i))

@@ -221,7 +221,7 @@ def _only_damps(robot: Robot, one: Term) -> bool:
     elements = robot.elements
     at = elements.id(one.location)
     joints = np.array([at]) if one.location.kind == "joint" else elements.joints_of(at)
-    return len(joints) > 0 and not np.any(elements.model.jnt_stiffness[joints])
+    return len(joints) > 0 and not elements.stiff(joints)
 
 
 def _parameter_change(robot: Robot, index: int) -> ParameterChange:
