@@ -371,6 +371,29 @@ def test_names_in_several_laws_say_where_each_acts():
     one, other = custom(CUBE, k=1.0), custom(CUBE, name="elbow", k=1.0)
     assert list(legend([one])) == ["q"]
     assert list(legend([one, other])) == ["q at joint hinge", "q at joint elbow"]
+    read = {"x": {"of": "position", "axis": "x"}, "t": {"of": "time"}}
+    push = [custom(law("x", read, unit="N", direction=axis), "body", "arm") for axis in "xyz"]
+    assert legend(push) == push[0].law.legend()
+    wind = custom(law("t", {"t": {"of": "time"}}), name="elbow")
+    at_the_arm = " and".join(f" at body arm along {axis}" for axis in "xyz")
+    assert list(legend([*push, wind])) == [f"x{at_the_arm}", "t"]
+
+
+def test_a_discovered_law_of_several_components_names_each_once():
+    box = [custom(law("x", {"x": {"of": "position", "axis": "x"}}, unit="N", direction=axis), "body", "arm")
+           for axis in "xyz"]  # fmt: skip
+    told = DiscoveredLaw(
+        location=box[0].location, effects=tuple(each.to_json() for each in box),
+        equations=tuple(f"body arm: F = g{axis}(x) [N] along {axis}" for axis in "xyz"), legend=legend(box),
+        estimates=(), explained=0.9, noise_share=0.1, nearest=0.1, own_test=False, others=(), state=(0.0, 0.1),
+        force=(0.0, 0.1), law=(0.0, 0.1), state_label="position [m]", force_label="input at body arm along x [N]",
+        peak=0.5, black_box=True,
+    )  # fmt: skip
+    page = " ".join(html(replace(outside_catalogue(), discovery=told)).split())
+    assert page.count("<dt>black box</dt>") == page.count("position along x, seen from") == 1
+    assert page.count("not why, 10 N at most") == 1
+    for axis in "xyz":
+        assert page.count(f'<span class="law">body arm: F = g{axis}(x) [N] along {axis}</span>') == 1
 
 
 def test_bodies_that_cannot_be_told_apart_span_a_region_of_one_branch():

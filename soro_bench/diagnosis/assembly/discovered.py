@@ -13,7 +13,7 @@ from soro_bench.diagnosis.discovery.law_terms import LawTerm
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.result_parts import NEAR, NINETY, DiscoveredLaw, Estimate
 from soro_bench.effects.custom_law import CustomLaw
-from soro_bench.effects.effect import Effect
+from soro_bench.effects.effect import Effect, Location
 from soro_bench.effects.expression import names_in
 
 _SHOWN = 400  # points of a figure
@@ -81,11 +81,20 @@ def _law(effect: Effect) -> CustomLaw:
 
 
 def legend(effects: Sequence[Effect]) -> dict[str, str]:
-    """What the names in the equations of some effects are; laws of several channels may have the same names."""
+    """What the names in the equations of some effects are: each meaning once, with where it holds unless the name means
+    the same in all of them."""
+    meanings: dict[str, dict[tuple[str, Location | None], str]] = {}
+    for effect, place in zip(effects, _places(effects), strict=True):
+        law = _law(effect)
+        anywhere = {each.name for each in law.variables if each.place is not None or each.of == "time"}
+        for name, said in law.legend().items():
+            meaning, of = (said, None if name in anywhere else effect.location), meanings.setdefault(name, {})
+            of[meaning] = f"{of[meaning]} and{place}" if meaning in of else place
+    several = len({each.location for each in effects}) > 1
     return {
-        key + place: value
-        for effect, place in zip(effects, _places(effects), strict=True)
-        for key, value in _law(effect).legend().items()
+        name + (place if len(of) > 1 or (own and several) else ""): said
+        for name, of in meanings.items()
+        for (said, own), place in of.items()
     }
 
 
@@ -125,13 +134,16 @@ def _curve(found: Discovery, effects: Sequence[Effect]) -> tuple[Floats, Floats,
     located, channel = found.located, found.best.structure.candidates[0].channel if found.best else 0
     reads, force = located.reads[channel], located.force[:, channel]
     shown, law = next(each for each in reads if each.name == "t"), np.full(len(force), np.nan)
+    place = ""
     if effects:
-        effect = next((e for e in effects if e.location == located.channels[channel].location), effects[0])
+        assert found.best is not None
+        which = sorted({each.channel for each in found.best.structure.candidates}).index(channel)
+        effect, place = effects[which], _places(effects)[which]
         reads = [*reads, *located.distances(effect)]
         law, force = located.exerted(effect, reads), located.along(effect, channel)
         used = names_in(_law(effect).expression).union(*(names_in(each.input) for each in _law(effect).states))
         shown = next((each for each in reads if each.name in used), shown)
     order = np.arange(0, len(law), max(1, len(law) // _SHOWN))
     at = "" if shown.variable.place is None else f" of {shown.variable.place.kind} {shown.variable.place.name}"
-    labels = f"{shown.variable.of}{at} [{shown.unit}]", f"input [{located.channels[channel].unit}]"
+    labels = f"{shown.variable.of}{at} [{shown.unit}]", f"input{place} [{located.channels[channel].unit}]"
     return shown.values[order], force[order], law[order], labels

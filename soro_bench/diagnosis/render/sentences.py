@@ -153,7 +153,8 @@ def discovered(result: Result) -> list[str]:
     share = f"{100 * found.explained:.1f} % of the squared error"
     held = "Outside these ranges it is held."
     if found.black_box:
-        most = "; ".join(number(each["law"]["limit"], each["law"]["unit"]) for each in found.effects)
+        limits = (number(each["law"]["limit"], each["law"]["unit"]) for each in found.effects)
+        most = "; ".join(dict.fromkeys(limits))
         held = f"{held} It is no law: g is a sum of bumps that says where and how much, not why, {most} at most."
     said = [f"With {names}. {held}",
             f"On {test} it explains {share} ({100 * found.noise_share:.1f} % is noise), the nearest law of the "
