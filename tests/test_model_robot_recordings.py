@@ -14,11 +14,12 @@ pytest.importorskip("pyarrow", reason="needs the train extra")
 
 
 from soro_bench.diagnosis.api import diagnose
-from soro_bench.diagnosis.candidates import late, terms
+from soro_bench.diagnosis.candidates import late, term, terms
 from soro_bench.diagnosis.commands import Diagnose
 from soro_bench.diagnosis.data_quality.inspection import inspected
 from soro_bench.diagnosis.data_quality.noise import data_quality
 from soro_bench.diagnosis.data_quality.signals import explaining
+from soro_bench.diagnosis.estimation.fit import Guess, fitted
 from soro_bench.diagnosis.preparation import check_unit_and_sign, unexplained
 from soro_bench.diagnosis.render.summary import summary
 from soro_bench.diagnosis.robots.model_file import ModelError
@@ -30,7 +31,7 @@ from soro_bench.recording.importers import import_recording
 from soro_bench.recording.parquet import load, save
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from soro_bench.recording.simulated import record
-from tests.arm import ARM, MAP, TRUTH, recording
+from tests.arm import ARM, MAP, SIGMA, TRUTH, recording
 
 
 def test_what_lies_between_two_samples_is_not_measured(paths):
@@ -59,6 +60,24 @@ def test_a_start_that_was_measured_later_than_the_commands_begin_is_refused(path
     later = replace(given, signals={"angle": replace(angle, time=angle.time[50:], values=angle.values[50:])})
     with pytest.raises(RecordingError, match=r"first sample of angle is 1 s after .* within a control step, 0\.02 s"):
         ModelRobot(*paths, threads=1).measured(later)
+
+
+PULLED = Effect("pretension", Location("actuator", "motor"), {"offset": 0.03})
+
+
+@pytest.mark.parametrize(("truth", "shift", "hidden"), [("sensor_bias", 0.03, []), ("pretension", 0.0, [PULLED])])
+def test_an_offset_is_the_sensors_or_the_commands_though_the_robot_begins_at_its_signal(paths, truth, shift, hidden):
+    paths[1].write_text(MAP.split("[parameters.zero]")[0])  # which is an offset of the command
+    given = recording(paths, hidden, 0, truth=TRUTH[:, :2])
+    angle = given.signals["angle"]
+    shifted = replace(given, signals={"angle": replace(angle, values=angle.values + shift)})
+    robot = ModelRobot(*paths, threads=1, shorter=2)
+    problem = unexplained(robot, (robot.measured(shifted).first(120),), SIGMA)
+    laws = term(robot, "sensor_bias", Location("sensor", "angle", 0)), term(robot, "pretension", PULLED.location)
+    guesses = [Guess(np.concatenate([np.zeros(2), 0.03 / law.deviations]), (law,)) for law in laws]
+    best = max(fitted(problem, guesses, (0.07,), 0), key=lambda h: h.log_evidence(problem))
+    (found,) = best.effects(2)
+    assert found.name == truth and next(iter(found.parameters.values())) == pytest.approx(0.03, rel=0.05)
 
 
 def test_a_recording_without_a_command_of_the_mapping_is_refused(paths):
