@@ -15,7 +15,7 @@ from benchmarks.law_baselines import Data, error, nothing, parameters_only, sind
 from soro_bench.diagnosis.api import with_seeds
 from soro_bench.diagnosis.assembly.discovered import legend, spanned
 from soro_bench.diagnosis.discovery.discovery import discovered
-from soro_bench.diagnosis.discovery.library import Term, series, variables_at
+from soro_bench.diagnosis.discovery.library import Read, Term, groups, series, variables_at
 from soro_bench.diagnosis.discovery.located_input import LocatedInput
 from soro_bench.diagnosis.estimation.fit import Guess, allowing, fitted
 from soro_bench.diagnosis.localisation.ranking import ranked_locations
@@ -25,7 +25,7 @@ from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.result_parts import DiscoveredLaw, Estimate
 from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.catalogue import ALL
-from soro_bench.effects.custom_law import Memory
+from soro_bench.effects.custom_law import Memory, Variable
 from soro_bench.effects.effect import Effect, EffectError, Location, effect_from, load_effects, save_effects
 from soro_bench.effects.expression import names_in
 from tests.arm import ARM, HAND, MAP, problem, says
@@ -233,6 +233,12 @@ def paths(tmp_path):
     (tmp_path / "arm.xml").write_text(ARM)
     (tmp_path / "arm.toml").write_text(MAP)
     return tmp_path / "arm.xml", tmp_path / "arm.toml"
+
+
+def test_a_wave_has_so_many_periods_in_the_range_of_a_position_that_is_far_from_zero():
+    read = Read(Variable("q", "position", -9.0, 9.0), 2.0 + 0.1 * np.sin(np.linspace(0.0, 20.0, 2000)), "m")
+    waves = [shape.value for term, *_ in groups([read], []) for shape in term.shapes if shape.name == "n_q"]
+    assert 0.2 * np.array(waves) / (2.0 * np.pi) == pytest.approx([1.0, 1.5, 2.0, 3.0], rel=0.01)
 
 
 def test_a_spring_of_one_side_is_written_down_and_holds_on_what_was_not_fitted(paths):

@@ -62,9 +62,11 @@ class Read:
 
     @property
     def span(self) -> float:
-        """Half of its range, but for the extreme percent."""
+        """But for the extreme percent, half of the range of a position, which may be far from zero, and how far from
+        zero others go."""
         low, high = np.quantile(self.values, (0.01, 0.99))
-        return float(max(abs(low), abs(high), 1e-9))
+        half = 0.5 * (high - low) if self.variable.of == "position" else max(abs(low), abs(high))
+        return float(max(half, 1e-9))
 
 
 Group = tuple[Term, ...]  # terms that come together, as the sine and the cosine of a period
