@@ -358,3 +358,24 @@ def test_a_law_of_springs_acts_on_all_coefficients_of_a_polynomial(name, values,
         sim.step(np.arange(1), 1)
     angle = sim.batch.qpos[0, 0]
     assert factor(angle) * (angle + 20.0 * angle**3) == pytest.approx(0.5, rel=1e-3)
+
+
+def test_behind_a_compliance_the_damping_of_an_actuator_is_that_of_its_servo():
+    """With a gear of 2; without damping it would swing on."""
+    ways = []
+    for servo, own in ((-0.005, 0.0), (0.0, 0.005)):
+        spec = mujoco.MjSpec.from_string(f"""<mujoco><option timestep="0.002" integrator="implicitfast"
+        gravity="0 0 0"/><worldbody><body name="arm"><joint name="hinge" axis="0 1 0"/><geom size="0.05" pos="0.1 0 0"
+        mass="0.1"/></body></worldbody><actuator><general name="servo" joint="hinge" gear="2" gainprm="4"
+        biasprm="0 -4 {servo}" biastype="affine" damping="{own}"/></actuator></mujoco>""")
+        law = [Effect("compliance", Location("actuator", "servo"), {"compliance": 0.5})]
+        sim = Simulation(instrument(spec).compile(), ParameterSet(), (), 1, 1, law)
+        sim.batch.qpos[:] = 0.3
+        sim.begin(np.arange(1))
+        way = []
+        for _ in range(500):
+            sim.step(np.arange(1), 1)
+            way.append(sim.batch.qpos[0, 0])
+        ways.append(way)
+    assert ways[1] == pytest.approx(ways[0], abs=1e-9)
+    assert min(ways[0]) < -0.1

@@ -12,7 +12,7 @@ import numpy as np
 from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.effects.effect import EffectError, Location, Quantity
 from soro_bench.effects.elements import Elements
-from soro_bench.effects.law import Law
+from soro_bench.effects.law import Law, per_row
 from soro_bench.effects.springs import INFINITE
 
 if TYPE_CHECKING:
@@ -259,12 +259,12 @@ class SupplyCoupling(_Pneumatic):
 
 
 class Compliance(Law):
-    """A spring in series with a servo: a cable, a belt; the servo's stiffness and damping fall by 1 + k c. A negative
-    one makes the servo stiffer."""
+    """A spring in series with a servo: a cable, a belt; the servo's stiffness and damping fall by 1 + k c, as does the
+    damping of the actuator itself, which is before the spring. A negative one makes the servo stiffer."""
 
     name, category, kinds = "compliance", "static_error", ("actuator",)
     quantities = (Quantity("compliance", "m/N or rad/(N m)", 1.0, (-np.inf, np.inf), of="compliance", takes=True),)
-    fields: ClassVar = ("actuator_gainprm", "actuator_biasprm")
+    fields: ClassVar[tuple[str, ...]] = ("actuator_gainprm", "actuator_biasprm")
 
     @classmethod
     def removable(cls, elements: Elements, location: Location) -> float:
@@ -277,13 +277,16 @@ class Compliance(Law):
         of_position, of_velocity = self.model.actuator_biasprm[self.ids, 1:3].T
         if not (fixed & affine & ~((of_position == 0) & (of_velocity != 0))).all():
             raise EffectError(f"{self.name} acts on servos of positions: actuators of fixed gain and affine bias")
+        dampings = ("actuator_damping", "actuator_dampingpoly")
+        self.dampings = [name for name in dampings if getattr(self.model, name)[self.ids].any()]
+        self.fields = (*self.fields, *self.dampings)  # type: ignore[misc]
 
     def write(self, which: Bools) -> None:
         at = self.rows[which], self.ids[which]
         gain, bias = self.field("actuator_gainprm"), self.field("actuator_biasprm")
-        softer = np.maximum(1.0 + gain[at][:, 0] * self.values["compliance"][which], _SOFTEST)[:, None]
-        gain[at] /= softer
-        bias[at] /= softer
+        softer = np.maximum(1.0 + gain[at][:, 0] * self.values["compliance"][which], _SOFTEST)
+        for values in (gain, bias, *map(self.field, self.dampings)):
+            values[at] /= per_row(softer, values[0])
 
 
 class ActuatorSaturation(Law):
