@@ -13,6 +13,14 @@ _HINT = re.compile(  # of NumPy and of PyTorch, to load what could run any code
     r"|Weights only load failed.*",
     re.DOTALL,
 )
+# what PyTorch, CUDA and Warp say of the machine; their other RuntimeErrors are mistakes of a program
+_MACHINE = {
+    "not enough memory": re.compile(r"out of memory|can't allocate memory|not enough memory|[Ff]ailed to allocate"),
+    "no GPU that can be used": re.compile(
+        r"No CUDA GPUs|no CUDA-capable device|no NVIDIA driver|invalid device ordinal|driver version is insufficient"
+        r"|CUDA-capable device.* busy or unavailable"
+    ),
+}
 _NOT_LOADED = "it holds pickled Python objects, which are never loaded; only numbers are read"
 
 
@@ -37,6 +45,14 @@ def one_line(error: BaseException | str) -> str:
     return shown("; ".join(line for line in lines if line) or type(error).__name__)[:_LENGTH]
 
 
+def missing(error: BaseException) -> str:
+    """What the machine lacks, memory or a GPU, if an error is about that; else ""."""
+    if isinstance(error, MemoryError):
+        return "not enough memory"
+    said = str(error) if isinstance(error, RuntimeError) else ""
+    return next((what for what, words in _MACHINE.items() if words.search(said)), "")
+
+
 @contextmanager
 def plain_errors(program: str) -> Iterator[None]:
     """One clear line for what a user can mend, no traceback."""
@@ -49,7 +65,10 @@ def plain_errors(program: str) -> Iterator[None]:
             raise
         messages = error.messages if isinstance(error, SeveralErrors) else [error]
         sys.exit("\n".join([f"{program}: {one_line(messages[0])}", *map(one_line, messages[1:])]))
-    except MemoryError as error:
-        sys.exit(f"{program}: not enough memory: {one_line(error)}")
+    except (MemoryError, RuntimeError) as error:
+        if sys.flags.dev_mode or not (what := missing(error)):
+            raise
+        first = str(error).strip().partition("\n")[0]  # CUDA adds lines on how to find mistakes of a program
+        sys.exit(f"{program}: {what}: {one_line(first or error)}")
     except KeyboardInterrupt:
         sys.exit(f"{program}: interrupted; train, run, infer, study and blind-benchmark resume if repeated")

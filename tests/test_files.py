@@ -220,6 +220,19 @@ def test_a_command_ends_with_a_line_for_each_error(error, said):
     assert exit.value.code == said
 
 
+def test_a_command_says_what_the_machine_lacks_and_hides_no_mistake():
+    torch = pytest.importorskip("torch")
+    with pytest.raises(SystemExit, match=r"^train: not enough memory: .*you tried to allocate \d+ bytes"), \
+            plain_errors("train"):  # fmt: skip
+        torch.empty(2**50)
+    no_device = "CUDA error: no CUDA-capable device is detected"
+    with pytest.raises(SystemExit) as exit, plain_errors("train"):
+        raise RuntimeError(f"{no_device}\nCUDA kernel errors might be asynchronously reported\n")
+    assert exit.value.code == f"train: no GPU that can be used: {no_device}"
+    with pytest.raises(RuntimeError, match="cannot be multiplied"), plain_errors("train"):
+        torch.zeros(2, 3) @ torch.zeros(2, 3)
+
+
 @pytest.mark.parametrize("maker", [gymnasium.make, partial(gymnasium.make_vec, num_envs=2, num_threads=2)])
 def test_a_simulation_that_diverges_leaves_no_log_in_the_working_directory(tmp_path, monkeypatch, capfd, maker):
     monkeypatch.chdir(tmp_path)

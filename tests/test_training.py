@@ -174,6 +174,17 @@ def test_a_checkpoint_that_cannot_be_read_says_in_a_line_what_to_remove(trained,
     assert _bytes(tmp_path) == _bytes(trained)
 
 
+def test_nobody_is_told_to_remove_a_checkpoint_where_memory_is_missing(trained, tmp_path, monkeypatch):
+    shutil.copytree(trained, tmp_path / "run")
+
+    def scarce(*args, **how):
+        raise RuntimeError("CUDA out of memory. Tried to allocate 2.00 GiB.")
+
+    monkeypatch.setattr(torch, "load", scarce)
+    with pytest.raises(RuntimeError, match=r"^CUDA out of memory"):
+        train(CONFIG, tmp_path / "run")
+
+
 def test_a_full_disk_is_said_in_a_line_and_loses_no_checkpoint(trained, tmp_path):
     """A disk that takes no file larger than 20 kB, which a checkpoint is and a curve is not."""
     code = (

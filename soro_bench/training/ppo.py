@@ -27,7 +27,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from soro_bench.envs.sb3 import SB3VecEnv
 from soro_bench.envs.task import effects_of
 from soro_bench.envs.vector import SoftRobotVectorEnv
-from soro_bench.errors import one_line
+from soro_bench.errors import missing, one_line
 from soro_bench.files import brief, read_bytes, read_json, replacing, write_json
 from soro_bench.models.simulation import quiet
 from soro_bench.policies.policy import OBSERVATION_CLIP, Policy
@@ -270,6 +270,8 @@ class CheckpointFolder:
             data.seek(0)
             return self._take(torch.load(data, map_location="cpu", weights_only=True), restore)
         except Exception as error:  # torch raises errors of nearly any type for bytes that it has not written
+            if missing(error):  # which says nothing about the file
+                raise
             raise ValueError(
                 f"{self._path} is no checkpoint of this training: {one_line(error)[:200]}; remove checkpoint.pt to "
                 "train from the beginning"
