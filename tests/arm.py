@@ -145,6 +145,22 @@ def plain(model_text: str, controls, steps: int, timestep: float | None = None, 
     return states
 
 
+def damaged(whole: bytes, rng: np.random.Generator) -> bytes:
+    """A file with up to three bytes changed, some lost, some repeated, or its end cut off."""
+    data = bytearray(whole)
+    for _ in range(rng.integers(1, 4)):
+        i, size, change = rng.integers(len(data) + 1), rng.integers(1, 20), rng.integers(4)
+        if change == 0:
+            data[i : i + 1] = bytes([rng.integers(256)])
+        elif change == 1:
+            del data[i : i + size]
+        elif change == 2:
+            data[i:i] = data[i : i + size]
+        else:
+            del data[i:]
+    return bytes(data)
+
+
 def says(*parts: str) -> str:
     """A pattern for a message in which ``parts`` follow one another."""
     return "(?s)" + ".*".join(re.escape(part) for part in parts)

@@ -12,13 +12,14 @@ from mujoco.batch import Batch
 import soro_bench  # noqa: F401
 from soro_bench.effects import springs
 from soro_bench.effects.catalogue import ALL, CATEGORIES, MEASUREMENT, PHYSICS, QUANTITIES
-from soro_bench.effects.effect import Effect, EffectError, Location, load_effects, save_effects
+from soro_bench.effects.effect import Effect, EffectError, Location, effect_from, load_effects, save_effects
 from soro_bench.effects.elements import Elements, instrument
 from soro_bench.effects.equations import EQUATIONS
 from soro_bench.effects.runtime import ActiveEffects
 from soro_bench.models.simulation import Simulation
 from soro_bench.parameters import ParameterSet
 from soro_bench.registration import make_task
+from tests.arm import damaged
 
 PLACES = {"tendon": "L1", "actuator": "L1", "body": "vertebra4", "joint": "bend_x3", "model": "gravity",
           "geom": "object"}  # fmt: skip
@@ -244,6 +245,27 @@ def test_a_bad_effects_file_is_refused_in_words(tmp_path, data, message):
     path.write_text(json.dumps(data))
     with pytest.raises(EffectError, match=message):
         load_effects(path, ALL)
+
+
+def test_an_error_in_an_effects_file_says_which_effect_of_which_file(tmp_path):
+    path = tmp_path / "effects.json"
+    bad = {**GOOD, "parameters": {"width": -1}}
+    path.write_text(json.dumps({"schema": "soro-bench/effects/2", "effects": [GOOD, bad]}))
+    with pytest.raises(EffectError, match=rf"^{path}, effect 2: width of backlash is -1; allowed is"):
+        load_effects(path, ALL)
+
+
+def test_a_damaged_effects_file_is_refused_in_a_line_or_gives_effects(tmp_path):
+    whole = json.dumps({"schema": "soro-bench/effects/2", "effects": [GOOD]}).encode()
+    path, rng = tmp_path / "effects.json", np.random.default_rng(0)
+    for _ in range(200):
+        path.write_bytes(damaged(whole, rng))
+        try:
+            effects = load_effects(path, ALL)
+        except EffectError as error:
+            assert "\n" not in str(error) and str(error).startswith(str(path))
+        else:
+            assert tuple(effect_from(each.to_json(), ALL) for each in effects) == effects
 
 
 @pytest.mark.parametrize(

@@ -293,7 +293,7 @@ def test_a_unit_that_the_header_contradicts_is_said_and_a_mapping_is_utf_8(read,
     (tmp_path / "a.toml").write_bytes(mapping.encode("utf-8-sig"))
     assert import_recording(tmp_path / "a.csv", tmp_path / "a.toml").metadata[NOTES] == said
     (tmp_path / "a.toml").write_bytes(mapping.encode("utf-16"))
-    with pytest.raises(RecordingError, match=says("a.toml", "line 1", "save the mapping as UTF-8")):
+    with pytest.raises(RecordingError, match=says("a.toml", "line 1", "save it as UTF-8")):
         import_recording(tmp_path / "a.csv", tmp_path / "a.toml")
 
 

@@ -23,7 +23,7 @@ from soro_bench.files import asset_path, read_toml
 from soro_bench.recording import published
 from soro_bench.recording.published import PublishedFile, Source, bam_table, fetch, sources, summary
 from soro_bench.recording.recording import RecordingError
-from tests.arm import ARM, MAP, recording
+from tests.arm import ARM, MAP, damaged, recording
 
 
 def test_errors_of_known_residuals():
@@ -208,8 +208,29 @@ def test_a_table_of_takes_gives_each_recording_its_constant_commands(tmp_path):
     with pytest.raises(RecordingError, match="0 rows with take 'a2'; expected one"):
         commands_of_take(tmp_path / "a2.csv", takes)
     takes["commands"]["load"]["columns"] = ["far"]
-    with pytest.raises(RecordingError, match=r"commands\.load: 'x' in far is no number"):
+    with pytest.raises(RecordingError, match=r"commands\.load: 'x' in far is no finite number"):
         commands_of_take(tmp_path / "a1.csv", takes)
+    takes["commands"]["load"]["columns"] = ["load_g"]
+    (tmp_path / "takes.csv").write_bytes(b"take,load_g\ra1,52\ra2,nan\r")
+    assert commands_of_take(tmp_path / "a1.csv", takes)["load"].values.ravel() == pytest.approx([0.052])
+    with pytest.raises(RecordingError, match=r"takes\.csv: commands\.load: 'nan' in load_g is no finite number"):
+        commands_of_take(tmp_path / "a2.csv", takes)
+    (tmp_path / "takes.csv").write_text("take,load_g\na1,52\n", encoding="utf-16")
+    with pytest.raises(RecordingError, match=r"takes\.csv: is no text in UTF-8 \(line 1\); save it as UTF-8"):
+        commands_of_take(tmp_path / "a1.csv", takes)
+
+
+def test_a_damaged_table_of_takes_is_refused_in_a_line_or_gives_numbers(tmp_path):
+    takes = {"file": "takes.csv", "key": "take", "commands": {"load": {"columns": ["load_g"], "unit": "g"}}}
+    whole, rng = b'take,load_g\na1,52\na2,"101"\n', np.random.default_rng(0)
+    for _ in range(200):
+        (tmp_path / "takes.csv").write_bytes(damaged(whole, rng))
+        try:
+            found = commands_of_take(tmp_path / "a1.csv", takes)["load"]
+        except RecordingError as error:
+            assert "\n" not in str(error) and str(error).startswith(str(tmp_path / "takes.csv"))
+        else:
+            assert found.values.shape == (1,) and np.isfinite(found.values).all()
 
 
 @pytest.mark.parametrize("name", STUDIES)

@@ -10,6 +10,7 @@ import csv
 import glob
 import hashlib
 import io
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -31,10 +32,10 @@ from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.forward_selection import Progress, silent
 from soro_bench.diagnosis.selection.model_probabilities import Answer
-from soro_bench.files import asset_path, check_folder, read_json, read_toml, write_json
+from soro_bench.files import asset_path, brief, check_folder, read_json, read_toml, write_json
 from soro_bench.markdown import table
 from soro_bench.recording.importers import import_recording
-from soro_bench.recording.importers.mapping import texts
+from soro_bench.recording.importers.mapping import in_utf8, texts
 from soro_bench.recording.importers.source import check_keys, read_source
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from soro_bench.recording.untrusted import named_errors, read_bytes
@@ -192,7 +193,8 @@ def commands_of_take(path: Path, takes: Mapping[str, Any]) -> dict[str, Signal]:
     if not table.is_file():
         raise FileNotFoundError(f"no {takes['file']} beside {path}; it has a row for each recording")
     with named_errors(table):
-        reader = csv.DictReader(io.StringIO(read_bytes(table, _MAX_BYTES).decode("utf-8-sig")))
+        # of which some spreadsheets end lines as old Macs do
+        reader = csv.DictReader(io.StringIO(in_utf8(read_bytes(table, _MAX_BYTES)), newline=None))
         columns, rows = [takes["key"], *_columns(takes["commands"])], list(reader)
         if wrong := [each for each in columns if list(reader.fieldnames or ()).count(each) != 1]:
             raise RecordingError(f"its first line has to name {', '.join(columns)} once each, between commas; "
@@ -216,8 +218,10 @@ def _command(name: str, entry: Mapping[str, Any], row: Mapping[str, str]) -> Sig
         text = row[column] or ""
         try:
             numbers.append(float(text.replace("_", "no number")))
-        except ValueError as error:
-            raise RecordingError(f"commands.{name}: {text!a} in {column} is no number") from error
+        except ValueError:
+            numbers.append(math.nan)
+        if not math.isfinite(numbers[-1]):
+            raise RecordingError(f"commands.{name}: {brief(text)} in {column} is no finite number")
     return source.signal(np.zeros(1), np.array([numbers]))
 
 

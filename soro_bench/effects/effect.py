@@ -176,4 +176,10 @@ def load_effects(path: str | Path, laws: Mapping[str, type[Acting]]) -> tuple[Ef
         raise EffectError(f"{path} is no effects file: its schema has to be {SCHEMA}, with a list of effects")
     if len(data["effects"]) > MAX_EFFECTS:
         raise EffectError(f"{path} has {len(data['effects'])} effects; at most {MAX_EFFECTS} are allowed")
-    return tuple(effect_from(item, laws) for item in data["effects"])
+    found = []
+    for i, item in enumerate(data["effects"], 1):
+        try:
+            found.append(effect_from(item, laws))
+        except EffectError as error:
+            raise EffectError(f"{path}, effect {i}: {error}") from error
+    return tuple(found)

@@ -299,7 +299,7 @@ def load_mapping(
     """
     label = "the mapping" if isinstance(mapping, Mapping) else mapping
     with named_errors(label):
-        table = dict(mapping) if isinstance(mapping, Mapping) else parsed_toml(_text(read_bytes(mapping, MAX_BYTES)))
+        table = dict(mapping) if isinstance(mapping, Mapping) else parsed_toml(in_utf8(read_bytes(mapping, MAX_BYTES)))
         check_keys("the mapping", table, _SECTIONS)
         for section in table:
             if not isinstance(table[section], dict):
@@ -322,13 +322,13 @@ def load_mapping(
         return FileMapping(**table, order=order)
 
 
-def _text(data: bytes) -> str:
-    """The text of a mapping file, without the mark that Windows puts before UTF-8."""
+def in_utf8(data: bytes) -> str:
+    """The text of a file, without the mark that Windows puts before UTF-8; RecordingError for another encoding."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise RecordingError(f"is no text in UTF-8 (line {line}); save the mapping as UTF-8") from error
+        raise RecordingError(f"is no text in UTF-8 (line {line}); save it as UTF-8") from error
 
 
 def unit_doubt(source: Source, names: Sequence[str]) -> str:
