@@ -168,6 +168,32 @@ def test_of_the_newest_row_first_the_times_are_sorted(guessed):
     assert recording.signals["x"].values.tolist() == list(range(29, -1, -1))
 
 
+@pytest.mark.parametrize(
+    ("names", "unit", "parts"),
+    [
+        ("sec,usec", "us", 1_000_000), ("secs,nsecs", "ns", 1_000_000_000), ("tv_sec,tv_usec", "us", 1_000_000),
+        ("timestamp,timestamp_us", "us", 1_000_000), ("Time (s),Time (ms)", "ms", 1000),
+        ("seconds,microseconds", "us", 1_000_000),
+    ],
+)  # fmt: skip
+def test_a_clock_in_two_columns_is_one_time(guessed, names, unit, parts):
+    """A sample every 0.07 s from 1.9 s on."""
+    times = [(whole, round(part * parts / 100)) for whole, part in (divmod(190 + 7 * i, 100) for i in range(40))]
+    mapping, recording = guessed("\n".join([f"{names},q,u", *(f"{s},{p},{s},1" for s, p in times)]) + "\n")
+    assert mapping["time"] == {"columns": names.split(","), "units": ["s", unit]}
+    assert recording.signals["q"].time == pytest.approx(0.07 * np.arange(40), abs=1e-9)
+
+
+@pytest.mark.parametrize("names", ["time_s,latency_ms", "time_s,time_ms", "load,ms"])
+def test_milliseconds_beside_whole_seconds_need_not_be_parts_of_them(guessed, names):
+    """A delay at each second; the same clock again; a clock beside a number."""
+    rows = {"time_s,latency_ms": "{i},{j}", "time_s,time_ms": "{i},{k}", "load,ms": "{j},{k}"}[names]
+    lines = [rows.format(i=i, j=3 + i % 7, k=1000 * i) for i in range(40)]
+    mapping, recording = guessed("\n".join([f"{names},q,u", *(f"{line},{i},1" for i, line in enumerate(lines))]) + "\n")
+    assert mapping["time"]["column"] == {"load,ms": "ms"}.get(names, "time_s")
+    assert recording.signals["q"].time == pytest.approx(np.arange(40.0))
+
+
 def test_microseconds_and_a_number_of_frames_are_no_seconds_and_nanoseconds(guessed):
     mapping, recording = guessed("t_us,frame_id,x\n" + "\n".join(f"{1251 * i},{i},0.{i:02d}" for i in range(40)))
     assert mapping["time"] == {"column": "t_us", "unit": "us"}

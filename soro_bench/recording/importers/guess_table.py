@@ -107,8 +107,8 @@ def _time(columns: Sequence[Column]) -> tuple[list[Column], list[Column], list[s
         labels = f"columns = {toml([column.label, after.label])}"
         if column.dated and after.stamped:
             return [column, after], [], ["[time]", f"{labels}  # a date, and a time"]
-        if _are_seconds_and_nanoseconds(column, after):
-            return [column, after], [], ["[time]", labels, 'units = ["s", "ns"]']
+        if part := _part_of_seconds(column, after):
+            return [column, after], [], ["[time]", labels, f'units = ["s", "{part}"]']
     found = [column for column in columns if column.numeric and _goes_on(column)]
     named = [column for column in found if _TIME.fullmatch(split_unit(column.name)[0].lower())]
     steady = [column for column in found if not _COUNT.fullmatch(column.name.lower()) and _is_clock(column)]
@@ -133,16 +133,31 @@ def _section(column: Column, comment: str) -> list[str]:
     return ["[time]", f"column = {toml(column.label)}{comment}"]
 
 
-def _are_seconds_and_nanoseconds(first: Column, second: Column) -> bool:
+def _part_of_seconds(first: Column, second: Column) -> str:
+    """The unit of a column that goes on within the whole seconds of the one before it: ms, us or ns; else ""."""
     if (split_unit(first.name)[1] or "s") != "s" or _COUNT.fullmatch(second.name.lower()):
-        return False
+        return ""
     a, b = (column.numbers[np.isfinite(column.numbers)] for column in (first, second))
     if not len(a) or len(a) != len(b) or (a != np.rint(a)).any() or (b != np.rint(b)).any():
-        return False
-    below = b.min() >= 0 and b.max() < 1e9
+        return ""
+    if b.min() < 0 or np.abs(np.diff(a)).max(initial=0.0) > 1e4:
+        return ""
+    (whole, _), (part, unit) = map(_time_name, (first.name, second.name))
+    if unit in ("ms", "us") and part in ("", whole) and _TIME.fullmatch(split_unit(first.name)[0].lower()):
+        scale = UNITS[unit][1]
+        back = np.diff(a + scale * b) < 0
+        return unit if b.max() * scale < 1 and b.min() < b.max() and back.mean() < _BACK else ""
     named = re.search("nsec|nano", second.name.lower()) is not None
-    steps = np.abs(np.diff(a)).max(initial=0.0)
-    return below and steps <= 1e4 and (named or (_EPOCH[0] < a[0] < _EPOCH[1] and b.max() > 1e6))
+    return "ns" if b.max() < 1e9 and (named or (_EPOCH[0] < a[0] < _EPOCH[1] and b.max() > 1e6)) else ""
+
+
+def _time_name(name: str) -> tuple[str, str | None]:
+    """A name of times without its unit, and the unit: of "usec", "tv_usec" or "time_us"."""
+    stem, unit = split_unit(name)
+    if unit is None:
+        stem, _, last = name.rpartition(max("_. ", key=name.rfind))
+        unit = of_text(last)
+    return (stem if unit else name).lower(), unit
 
 
 def _goes_on(column: Column) -> bool:
@@ -208,7 +223,8 @@ def _order(*columns: Column) -> list[str]:
     if not columns or not all(column.numeric for column in columns):
         return []
     known = np.all([np.isfinite(column.numbers) for column in columns], axis=0)
-    time = sum(scale * column.numbers[known] for scale, column in zip((1.0, 1e-9), columns, strict=False))
+    scales = (1.0, *(UNITS[_part_of_seconds(*columns)][1] for _ in columns[1:]))
+    time = sum(scale * column.numbers[known] for scale, column in zip(scales, columns, strict=True))
     steps = np.diff(overflowed(np.asarray(time))[0])
     same, back = int((steps == 0).sum()), int((steps < 0).sum())
     if not same + back:
