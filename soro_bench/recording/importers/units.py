@@ -16,6 +16,7 @@ UNITS = {
     "g": ("kg", 1e-3), "kg": ("kg", 1.0),
     "mN": ("N", 1e-3), "N": ("N", 1.0), "kN": ("N", 1e3), "gf": ("N", 9.80665e-3), "kgf": ("N", 9.80665),
     "mNm": ("N m", 1e-3), "Nm": ("N m", 1.0),
+    "Nm/rad": ("N m/rad", 1.0), "Nm/deg": ("N m/rad", 180 / math.pi),
     "Pa": ("Pa", 1.0), "hPa": ("Pa", 1e2), "kPa": ("Pa", 1e3), "MPa": ("Pa", 1e6), "mbar": ("Pa", 1e2),
     "bar": ("Pa", 1e5), "psi": ("Pa", 6894.757293168361),
     "ns": ("s", 1e-9), "us": ("s", 1e-6), "ms": ("s", 1e-3), "s": ("s", 1.0), "min": ("s", 60.0),
@@ -71,7 +72,8 @@ def in_brackets(name: str) -> tuple[str, str] | None:
 
 
 def split_unit(name: str) -> tuple[str, str | None]:
-    """A name in a header without its unit, and the unit: of "q [deg]", "pos_mm" or "speed_rad_s"."""
+    """A name in a header without its unit, and the unit: of "q [deg]", "pos_mm" or "speed_rad_s". A ratio of units that
+    is none of UNITS, as in "compliance_mm_N", is not taken for the last of them."""
     found = in_brackets(name)
     if found and found[1].isdecimal():  # an index
         return "".join(found), None
@@ -82,11 +84,17 @@ def split_unit(name: str) -> tuple[str, str | None]:
         stem, _, unit = amount.rpartition("_")
         return (stem, f"{unit}/{time}") if f"{unit}/{time}" in UNITS else (name, None)
     parts = name.split("_")
-    for count in (3, 2, 1):
+    ratio = len(parts) > 2 and len(parts[-2]) > 1 and _is_unit(parts[-2]) and _is_unit(parts[-1])
+    for count in (3, 2) if ratio else (3, 2, 1):
         if len(parts) <= count:
             continue
         ending = parts[-count:]
         for text in ("_".join(ending), "/".join([*ending[:-1], re.sub(r"(?<=s)2$", "^2", ending[-1])])):
-            if text in UNITS and text not in _SHORT:
+            if _is_unit(text):
                 return "_".join(parts[:-count]), text
     return name, None
+
+
+def _is_unit(text: str) -> bool:
+    """Whether the end of a name means a unit."""
+    return text in UNITS and text not in _SHORT
