@@ -118,7 +118,7 @@ def test_a_replay_begins_where_the_robot_was_not_where_a_wrong_sensor_saw_it(
 
 
 def test_a_replay_under_a_delay_begins_where_the_late_sensor_saw_the_robot_later(robot_of):
-    """It was moved by hand, and let go when the commands began."""
+    """Somebody held and moved it, and let go when the commands began."""
     robot, time = robot_of(with_initial('joints = ["hinge"]')), 0.02 * np.arange(21)
     (true,) = robot.simulate(np.zeros((20, 2)), NOMINAL, [()], np.array([[0.5]]))
     late = np.concatenate([[0.3, 0.4, 0.5], true[:-2].ravel()])
