@@ -111,7 +111,7 @@ class ProbabilitySettings:
     hidden: float = setting(
         0.27, "1", "of robots hide physics, for each noise deviation of model-form error that they leave; release 7"
     )
-    most_hidden: float = setting(0.45, "1", "of robots at most, likewise; 15 of 33 that left more than 1.3 deviations")
+    most_hidden: float = setting(0.45, "1", "of robots at most, likewise; 15 of 31 that left more than 1.3 deviations")
     wrong_when_certain: float = setting(0.03, "1", "share of answers that seemed certain and were wrong: 5 of 111")
     slow_variance: float = setting(
         0.12, "1", "of the residual, slow over fast, where a discrepancy is as likely as not"
