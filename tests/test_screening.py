@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
-from soro_bench.diagnosis.candidates import term, terms
+from soro_bench.diagnosis.candidates import term, terms, typical
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, descended, fitted, with_covariance
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.outliers import nominal_fit
@@ -16,7 +16,7 @@ from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.selection.moves import is_rival
 from soro_bench.diagnosis.selection.rounds import is_discrepant
-from soro_bench.diagnosis.selection.screening import evidence, responses, screen, singles
+from soro_bench.diagnosis.selection.screening import evidence, pairs, responses, screen, singles
 from soro_bench.diagnosis.selection.sizing import sized, smaller
 from soro_bench.effects.effect import Effect, Location
 from soro_bench.inference.statistical_linearisation import LowRank
@@ -223,3 +223,49 @@ def test_a_free_arm_stays_as_far_off_as_the_noisy_sample_that_it_begins_at(paths
     (residual,) = given.residuals([(np.zeros(2), ())])
     assert (residual**2).sum() > 0.9 * 4.0 * len(values)
     assert (given.discretisation.without(residual) ** 2).sum() < 0.01 * (residual**2).sum()
+
+
+@pytest.mark.parametrize(
+    ("name", "location", "coordinate"),
+    [("payload", Location("body", "vertebra7"), 0.2), ("actuator_gain", Location("actuator", "L0"), 0.3)],
+)
+def test_screening_puts_a_hidden_effect_first(robot, actions, name, location, coordinate):
+    hidden = term(robot, name, location)
+    given = trunk_problem(robot, actions, [hidden.effect(np.array([coordinate]))])
+    (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
+    candidates = [one for one in terms(robot) if one.location.kind in ("body", "actuator")]
+    found = evidence(given, base, candidates, responses(given, base, candidates, robot))
+    (first,) = singles(found)[0].terms
+    assert (first.name, first.location) == (name, location)
+
+
+def test_screening_finds_a_pair_of_hidden_effects(robot, actions):
+    hidden = [
+        term(robot, "payload", Location("body", "vertebra8")),
+        term(robot, "backlash", Location("actuator", "L2")),
+    ]
+    given = trunk_problem(robot, actions, [one.effect(np.array([0.2])) for one in hidden])
+    (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1), seed=0)
+    candidates = [one for one in terms(robot) if one.name in ("payload", "backlash", "actuator_gain")]
+    screened_candidate = pairs(evidence(given, base, candidates, responses(given, base, candidates, robot)))[0]
+    assert {(s.name, s.location) for s in screened_candidate.terms} == {(s.name, s.location) for s in hidden}
+
+
+def test_a_suspect_is_screened_with_what_is_typical_and_a_share_has_no_prior_beyond_one(robot):
+    for one in terms(robot):
+        assert [typical(one).parameters[q.name] for q in one.quantities] == pytest.approx(one.typical)
+    weak = term(robot, "actuator_saturation", Location("actuator", "L0"))
+    assert weak.deviations[0] == 1.0
+
+
+def test_a_lead_promises_no_more_than_its_bounds_allow(robot, actions):
+    given = trunk_problem(robot, actions)
+    jacobian, error = np.zeros((5, given.weight.size)), np.zeros((0, given.weight.size))
+    row = np.random.default_rng(0).standard_normal(given.weight.size)
+    weak = term(robot, "actuator_saturation", Location("actuator", "L0"))
+    for size, expected in ((0.5, 0.5), (3.0, 1.0), (-1.0, 0.0)):
+        base = Hypothesis((), np.zeros(5), -size * row, 0.0, jacobian, error)
+        screened_candidate = evidence(given, base, [weak], [row[None]]).screened_candidate([0])
+        assert screened_candidate.x[-1] == pytest.approx(expected, rel=0.01)
+        attained = given.misfit(base.residual) - given.misfit(base.residual + screened_candidate.x[-1] * row)
+        assert screened_candidate.gain < attained

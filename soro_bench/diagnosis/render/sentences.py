@@ -88,13 +88,6 @@ def known(result: Result) -> str:
     return ", ".join(f"{law(each.estimate.name)} {parameter(each)}" for each in result.parameters if each.known)
 
 
-def p_value(result: Result) -> str:
-    """The p-value, never smaller than can be known."""
-    if result.p_value is None:
-        return ""
-    return chance(result.p_value)
-
-
 def unnamed(result: Result) -> str:
     """What the probability of a discrepancy that no law describes stands for."""
     return "physics hidden by model-form error" if model_form(result) else "outside the catalogue"
