@@ -319,14 +319,15 @@ def test_sensors_of_accelerations_and_forces_are_those_of_the_end_of_a_step(robo
     np.testing.assert_allclose(values.reshape(40, -1), expected, atol=1e-5 * np.abs(expected).max())
 
 
-def test_the_reach_of_a_signal_is_that_of_its_live_channels(robot_of):
+def test_the_reach_of_signals_is_that_of_their_live_channels(robot_of):
     robot = robot_of(HAND_MAP + '[[signals]]\nname = "felt"\nsensors = ["felt"]\nunit = "m/s^2"')
     time, noise = 0.02 * np.arange(101), 1e-3 * np.random.default_rng(0).standard_normal((101, 3))
     felt = noise + np.stack([np.sin(time), 3.0 * np.sin(time), np.full(101, np.nan)], axis=1)
     signals = {"angle": Signal(time, np.sin(time), "rad"), "felt": Signal(time, felt[:, None], "m/s^2")}
     seen = inspected(Recording({"goal": goals([0.0] * 100)}, signals), 0, robot)
-    (signal,) = explaining(robot, ((seen,), ()), DEFAULT)[0].others
-    assert signal.reach == pytest.approx(np.ptp(felt[1:, 1]))
+    angle, other = explaining(robot, ((seen,), ()), DEFAULT)[0].signals
+    assert angle.reach == pytest.approx(np.ptp(np.sin(time[1:])))
+    assert other.reach == pytest.approx(np.ptp(felt[1:, 1]))
 
 
 def test_a_free_joint_is_no_signal(robot_of):

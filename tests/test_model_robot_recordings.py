@@ -319,9 +319,9 @@ def test_what_shows_in_the_second_signal_only_is_named(robot_of):
 def test_a_signal_that_no_recording_has_changes_nothing_and_is_said(robot_of):
     given = of_both(robot_of(), [])
     alone = Recording(given.commands, {"angle": given.signals["angle"]})
-    plain, both = robot_of(MAP), robot_of()
-    seen = inspected(alone, 0, both)
-    both, _ = explaining(both, ((seen,), ()), DEFAULT)
+    plain, both = (
+        explaining(each, ((inspected(alone, 0, each),), ()), DEFAULT)[0] for each in (robot_of(MAP), robot_of())
+    )
     assert both.signals == plain.signals and both.shortened(2).signals == plain.signals
     assert [note for note in both.notes if note.startswith("torque is not explained")]
     points = [(np.array([0.3, -0.2, 0.1]), ()), (np.zeros(3), ())]

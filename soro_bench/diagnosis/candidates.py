@@ -20,7 +20,7 @@ from soro_bench.effects.measurement import MarkerSlip
 _OF_CLOCKS = ("sensor_delay", "clock_skew")
 PNEUMATIC = ("pressure_leak", "pressure_asymmetry", "supply_coupling")
 _DEFAULT = PriorSettings()
-_OFFSET_SHARE = 0.02  # of the range of a signal beside the first: a typical offset of it
+_OFFSET_SHARE = 0.02  # of the range of a signal in the recordings: a typical offset of it
 _SHARE_REMOVED = 0.5  # of what the model has, at most, that a screened term takes away
 
 

@@ -25,26 +25,27 @@ Groups = tuple[tuple[Inspected, ...], tuple[Inspected, ...]]  # of recordings to
 
 
 def explaining(robot: Robot, inspections: Groups, settings: Settings) -> tuple[Robot, Groups]:
-    """The robot with those of its other signals that the recordings to explain have, and what was seen of these."""
+    """The robot with those of its other signals that the recordings to explain have, and what was seen of them."""
+    names = labels([each.recording for each in inspections[0]], ())
+    measured = [named(label, robot.measured, each.recording) for label, each in zip(names, inspections[0], strict=True)]
+    first = max(each.only(0, robot.signals[0]).reach for each in measured)
     kept, notes = [], []
     for which, signal in enumerate(robot.others, 1):
         qualities, reach = [], 0.0
-        names = labels([each.recording for each in inspections[0]], ())
-        for label, each in zip(names, inspections[0], strict=True):
+        for whole, each in zip(measured, inspections[0], strict=True):
             if signal.name in each.recording.signals:
-                seen = named(label, robot.measured, each.recording).only(which, signal)
+                seen = whole.only(which, signal)
                 with suppress(RecordingError):  # too few samples, or one value only: nothing to explain
                     qualities.append(_quality(seen, each.others[which - 1], settings))
-                    moved = seen.columns[:, np.isfinite(seen.columns).any(axis=0)]
-                    reach = max(reach, float(np.max(np.nanmax(moved, axis=0) - np.nanmin(moved, axis=0))))
+                    reach = max(reach, seen.reach)
         if qualities:
             kept.append((which - 1, replace(signal, reach=reach)))
         else:
             notes.append(f"{signal.name} is not explained: the recordings have no samples of it that change")
-    first, second = (
+    explained, heldout = (
         tuple(replace(each, others=tuple(each.others[i] for i, _ in kept)) for each in group) for group in inspections
     )
-    return robot.explaining([signal for _, signal in kept], notes), (first, second)
+    return robot.explaining([signal for _, signal in kept], notes, first), (explained, heldout)
 
 
 def answers_of(

@@ -88,6 +88,12 @@ class Measured:
         """(T, C) the numbers of all signals, one signal after the other."""
         return np.concatenate([each.reshape(len(each), -1) for each in (self.values, *self.others)], axis=1)
 
+    @property
+    def reach(self) -> float:
+        """The largest range of a column [unit]; 0 where none has samples."""
+        moved = self.columns[:, np.isfinite(self.columns).any(axis=0)]
+        return float(np.max(np.nanmax(moved, axis=0) - np.nanmin(moved, axis=0), initial=0.0))
+
     def only(self, which: int, signal: ObservedSignal) -> "Measured":
         """The same with samples of one signal only.
 

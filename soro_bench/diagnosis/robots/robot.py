@@ -34,6 +34,7 @@ class Robot(Replays):
         name: of the robot, for people.
         model_name: of its model, for people.
         unit, frame, shape: of the first signal; the shape is (P, D), points and coordinates.
+        reach: largest range of a coordinate of the first signal in the recordings [unit]; 0 where it is not known.
         others: the other signals that are explained.
         kinds: kinds of locations that candidate terms may have.
         priors: of its parameters, but for the fixed ones.
@@ -53,6 +54,7 @@ class Robot(Replays):
     unit: str
     frame: str
     shape: tuple[int, int]
+    reach: float = 0.0
     others: tuple[ObservedSignal, ...] = ()
     kinds: tuple[str, ...]
     priors: tuple[Prior, ...]
@@ -113,29 +115,28 @@ class Robot(Replays):
     @property
     def signals(self) -> tuple[ObservedSignal, ...]:
         """The signals that are explained, the first one first."""
-        return ObservedSignal(self.signal, self.unit, self.frame, self.shape), *self.others
+        return ObservedSignal(self.signal, self.unit, self.frame, self.shape, reach=self.reach), *self.others
 
     def observed(self, location: Location) -> ObservedSignal:
         """The signal of a sensor's location; the first one where it is that of no signal."""
         return next((each for each in self.signals if each.name == location.name), self.signals[0])
 
-    def explaining(self, others: Sequence[ObservedSignal], notes: Sequence[str] = ()) -> "Robot":
+    def explaining(self, others: Sequence[ObservedSignal], notes: Sequence[str] = (), reach: float = 0.0) -> "Robot":
         """The same robot, and the same simulations, of which only these other signals are explained.
 
         Args:
             others: some of its own, with what is known of them in the recordings.
             notes: what there is to say of those that are left out.
+            reach: of the first signal [its unit]; 0 where it is not known.
         """
-        if not self.others and not notes:
-            return self
         found = copy.copy(self)
         found.__dict__.pop("_second", None)  # it has the signals that this one has
-        found.others, found.notes = tuple(others), (*self.notes, *notes)
+        found.others, found.notes, found.reach = tuple(others), (*self.notes, *notes), reach
         return found
 
     def _alike(self, robot: "Robot") -> "Robot":
         """Another simulation of this robot, with the signals that this one has."""
-        robot.others = self.others
+        robot.others, robot.reach = self.others, self.reach
         return robot
 
     @property
