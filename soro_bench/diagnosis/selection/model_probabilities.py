@@ -212,6 +212,7 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
     form = UnderModelForm.of(problem, [h.residual for h in hypotheses])
     gains = misfits[0] - np.array(misfits) if explanation.found else np.array([explanation.predicted_gain])
     missing = form.missing(gains, explanation.of_all, settings.discretisation)
+    standing_out = float(missing.max())
     if heldout is not None:
         unfitted, residuals = heldout
         unfitted_misfits = [unfitted.misfit(row) for row in residuals]
@@ -225,8 +226,12 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
             lost = np.array(unfitted_misfits) - unfitted_misfits[0]
             missing = np.where(lost <= settings.probabilities.lost_by_chance * gains, missing, 0.0)
     p, hidden = p_value(gain, settings.probabilities), 0.0
+    remaining = 0.0 if form.possible.any() else explanation.remaining_gain
+    outside = _probability_of_unknown(problem, hypotheses, remaining)
     if form.possible[0]:
-        p = max(p, _p_of(float(missing.max()), settings))
+        p = max(p, _p_of(standing_out, settings))
+        # what stands out is missing physics even where the law that gains by it does harm to other motion
+        outside = 1.0 - (1.0 - outside) * float(missing.max()) / max(standing_out, 1e-300)
         hidden = min(settings.probabilities.hidden * float(form.left[0]), settings.probabilities.most_hidden)
     else:
         # where the misfit is far above the sensor's noise something is missing, whether or not a law explains it
@@ -234,8 +239,6 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
     nothing = p / (p + alpha(settings))
     scores = scores - _of_law_errors(problem, hypotheses, misfits)
     mistaken = settings.probabilities.wrong_when_certain
-    remaining = 0.0 if form.possible.any() else explanation.remaining_gain
-    outside = _probability_of_unknown(problem, hypotheses, remaining)
     # what may hide changes no verdict: it is taken from what is beyond even odds
     none, laws = nothing - hidden * max(2.0 * nothing - 1.0, 0.0), (1.0 - nothing) * (1.0 - outside)
     unknown = float(np.clip(1.0 - none - laws, mistaken, 1.0 - mistaken))
