@@ -101,8 +101,9 @@ def explained(
 ) -> Explanation:
     """One term further as long as a candidate's predicted gain is worth a fit.
 
-    Beyond a few terms (``SelectionSettings.unchecked_terms``) each has to lower the error of held-out recordings beyond
-    chance, or has to have evidence where there are none. Terms that are not worth having are removed in the end.
+    The last of a few terms (``SelectionSettings.unchecked_terms``) and all after it have to lower the error of held-out
+    recordings beyond chance, or to have evidence where there are none; one that does not ends the search, and those
+    after the few are left out then. Terms that are not worth having are removed in the end.
 
     A term may only lead the parameters out of a local minimum. Then the search starts again from those parameters, a
     few times at most (``SelectionSettings.turns``).

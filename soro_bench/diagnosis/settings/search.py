@@ -35,7 +35,7 @@ class SelectionSettings:
     # which terms are tried
     candidates: int = setting(6, "screened candidates", "replayed in a round, and hypotheses that are compared")
     candidates_per_law: int = setting(2, "screened candidates", "of the same laws, and laws at each element of a kind")
-    unchecked_terms: int = setting(3, "terms", "before each must lower held-out error; recordings of 30 s show so many")
+    unchecked_terms: int = setting(3, "terms", "from which on each must lower held-out error; 30 s show so many")
     least_gain: float = setting(
         400.0, "nats", "predicted gain that is worth a fit; 39 of 40 healthy cases stay below 85"
     )
