@@ -6,8 +6,8 @@ likelihood estimation via power posteriors", 2008), which grows with the misfit 
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import expit
@@ -202,56 +202,70 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
         heldout: the problem of the held-out recordings, and its residuals (H, M) under the short list.
     """
     problem, hypotheses = explanation.problem, shortlist(explanation)
-    settings = problem.settings
-    scores = _evidence(problem, hypotheses)
+    settings, residuals = problem.settings, [h.residual for h in hypotheses]
+    scores, misfits = _evidence(problem, hypotheses), np.array([problem.misfit(row) for row in residuals])
     # the predicted gain, and where the simulation was too far off for a prediction, what has been gained
     gain = max(explanation.predicted_gain, *(scores - scores[0]))
-    train, of_nominal = [problem.left(h.residual) for h in hypotheses], [(problem, hypotheses[0].residual)]
-    misfits = [problem.misfit(h.residual) for h in hypotheses]
-    tested: list[Fit | None] = [None] * len(hypotheses)
-    form = UnderModelForm.of(problem, [h.residual for h in hypotheses])
-    gains = misfits[0] - np.array(misfits) if explanation.found else np.array([explanation.predicted_gain])
-    missing = form.missing(gains, explanation.of_all, settings.discretisation)
-    standing_out = float(missing.max())
+    form, of_nominal = UnderModelForm.of(problem, residuals), [(problem, residuals[0])]
+    gains = misfits[0] - misfits if explanation.found else np.array([explanation.predicted_gain])
+    missing = named = form.missing(gains, explanation.of_all, settings.discretisation)
+    tested: Sequence[Fit | None] = [None] * len(hypotheses)
     if heldout is not None:
-        unfitted, residuals = heldout
-        unfitted_misfits = [unfitted.misfit(row) for row in residuals]
-        scores, misfits = scores - unfitted_misfits, [a + b for a, b in zip(misfits, unfitted_misfits, strict=True)]
-        rms = [unfitted.left(row) for row in residuals]
-        tested = [Fit(rms[0], after, problem.sensor, _own(unfitted, residuals[0], row))
-                  for after, row in zip(rms, residuals, strict=True)]  # fmt: skip
-        of_nominal.append((unfitted, residuals[0]))
-        form = form.beside(UnderModelForm.of(unfitted, residuals))
+        unfitted, rows = heldout
+        unfitted_misfits = np.array([unfitted.misfit(row) for row in rows])
+        scores, misfits = scores - unfitted_misfits, misfits + unfitted_misfits
+        form, tested = form.beside(UnderModelForm.of(unfitted, rows)), _fits(unfitted, rows, problem.sensor)
+        of_nominal.append((unfitted, rows[0]))
         if explanation.found:  # what is missing may not show there, but does no harm
-            lost = np.array(unfitted_misfits) - unfitted_misfits[0]
-            missing = np.where(lost <= settings.probabilities.lost_by_chance * gains, missing, 0.0)
-    p, hidden = p_value(gain, settings.probabilities), 0.0
-    remaining = 0.0 if form.possible.any() else explanation.remaining_gain
+            lost = unfitted_misfits - unfitted_misfits[0]
+            named = np.where(lost <= settings.probabilities.lost_by_chance * gains, missing, 0.0)
+    remaining, hidden = 0.0 if form.possible.any() else explanation.remaining_gain, 0.0
     outside = _probability_of_unknown(problem, hypotheses, remaining)
     if form.possible[0]:
-        p = max(p, _p_of(standing_out, settings))
         # what stands out is missing physics even where the law that gains by it does harm to other motion
-        outside = 1.0 - (1.0 - outside) * float(missing.max()) / max(standing_out, 1e-300)
+        outside = 1.0 - (1.0 - outside) * float(named.max()) / max(float(missing.max()), 1e-300)
         hidden = min(settings.probabilities.hidden * float(form.left[0]), settings.probabilities.most_hidden)
-    else:
-        # where the misfit is far above the sensor's noise something is missing, whether or not a law explains it
-        p = 0.0 if problem.misfit_dominated else min(p, p_slow(*slow_variance(of_nominal), settings))
+    p = _p_of_healthy(of_nominal, form, gain, float(missing.max()))
     nothing = p / (p + alpha(settings))
-    scores = scores - _of_law_errors(problem, hypotheses, misfits)
-    mistaken = settings.probabilities.wrong_when_certain
     # what may hide changes no verdict: it is taken from what is beyond even odds
     none, laws = nothing - hidden * max(2.0 * nothing - 1.0, 0.0), (1.0 - nothing) * (1.0 - outside)
+    mistaken = settings.probabilities.wrong_when_certain
     unknown = float(np.clip(1.0 - none - laws, mistaken, 1.0 - mistaken))
     none /= max(none + laws, 1e-300)
-    probabilities = _probabilities(scores, none, temperature(min(misfits), settings.probabilities))
-    fits = [Fit(train[0], after, problem.sensor, _own(problem, hypotheses[0].residual, h.residual))
-            for h, after in zip(hypotheses, train, strict=True)]  # fmt: skip
-    rows = zip(hypotheses, probabilities, scores.tolist(), fits, tested, misfits, strict=True)
-    answers = [Answer(h, chance, *rest) for h, chance, *rest in rows]
-    answers = [replace(a, probability=a.probability * (1.0 - unknown)) for a in answers]
-    ranked = tuple(sorted(answers, key=lambda a: -a.probability))
+    scores = scores - _of_law_errors(problem, hypotheses, misfits)
+    probabilities = (1.0 - unknown) * _probabilities(scores, none, temperature(misfits.min(), settings.probabilities))
+    train = _fits(problem, residuals, problem.sensor)
+    parts = zip(hypotheses, probabilities.tolist(), scores.tolist(), train, tested, misfits.tolist(), strict=True)
+    ranked = tuple(sorted((Answer(*each) for each in parts), key=lambda a: -a.probability))
     uncounted = problem.misfit_dominated and not form.possible[0]
     return Comparison(ranked, unknown, None if uncounted else p, float(form.left[0]) * problem.sensor)
+
+
+def _p_of_healthy(
+    of_nominal: Sequence[tuple[Problem, np.ndarray]], form: UnderModelForm, gain: float, missing: float
+) -> float:
+    """Probability that a healthy robot gives as much evidence of a discrepancy.
+
+    Args:
+        of_nominal: problems, and what the nominal robot leaves (M,) of each.
+        gain: log evidence of the best law [nats]. missing: probability that a law stands out of model-form error.
+    """
+    problem, _ = of_nominal[0]
+    p = p_value(gain, problem.settings.probabilities)
+    if form.possible[0]:
+        return max(p, _p_of(missing, problem.settings))
+    # where the misfit is far above the sensor's noise something is missing, whether or not a law explains it
+    return 0.0 if problem.misfit_dominated else min(p, p_slow(*slow_variance(of_nominal), problem.settings))
+
+
+def _fits(problem: Problem, residuals: Iterable[np.ndarray], sensor: float) -> list[Fit]:
+    """Of hypotheses to recordings, by their residuals (M,), the nominal robot's first.
+
+    Args:
+        sensor: noise of the first signal [its unit].
+    """
+    first, *_ = rows = list(residuals)
+    return [Fit(problem.left(first), problem.left(row), sensor, _own(problem, first, row)) for row in rows]
 
 
 def _own(problem: Problem, before: np.ndarray, after: np.ndarray) -> tuple[float, float] | None:
@@ -266,7 +280,9 @@ def _evidence(problem: Problem, hypotheses: Sequence[Hypothesis]) -> np.ndarray:
     return np.array([evidence_beyond_chance(problem, h) for h in hypotheses])
 
 
-def _of_law_errors(problem: Problem, hypotheses: Sequence[Hypothesis], misfits: Sequence[float]) -> np.ndarray:
+def _of_law_errors(
+    problem: Problem, hypotheses: Sequence[Hypothesis], misfits: Sequence[float] | np.ndarray
+) -> np.ndarray:
     """(H,) log evidence that terms gain as other laws are not quite right, by the number of their unknowns.
 
     Args:
