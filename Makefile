@@ -16,7 +16,7 @@ demo: $(VENV)/all.installed
 	$(BIN)/soro-bench run --preset quick
 
 test: $(VENV)/dev.installed
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
