@@ -8,6 +8,7 @@ docs/archive/training_and_speed.md, in the paper's units.
 
 import argparse
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +18,22 @@ from soro_bench.campaign.run import ENTRY
 from soro_bench.files import replacing
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.gather import OLD, Group, gather_control
-from soro_bench.leaderboard.statistics import markdown_table
+from soro_bench.leaderboard.statistics import (
+    chance_of_difference,
+    interval,
+    markdown_table,
+    mean_and_interval,
+    probability_of_improvement,
+)
 from soro_bench.markdown import table
 from soro_bench.packed import is_there
 from soro_bench.parameters import ALL_PARAMETERS
+from soro_bench.registration import task_type
 
 RESULTS = Path(__file__).parent / "results"
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = (DOCS / "explanation" / "reproduction.md", DOCS / "archive" / "training_and_speed.md")
+Groups = dict[tuple[str, str], Group]  # by board and method
 TABLE = re.compile(r"(<!-- (\w+): leaderboard/reproduction.py -->\n\n).*?(\n\n<!-- end -->)", re.DOTALL)
 UNITS = {"young_modulus": 1e3}  # kPa are kg/(mm s²); masses are in kg
 COLUMNS = ("cube_mass", "friction", "trunk_mass", "poisson_ratio", "young_modulus")
@@ -52,6 +61,42 @@ PUBLISHED = {
         "young_modulus": (3600.0,),
     },
 }  # fmt: skip
+# Rows of the tables of the first two claims: a method and what it is called there
+ROBUST = {
+    "oracle": "true parameters (`oracle`)",
+    "rf_dropo": "inferred by RF-DROPO",
+    "bayes_sim": "inferred by BayesSim",
+    "bayes_sim_variance": "BayesSim, variances taken for deviations, as published",
+    "dr_box": "whole box (`dr_box`)",
+    "udr": "random-box UDR",
+    "rf_dropo_unmodelled": "RF-DROPO, Young's modulus held at 0.8 of the truth",
+    "bayes_sim_unmodelled": "BayesSim, the same",
+    "udr_unmodelled": "random-box UDR, the same",
+}
+TRUNK = ("TrunkReach-v0", "TrunkPush-v0")
+AFFORDABLE_BOARDS = {
+    "TrunkReach-v0": "TrunkReach",
+    "TrunkPush-v0": "TrunkPush",
+    "MultiGait-v0-6": "MultiGait, 6 steps",
+    "MultiGait-v0-12": "MultiGait, 12 steps",
+}
+AFFORDABLE = {
+    "oracle": "true parameters",
+    "rf_dropo": "RF-DROPO",
+    "dr_box": "whole box",
+    "rf_dropo_cable": "RF-DROPO that replays with the simple model",
+    "bayes_sim": "BayesSim",
+    "bayes_sim_variance": "BayesSim, variances for deviations",
+    "bayes_sim_unmodelled": "BayesSim, modulus held wrong",
+    "udr": "random-box UDR",
+    "oracle_flex": "true parameters, trained on the accurate model",
+    "dr": "randomised",
+    "no_dr": "nominal",
+}
+# Pairs of methods that the first two claims compare, on the simple and the accurate model
+ROBUSTER = (("rf_dropo", "oracle"), ("rf_dropo", "bayes_sim"), ("rf_dropo", "dr_box"), ("rf_dropo", "udr"))
+WALKER = (("dr", "no_dr"),)
+TRANSFERS = tuple((method, "oracle") for method in ("rf_dropo", "rf_dropo_cable", "bayes_sim", "dr_box", "udr"))
 # Table IV: elevation [mm], mean and standard deviation of three seeds
 LIFT = {
     ("TrunkLift-v0-100g", "no_dr"): (2.34, 4.03),
@@ -61,7 +106,7 @@ LIFT = {
 }
 
 
-def parameters_table(groups: dict[tuple[str, str], Group]) -> str:
+def parameters_table(groups: Groups) -> str:
     """Markdown: what was inferred, mean and standard deviation, a row for each of our seeds."""
     nominal = [f"{ALL_PARAMETERS[name].nominal / UNITS.get(name, 1.0):g}" for name in COLUMNS]
     lines = [("", "truth", "", *nominal)]
@@ -81,7 +126,56 @@ def _value(mean: float, std: float | None = None) -> str:
     return f"{mean:.5g}" if std is None else f"{mean:.5g} ± {std:.2g}"
 
 
-def lift_table(groups: dict[tuple[str, str], Group]) -> str:
+def robust_table(groups: Groups) -> str:
+    """Markdown: final distance on the simple model, by how the training parameters were chosen."""
+    heads = ["trained on", *(head for board in TRUNK for head in (f"{board.partition('-')[0]} [mm]", "seeds"))]
+    rows = []
+    for method, called in ROBUST.items():
+        cells = [_mean(groups.get((board, method)), "cable") for board in TRUNK]
+        rows.append((called, *(each for pair in cells for each in pair)))
+    return table(heads, rows)
+
+
+def affordable_table(groups: Groups) -> str:
+    """Markdown: the metric on the simple model and on the accurate one."""
+    rows = []
+    for board, name in AFFORDABLE_BOARDS.items():
+        simple, accurate = task_type(BOARDS[board].env_id).cheap, task_type(BOARDS[board].env_id).accurate
+        for method, called in AFFORDABLE.items():
+            if group := groups.get((board, method)):
+                (left, seeds), (right, _) = _mean(group, simple), _mean(group, accurate)
+                rows.append((name, called, left, right, seeds))
+                name = ""
+    return table(("task", "trained on", "simple model [mm]", "accurate model [mm]", "seeds"), rows)
+
+
+def compared_table(groups: Groups) -> str:
+    """Markdown: how probable it is that a policy of the first method is better than one of the second one."""
+    rows = []
+    for board in (*TRUNK, "MultiGait-v0-6", "MultiGait-v0-12"):
+        task = task_type(BOARDS[board].env_id)
+        pairs = ((task.cheap, ROBUSTER), (task.accurate, TRANSFERS)) if board in TRUNK else ((task.accurate, WALKER),)
+        for label, methods in pairs:
+            for first, second in methods:
+                values = [groups[board, method].scores(label) for method in (first, second)]
+                better = partial(probability_of_improvement, higher=BOARDS[board].higher)
+                low, high = interval(better, tuple(values), np.random.default_rng(0)) or (0.0, 1.0)
+                chance = f"{better(*values):.2f} [{low:.2f}, {high:.2f}]"
+                seeds = " and ".join(str(len(each)) for each in values)
+                rows.append((board, label, first, second, chance, f"{chance_of_difference(*values):.2g}", seeds))
+    head = ("board", "evaluated on", "first", "second", "first is better, probability", "p by chance", "seeds")
+    return table(head, rows)
+
+
+def _mean(group: Group | None, label: str) -> tuple[str, str]:
+    """The mean of a group's policies under a condition with its interval, and how many there are."""
+    if group is None:
+        return "", ""
+    values = group.scores(label)
+    return mean_and_interval(values), str(len(values))
+
+
+def lift_table(groups: Groups) -> str:
     """Markdown: elevation, the published one beside ours, and how high our objects' lowest corners are."""
     head = ["object", "wall in training", "paper [mm]"]
     head += [f"{what} on `{model}` [mm]" for model in ("cable", "flex") for what in ("ours", "lowest corner")]
@@ -112,6 +206,9 @@ def tables() -> dict[str, str]:
         "state": f"**State: {state}**",
         "parameters": parameters_table(groups),
         "policies": markdown_table(groups.values()),
+        "robust": robust_table(groups),
+        "affordable": affordable_table(groups),
+        "compared": compared_table(groups),
         "lift": lift_table(groups),
     }
 

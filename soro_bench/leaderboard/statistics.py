@@ -79,14 +79,19 @@ _HEAD = (
 )
 
 
+def mean_and_interval(values: np.ndarray) -> str:
+    """The mean of values (seeds, starts) and its bootstrap interval over seeds, if there are several."""
+    ends = interval(np.mean, (values,), np.random.default_rng(0))
+    return f"{values.mean():.2f}" + (" [{:.2f}, {:.2f}]".format(*ends) if ends else "")
+
+
 def markdown_table(groups: Iterable[Group]) -> str:
     """A row per method and condition: mean over seeds and starts, its bootstrap interval over seeds, every seed's."""
     rows = []
     for group in groups:
         for label in group.labels:
             values = group.scores(label)
-            ends = interval(np.mean, (values,), np.random.default_rng(0))
-            mean = f"{values.mean():.2f}" + (" [{:.2f}, {:.2f}]".format(*ends) if ends else "")
+            mean = mean_and_interval(values)
             seeds = ", ".join(f"{value:.2f}" for value in values.mean(axis=1))
             solved = f"{group.scores(label, 'success').mean():.0%}"
             rows.append((group.board, group.name, group.trained_on, label, len(values), mean, solved, seeds))
