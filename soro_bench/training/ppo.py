@@ -251,7 +251,7 @@ class CheckpointFolder:
                 writer.writeheader()
                 writer.writerows(self._curve.rows)
             with replacing(self._path) as temporary:
-                temporary.write_bytes(buffer.getbuffer())
+                temporary.write_bytes(buffer.getvalue())
         except OSError as error:
             raise OSError(
                 f"{self._path} cannot be written: {one_line(error)}; make room, and repeat the command: it goes on "
