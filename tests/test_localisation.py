@@ -58,7 +58,7 @@ def test_a_setpoint_that_wanders_is_found_at_its_actuator(robot, actions):
     def move(step):
         batch.act[0, slot] += 0.004 * (np.sin(step / 5) - np.sin((step - 1) / 5))
 
-    given = trunk_problem(robot, actions, before_step=move)
+    given = trunk_problem(robot, actions[:30], before_step=move)
     (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1, 0.05), seed=0)
     best = ranked_locations(given, robot, base)[0]
     assert best.location == Location("actuator", "L2")
@@ -67,7 +67,7 @@ def test_a_setpoint_that_wanders_is_found_at_its_actuator(robot, actions):
 
 def test_where_nothing_acts_no_location_is_ranked(robot, actions):
     """Any force explains a little noise."""
-    given = trunk_problem(robot, actions)
+    given = trunk_problem(robot, actions[:30])
     (base,) = fitted(given, [Guess(np.zeros(5))], (0.7, 0.4, 0.2, 0.1, 0.05), seed=0)
     assert ranked_locations(given, robot, base) == []
 
