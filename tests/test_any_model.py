@@ -22,6 +22,11 @@ from soro_bench.effects.measurement import distorted
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from tests.arm import HAND, HAND_MAP, NOMINAL, SIGNAL, goals, plain, with_initial
 
+PENDULUM = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" springref="0"/>
+<geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.3" mass="0.2" contype="0" conaffinity="0"/></body></worldbody>
+<keyframe><key name="left" qpos="-0.1"/><key name="right" qpos="0.1"/></keyframe></mujoco>"""
+WITHOUT_COMMANDS = re.sub(r"\[commands.goal\]\n.*\n", "", HAND_MAP).replace(":arm", ":*")
+
 
 def begun(robot: ModelRobot, recording: Recording) -> ModelRobot:
     """The robot after it has begun a recording."""
@@ -128,16 +133,19 @@ def test_a_replay_under_a_delay_begins_where_the_late_sensor_saw_the_robot_later
     np.testing.assert_allclose(seen.ravel()[1:], late[2:], atol=1e-9)
 
 
+def test_a_part_of_a_recording_without_commands_is_replayed_for_its_own_time(robot_of):
+    """Replays are remembered by their input, of which such a part has as little as the whole."""
+    robot, time = robot_of(f'{WITHOUT_COMMANDS}[initial]\njoints = ["hinge"]', PENDULUM), 0.02 * np.arange(21)
+    whole = robot.measured(Recording({}, {"angle": Signal(time, np.full(21, 0.5), "rad")}))
+    found = [robot.simulate_all([each.drive], NOMINAL, [()])[0] for each in (whole, whole.first(7))]
+    assert [values.shape[1] for values in found] == [20, 7]
+
+
 def test_a_robot_settles_from_where_it_begins(robot_of):
     """A bistable one stays on the side of its keyframe."""
-    rod = """<mujoco><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05" springref="0"/>
-    <geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.3" mass="0.2" contype="0" conaffinity="0"/></body></worldbody>
-    <keyframe><key name="left" qpos="-0.1"/><key name="right" qpos="0.1"/></keyframe></mujoco>"""
-    mapping = (
-        re.sub(r"\[commands.goal\]\n.*\n", "", HAND_MAP).replace("0.02", "0.02\nsettle = 20").replace(":arm", ":*")
-    )
+    mapping = WITHOUT_COMMANDS.replace("0.02", "0.02\nsettle = 20")
     for side, sign in (("left", -1.0), ("right", 1.0)):
-        robot = robot_of(f'{mapping}[initial]\nkeyframe = "{side}"', rod)
+        robot = robot_of(f'{mapping}[initial]\nkeyframe = "{side}"', PENDULUM)
         (values,) = robot.simulate(np.zeros((3, 0)), NOMINAL, [()])
         assert values[:, 0, 0] == pytest.approx(sign * np.pi, abs=1e-3)
 
