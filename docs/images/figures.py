@@ -213,7 +213,7 @@ def distances(groups):
             axes.scatter(at + rng.uniform(-0.25, 0.25, len(values)), values, s=size, alpha=alpha, lw=0, color=f"C{at}")
             axes.plot([at - 0.35, at + 0.35], 2 * [values.mean()], color="black", lw=2)
         axes.set(title=f"on {label}", yscale="log")
-        axes.set_yticks(ticks := (0.5, 1, 2, 5, 10, 20, 50, 100, 200), [str(tick) for tick in ticks])
+        axes.set_yticks(ticks := (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200), [str(tick) for tick in ticks])
         axes.minorticks_off()
         axes.set_ylim(0.9 * min(map(np.min, everything)), 1.1 * max(map(np.max, everything)))
         axes.set_xticks(range(len(groups)), [group.method for group in groups], rotation=30, ha="right")
@@ -240,6 +240,7 @@ FIGURES: dict[str, Callable[[], None]] = {each.__name__: each for each in (crite
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="*", choices=FIGURES, default=[*FIGURES], metavar="NAME")
-    for name in parser.parse_args().names:
+    parser.add_argument("names", nargs="*", choices=("all", *FIGURES), default="all", metavar="NAME")
+    names = parser.parse_args().names
+    for name in FIGURES if "all" in names else names:
         FIGURES[name]()
