@@ -114,6 +114,7 @@ def main() -> None:
             found += run_study(study, folder, seed, options.threads, partial(print, folder.name, flush=True))
         except (ValueError, OSError) as error:  # what a recording, a model or a folder lacks
             failed.append(f"{folder.name}: {error}")
+            print("failed:", failed[-1], flush=True)
         write_results(found)
     print(first_seed(), every_seed(), sep="\n\n")
     if failed:
