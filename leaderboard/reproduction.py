@@ -152,11 +152,13 @@ def affordable_table(groups: Groups) -> str:
 def compared_table(groups: Groups) -> str:
     """Markdown: how probable it is that a policy of the first method is better than one of the second one."""
     rows = []
-    for board in (*TRUNK, "MultiGait-v0-6", "MultiGait-v0-12"):
+    for board in AFFORDABLE_BOARDS:
         task = task_type(BOARDS[board].env_id)
         pairs = ((task.cheap, ROBUSTER), (task.accurate, TRANSFERS)) if board in TRUNK else ((task.accurate, WALKER),)
         for label, methods in pairs:
             for first, second in methods:
+                if not {(board, first), (board, second)} <= groups.keys():
+                    continue
                 values = [groups[board, method].scores(label) for method in (first, second)]
                 better = partial(probability_of_improvement, higher=BOARDS[board].higher)
                 low, high = interval(better, tuple(values), np.random.default_rng(0)) or (0.0, 1.0)

@@ -251,14 +251,14 @@ def test_screening_finds_a_pair_of_hidden_effects(robot, actions):
     assert {(s.name, s.location) for s in screened_candidate.terms} == {(s.name, s.location) for s in hidden}
 
 
-def test_a_suspect_is_screened_with_what_is_typical_and_a_share_has_no_prior_beyond_one(robot):
+def test_a_term_is_screened_with_what_is_typical_and_a_share_has_no_prior_beyond_one(robot):
     for one in terms(robot):
         assert [typical(one).parameters[q.name] for q in one.quantities] == pytest.approx(one.typical)
     weak = term(robot, "actuator_saturation", Location("actuator", "L0"))
     assert weak.deviations[0] == 1.0
 
 
-def test_a_lead_promises_no_more_than_its_bounds_allow(robot, actions):
+def test_a_candidate_gains_no_more_than_its_bounds_allow(robot, actions):
     given = trunk_problem(robot, actions)
     jacobian, error = np.zeros((5, given.weight.size)), np.zeros((0, given.weight.size))
     row = np.random.default_rng(0).standard_normal(given.weight.size)
