@@ -107,6 +107,18 @@ def test_laws_that_look_alike_are_simulated_where_the_first_one_gains(robot, act
     assert all(np.array_equal(rows, found.response(like[one.location])) for one, rows in assumed)
 
 
+def test_laws_that_look_alike_are_simulated_where_another_law_gains_most(robot, actions):
+    """A friction that grows with the load looks less like one that does not than like a motor of less force."""
+    cable = Location("tendon", "L1")
+    hidden = Effect("load_friction", cable, {"mu": 0.5, "presliding": 1e-4})
+    given = trunk_problem(robot, actions, [hidden])
+    base = fitted(given, [Guess(np.zeros(5))], (0.7, 0.3), seed=0)[0]
+    names = ("actuator_saturation", "coulomb_friction", "load_friction")
+    found = screen(given, base, [one for one in terms(robot) if one.name in names], robot)
+    assert singles(found)[0].names == ("actuator_saturation",)
+    assert term(robot, "load_friction", cable) in found.simulated
+
+
 def test_of_responses_beside_another_hypothesis_those_are_simulated_again_that_gain_most(robot, actions):
     hidden = term(robot, "payload", Location("body", "vertebra7"))
     given, base, candidates, simulated = screened(robot, actions, hidden, ("payload", "actuator_gain", "rest_bend"))
@@ -117,7 +129,8 @@ def test_of_responses_beside_another_hypothesis_those_are_simulated_again_that_g
     gains = {each.terms[0]: each.gain for each in singles(evidence(given, base, candidates, list(before.values())))}
     again = [np.array_equal(own, rows) for own, rows in zip(simulated, found.responses, strict=True) if rows.any()]
     moving = [one for one, rows in before.items() if rows.any()]
-    assert again == [gains[one] > 0.3 * max(gains.values()) for one in moving]
+    there = max(gains, key=gains.get).location
+    assert again == [gains[one] > 0.3 * max(gains.values()) or one.location == there for one in moving]
     assert 2 <= sum(again) < len(again)
 
 

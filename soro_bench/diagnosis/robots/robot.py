@@ -18,7 +18,7 @@ from soro_bench.diagnosis.robots.replays import Replays
 from soro_bench.diagnosis.robots.variants import Variant
 from soro_bench.diagnosis.settings import DiscretisationSettings
 from soro_bench.effects.catalogue import ALL
-from soro_bench.effects.effect import EACH, EVERY, Effect, Location
+from soro_bench.effects.effect import EACH, EVERY, Effect, EffectError, Location
 from soro_bench.effects.elements import Elements, length_unit, setpoint_unit
 from soro_bench.files import brief
 from soro_bench.recording.known import Known
@@ -213,6 +213,15 @@ class Robot(Replays):
     def welded(self) -> list[Location]:
         """Bodies without a joint of their own that candidate terms may have."""
         return self.elements.welded() if "body" in self.kinds else []
+
+    def moved_at(self, location: Location) -> Location:
+        """The tendon or scalar joint that an actuator drives; any other location itself."""
+        if location.kind != "actuator" or location.name == EVERY:
+            return location
+        try:
+            return self.elements.driven_by(location)
+        except EffectError:  # it drives something else
+            return location
 
     def beside(self, location: Location) -> list[Location]:
         """The neighbours of a body or of a measured point; none for other locations, which have no order."""

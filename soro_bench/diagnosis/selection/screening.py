@@ -181,13 +181,15 @@ def _like_others(candidates: Sequence[Term]) -> dict[Term, Term]:
 
 
 def _to_simulate(problem: Problem, rough: Evidence, assumed: set[Term], alike: Collection[Term]) -> list[Term]:
-    """Of terms whose response is ``assumed``, those that are predicted to gain most; the members of laws that are
-    predicted to gain clearly more at all elements together; and of those like others one of each law, where it shows
-    most."""
-    settings, gains = rough.settings, [each.gain for each in _alone(rough)]
+    """Of terms whose response is ``assumed``, those that are predicted to gain most, and all where the best candidate
+    acts; the members of laws that are predicted to gain clearly more at all elements together; and of those like others
+    one of each law, where it shows most."""
+    settings, robot, gains = rough.settings, problem.robot, [each.gain for each in _alone(rough)]
     order = sorted(range(len(gains)), key=lambda i: -gains[i])
     limit = settings.least_share * gains[order[0]]
     chosen = [rough.candidates[i] for i in order if gains[i] > limit and rough.candidates[i] in assumed]
+    there = robot.moved_at(rough.candidates[order[0]].location)
+    chosen += [one for one in rough.candidates if one in assumed and robot.moved_at(one.location) == there]
     least = gains[order[0]] + problem.settings.selection.least_gain
     for members in spread_terms.alike(rough.candidates):
         if set(members) & assumed and beyond_chance(problem, rough.at_each(spread(members))) > least:
