@@ -195,6 +195,26 @@ def shortlist(explanation: Explanation) -> list[Hypothesis]:
     return [explanation.nominal, *(explanation.found[i] for i in order)]
 
 
+@dataclass(frozen=True)
+class _Weighed:
+    """What recordings say of hypotheses, the nominal robot first.
+
+    scores: (H,) log evidence. misfits: (H,) above white noise [nats]. tested: fits of held-out recordings. of_nominal:
+    problems, and what the nominal robot leaves (M,) of each. form: what may be model-form error. gain: log evidence of
+    the best law. stands_out: (H,) probability that what a law gains is no model-form error. named: the same, 0 where
+    the law does harm to held-out motion.
+    """
+
+    scores: np.ndarray
+    misfits: np.ndarray
+    tested: Sequence[Fit | None]
+    of_nominal: Sequence[tuple[Problem, np.ndarray]]
+    form: UnderModelForm
+    gain: float
+    stands_out: np.ndarray
+    named: np.ndarray
+
+
 def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | None) -> Comparison:
     """Probabilities of the hypotheses of an explanation, and their fits.
 
@@ -202,60 +222,79 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
         heldout: the problem of the held-out recordings, and its residuals (H, M) under the short list.
     """
     problem, hypotheses = explanation.problem, shortlist(explanation)
-    settings, residuals = problem.settings, [h.residual for h in hypotheses]
-    scores, misfits = _evidence(problem, hypotheses), np.array([problem.misfit(row) for row in residuals])
-    # the predicted gain, and where the simulation was too far off for a prediction, what has been gained
-    gain = max(explanation.predicted_gain, *(scores - scores[0]))
-    form, of_nominal = UnderModelForm.of(problem, residuals), [(problem, residuals[0])]
-    gains = misfits[0] - misfits if explanation.found else np.array([explanation.predicted_gain])
-    missing = named = form.missing(gains, explanation.of_all, settings.discretisation)
-    tested: Sequence[Fit | None] = [None] * len(hypotheses)
-    if heldout is not None:
-        unfitted, rows = heldout
-        unfitted_misfits = np.array([unfitted.misfit(row) for row in rows])
-        scores, misfits = scores - unfitted_misfits, misfits + unfitted_misfits
-        form, tested = form.beside(UnderModelForm.of(unfitted, rows)), _fits(unfitted, rows, problem.sensor)
-        of_nominal.append((unfitted, rows[0]))
-        if explanation.found:  # what is missing may not show there, but does no harm
-            lost = unfitted_misfits - unfitted_misfits[0]
-            named = np.where(lost <= settings.probabilities.lost_by_chance * gains, missing, 0.0)
-    remaining, hidden = 0.0 if form.possible.any() else explanation.remaining_gain, 0.0
-    outside = _probability_of_unknown(problem, hypotheses, remaining)
-    if form.possible[0]:
-        # what stands out is missing physics even where the law that gains by it does harm to other motion
-        outside = 1.0 - (1.0 - outside) * float(named.max()) / max(float(missing.max()), 1e-300)
-        hidden = min(settings.probabilities.hidden * float(form.left[0]), settings.probabilities.most_hidden)
-    p = _p_of_healthy(of_nominal, form, gain, float(missing.max()))
-    nothing = p / (p + alpha(settings))
-    # what may hide changes no verdict: it is taken from what is beyond even odds
-    none, laws = nothing - hidden * max(2.0 * nothing - 1.0, 0.0), (1.0 - nothing) * (1.0 - outside)
-    mistaken = settings.probabilities.wrong_when_certain
-    unknown = float(np.clip(1.0 - none - laws, mistaken, 1.0 - mistaken))
-    none /= max(none + laws, 1e-300)
-    scores = scores - _of_law_errors(problem, hypotheses, misfits)
-    probabilities = (1.0 - unknown) * _probabilities(scores, none, temperature(misfits.min(), settings.probabilities))
-    train = _fits(problem, residuals, problem.sensor)
-    parts = zip(hypotheses, probabilities.tolist(), scores.tolist(), train, tested, misfits.tolist(), strict=True)
+    weighed = _weighed(explanation, hypotheses, heldout)
+    form, misfits, settings = weighed.form, weighed.misfits, problem.settings.probabilities
+    p = _p_of_healthy(weighed)
+    unknown, none = _unknown_and_none(explanation, hypotheses, weighed, p)
+    scores = weighed.scores - _of_law_errors(problem, hypotheses, misfits)
+    probabilities = (1.0 - unknown) * _probabilities(scores, none, temperature(misfits.min(), settings))
+    train = _fits(problem, [h.residual for h in hypotheses], problem.sensor)
+    parts = zip(
+        hypotheses, probabilities.tolist(), scores.tolist(), train, weighed.tested, misfits.tolist(), strict=True
+    )
     ranked = tuple(sorted((Answer(*each) for each in parts), key=lambda a: -a.probability))
     uncounted = problem.misfit_dominated and not form.possible[0]
     return Comparison(ranked, unknown, None if uncounted else p, float(form.left[0]) * problem.sensor)
 
 
-def _p_of_healthy(
-    of_nominal: Sequence[tuple[Problem, np.ndarray]], form: UnderModelForm, gain: float, missing: float
-) -> float:
-    """Probability that a healthy robot gives as much evidence of a discrepancy.
+def _weighed(
+    explanation: Explanation, hypotheses: Sequence[Hypothesis], heldout: tuple[Problem, np.ndarray] | None
+) -> _Weighed:
+    """The hypotheses by the recordings that they were fitted to, and by held-out ones."""
+    problem, residuals = explanation.problem, [h.residual for h in hypotheses]
+    scores, misfits = _evidence(problem, hypotheses), np.array([problem.misfit(row) for row in residuals])
+    # the predicted gain, and where the simulation was too far off for a prediction, what has been gained
+    gain = max(explanation.predicted_gain, *(scores - scores[0]))
+    gains = misfits[0] - misfits if explanation.found else np.array([explanation.predicted_gain])
+    form = UnderModelForm.of(problem, residuals)
+    stands_out = form.missing(gains, explanation.of_all, problem.settings.discretisation)
+    nominal = problem, residuals[0]
+    if heldout is None:
+        nobody: list[Fit | None] = [None] * len(hypotheses)
+        return _Weighed(scores, misfits, nobody, [nominal], form, gain, stands_out, stands_out)
+    unfitted, rows = heldout
+    further, named = np.array([unfitted.misfit(row) for row in rows]), stands_out
+    if explanation.found:  # what is missing may not show there, but does no harm
+        harmless = further - further[0] <= problem.settings.probabilities.lost_by_chance * gains
+        named = np.where(harmless, stands_out, 0.0)
+    return _Weighed(
+        scores - further, misfits + further, _fits(unfitted, rows, problem.sensor), [nominal, (unfitted, rows[0])],
+        form.beside(UnderModelForm.of(unfitted, rows)), gain, stands_out, named,
+    )  # fmt: skip
+
+
+def _unknown_and_none(
+    explanation: Explanation, hypotheses: Sequence[Hypothesis], weighed: _Weighed, p: float
+) -> tuple[float, float]:
+    """Probabilities that no hypothesis is right, and that nothing is missing if one of them is.
 
     Args:
-        of_nominal: problems, and what the nominal robot leaves (M,) of each.
-        gain: log evidence of the best law [nats]. missing: probability that a law stands out of model-form error.
+        p: of a healthy robot; see ``_p_of_healthy``.
     """
-    problem, _ = of_nominal[0]
-    p = p_value(gain, problem.settings.probabilities)
+    settings, form = explanation.problem.settings, weighed.form
+    remaining, hidden = 0.0 if form.possible.any() else explanation.remaining_gain, 0.0
+    outside = _probability_of_unknown(explanation.problem, hypotheses, remaining)
     if form.possible[0]:
-        return max(p, _p_of(missing, problem.settings))
+        # what stands out is missing physics even where the law that gains by it does harm to other motion
+        named = float(weighed.named.max()) / max(float(weighed.stands_out.max()), 1e-300)
+        outside = 1.0 - (1.0 - outside) * named
+        hidden = min(settings.probabilities.hidden * float(form.left[0]), settings.probabilities.most_hidden)
+    nothing = p / (p + alpha(settings))
+    # what may hide changes no verdict: it is taken from what is beyond even odds
+    none, law = nothing - hidden * max(2.0 * nothing - 1.0, 0.0), (1.0 - nothing) * (1.0 - outside)
+    mistaken = settings.probabilities.wrong_when_certain
+    unknown = float(np.clip(1.0 - none - law, mistaken, 1.0 - mistaken))
+    return unknown, none / max(none + law, 1e-300)
+
+
+def _p_of_healthy(weighed: _Weighed) -> float:
+    """Probability that a healthy robot gives as much evidence of a discrepancy."""
+    problem, _ = weighed.of_nominal[0]
+    p = p_value(weighed.gain, problem.settings.probabilities)
+    if weighed.form.possible[0]:
+        return max(p, _p_of(float(weighed.stands_out.max()), problem.settings))
     # where the misfit is far above the sensor's noise something is missing, whether or not a law explains it
-    return 0.0 if problem.misfit_dominated else min(p, p_slow(*slow_variance(of_nominal), problem.settings))
+    return 0.0 if problem.misfit_dominated else min(p, p_slow(*slow_variance(weighed.of_nominal), problem.settings))
 
 
 def _fits(problem: Problem, residuals: Iterable[np.ndarray], sensor: float) -> list[Fit]:
