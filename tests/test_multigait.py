@@ -1,6 +1,7 @@
 """MultiGait: its robot against known answers, and its episodes."""
 
 import warnings
+from fractions import Fraction
 
 import gymnasium
 import mujoco
@@ -251,6 +252,21 @@ def test_fine_mesh_walks_too():
     assert run(make(mesh="fine"), WALK)[-1][4]["displacement"] > 0.004
 
 
+@pytest.mark.parametrize("factor", [Fraction(1, 2), 1])
+def test_a_control_step_has_as_long_whatever_the_number_of_time_steps(factor):
+    """The last update of the rest lengths may be for one time step alone, and what is observed is of the last state."""
+    task = MultiGaitTask(1, 1, mesh="coarse", action="discrete")
+    task.refine(factor)
+    everyone, count = np.arange(1), 2
+    task.reset(everyone, [np.random.default_rng(0)], [{}])
+    for _ in range(count):
+        task.step(everyone, np.zeros(1, int))
+    assert task.sim.batch.bind("time")[0] == pytest.approx(count * task.control_timestep)
+    observed = task.center_of_mass(everyone)
+    task.sim.batch.forward(everyone)
+    np.testing.assert_allclose(observed, task.center_of_mass(everyone), atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("argument", "error", "message"),
     [
@@ -279,6 +295,17 @@ def test_evaluation_records_an_episode():
     assert episode.signals["vertices"].shape == (13, 110, 3)
     assert episode.metric_name == "displacement" and episode.metric.shape == (13,)
     assert episode.goal is None and not episode.diverged
+
+
+def test_recorded_actions_stay_if_what_acts_fills_the_same_array_again():
+    actions = np.zeros((1, 3))
+
+    def act(observations):
+        actions[...] += 0.1
+        return actions
+
+    (episode,) = evaluate(act, "MultiGait-v0", "coarse", "continuous", max_episode_steps=3)
+    np.testing.assert_allclose(episode.actions[:, 0], [0.1, 0.2, 0.3])
 
 
 def test_an_evaluation_has_one_blas_thread():

@@ -135,11 +135,12 @@ class MultiGaitTask(Task):
         return self.xp.astype(actions, self._groups.dtype) @ self._groups * limit
 
     def _advance(self, ids: Ints) -> None:
-        batch, last = self.sim.batch, self._substeps - RAMP_SUBSTEPS
-        for step in range(0, self._substeps, RAMP_SUBSTEPS):
+        batch, left = self.sim.batch, self._substeps
+        while left:
+            count = min(RAMP_SUBSTEPS, left)
+            left -= count
             batch.plastic[ids[:, None], self._inflation.columns] = self._inflation.plastic(batch.act[ids])
-            stage = mujoco.mjtStage.mjSTAGE_VEL if step == last else mujoco.mjtStage.mjSTAGE_NONE
-            self.sim.step(ids, RAMP_SUBSTEPS, stage)
+            self.sim.step(ids, count, mujoco.mjtStage.mjSTAGE_NONE if left else mujoco.mjtStage.mjSTAGE_VEL)
 
     def _observe(self, ids: Ints) -> Floats:
         observation = self.xp.concat([self.center_of_mass(ids), self.inflation(ids)], axis=1)
