@@ -14,6 +14,7 @@ from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.localisation.ranking import RankedLocation
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.stopping import explained_beyond_chance
+from soro_bench.diagnosis.settings import ProbabilitySettings
 from soro_bench.effects.effect import Effect, Location
 from soro_bench.effects.expression import bumps_in
 
@@ -27,12 +28,14 @@ class Found:
     """A fitted law and what it leaves.
 
     structure: what it came of. misfit: above the noise, of the recordings fitted to and of those held out [nats].
+    probabilities: say what unknowns gain by chance.
     """
 
     structure: Structure
     hypothesis: Hypothesis
     misfit: float
     heldout_misfit: float
+    probabilities: ProbabilitySettings
 
     @property
     def boxed(self) -> bool:
@@ -42,7 +45,8 @@ class Found:
     @property
     def total(self) -> float:
         """Misfit of all recordings, with what its unknowns gain by chance [nats]."""
-        return self.misfit + self.heldout_misfit + 50.0 * sum(each.size for each in self.hypothesis.terms)
+        chance = self.probabilities.gain_of_unknown * sum(each.size for each in self.hypothesis.terms)
+        return self.misfit + self.heldout_misfit + chance
 
 
 @dataclass(frozen=True)
@@ -115,7 +119,7 @@ def discovered(
     nothing = Discovery(None, (), near[0].location, before, with_nearest, np.nan, own, peaks, inputs[0])
     best = None
     if found:
-        best = _simplified(fitted_on, _as_noisy(test, fitted_on), _simplest(found, alike), seed)
+        best = _simplified(fitted_on, test.with_noise_of(fitted_on), _simplest(found, alike), seed)
         best = _as_seen(best, fitted_on, test)
     after = _mean_square(test, best.hypothesis) if best else np.nan
     if best is None or not _holds(test, nominal, best, settings.least_explained):
@@ -177,13 +181,13 @@ def _fitted(
     guesses = [Guess(x, terms) for (_, terms), x in chosen]
     once = fitted(problem, guesses, radii, seed + _SEED)
     problem, once = allowing(problem, min(once, key=lambda h: h.cost), once)
-    test = _as_noisy(test, problem)
+    test = test.with_noise_of(problem)
     results = _judged(problem, test, [pair[0] for pair, _ in chosen], once)[: settings.replayed[-1]]
     again = [Guess(each.hypothesis.x, each.hypothesis.terms) for each in results]
     more = fitted(problem, again, radii[1:], seed + _SEED + 1)
     better = [min(pair, key=lambda h: h.cost) for pair in zip((r.hypothesis for r in results), more, strict=True)]
     problem, better = allowing(problem, min(better, key=lambda h: h.cost), better)
-    return problem, _judged(problem, _as_noisy(test, problem), [each.structure for each in results], better)
+    return problem, _judged(problem, test.with_noise_of(problem), [each.structure for each in results], better)
 
 
 def _one_a_place(structure: Structure, terms: Sequence[LawTerm]) -> bool:
@@ -196,20 +200,13 @@ def _begun(terms: Sequence[LawTerm]) -> list[Effect]:
     return [effect for each in terms for effect in each.effects(each.simulated)]
 
 
-def _as_noisy(problem: Problem, other: Problem) -> Problem:
-    """The problem with the noise of another one, of the same signals."""
-    same = replace(problem, sigma=other.sigma, noise=other.noise, others=other.others)
-    basis = problem.discretisation.basis * problem.factor_to(same)
-    return replace(same, discretisation=type(problem.discretisation)(basis))
-
-
 def _judged(
     problem: Problem, test: Problem, found: Sequence[Structure], hypotheses: Sequence[Hypothesis]
 ) -> list[Found]:
     """The hypotheses with what they leave, the least first."""
     rows = test.residuals([(h.x, h.terms) for h in hypotheses])
     judged = [
-        Found(structure, h, problem.misfit(h.residual), test.misfit(row))
+        Found(structure, h, problem.misfit(h.residual), test.misfit(row), problem.settings.probabilities)
         for structure, h, row in zip(found, hypotheses, rows, strict=True)
     ]
     return sorted(judged, key=lambda each: each.total)
@@ -226,7 +223,7 @@ def _start(
 
 def _slack(best: Found, alike: float) -> float:
     """By how much another law may leave more than the best one and be as good [nats]."""
-    return alike * max(best.misfit + best.heldout_misfit, 0.0) + 100.0
+    return alike * max(best.misfit + best.heldout_misfit, 0.0) + best.probabilities.gain_of_term
 
 
 def _simplified(problem: Problem, test: Problem, whole: Found, seed: int) -> Found:
