@@ -92,8 +92,14 @@ def test_discrete_actions_have_no_deviation_to_lead(tmp_path):
 
 
 def test_two_threads_train_the_same_policy(trained, tmp_path):
-    """The number of simulation threads does not change a byte."""
-    train(PPOConfig(**{**CONFIG.__dict__, "num_threads": 2}), tmp_path)
+    """The number of simulation threads, or of PyTorch's, does not change a byte, and PyTorch has as many as before."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        train(PPOConfig(**{**CONFIG.__dict__, "num_threads": 2}), tmp_path)
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(threads)
     assert _bytes(tmp_path) == _bytes(trained)
 
 

@@ -133,10 +133,11 @@ class ActiveEffects:
         self._scaled.setdefault(name, Scaled(self.batch.expand(name)))
 
     def change(self, name: str, row: int, location: Location, quantity: str, value: float) -> None:
-        """Give an effect that acts in a simulation another value of a quantity, from the next time step on."""
+        """Give a law of setpoints that acts in a simulation another value of a quantity, from the next time step on.
+        Others write it to fields once, and have it at several joints."""
         law, i = next(
             (law, i)
-            for law in self._laws
+            for law in self.filters
             if law.name == name
             for i in np.flatnonzero(law.rows == row)
             if law.locations[i] == location

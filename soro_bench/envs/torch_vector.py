@@ -4,6 +4,7 @@ The task's own code computes observations, rewards and ends, on the device. Star
 by the same code and the same generators as everywhere else, while the device simulates.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -72,9 +73,9 @@ class TorchVectorEnv:
         self.num_envs, self.device = num_envs, torch.device(device)
         self.single_observation_space = self.task.single_observation_space
         self.single_action_space = self.task.single_action_space
-        if max_episode_steps is not None and max_episode_steps < 1:
-            raise ValueError(f"max_episode_steps={max_episode_steps}: 1 or more is needed")
-        self.max_episode_steps = max_episode_steps or gymnasium.spec(env_id).max_episode_steps or 0
+        if max_episode_steps is not None and (max_episode_steps < 1 or int(max_episode_steps) != max_episode_steps):
+            raise ValueError(f"max_episode_steps={max_episode_steps}: a whole number of 1 or more is needed")
+        self.max_episode_steps = max_episode_steps or gymnasium.spec(env_id).max_episode_steps or math.inf
         self.elapsed = torch.zeros(num_envs, dtype=torch.int64, device=device)  # steps of the present episodes
         self._everyone = torch.arange(num_envs, device=device)
         self._rngs: list[np.random.Generator] = []

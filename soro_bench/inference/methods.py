@@ -104,7 +104,7 @@ def infer(
     if (method == "dropo") != replay.restarts:
         raise ValueError("dropo needs a replay that restarts from the recorded states, the other methods one that does "
                          "not")  # fmt: skip
-    title = json.dumps([method, seed, settings, replay.fingerprint()])
+    title = json.dumps([method, seed, settings, replay.fingerprint()], sort_keys=True)
     search = Search(replay, EvaluationLog(work, hashlib.sha256(title.encode()).hexdigest()), seed, progress, workers)
     distribution, estimate, jacobian = _FUNCTIONS[method](search, **settings)
     return _posterior(method, search, distribution, estimate, jacobian, {"seed": seed, **settings})

@@ -105,8 +105,9 @@ def corner_plot(posterior: Posterior, replay: Replay, draws: Floats, path: Path)
     weakest = posterior.combinations[-1]
     along = np.array([weakest.exponents[name] for name in names])
     reach = min(weakest.relative_std, 0.5)
-    cloud = 100 * (draws - estimate) / scales(replay.parameters, estimate)  # percent
-    ridge = 100 * np.expm1(np.linspace(-reach, reach, 50)[:, None] * along)
+    wide = scales(replay.parameters, estimate)
+    cloud, line = 100 * (draws - estimate) / wide, np.linspace(-reach, reach, 50)[:, None] * along  # percent
+    ridge = 100 * np.where(wide == estimate, np.expm1(line), line)  # those that may be 0 have no logarithm
     labels = [f"{p.name}\n% from {e:.5g} {p.unit}" for p, e in zip(replay.parameters, estimate, strict=True)]
     figure, axes = plt.subplots(count, count, figsize=(2.4 * count, 2.4 * count), layout="constrained", squeeze=False)
     for i in range(count):

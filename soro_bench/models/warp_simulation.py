@@ -282,10 +282,10 @@ class WarpSimulation:
                     f"world {world} overflows at control step {self._steps} ({kinds!r}): it has more contacts or "
                     "constraints than fit; give more room, such as room={'njmax': 256, 'nconmax': 64}"
                 )
-            self._guard(int(bad.nonzero()[0]))
-            self.batch.reset(
-                bad.nonzero().flatten().cpu().numpy()
-            )  # as MuJoCo does: what is observed of them are numbers
+            worlds = bad.nonzero().flatten().cpu().numpy()
+            for world in worlds.tolist():
+                self._guard(world)
+            self.batch.reset(worlds)  # as MuJoCo does: what is observed of them are numbers
             self.batch.forward(ids)
         return bad[self.array(ids)]
 

@@ -32,7 +32,7 @@ class RecordingError(ValueError):
     """A file, or what is to become one, is no valid recording."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Signal:
     """One quantity at its own times, which need not be regular.
 
@@ -71,7 +71,7 @@ class Signal:
         object.__setattr__(self, "values", values)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Recording:
     """Commands and signals of one robot, each with times of its own, on one clock.
 
@@ -90,7 +90,7 @@ class Recording:
     signals: dict[str, Signal] = field(default_factory=dict)
     parameters: dict[str, float] = field(default_factory=dict)
     metadata: dict[str, str] = field(default_factory=dict)
-    file: str = field(default="", compare=False)
+    file: str = ""
 
     def __post_init__(self) -> None:
         count = len(self.commands) + len(self.signals)

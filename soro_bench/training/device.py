@@ -5,7 +5,6 @@ settings that Stable-Baselines3 has on the CPU (ppo.py). Configuration, segments
 those of the CPU's training.
 """
 
-import itertools
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -228,9 +227,7 @@ def train_on_device(
     curve = Curve()
     kept = CheckpointFolder(folder, config, curve)
     first = kept.load(trainer.restore)
-    for segment in itertools.count(first):
-        if segment >= config.num_segments:
-            break
+    for segment in range(first, config.num_segments):
         trainer.run_segment(segment, curve, progress)
         kept.save(segment + 1, trainer.state())
     policy = trainer.policy()

@@ -60,9 +60,16 @@ def train(
         progress: called after every rollout in which an episode ended, with steps done, steps in total and the newest
             row of the curve.
     """
-    folder = Path(folder)
-    described, old = claim(folder, config, distribution)
+    threads = torch.get_num_threads()
     torch.set_num_threads(1)  # sums would depend on the number; networks this small gain nothing from more
+    try:
+        return _train(config, Path(folder), distribution, progress)
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _train(config: PPOConfig, folder: Path, distribution: Distribution | None, progress: Progress) -> Policy:
+    described, old = claim(folder, config, distribution)
     env = make_env(config, distribution)
     episode_steps(config)
     agent = make_agent(config, env)

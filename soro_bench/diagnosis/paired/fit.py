@@ -170,6 +170,8 @@ def _descended(
 ) -> list[tuple[Floats, Floats]]:
     """Levenberg-Marquardt fits side by side, with standard normal priors: of each the Jacobian (M, n) and the unknowns.
 
+    The Jacobian is that of the last step's beginning: at convergence its standard deviations are right to 1 %.
+
     Args:
         residuals: (N, M) of N pairs of a fit's number and its unknowns (n,).
         starts, bounds: (n,) and (2, n) of each fit.

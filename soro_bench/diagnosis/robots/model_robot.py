@@ -274,7 +274,7 @@ class ModelRobot(Robot):
             RecordingError: as of any robot; or the robot begins at a signal, and its first sample is missing or late.
         """
         found = super().measured(recording)
-        found = replace(found, notes=tuple(text for _, text in self._clipped(found.actions)))
+        found = replace(found, notes=(*found.notes, *(text for _, text in self._clipped(found.actions))))
         if not self._initial.parts:
             return found
         early = self._initial.begun(recording, self.begins(recording), self.control_timestep)
