@@ -1,7 +1,7 @@
 """Recordings of the same commands before and after a change, and recordings that a diagnosis asks for."""
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from soro_bench.diagnosis.paired.problem import PairedProblem, Point
 from soro_bench.diagnosis.paired.result import PairedResult
 from soro_bench.diagnosis.render.paired import summary
 from soro_bench.diagnosis.result_parts import NextRecording
+from soro_bench.diagnosis.robots.measured import Drive
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.effect import Effect, Location
@@ -26,7 +27,7 @@ from soro_bench.recording.parquet import load, save
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 from soro_bench.recording.simulated import record
 from tests import arm
-from tests.arm import ARM, SIGMA, TRUTH, assert_same, example, says
+from tests.arm import ARM, MAP, SIGMA, TRUTH, assert_same, example, says
 
 RATE = 50.0  # Hz
 POINTS = 3
@@ -120,6 +121,34 @@ def _noisy(found: Recording, seed: int) -> Recording:
     angle = found.signals["angle"]
     noise = arm.SIGMA * np.random.default_rng(seed).standard_normal(angle.values.shape)
     return replace(found, signals={"angle": replace(angle, values=angle.values + noise)})
+
+
+PENDULUM = """<body name="bob" pos="0 1 0"><joint name="swing" axis="0 1 0" damping="0.002"/>
+<geom type="capsule" size="0.01" fromto="0 0 0 0.2 0 0" mass="0.1" contype="0" conaffinity="0"/></body></worldbody>"""
+SWING = '[[signals]]\nname = "swing"\njoints = ["swing"]\nunit = "rad"\n'
+
+
+def test_a_change_that_another_signal_than_the_first_shows_is_named(paths: tuple[Path, Path]) -> None:
+    paths[0].write_text(ARM.replace("</worldbody>", PENDULUM))
+    paths[1].write_text(MAP.replace("[initial]", SWING + "[initial]"))
+    robot, goals = ModelRobot(*paths, threads=1), 0.5 * command(0.02 * np.arange(200))[:, :1]
+
+    def moved(seed: int, hidden: Sequence[Effect]) -> Recording:
+        drive = Drive(goals, np.zeros((1, 1)))
+        ((values,),) = robot.simulate_all([drive], TRUTH, [hidden])
+        noisy = values + SIGMA * np.random.default_rng(seed).standard_normal(values.shape)
+        times = 0.02 * np.arange(len(goals) + 1)
+        signals = {name: Signal(times[1:], noisy[:, i], "rad") for i, name in enumerate(("angle", "swing"))}
+        return Recording({"goal": Signal(times[:-1], goals, "rad")}, signals)
+
+    changed = Effect("viscous_friction", Location("joint", "swing"), {"damping": 0.002})
+    result = compare([moved(0, ())], [moved(1, (changed,))], robot)
+    explanation = result.explanation
+    assert explanation is not None and explanation.signal == "swing" and explanation.nothing < 0.01
+    (change,) = explanation.changes
+    assert (change.kind, change.location, change.probability > 0.9) == ("damping", changed.location, True)
+    assert change.estimates[0].value == pytest.approx(0.002, rel=0.1)
+    assert result.signals[0].verdict == "same" and summary(result).startswith("Changed")
 
 
 def test_the_command_asks_for_both_sides_and_writes_what_report_shows_again(

@@ -32,7 +32,7 @@ def compare(
     Args:
         before, after: recordings in SI units; each one after is compared with one before that has the same commands.
             Several of the same commands on one side show how far runs of one robot differ.
-        robot: simulated, to explain the difference of its signal; without one it is measured and tested only.
+        robot: simulated, to explain the difference of its signals; without one it is measured and tested only.
         seed: of the random numbers; the same seed gives the same result.
         progress: called with the name of every stage.
         settings: numbers of the method.
@@ -56,7 +56,8 @@ def compare(
         if found is None:
             raise RecordingError(f"both recordings need the signal {robot.signal!r} of the robot; "
                                  f"they have {', '.join(each.name for each in signals)}")  # fmt: skip
-        explanation = explained(robot.explaining([], []), pairs, seed, progress, settings)
+        others = [each for each in robot.others if each.name in {signal.name for signal in signals}]
+        explanation = explained(robot.explaining(others), pairs, seed, progress, settings)
     notes += [note for pair in pairs for note in pair.commands.notes]
     commands = tuple(
         CommandDifference(c.shift, c.rate, c.rms, c.largest, c.overlap) for c in (pair.commands for pair in pairs)

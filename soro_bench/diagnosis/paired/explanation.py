@@ -1,6 +1,7 @@
 """Which change between two recordings explains their difference, and how large it is."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -25,11 +26,12 @@ from soro_bench.diagnosis.paired.fit import (
 from soro_bench.diagnosis.paired.problem import PairedProblem, Point
 from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.result_parts import Estimate
-from soro_bench.diagnosis.robots.measured import Measured
+from soro_bench.diagnosis.robots.measured import Measured, ObservedSignal
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.forward_selection import Progress
 from soro_bench.diagnosis.settings import Settings
-from soro_bench.effects.effect import Location
+from soro_bench.effects.effect import EVERY, Location
+from soro_bench.recording.recording import RecordingError
 
 _MOST_STEPS = 1500  # control steps of all pairs that are simulated; the rest is compared without it
 _DRAWS = 400  # of the posterior, for intervals of sizes that are not linear in the unknowns
@@ -42,17 +44,19 @@ def explained(
     progress: Progress,
     settings: Settings,
 ) -> result.Explanation:
-    """The change that explains the difference of pairs of recordings.
+    """The change that explains the difference of pairs of recordings, in all signals of the robot that they have.
 
     Raises:
         RecordingError: a recording lacks something that the robot needs.
         SimulationError: the simulation diverges.
     """
+    robot, (sigma, *others) = _compared(robot, pairs, settings)
     before, after, notes = _measured(robot, pairs, settings)
     progress("fit of the parameters before the change")
-    sigma = max(data_quality(each, settings.data_quality).sigma for each in (*before, *after))
-    problem = PairedProblem(robot, before, after, _shared(robot), settings)
-    nominal, fit = nominal_fit(unexplained(robot, before, sigma, settings), [], seed)
+    sizes = [each.size for each in robot.signals]
+    scales = np.repeat([1.0, *(sigma / each for each in others)], sizes) if others else 1.0
+    problem = PairedProblem(robot, before, after, _shared(robot), settings, scales=scales)
+    nominal, fit = nominal_fit(unexplained(robot, before, sigma, settings, others), [], seed)
     nominal.check_finite(robot, nominal.simulated(robot, [(fit.x, ())]))
     start = np.concatenate([fit.x, np.zeros(sum(s.size for s in problem.shared))])
     problem, base = _before_change(problem, start, sigma, settings)
@@ -61,9 +65,27 @@ def explained(
     return search.explanation(tuple(notes))
 
 
+def _compared(robot: Robot, pairs: Sequence[Pair], settings: Settings) -> tuple[Robot, list[float]]:
+    """The robot with those of its other signals that move, and the noise of each signal.
+
+    Raises:
+        RecordingError: the first signal does not move, or has too few samples.
+    """
+    sides = [each for pair in pairs for each in (pair.before, pair.after)]
+    measured = [robot.measured(side) for side in sides]
+    kept: list[ObservedSignal] = []
+    noises = []
+    for which, signal in enumerate(robot.signals):
+        seen = [each.only(which, signal) for each in measured]
+        with suppress(*(RecordingError,) if which else ()):  # too few samples, or one value only: nothing to compare
+            noises.append(max(data_quality(each, settings.data_quality).sigma for each in seen))
+            kept += [replace(signal, reach=max(each.reach for each in seen))] if which else []
+    return robot.explaining(kept), noises
+
+
 def _shared(robot: Robot) -> tuple[Term, ...]:
     """Laws that both recordings have anyway: nearly every real robot is late, and the difference with it."""
-    late = term(robot, "sensor_delay", Location("sensor", robot.signal))
+    late = term(robot, "sensor_delay", Location("sensor", EVERY if robot.others else robot.signal))
     known = [(e.name, e.location) for e in robot.known]
     return () if (late.name, late.location) in known else (late,)
 
@@ -79,20 +101,15 @@ def _measured(
         count = min(len(one.time), len(two.time))
         if count > most:
             notes.append(f"the model explains the first {most * robot.control_timestep:.4g} s of a pair")
-        one, two = _until(one, min(count, most)), _until(two, min(count, most))
-        values = _without_outliers(two.values - one.values, settings)
-        second.append(replace(two, values=one.values + values))
+        one, two = (replace(each.first(min(count, most)), late=None) for each in (one, two))
+        values, *others = (
+            known + _without_outliers(new - known, settings)
+            for known, new in zip((one.values, *one.others), (two.values, *two.others), strict=True)
+        )
+        second.append(replace(two, values=values, others=tuple(others)))
         first.append(one)
         notes += [*one.notes]
     return tuple(first), tuple(second), list(dict.fromkeys(notes))
-
-
-def _until(measured: Measured, count: int) -> Measured:
-    """The first control steps."""
-    return replace(
-        measured, actions=measured.actions[:count], time=measured.time[:count], values=measured.values[:count],
-        settings=None if measured.settings is None else measured.settings[:count], late=None,
-    )  # fmt: skip
 
 
 def _without_outliers(values: Floats, settings: Settings) -> Floats:
@@ -244,18 +261,23 @@ class _Search:
             best = tuple(candidates[:1])
         if float(chances[0]) > max([unknown, *(each.probability for each in (*candidates, *best))]):
             best = ()
+        # told in numbers of the signal that differs most
+        which = max(range(len(robot.signals)), key=lambda i: problem.rms(self.base, i)[1] * problem.scale(i))
+        _, differs = problem.rms(self.base, which)
+        replay, remains = problem.rms(self.best.point if self.best else self.base, which)
+        signal = robot.signals[which]
         return result.Explanation(
             robot.name,
-            robot.signal,
-            robot.unit,
+            signal.name,
+            signal.unit,
             best,
             tuple(candidates),
             float(chances[0]),
             unknown,
             1.0 - float(left / max(nothing[1], 1e-300)),
-            float(np.sqrt(nothing[1] / count)),
-            float(np.sqrt(left / count)),
-            float(np.sqrt((self.best.squares[0] if self.best else nothing[0]) / max(problem.seen[0].sum(), 1))),
+            differs,
+            remains,
+            replay,
             independent,
             notes,
         )

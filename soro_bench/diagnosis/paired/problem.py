@@ -3,6 +3,7 @@
 Before the change, measured less simulated is noise plus the model's error. That error is in both recordings, so the
 difference is compared with the difference of two simulations, which is free of it to first order. Both parts count as
 much as they have independent samples: errors of a model are as slow as the motion, and neighbouring points share them.
+Numbers of other signals than the first are scaled so that their noise is that of the first one.
 """
 
 from collections.abc import Sequence
@@ -37,7 +38,7 @@ class PairedProblem:
 
     shared: laws that act in both recordings, whose coordinates follow the parameters. settings: of the method.
     sigma: of the model's error before the change, and of what is left of the difference [signal's unit]. share:
-    independent samples as shares of all, of both.
+    independent samples as shares of all, of both. scales: (C,) units of the first signal for one of each number's own.
     """
 
     robot: Robot
@@ -47,6 +48,7 @@ class PairedProblem:
     settings: Settings = DEFAULT
     sigma: tuple[float, float] = (1.0, 1.0)
     share: tuple[float, float] = (1.0, 1.0)
+    scales: Floats | float = 1.0
 
     @property
     def parameters(self) -> int:
@@ -56,7 +58,8 @@ class PairedProblem:
     @property
     def measured(self) -> tuple[Floats, Floats]:
         """(M,) before, and the differences (M,); NaN where missing."""
-        one, two = (np.concatenate([each.values.ravel() for each in some]) for some in (self.before, self.after))
+        sides = (self.before, self.after)
+        one, two = (np.concatenate([(each.columns * self.scales).ravel() for each in some]) for some in sides)
         return one, two - one
 
     @property
@@ -103,7 +106,7 @@ class PairedProblem:
         parts = self.robot.simulate_all(
             [each.drive for each in recordings], parameters, [side.effects for side in sides]
         )
-        return np.concatenate([part.reshape(len(sides), -1) for part in parts], axis=1)
+        return np.concatenate([(part * self.scales).reshape(len(sides), -1) for part in parts], axis=1)
 
     def residuals(self, points: Sequence[Point]) -> Floats:
         """(N, 2 M) residuals before and of the difference, each number counting as its independent share."""
@@ -122,9 +125,23 @@ class PairedProblem:
         half = rows.shape[1] // 2
         return np.stack([(rows[:, :half] ** 2).sum(axis=1), (rows[:, half:] ** 2).sum(axis=1)], axis=1)
 
+    def scale(self, which: int) -> float:
+        """Units of the first signal for one of a signal's own."""
+        first = sum(each.size for each in self.robot.signals[:which])
+        return float(np.broadcast_to(self.scales, self.robot.columns)[first])
+
+    def rms(self, point: Point, which: int) -> tuple[float, float]:
+        """Rms of a number of one signal [its unit] that a point leaves, before and of the difference."""
+        signals = np.repeat(np.arange(len(self.robot.signals)), [each.size for each in self.robot.signals])
+        own = np.concatenate([np.tile(signals == which, len(each.time)) for each in self.before])
+        rows = replace(self, sigma=(1.0, 1.0), share=(1.0, 1.0)).residuals([point])[0].reshape(2, -1)
+        counts = [max(float(seen[own].sum()), 1.0) for seen in self.seen]
+        one, two = (float(np.sqrt((row[own] ** 2).sum() / n)) for row, n in zip(rows, counts, strict=True))
+        return one / self.scale(which), two / self.scale(which)
+
     def split(self, samples: Floats) -> list[Floats]:
         """(M,) numbers as (T, C) of every recording."""
-        ends = np.cumsum([each.values.size for each in self.before])[:-1]
+        ends = np.cumsum([each.columns.size for each in self.before])[:-1]
         return [part.reshape(len(m.time), -1) for part, m in zip(np.split(samples, ends), self.before, strict=True)]
 
     def independent(self, left: Floats, seen: Bools) -> float:

@@ -119,11 +119,12 @@ class Change:
 
 @dataclass(frozen=True)
 class Explanation:
-    """What explains the difference of the robot's signal.
+    """What explains the difference of the robot's signals.
 
-    changes: the most probable set, fitted together. candidates: each alone, the most probable first. nothing, unknown:
-    probabilities that nothing has changed, and that what has is not among them. explained: share of the difference's
-    square by ``changes``. before, after: rms of a coordinate [signal's unit] of the difference, and of what is left.
+    signal, unit: of the one that differs most by its noise. changes: the most probable set, fitted together.
+    candidates: each alone, the most probable first. nothing, unknown: probabilities that nothing has changed, and that
+    what has is not among them. explained: share of the difference's square by ``changes``, in all signals. before,
+    after: rms of a coordinate [signal's unit] of the difference, and of what is left.
     replay: rms error of the fitted model on the recording before the change [signal's unit]; it is in both, and the
     difference is free of it to first order. informative: independent samples that the difference is worth.
     """

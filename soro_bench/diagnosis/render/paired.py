@@ -149,7 +149,7 @@ def _starts(found: SignalDifference) -> list[str]:
 
 def _explained(found: Explanation) -> list[str]:
     lines = [
-        line("model", f"explains {100 * found.explained:.0f} % of the difference of {found.signal}: "
+        line("model", f"explains {100 * found.explained:.0f} % of the difference, of {found.signal} "
                       f"{words.change(found.before, found.after, found.unit)} rms; its own error of "
                       f"{words.number(found.replay, found.unit)} is in both recordings"),
         "",
