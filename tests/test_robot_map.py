@@ -299,6 +299,16 @@ def test_markers_begin_at_the_joints_that_were_recorded_too(guessed):
     assert robot.measured(only).start.tolist() == [-2.0]
 
 
+def test_joints_of_several_signals_begin_at_their_own_first_samples(guessed):
+    angle = recorded(-2.0, action=np.zeros((STEPS, 2)))
+    way = Signal(TIME, 0.09 - 0.05 * np.linspace(0.0, 1.0, STEPS + 1), "m")
+    both = Recording(angle.commands, {"hinge": angle.signals["angles"], "slide": way})
+    _, table, robot = guessed(both)
+    assert table["signal"]["name"] == "hinge" and table["initial"]["joints"] == ["hinge"]
+    assert table["initial"]["signals"] == {"slide": {"joints": ["slide"]}}
+    assert robot.measured(both).start.ravel().tolist() == [-2.0, 0.09]
+
+
 def test_velocities_are_a_comment_where_the_recording_begins_elsewhere(guessed):
     recording = recorded(-2.0, action=np.zeros((STEPS, 2)))
     speed = Signal(TIME, np.ones(STEPS + 1), "rad/s")

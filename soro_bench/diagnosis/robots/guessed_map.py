@@ -250,12 +250,14 @@ class _Guess:
             names = ["the default position", *keys]
             why = "; as near: " + _shown([names[i] for i in equal if i != nearest]) if len(equal) > 1 else ""
             yield f"keyframe = {_text(names[nearest] if nearest else '')}   # the nearest of {_shown(names)}{why}"
-        if there or not np.isfinite(first).all():
-            return
-        yield from self._first_samples(best, float(misses[nearest]))
+        given = set(best.names if best.kind == "joints" else ())
+        if not there and np.isfinite(first).all():
+            yield from self._first_samples(best, float(misses[nearest]), given)
+        yield from self._other_joints(given, nearest - 1)
 
-    def _first_samples(self, best: _Match, miss: float) -> Iterator[str]:
-        """Joints that begin at the first sample of a signal; ``miss``: how far from there the model begins."""
+    def _first_samples(self, best: _Match, miss: float, given: set[str]) -> Iterator[str]:
+        """Joints that begin at the first sample of a signal, added to those ``given``; ``miss``: how far from there the
+        model begins."""
         if best.kind == "joints":
             yield f"joints = {_list(best.names)}   # the recording begins elsewhere"
             yield from self._speeds(best)
@@ -265,8 +267,23 @@ class _Guess:
             yield f"[initial.signals.{_key(begins[0])}]   # the recording begins elsewhere"
             yield f"joints = {_list(begins[1].names)}"
             yield from self._speeds(begins[1])
+            given.update(begins[1].names)
         else:
             yield f"# the recording begins {miss:.3g} from there, in the unit of the signal; settle, or give joints"
+
+    def _other_joints(self, given: set[str], keyframe: int) -> Iterator[str]:
+        """Other joints than those ``given`` that a signal shows to begin elsewhere than at a keyframe."""
+        assert self.recording is not None
+        for name, matches in self.matches.items():
+            match = next((each for each in matches if each.kind == "joints"), None)
+            if match is None or given & set(match.names):
+                continue
+            values = self.recording.signals[name].values.reshape(-1, len(match.ids))
+            miss, motion = np.abs(self._simulated(match, keyframe) - values[0]).max(), np.ptp(values, axis=0)
+            if miss > _BEGINS_THERE * float(np.nanmax(motion, initial=0.0)):
+                given.update(match.names)
+                yield f"[initial.signals.{_key(name)}]   # the recording begins elsewhere"
+                yield f"joints = {_list(match.names)}"
 
     def _speeds(self, match: _Match) -> Iterator[str]:
         """Comments: a signal that may be the velocities of joints."""
