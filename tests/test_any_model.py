@@ -166,6 +166,15 @@ def test_constant_controls_are_given_and_an_actuator_that_nothing_drives_is_said
         robot_of(f"{HAND_MAP}\n[fixed]\ngripper = 5")
 
 
+@pytest.mark.parametrize(("off", "said"), [("gripper", ""), ("motor", "commands of motor do nothing")])
+def test_commands_of_actuators_in_disabled_groups_are_told(robot_of, off, said):
+    model = HAND.replace("<option ", '<option actuatorgroupdisable="3" ')
+    model = model.replace(f'name="{off}"', f'name="{off}" group="3"')
+    notes = "\n".join(robot_of(HAND_MAP, model).notes)
+    assert said in notes and ("no command drives gripper" in notes) == (off != "gripper")
+    assert ("do nothing" in notes) == bool(said)
+
+
 def test_a_robot_of_constant_controls_needs_no_command(robot_of):
     mapping = re.sub(r"\[commands.goal\]\n.*\n", "[fixed]\nmotor = 0.2\n", HAND_MAP)
     falling = Recording({}, {"angle": Signal(0.02 * np.arange(20), np.linspace(0.0, 0.3, 20), "rad")})

@@ -181,11 +181,16 @@ class ModelRobot(Robot):
         said += [keyframes] if keyframes else []
         driven = fixed.union(*(command.actuators for command in self._commands))
         ignores = (model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED) & (model.actuator_gainprm[:, 0] == 0)
-        left = [i for i in range(model.nu) if i not in driven and not ignores[i]]
+        groups = np.clip(model.actuator_group, -1, 31)  # those of 0 to 30 can be disabled
+        off = (groups >= 0) & (groups < 31) & ((model.opt.disableactuator >> groups.clip(0)) & 1 == 1)
+        left = [i for i in range(model.nu) if i not in driven and not ignores[i] and not off[i]]
         where = "at their controls in the keyframe" if self._initial.keyframe >= 0 else "at 0"
         if left:
             names = _listed(model, mujoco.mjtObj.mjOBJ_ACTUATOR, left)
             said.append(f"no command drives {names}; held {where}; [fixed] gives other controls")
+        if idle := [i for i in sorted(driven) if off[i]]:
+            names = _listed(model, mujoco.mjtObj.mjOBJ_ACTUATOR, idle)
+            said.append(f"commands of {names} do nothing: actuatorgroupdisable of the model disables their group")
         if mocap := [i for i in range(model.nbody) if model.body_mocapid[i] >= 0]:
             names = _listed(model, mujoco.mjtObj.mjOBJ_BODY, mocap)
             said.append(f"mocap bodies stay where the model has them: {names}")
