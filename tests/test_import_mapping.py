@@ -286,6 +286,24 @@ def test_a_unit_of_time_that_no_robot_has_is_asked_for(read):
     assert notes == "signals.f: nothing came for 3.6e+03 s, 0.09 s after its first sample; [time] begin and until cut"
 
 
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("time_usec", "us"), ("t_millis", "ms"), ("timeMs", "ms"), ("TimeUS", "us"), ("time/ms", "ms"), ("t.us", "us"),
+     ("time-ms", "ms"), ("ms since start", "ms"), ("millis()", "ms"), ("time_nsec", "ns"), ("t_minutes", "min"),
+     ("sec_nanosec", ""), ("status", "")],
+)  # fmt: skip
+def test_a_unit_in_the_name_of_times_is_asked_for_where_the_mapping_has_none(read, name, unit):
+    x = '[signals.x]\ncolumns = ["x"]\nunit = "mm"\n'
+    table, mapping = f"{name},x\n0,1\n10,2\n", f'[time]\ncolumn = "{name}"\n'
+    if not unit:
+        assert read(table, mapping + x).signals["x"].time.tolist() == [0, 10]
+        return
+    with pytest.raises(RecordingError, match=says(f"says {unit}", f'unit = "{unit}"')):
+        read(table, mapping + x)
+    parts, units = f"s,{name},x\n0,0,1\n1,0,2\n", f'[time]\ncolumns = ["s", "{name}"]\nunits = ["s", "h"]\n'
+    assert f"says {unit}" in read(parts, units + x).metadata[NOTES]
+
+
 def test_a_unit_that_the_header_contradicts_is_said_and_a_mapping_is_utf_8(read, tmp_path):
     mapping = CLOCK + F.replace('["f"]', '["f [mN]"]')
     said = "signals.f: unit = 'N', and the name 'f [mN]' says mN; which one is right?"

@@ -11,7 +11,7 @@ import numpy as np
 
 from soro_bench.recording.importers.mapping import FileMapping, Source, load_mapping, texts, unit_doubt
 from soro_bench.recording.importers.tracks import signal_name
-from soro_bench.recording.importers.units import split_unit
+from soro_bench.recording.importers.units import split_unit, time_unit
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, MAX_ROWS
 
@@ -316,7 +316,7 @@ def _clock(names: Sequence[str], shapes: Mapping[str, np.ndarray]) -> _Clock:
     if named:
         name = (increasing or named)[0]
         doubt = "" if increasing else f"  # {ascii(name)[1:-1]} does not increase everywhere"
-        unit = split_unit(name)[1] or "s"
+        unit = time_unit(name.rpartition(".")[2]) or "s"
         units = [f'unit = "{unit}"  # or "s", "ms", "us", "ns"'] if shapes[name].dtype.kind not in "mM" else []
         return _Clock([f"array = {json.dumps(name)}{doubt}", *units], shapes[name].size, name)
     if matrix := next(filter(None, (_matrix(*item) for item in shapes.items())), None):

@@ -249,8 +249,8 @@ class _Reader:
             found = [self._unit_of_time(want.position, unit, key) for want, unit in zip(wants, found, strict=True)]
         if len(found) != count or (count > 1 and None in found):
             raise RecordingError(f'time in {count} columns needs {key} of each, such as {key} = ["s", "ns"]')
-        if count == 1:
-            self._spec.check_unit_of_time(self._table.header[wants[0].position], found[0], key)
+        for want, unit in zip(wants, found, strict=True):
+            self._spec.check_unit_of_time(self._table.header[want.position], unit, key)
         return found
 
     def _unit_of_time(self, position: int, said: str | None, key: str) -> str | None:

@@ -12,7 +12,7 @@ from soro_bench.recording.importers.clock import overflowed
 from soro_bench.recording.importers.guess_layout import Column, layout
 from soro_bench.recording.importers.source import counter_period, seen_wraps
 from soro_bench.recording.importers.tracks import signal_name
-from soro_bench.recording.importers.units import UNITS, in_brackets, of_text, si, split_unit
+from soro_bench.recording.importers.units import UNITS, in_brackets, of_text, si, split_unit, time_unit
 from soro_bench.recording.recording import RecordingError
 from soro_bench.recording.untrusted import MAX_BYTES, named_errors, read_bytes
 
@@ -201,7 +201,7 @@ def _is_clock(column: Column) -> bool:
 def _time_unit(column: Column) -> tuple[str, str]:
     """The unit of a clock, and why."""
     row = of_text(column.unit) if column.unit else None
-    own = split_unit(column.name)[1] or of_text(column.name)
+    own = time_unit(column.name)
     for said, reason in ((row, _ROW), (own, "from its name")):
         if said and si(said)[0] == "s":
             return said, reason

@@ -11,7 +11,7 @@ import numpy as np
 from soro_bench.files import parsed_toml, shown
 from soro_bench.recording.importers.clock import ORDERS, chosen, continued, overflowed
 from soro_bench.recording.importers.source import Source, check_keys, positive, read_source, unwrapped, when_left
-from soro_bench.recording.importers.units import of_text, si, split_unit
+from soro_bench.recording.importers.units import si, split_unit, time_unit
 from soro_bench.recording.recording import MAX_SIGNALS, MAX_TEXT, NOTES, Recording, RecordingError, Signal, check_name
 from soro_bench.recording.untrusted import named_errors, read_bytes
 
@@ -75,8 +75,8 @@ class FileMapping:
         Raises:
             RecordingError: the mapping has no unit, and the name another one than s.
         """
-        own = split_unit(name)[1] or of_text(name)
-        if own is None or si(own)[0] != "s" or si(own) == si(unit or "s"):
+        own = time_unit(name)
+        if own is None or si(own) == si(unit or "s"):
             return
         if unit is None:
             raise RecordingError(

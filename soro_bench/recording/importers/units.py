@@ -37,7 +37,8 @@ def si(unit: str) -> tuple[str, float]:
 
 _NAMES = {
     "\u00b0": "deg", "\u00ba": "deg", "degree": "deg", "degrees": "deg", "\u00b0/s": "deg/s", "deg/sec": "deg/s",
-    "radian": "rad", "radians": "rad", "rad/sec": "rad/s", "rev/min": "rpm", "u/min": "rpm", "1/min": "rpm",
+    "dps": "deg/s", "radian": "rad", "radians": "rad", "rad/sec": "rad/s", "rev/min": "rpm", "u/min": "rpm",
+    "1/min": "rpm",
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds", "sek", "sekunde", "sekunden"), "s"),
     **dict.fromkeys(("ms", "msec", "msecs", "millis", "millisec", "millisecond", "milliseconds",
                      "millisekunden"), "ms"),
@@ -51,7 +52,8 @@ _NAMES = {
     "n*mm": "mNm", "nmm": "mNm", "pascal": "Pa", "pa": "Pa", "hz": "Hz", "v": "V", "volt": "V", "volts": "V", "a": "A",
     "amp": "A", "amps": "A", "-": "1", "": "1", "none": "1", "a.u.": "1", "bool": "1", "percent": "%",
     "\u03a9": "ohm", "kelvin": "K", "meter": "m", "meters": "m", "metre": "m", "metres": "m",
-    "centimeters": "cm", "centimetres": "cm", "millimeters": "mm", "millimetres": "mm", "mm": "mm", "cm": "cm",
+    **dict.fromkeys(("centimeter", "centimeters", "centimetres"), "cm"),
+    **dict.fromkeys(("millimeter", "millimeters", "millimetres"), "mm"), "mm": "mm", "cm": "cm",
     "m": "m",
 }  # fmt: skip
 
@@ -64,6 +66,10 @@ def of_text(text: str) -> str | None:
 
 _BRACKETS = re.compile(r"^(.*?)\s*[\[(]([^\])]*)[\])]\s*$")
 _SHORT = ("1", "%", "in", "l", "g", "min", "h", "d")  # endings that rarely mean a unit
+_ORDINARY = ("second", "meter", "metre", "day", "none", "-")  # words that as rarely do
+_DIVIDED = re.compile(r"^(?=.*?(\s/\s|\sin\s)|)([^/]*?\S)\s*(?:/|\sin\s)\s*(\S+)$")
+_MARKED = re.compile(r"^(.*[^\s_.,:-])[\s_.,:-]+([^\s_,:-]+?)_*$")
+_CAMEL = re.compile(r"^(.*[a-z0-9])([A-Z][A-Za-z]+|\u00b0)$")
 
 
 def in_brackets(name: str) -> tuple[str, str] | None:
@@ -72,8 +78,8 @@ def in_brackets(name: str) -> tuple[str, str] | None:
 
 
 def split_unit(name: str) -> tuple[str, str | None]:
-    """A name in a header without its unit, and the unit: of "q [deg]", "pos_mm" or "speed_rad_s". A ratio of units that
-    is none of UNITS, as in "compliance_mm_N", is not taken for the last of them."""
+    """A name in a header without its unit, and the unit: of "q [deg]", "pos_mm", "speed_rad_s", "F / N", "x in mm" or
+    "angleDeg". A ratio of units that is none of UNITS, as in "compliance_mm_N", is not taken for the last of them."""
     found = in_brackets(name)
     if found and found[1].isdecimal():  # an index
         return "".join(found), None
@@ -92,7 +98,41 @@ def split_unit(name: str) -> tuple[str, str | None]:
         for text in ("_".join(ending), "/".join([*ending[:-1], re.sub(r"(?<=s)2$", "^2", ending[-1])])):
             if _is_unit(text):
                 return "_".join(parts[:-count]), text
+    return (name, None) if ratio else _written_unit(name)
+
+
+def _written_unit(name: str) -> tuple[str, str | None]:
+    """A name without the unit that is written behind a blank, a slash or another mark, or as a word."""
+    found = _DIVIDED.match(name)
+    unit = _ending(found[3], 1) if found else None
+    if found and unit and (found[1] or (unit != "s" and not _ending(re.split(r"[\W_]", found[2])[-1], 1))):
+        return found[2], unit  # as physicists write quantities, and no ratio of two units
+    for pattern, least in ((_MARKED, 2), (_CAMEL, 2)):
+        unit = _ending(found[2], least) if (found := pattern.match(name)) else None
+        if found and unit and (si(unit)[0] != "s" or found[2].lower() in UNITS):  # "tv_sec" is a name of times
+            return found[1], unit
     return name, None
+
+
+def _ending(text: str, least: int) -> str | None:
+    """The unit that an ending of at least so many letters means; None for what rarely means one."""
+    if text in UNITS:
+        return text if len(text) >= least and text not in _SHORT else None
+    if (lower := text.lower()) in _ORDINARY or (len(text) < 3 and text.isalpha() and lower not in UNITS):
+        return None
+    unit = lower if lower in UNITS and lower not in _SHORT else _NAMES.get(lower)
+    return None if unit == "1" else unit
+
+
+def time_unit(name: str) -> str | None:
+    """The unit that a name of times says somewhere, such as "TimeUS", "t/ms" or "ms since start"; None for several."""
+    found = in_brackets(name)
+    words = re.split(r"[^A-Za-z\u00b5\u03bc]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name))
+    units = {unit for word in words if (unit := _ending(word, 2)) and si(unit)[0] == "s"}
+    if (found and found[1]) or not units:
+        unit = split_unit(name)[1] or of_text(name)
+        return unit if unit and si(unit)[0] == "s" else None
+    return units.pop() if len(units) == 1 else None
 
 
 def _is_unit(text: str) -> bool:
