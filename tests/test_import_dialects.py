@@ -114,6 +114,7 @@ def test_columns_between_blanks(read, table):
         ("2024-06-27T23:59:59Z|2024-06-28T02:00:00.5+02:00", "", [0, 1.5]),
         ("27.06.2024 10:11:02|27.06.2024 10:11:03", "", [0, 1]),
         ("27-Jun-2024 10:11:02|27-JUN-2024 10:11:03", "", [0, 1]),
+        ("27-Okt-2024 10:11:02 GMT|27-OCT-2024 10:11:03 GMT", "", [0, 1]),
         ("20240627T101102.5Z|20240627_101103Z", "", [0, 0.5]),
         ("2024-06-27 10:11:02+02|2024-06-27 08:11:03Z", "", [0, 1]),
         ("2:59.5|3:00.25", "", [0, 0.75]),
@@ -139,6 +140,7 @@ def test_dates_and_times(read, stamps, entries, expected):
         ("2024-06-27 10:11:02|2024-06-27 10:11:03Z", "", ("line 3", "a zone")),
         ("2024-06-27 10:11:02|soon", "", ("line 3", "'soon'", "no time such as")),
         ("2024-13-27 10:11:02|", "", ("line 2", "no date")),
+        ("27-Foo-2024 10:11:02|", "", ("line 2", "no date", "months are jan")),
         ("06/27/2024 10:11:02|", "", ("line 2", "date = ", "day/month/year")),
         ("06/27/2024 10:11:02|", 'date = "us"', ("date = 'us'", "day/month/year")),
         ("0|1", 'date = "day/month/year"', ("date has no effect",)),
@@ -171,6 +173,31 @@ def test_a_date_and_a_time_of_day_in_two_columns(read):
     mapping = '[time]\ncolumns = ["d", "t"]\n' + X
     recording = read("d,t,x\n2024-06-27,23:59:59,1\n2024-06-28,00:00:01,2\n", mapping)
     np.testing.assert_allclose(recording.signals["x"].time, [0, 2])
+
+
+@pytest.mark.parametrize("words", [("WAHR", "FALSCH"), ("vrai", "faux"), ("ON", "OFF")])
+def test_truth_values_of_office_programs_and_switches(read, words):
+    recording = read(f"t,x,u\n0,1,{words[0]}\n1,2,{words[1]}\n", CLOCK + X + U)
+    assert recording.commands["u"].values.tolist() == [1, 0]
+
+
+@pytest.mark.parametrize(
+    ("table", "entries", "parts"),
+    [
+        ('t,x\n0,"1,234.5"\n', "", ("line 2", "separators of thousands")),
+        ("t;x\n0;1.234,5\n", 'delimiter = ";"\ndecimal = ","\n', ("line 2", "separators of thousands")),
+        ("t;x\n0;1 234,5\n", 'delimiter = ";"\ndecimal = ","\n', ("line 2", "separators of thousands")),
+        ("t;x\n0;1,5\n", 'delimiter = ";"\n', ("line 2", "decimal = ")),
+        ("t;x\n0;a, b\n1;2\n", 'delimiter = ";"\n', ("line 2", "[format] missing")),
+        ("t,x\n0,1\n", "header = false\n", ("line 1", "leave [format] header = false out")),
+        ("t,x\ns,mm\ntime,way\n0,1\n", 'unit_row = "take"\n', ("line 3", "header = false and skip_rows")),
+        ("t,x\n0,1\n1,2\n", 'unit_row = "skip"\n', ("unit_row = 'skip'", "has numbers")),
+    ],
+)
+def test_the_message_on_a_cell_says_what_helps(read, table, entries, parts):
+    mapping = '[time]\ncolumn = "1"\n[signals.x]\ncolumns = ["2"]\nunit = "mm"\n' if "false" in entries else CLOCK + X
+    with pytest.raises(RecordingError, match=says(*parts)):
+        read(table, f"[format]\n{entries}" + mapping)
 
 
 def test_a_row_of_units(read):
@@ -209,7 +236,10 @@ def test_columns_of_one_name_are_chosen_by_number(read):
         read(table, "[time]\ncolumn = 5\n" + X)
 
 
-@pytest.mark.parametrize("word", ["inf", "-inf", "#N/A", "#DIV/0!", "-nan(ind)", "1.#QNAN", "NULL", "NaN", ""])
+@pytest.mark.parametrize(
+    "word",
+    ["inf", "-inf", "#N/A", "#DIV/0!", "-nan(ind)", "1.#QNAN", "-1.#IND00", "#NV", "#WERT!", "#N/D", "NULL", "NaN", ""],
+)
 def test_what_is_no_finite_number_is_missing(read, word):
     recording = read(f"t,x\n0,1\n1,{word}\n2,3\n", CLOCK + X)
     assert (recording.signals["x"].time.tolist(), values(recording)) == ([0, 2], [1, 3])

@@ -15,9 +15,10 @@ DATE_ORDERS = ("day/month/year", "month/day/year")
 NO_STAMP = np.iinfo(np.int64).min
 _DATE = re.compile(r"(\d{4})[-/.](\d{1,2})[-/.](\d{1,2})|(\d{1,2})([./-])(\w{1,3})[./-](\d{4})")
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
+_GERMAN = {"m\u00e4r": "mar", "mrz": "mar", "mai": "may", "okt": "oct", "dez": "dec"}
 _STAMP = re.compile(
     r"(?:(\d\S*?\d)[T_ ]+)?(\d{1,2}):([0-5]\d)(?::([0-5]\d|60)(?:[.,](\d{1,12}))?)? ?([AaPp][Mm])? ?"
-    r"(Z|UTC|[+-]\d\d(?::?\d\d)?)?"
+    r"(Z|UTC|GMT|[+-]\d\d(?::?\d\d)?)?"
 )
 _MINUTES = re.compile(r"([0-5]?\d):([0-5]\d(?:[.,]\d{1,12})?)")  # and seconds: a log of hours and minutes is too slow
 _COMPACT = re.compile(r"^(\d{4})(\d\d)(\d\d)[T_](\d\d)(\d\d)(\d\d)")
@@ -174,9 +175,12 @@ class Stamps:
         if found[1]:
             return int(found[1]), int(found[2]), int(found[3])
         first, mark, second, year = found[4], found[5], found[6], int(found[7])
-        if second.lower() in _MONTHS:
-            return year, _MONTHS.index(second.lower()) + 1, int(first)
-        if not second.isdecimal() or (mark != "." and not self._order):
+        month = _GERMAN.get(second.lower(), second.lower())
+        if month in _MONTHS:
+            return year, _MONTHS.index(month) + 1, int(first)
+        if not second.isdecimal():
+            raise RecordingError(f"{ascii(date)[:40]} is no date; months are {', '.join(_MONTHS)}, or numbers")
+        if mark != "." and not self._order:
             raise RecordingError(f"{ascii(date)[:40]}: month or day first? write [time] date = "
                                  f"{' or '.join(map(repr, DATE_ORDERS))}")  # fmt: skip
         day_first = mark == "." or self._order == DATE_ORDERS[0]

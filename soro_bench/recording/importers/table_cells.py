@@ -23,6 +23,10 @@ from soro_bench.recording.untrusted import MAX_ROWS
 _MAX_CELLS = 50_000_000  # that a mapping asks for
 _BLOCK = 4_000_000  # letters that are read at once
 _NO_SIGN = re.compile(rb"\+(?![0-9.])")
+_COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+_GROUPED = re.compile(
+    r"[+-]?\d{1,3}(,\d{3})+\.\d+|[+-]?\d{1,3}(\.\d{3})+(,\d+)?|[+-]?\d{1,3}(['\u2019\s]\d{3})+([.,]\d+)?"
+)  # thousands
 _ROWS = 20_000  # that are read at once where cells have quotation marks
 _NEWLINE, _QUOTE = b'\n"'
 
@@ -247,13 +251,20 @@ class _Rows:
         return number
 
     def _hint(self, cell: str, i: int) -> str:
-        if "," in cell and self._table.decimal == ".":
-            return 'of decimal commas [format] says decimal = ","'
+        table = self._table
+        if _GROUPED.fullmatch(cell):
+            return f"separators of thousands are not read: export the table without them; decimal is {table.decimal!r}"
+        if _COMMA.fullmatch(cell) and table.decimal == ".":
+            return 'of decimal commas [format] says decimal = ",", and separators of thousands are not read'
         if ":" in cell:
             return "times are read if they are written as 2024-06-27T10:11:02.5Z or 10:11:02.5"
-        if self.lines[i] == self._table.line and not any(_is_number(each) for each in self._rows[i]):
-            return 'of a row of units [format] says unit_row = "take" or "skip"'
-        return "what stands for a missing one belongs into [format] missing, or into missing at one signal"
+        if self.lines[i] != table.line or any(_is_number(each) for each in self._rows[i]):
+            return "what stands for a missing one belongs into [format] missing, or into missing at one signal"
+        if table.header == [str(number + 1) for number in range(len(table.header))]:
+            return "if the row is a header, leave [format] header = false out"
+        if table.unit_row:
+            return "of more rows before the numbers [format] says header = false and skip_rows, and columns are numbers"
+        return 'of a row of units [format] says unit_row = "take" or "skip"'
 
 
 def _is_number(cell: str) -> bool:

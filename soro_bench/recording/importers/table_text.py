@@ -21,8 +21,10 @@ ENCODINGS = (
 )  # fmt: skip
 MISSING = frozenset((
     "", "nan", "+nan", "-nan", "nan(ind)", "-nan(ind)", "-nan(snan)", "1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind",
-    "1.#inf", "-1.#inf", "inf", "+inf", "-inf", "infinity", "+infinity", "-infinity", "na", "n/a", "#n/a", "<na>",
+    "1.#inf", "-1.#inf", "1.#qnan0", "-1.#qnan0", "1.#ind00", "-1.#ind00", "1.#inf00", "-1.#inf00",
+    "inf", "+inf", "-inf", "infinity", "+infinity", "-infinity", "na", "n/a", "#n/a", "<na>", "n. def.",
     "null", "none", "#div/0!", "#value!", "#ref!", "#num!", "#name?", "#null!",
+    "#nv", "#wert!", "#bezug!", "#zahl!", "#n/d", "#valeur!", "#nombre!", "#nom?", "#nul!",
 ))  # fmt: skip
 MAX_LETTERS = 1_000_000  # of a row, as every cell of it is a text of its own before they are counted
 _SEP = re.compile(r"sep=(.)\n?", re.IGNORECASE)  # the first line of what Excel writes
@@ -30,7 +32,7 @@ _LOOKED_AT = 1000  # lines before the last one, that it is compared with
 # by the bytes that a file begins with
 _PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, such as an Excel workbook", b"\x28\xb5\x2f\xfd": "zstd"}
 _WIDE = 0.3  # of the bytes of text are zeros, where each letter takes two
-_TRUTHS = {"true": "1", "false": "0"}
+_TRUTHS = {"true": "1", "false": "0", "wahr": "1", "falsch": "0", "vrai": "1", "faux": "0", "on": "1", "off": "0"}
 _MINUS = "\u2212"  # that office programs write before numbers
 _ZERO, _END = "\x00", "\x1a"  # where the power was lost; the end of a file in DOS
 
@@ -47,6 +49,7 @@ class TableText:
     delimiter: str
     decimal: str
     note: str  # what has been left out at the end
+    unit_row: bool = False  # whether a row after the header is taken for units, or skipped
 
     def lines(self) -> "Lines":
         """The lines of all rows."""
@@ -117,6 +120,8 @@ def read_text(data: bytes, options: Mapping[str, Any]) -> TableText:
     if not has_header:
         first, (lines.position, lines.count) = [str(i + 1) for i in range(len(first))], before
     units = _first(lines, delimiter) if unit_row else []
+    if any(units) and all(value(cell) is not None for cell in units if cell):
+        raise RecordingError(f"{label} unit_row = {unit_row!r}, and the row after the header has numbers; leave it out")
     units += [""] * (len(first) - len(units))
     table = TableText(
         text,
@@ -127,6 +132,7 @@ def read_text(data: bytes, options: Mapping[str, Any]) -> TableText:
         delimiter,
         decimal,
         note,
+        bool(unit_row),
     )
     return _without_cut_line(table)
 
