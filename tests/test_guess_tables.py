@@ -78,6 +78,13 @@ def test_the_layout_of_rows(guessed, text, options):
     assert mapping["commands"]["u"]["columns"] == ["u"]
 
 
+@pytest.mark.parametrize(("header", "row"), [("0,1,2", "{t},{i},1.0"), (",0,1,2", "{i},{t},{i},1.0")])
+def test_a_header_that_counts_columns(guessed, header, row):
+    mapping, recording = guessed(table(header, row))
+    assert ("format" in mapping, len(recording.signals)) == (False, 2)
+    assert mapping["time"]["column"] == "0"
+
+
 def test_a_table_without_a_header(guessed):
     """Seconds and nanoseconds of ROS, a frame, numbers."""
     rows = [f"1719433753,{10_000_000 * i},base,{i}.5" for i in range(50)]
@@ -96,6 +103,8 @@ def test_a_table_without_a_header(guessed):
         ("micros", "{i}0000", "us"),
         ("time", "{i}0000", "us"),
         ("time", "{i}0", "ms"),
+        ("t", "429{i:03d}0000", "us"),
+        ("t", "42949660{i:02d}", None),
         ("t_ms", "{i}0.5", "ms"),
         ("stamp", "2024-06-27 10:11:02.{i:03d}", None),
     ],

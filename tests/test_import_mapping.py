@@ -270,6 +270,25 @@ def test_a_counter_that_overflows_is_unwrapped_and_said(read, bits, first):
     assert f"a clock of {bits} bits that are unwrapped: 1" in recording.metadata[NOTES]
 
 
+@pytest.mark.parametrize(("begin", "moved"), [(2, False), (6, True)])
+def test_a_second_clock_that_begins_after_the_overflow_of_the_first_goes_on_with_it(read, begin, moved):
+    stamps = [(2**32 - 45_000 + 10_000 * i) % 2**32 for i in range(10)]
+    table = "t,f,tu,u\n" + "".join(
+        f"{stamp},{i},{f'{(stamp + 500) % 2**32},{i}' if i >= begin else ','}\n" for i, stamp in enumerate(stamps)
+    )
+    recording = read(table, CLOCK + 'unit = "us"\n' + F + '[commands.u]\ncolumns = ["u"]\ntime = "tu"\nunit = "1"\n')
+    np.testing.assert_allclose(recording.signals["f"].time, 0.01 * np.arange(10), atol=1e-9)
+    np.testing.assert_allclose(recording.commands["u"].time, 0.01 * np.arange(begin, 10) + 0.0005, atol=1e-9)
+    assert ("overflowed before its first sample" in recording.metadata[NOTES]) == moved
+
+
+@pytest.mark.parametrize("stamps", ["58,59,0,1", "6.51,6.53,0.01", "990,995,0,5"])
+def test_a_clock_that_begins_anew_at_another_number_is_told_about_period(read, stamps):
+    table = "t,f\n" + "".join(f"{stamp},0\n" for stamp in stamps.split(","))
+    with pytest.raises(RecordingError, match=says("order = ", "period = ")):
+        read(table, CLOCK + F)
+
+
 def test_a_clock_of_another_period_is_unwrapped_on_request(read):
     recording = read("t,f\n58,0\n59,1\n0,2\n1,3\n", CLOCK + "period = 60\n" + F)
     np.testing.assert_allclose(recording.signals["f"].time, range(4))

@@ -27,11 +27,12 @@ _LONGEST = 64  # letters of a time stamp
 _LATEST = 9.2e9  # s, whose nanoseconds fit into 64 bits
 _YEARS = 1678, 2261  # whose nanoseconds since 1970 fit into 64 bits
 _EPOCH = datetime.date(1970, 1, 1).toordinal()
+_ANEW = 0.9  # of all times a step back at least goes where a clock begins anew
 _SOON = 10  # median steps, within which a counter goes on after it has overflowed
 
 
-def overflowed(numbers: np.ndarray) -> tuple[np.ndarray, str]:
-    """(T,) numbers of a clock of 16, 24 or 32 bits as if it never overflowed, and what there is to say.
+def overflowed(numbers: np.ndarray) -> tuple[np.ndarray, str, float]:
+    """(T,) numbers of a clock of 16, 24 or 32 bits as if it never overflowed, what there is to say, and its period.
 
     Its ticks may have been turned into milliseconds or seconds, by thousands. Every step back by more than half of the
     range has to be an overflow; otherwise the numbers stay as they are. Smaller steps back stay.
@@ -39,7 +40,7 @@ def overflowed(numbers: np.ndarray) -> tuple[np.ndarray, str]:
     steps = np.diff(numbers)
     on = steps[steps > 0]
     if on.size in (0, steps.size):
-        return numbers, ""
+        return numbers, "", 0.0
     whole = (numbers == np.rint(numbers)).all()
     for bits in _COUNTERS if whole else (_COUNTERS[-1],):
         for tick in (1.0,) if whole else _TICKS:
@@ -49,8 +50,8 @@ def overflowed(numbers: np.ndarray) -> tuple[np.ndarray, str]:
             back = steps[steps < -period / 2]
             if within and back.size and (back + period < _SOON * np.median(on)).all():
                 said = f"overflows of a clock of {bits} bits that are unwrapped: {back.size}"
-                return unwrapped(numbers, period), said
-    return numbers, ""
+                return unwrapped(numbers, period), said, period
+    return numbers, "", 0.0
 
 
 def continued(time: np.ndarray) -> tuple[np.ndarray, str]:
@@ -101,6 +102,8 @@ def _complaint(time: np.ndarray, steps: np.ndarray, rows: np.ndarray | None) -> 
     place = f"row {i + 1}" if rows is None else f"line {rows[i + 1]}"
     same, back = int((steps == 0).sum()), int((steps < 0).sum())
     others = 'or "continue" (a clock that was set back goes on)' if back else "or leave the times out and write rate"
+    if back and time.dtype.kind == "f" and (-steps[steps < 0] > _ANEW * np.ptp(time)).all():
+        others += ", or period = ... if it begins anew at a number such as 60 or 65536"
     return (
         f"time does not increase in {place}: {time[i + 1]} follows {time[i]}; "
         f"stamps that repeat: {same}, that go back: {back}; "

@@ -148,6 +148,8 @@ def _rows_before(rows: list[list[str]], decimal: str, delimiter: str) -> dict[st
     )
     if data is None:
         raise RecordingError("no row of numbers is found; a table of text has rows of numbers between delimiters")
+    if data + 1 < len(rows) and _is_counted(rows[data]) and not all(cell.isdigit() for cell in rows[data + 1]):
+        return {"skip_rows": data} if data else {}  # a header of numbers
     above = [i for i in range(data) if any(rows[i])]
     if delimiter == "," and above and _split_decimals(rows[above[-1]], rows[data]):
         raise RecordingError(f"{len(rows[above[-1]])} names stand above {len(rows[data])} cells; are these decimal "
@@ -158,6 +160,12 @@ def _rows_before(rows: list[list[str]], decimal: str, delimiter: str) -> dict[st
     if len(above) > 1 and _is_units(rows[above[-1]]) and abs(_named(rows[above[-2]], delimiter) - len(rows[data])) <= 1:
         header, options = above[-2], {"unit_row": "take"}
     return ({"skip_rows": header} if any(any(row) for row in rows[:header]) else {}) | options
+
+
+def _is_counted(row: list[str]) -> bool:
+    """Whether cells count the columns from 0, as programs write that know no names; there may be one of the index."""
+    said = row if all(row) else row[1:]
+    return len(said) > 2 and said == [str(i) for i in range(len(said))]
 
 
 def _split_decimals(names: list[str], cells: list[str]) -> bool:

@@ -23,6 +23,7 @@ _COMMAND = re.compile(
     r"control|demand|pwm|duty|enable|enabled|u\d*)s?([^a-z].*)?"
 )
 _EPOCH = 1e9, 1e10  # s since 1970 of the years 2001 to 2286
+_SELDOM = 5.0  # s between stamps since 1970 at most; a counter of smaller units may be as large
 _STEPS = ("s", 1e-5, 2.0), ("ms", 2.0, 2e3), ("us", 2e3, 2e5), ("ns", 2e5, 1e12)  # the step that each unit has
 _HELD = 0.8  # of the samples of a command are as the one before
 _ON, _BACK = 0.01, 0.05  # of the steps of a clock go on at least, and back at most
@@ -206,11 +207,12 @@ def _time_unit(column: Column) -> tuple[str, str]:
         if said and si(said)[0] == "s":
             return said, reason
     numbers = column.numbers[np.isfinite(column.numbers)]
-    for unit in _CLOCK:
-        if _EPOCH[0] < numbers[0] * UNITS[unit][1] < _EPOCH[1]:
-            return unit, "from its size: a time since 1970"
     steps = np.diff(numbers)
     step = float(np.median(np.abs(steps[steps != 0])))
+    for unit in _CLOCK:
+        factor = UNITS[unit][1]
+        if _EPOCH[0] < numbers[0] * factor < _EPOCH[1] and step * factor < _SELDOM:
+            return unit, "from its size: a time since 1970"
     if (numbers == np.rint(numbers)).all():
         for unit, least, most in _STEPS:
             if least <= step < most:

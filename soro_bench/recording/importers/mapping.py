@@ -60,6 +60,7 @@ class FileMapping:
     metadata: dict[str, str] = field(default_factory=dict)
     order: str = "refuse"  # one of ORDERS, where [time] says none
     notes: Notes = field(default_factory=Notes, compare=False)
+    periods: list[float] = field(default_factory=list, compare=False)  # s, of clocks that have overflowed
 
     def to_seconds(self, unit: str | None = None) -> float:
         """What a number of a unit, or of [time] unit, is [s]."""
@@ -92,7 +93,8 @@ class FileMapping:
         if "period" in self.time:
             numbers, note = unwrapped(numbers, positive("[time] period", self.time["period"])), ""
         else:
-            numbers, note = overflowed(numbers)
+            numbers, note, period = overflowed(numbers)
+            self.periods.extend([self.to_seconds(unit) * period] if period else [])
         self.notes.add("[time]", note)
         return self.to_seconds(unit) * numbers
 
@@ -137,6 +139,7 @@ class FileMapping:
                     self.notes.add(label, f"{infinite.sum()} infinite numbers are taken as missing")
                     numbers = np.where(infinite, np.nan, numbers)
                 found[group, name] = _named(label, self._ordered, label, source, time, numbers, *rows)
+        found = self._overflowed_before(found)
         begins = {".".join(key): float(seconds(time[0])) for key, (time, *_) in found.items() if len(time)}
         _check_clocks(begins)
         if min(begins.values(), default=0.0) > _LATEST:
@@ -159,6 +162,18 @@ class FileMapping:
         if lines := self.notes.lines():
             about[NOTES] = "\n".join(lines)[:MAX_TEXT]
         return Recording(groups["commands"], groups["signals"], self.parameters, {**about, **self.metadata})
+
+    def _overflowed_before(self, found: dict[tuple[str, str], tuple]) -> dict[tuple[str, str], tuple]:
+        """Samples with times [s] of a clock that overflowed before the first of them, moved to those beside."""
+        period = max(self.periods, default=0.0)
+        ends = {key: (time[0], time[-1]) for key, (time, *_) in found.items() if len(time) and time.dtype.kind == "f"}
+        last = max((end for _, end in ends.values()), default=0.0)
+        first = min((begin for begin, end in ends.values() if end > last - period / 2), default=0.0)
+        for key, (begin, end) in ends.items() if period else ():
+            if end < first <= end + period and begin + period < last:
+                found[key] = found[key][0] + period, *found[key][1:]
+                self.notes.add(".".join(key), f"its clock overflowed before its first sample: {period:g} s are added")
+        return found
 
     def _check_effects(self) -> None:
         """Refuse entries of [time] that would do nothing."""
