@@ -299,6 +299,10 @@ def test_missing_numbers(tmp_path):
     np.testing.assert_array_equal(signal.values[:, 0], [np.nan] * 8 + [7, 8.5])
     assert "2 infinite numbers are taken as missing" in notes
     assert not read(tmp_path, [{"position": ["NaN", 1]}, {"position": [1, 1]}])[1]
+    signal, _ = read(tmp_path, [{"position": [value]} for value in (1, None, "NaN", 4)])
+    assert (signal.values.tolist(), np.round(signal.time, 9).tolist()) == ([1, 4], [0, 0.03])
+    with pytest.raises(RecordingError, match="no message has a number"):
+        read(tmp_path, [{"position": [None]}])
 
 
 STAMPS = {
@@ -310,6 +314,7 @@ STAMPS = {
     "text": lambda ns: f"{ns // 10**9}.{ns % 10**9:09d}",
     "ns": lambda ns: ns,
     "ns as text": lambda ns: str(ns),
+    "whole floats": lambda ns: {"sec": float(ns // 10**9), "nanosec": float(ns % 10**9)},
 }
 
 
@@ -322,6 +327,34 @@ def test_stamps_of_every_form(tmp_path, form):
     exact = 1e-6 if form == "text" else 1e-9  # it is a number of 1.7e9 s
     np.testing.assert_allclose(recording.signals["q"].time, 0.01 * np.arange(10) ** 2, rtol=0, atol=exact)
     assert float(recording.metadata["start_time"]) == pytest.approx(START / 1e9, abs=1e-6)
+
+
+@pytest.mark.parametrize(("unit", "bits", "tick"), [("us", 32, STEP // 1000), ("ms", 32, 10), ("ms", 16, 10)])
+def test_a_stamp_of_a_counter_that_overflows_is_unwrapped_and_said(tmp_path, unit, bits, tick):
+    contents = [{"t": (2**bits - 20 * tick + k * tick) % 2**bits, "position": [k]} for k in range(40)]
+    write_json(tmp_path / "a.mcap", ((START + k * STEP, content) for k, content in enumerate(contents)))
+    recording = import_recording(tmp_path / "a.mcap", {**mapping(time="t"), "time": {"unit": unit}})
+    np.testing.assert_allclose(recording.signals["q"].time, 0.01 * np.arange(40), atol=1e-9)
+    assert f"a clock of {bits} bits that are unwrapped: 1" in recording.metadata[NOTES]
+
+
+def test_the_unit_in_the_name_of_a_stamp_is_asked_for(tmp_path):
+    with pytest.raises(RecordingError, match=says("'t_ms' says ms", 'unit = "ms"')):
+        read(tmp_path, [{"t_ms": 10 * k, "position": [k]} for k in range(9)], time="t_ms")
+    stamps = [{"stamp_us": {"sec": 0, "nanosec": k * STEP}, "position": [k]} for k in range(9)]
+    np.testing.assert_allclose(read(tmp_path, stamps, time="stamp_us")[0].time, 0.01 * np.arange(9), atol=1e-9)
+
+
+@pytest.mark.parametrize("odd", [b"", b'{"t": 1, "position": [1', b'{"t": null, "position": [1]}', b"\xff{}"])
+def test_a_message_that_is_damaged_or_has_no_stamp_is_left_out(tmp_path, odd):
+    write_json(tmp_path / "a.mcap", ((k, odd if k == 3 else {"t": k, "position": [k]}) for k in range(9)))
+    recording = import_recording(tmp_path / "a.mcap", mapping(time="t"))
+    assert recording.signals["q"].values.tolist() == [0, 1, 2, 4, 5, 6, 7, 8]
+    assert "1 of 9 messages are left out" in recording.metadata[NOTES]
+    assert "position" in guess_mapping(tmp_path / "a.mcap")
+    write_json(tmp_path / "a.mcap", [(0, odd)])
+    with pytest.raises(RecordingError, match=says("joint_states", "a message")):
+        import_recording(tmp_path / "a.mcap", mapping(time="t"))
 
 
 def stamped(stamps):

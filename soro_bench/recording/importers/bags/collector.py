@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from soro_bench.errors import one_line
 from soro_bench.files import brief
 from soro_bench.recording.importers.bags.fields import (
     MISSING,
@@ -25,6 +26,7 @@ from soro_bench.recording.importers.bags.fields import (
 )
 from soro_bench.recording.importers.bags.layout import Channel, Layout, Types, Walk
 from soro_bench.recording.importers.bags.logs import MAX_MESSAGE
+from soro_bench.recording.importers.clock import overflowed
 from soro_bench.recording.importers.mapping import FileMapping, texts
 from soro_bench.recording.importers.source import Source
 from soro_bench.recording.recording import RecordingError
@@ -66,6 +68,8 @@ class Collector:
         self._clock, self._path = clock, () if clock in CLOCKS else parse_path(clock)
         self.has_unit = bool(self._path)  # whether [time] unit may say something
         self._to_seconds, self._ordered = spec.to_seconds(), "order" in spec.time
+        self._spec = spec
+        self._counts = False  # whether stamps are numbers of a unit
         self._known = spec.format.get("definitions", {})
         self._received, self._stamps = array("q"), array("q")  # ns; lists would take four times the memory
         self._numbers = array("d")
@@ -89,7 +93,7 @@ class Collector:
         if channel.encoding in BINARY:
             found = self._binary(channel, data)
         elif channel.encoding == "json":
-            found = self._json(json.loads(data))
+            found = self._json(data)
         else:
             raise RecordingError(
                 f"topic {self.topic} is encoded as {brief(channel.encoding)}; only json, cdr and ros1 are read"
@@ -106,6 +110,7 @@ class Collector:
         self._numbers.extend(numbers)
         self._received.append(received)
         if self._path:
+            self._counts = len(parts) == 1 and not isinstance(parts[0], (str, bytes))
             self._stamps.append(nanoseconds(parts, self._to_seconds, self.topic))
         elif self._clock == "publish_time":
             if published is None:
@@ -129,7 +134,12 @@ class Collector:
         found = layout.read(data)
         return found if found and found[0] else None
 
-    def _json(self, content: Any) -> Sample | None:
+    def _json(self, data: bytes) -> Sample | None:
+        try:
+            content = json.loads(data)
+        except ValueError as error:
+            self._absence = self._absence or f"a message cannot be read as JSON ({one_line(error)})"
+            return None
         leaves, stamp, _ = self._found(content)
         return ([number(leaf) for leaf in leaves], stamp) if leaves else None
 
@@ -159,6 +169,8 @@ class Collector:
             return leaves, (), seen
         try:
             stamp = follow(content, self._path, Seen())
+            if stamp is None:
+                raise AbsentError(f"{self._clock} of a message is null")
         except AbsentError as error:
             self._absence = self._absence or str(error)
             return [], (), seen
@@ -188,6 +200,11 @@ class Collector:
             note(f"{back.sum()} messages lie in the file behind later ones; sorted by the times of receipt")
             order = np.argsort(received, kind="stable")
             received, times, numbers = received[order], times[order], numbers[order]
+        if self._counts:
+            self._spec.check_unit_of_time(self._clock.rpartition(".")[2], self._spec.time.get("unit"))
+            counts, overflows, _ = overflowed(times / (SECOND * self._to_seconds))
+            times = np.rint(counts * (SECOND * self._to_seconds)).astype(np.int64) if overflows else times
+            note(overflows)
         if self._stamps:
             times, numbers = _of_one_clock(times, received, numbers, self._clock, note)
         if not self._ordered:
@@ -196,7 +213,9 @@ class Collector:
             left_out = self._messages - len(received)
             note(f"{left_out} of {self._messages} messages are left out: {self._absence}")
         self._note_missing(numbers, note)
-        return times, numbers
+        if not (known := ~np.isnan(numbers).all(axis=1)).any():
+            raise RecordingError(f"topic {self.topic}: no message has a number")
+        return (times, numbers) if known.all() else (times[known], numbers[known])
 
     def _note_missing(self, numbers: np.ndarray, note: Callable[[str], None]) -> None:
         """Say which names some messages do not have, so that a signal of several may never be complete."""

@@ -224,7 +224,8 @@ def _pair(whole: Any, part: Any) -> int:
     """[ns] of seconds and nanoseconds; ValueError if they are no whole numbers."""
     if type(whole) is int and type(part) is int:
         return SECOND * whole + part
-    texts = [each.strip() if isinstance(each, str) else str(each) for each in (whole, part)]
+    numbers = (int(each) if isinstance(each, float) and each.is_integer() else each for each in (whole, part))
+    texts = [each.strip() if isinstance(each, str) else str(each) for each in numbers]
     if not all(_WHOLE_NUMBER.fullmatch(text) for text in texts):
         raise ValueError(f"and {brief(part)} are not in whole numbers")
     return SECOND * int(texts[0]) + int(texts[1])

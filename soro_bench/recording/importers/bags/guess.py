@@ -81,6 +81,7 @@ class _Topic:
     stamps: list[int] = field(default_factory=list)  # when these were received
     left: int = _TOPIC_BYTES  # that may still be looked at
     problem: str = ""
+    damaged: str = ""  # what is wrong with the first message that is no JSON
 
 
 @dataclass
@@ -119,6 +120,8 @@ def guess(path: str | Path) -> str:
                 _look(topic, channel, received, data)
         if not topics:
             raise RecordingError("has no messages")
+        for topic in topics.values():
+            topic.problem = topic.problem or ("" if topic.contents else topic.damaged)
         return _written(path, topics, notes)
 
 
@@ -143,6 +146,9 @@ def _look(topic: _Topic, channel: Channel, received: int, data: bytes) -> None:
             content = json.loads(data)
         else:
             raise RecordingError(f"encoded as {channel.encoding[:40]}; only json, cdr and ros1 are read")
+    except json.JSONDecodeError as error:  # others may be whole
+        topic.damaged = topic.damaged or f"a message cannot be read as JSON ({one_line(error)[:200]})"
+        return
     except (ValueError, RecursionError, ImportError) as error:
         topic.problem = one_line(error)[:200]
         return
