@@ -228,6 +228,18 @@ def test_a_counter_that_seems_to_wrap_is_said(read, counts, low, jitter, said):
     assert NOTES not in read(table, CLOCK + '[commands.q]\ncolumns = ["q"]\nunit = "1"\n').metadata
 
 
+@pytest.mark.parametrize(
+    ("first", "step", "said"),
+    [(0, 10, "it lasts 1000 times as long as"), (0, 0.01, ""), (-5, 0.01, "begins 5 s before the first signal"),
+     (-0.5, 0.01, "")],
+)  # fmt: skip
+def test_a_command_of_another_pace_or_from_long_before_is_asked_about(read, first, step, said):
+    rows = "".join(f"{0.01 * i:.2f},{i},{first + step * i if i else first},{i // 9}\n" for i in range(100))
+    u = '[commands.u]\ncolumns = ["u"]\ntime = "tu"\nunit = "1"\n'
+    notes = read("t,f,tu,u\n" + rows, CLOCK + F + u).metadata.get(NOTES, "")
+    assert said in notes if said else not notes
+
+
 BACK = "t,f\n0,0\n1,1\n2,2\n1,3\n2,4\n3,5\n"
 
 

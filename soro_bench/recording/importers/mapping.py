@@ -22,6 +22,7 @@ _FEW = 10  # samples, of which nothing is asked
 _PACE = 1e-6, 100.0  # s between samples of a robot
 _LATEST = 1e11  # s since 1970, or since a computer was started: 3000 years
 _APART = 86_400.0  # s, between the beginnings of two signals: their clocks differ
+_NEARLY = 0.1  # of a thousand, by which the ratio of two durations differs from it at most
 _PAUSE, _INTERVALS = 1.0, 20  # a gap is longer than both, in s and in median intervals
 _SECTIONS = ("format", "time", "commands", "signals", "parameters", "metadata")
 _CLOCKS = ("column", "columns", "array", "source", "interval", "rate")  # one of them says when samples are
@@ -142,6 +143,7 @@ class FileMapping:
         found = self._overflowed_before(found)
         begins = {".".join(key): float(seconds(time[0])) for key, (time, *_) in found.items() if len(time)}
         _check_clocks(begins)
+        self.notes.add(*_thousandfold({".".join(key): time for key, (time, *_) in found.items() if len(time) > _FEW}))
         if min(begins.values(), default=0.0) > _LATEST:
             self.notes.add("[time]", f"begins at {min(begins.values()):.3g} s; is the unit of time right?")
         if len({time.dtype.kind for time, *_ in found.values()}) > 1:
@@ -249,15 +251,29 @@ def _pause(since: np.ndarray) -> str:
     return f"nothing came for {steps.max():.3g} s, {after:.3g} s after its first sample; [time] begin and until cut"
 
 
+def _thousandfold(times: Mapping[str, np.ndarray]) -> tuple[str, str]:
+    """What lasts a thousand or a million times as long as another one, and a question about it; or empty texts."""
+    spans = {label: float(seconds(time[-1] - time[0])) for label, time in times.items()}
+    short, long = (choose(spans, key=lambda label: spans[label], default="") for choose in (min, max))
+    for factor in (1e3, 1e6):
+        if short and abs(spans[long] - factor * spans[short]) < _NEARLY * factor * spans[short]:
+            return long, f"it lasts {factor:g} times as long as {short}; are the units of both times right?"
+    return "", ""
+
+
 def _short(command: Signal, signals: Sequence[Signal]) -> str:
-    """Where signals go on long before or after a command that comes at intervals, or ""."""
+    """Where a command begins long before all signals, or they go on long before or after one at intervals, or ""."""
     time = command.time[np.isfinite(command.values).reshape(len(command.time), -1).all(axis=1)]
     signals = [each for each in signals if len(each.time)]
-    if not _regular(time) or not signals:
+    if not len(time) or not signals:
+        return ""
+    begin, end = min(each.time[0] for each in signals), max(each.time[-1] for each in signals)
+    if begin - time[0] > max(_PAUSE, end - begin):
+        return f"begins {begin - time[0]:.3g} s before the first signal; [time] begin leaves that out"
+    if not _regular(time):
         return ""
     least = max(_PAUSE, _INTERVALS * float(np.median(np.diff(time))))
-    late = time[0] - min(each.time[0] for each in signals)
-    early = max(each.time[-1] for each in signals) - time[-1]
+    late, early = time[0] - begin, end - time[-1]
     found = [f"begins {late:.3g} s after the first signal"] * bool(late > least)
     found += [f"ends {early:.3g} s before the last signal, and is held"] * bool(early > least)
     return " and ".join(found) + "; is it complete, and on the same clock?" if found else ""
