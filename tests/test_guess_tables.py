@@ -161,6 +161,13 @@ def test_wraps_words_and_held_columns_are_seen(guessed, tmp_path):
     assert "missing" not in tomllib.loads(text)["signals"]["x"]
 
 
+def test_lost_numbers_and_wraps_of_other_periods_are_seen(guessed):
+    rows = [f"{t},{9999 if i % 9 == 4 else i},{(390 + 0.9 * i) % 400:.2f},{i}" for i, t in enumerate(T)]
+    mapping, recording = guessed("t,x,gon,u\n" + "\n".join(rows) + "\n")
+    assert (mapping["signals"]["x"]["missing"], recording.signals["x"].values.max()) == ([9999.0], 48)
+    assert (mapping["signals"]["gon"]["unwrap"], mapping["signals"]["gon"]["period"]) == (True, 400)
+
+
 def test_stamps_that_go_back_are_said(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("t,x\n0,1\n1,2\n2,3\n3,3\n4,5\n5,5\n5,6\n6,7\n7,7\n")

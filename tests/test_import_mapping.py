@@ -228,6 +228,74 @@ def test_a_counter_that_seems_to_wrap_is_said(read, counts, low, jitter, said):
     assert NOTES not in read(table, CLOCK + '[commands.q]\ncolumns = ["q"]\nunit = "1"\n').metadata
 
 
+SLOW = 300 + 2.9 * np.arange(80) + np.random.default_rng(1).normal(0, 0.1, 80)  # deg
+
+
+@pytest.mark.parametrize(
+    ("numbers", "unit", "said"),
+    [
+        (SLOW / 360 % 1, "1", "jumps of nearly 1: 1; if the counter"),
+        (SLOW / 0.9 % 400, "1", "jumps of nearly 400: 1; if the counter"),
+        (SLOW / 360 * 4096 % 4096, "1", "jumps of nearly 4096: 1; if the counter"),
+        (np.radians(SLOW) % np.pi, "rad", "jumps of nearly 3.141592654: 1; if the angle"),
+        (SLOW % 72, "deg", "jumps of nearly 72: 3; if the angle"),
+        (np.where(np.arange(80) % 19 == 7, 340, 0) + SLOW % 360, "deg", "jumps of nearly a turn"),
+        (np.where(np.arange(80) % 9 == 7, -1, SLOW % 360), "deg", "exactly -1, far from those beside"),
+        (np.where(np.arange(80) % 9 == 7, -1, SLOW % 360), "deg", "jumps of nearly a turn: 1"),
+        (SLOW % 300, "mm", ""),
+        (90 - np.abs(SLOW % 180 - 90), "deg", ""),
+    ],
+)
+def test_wraps_at_other_numbers_or_among_spikes_are_said(read, numbers, unit, said):
+    table = "t,q\n" + "".join(f"{i},{number:.6f}\n" for i, number in enumerate(numbers))
+    notes = read(table, CLOCK + f'[signals.q]\ncolumns = ["q"]\nunit = "{unit}"\n').metadata.get(NOTES, "")
+    assert said in notes if said else not notes
+
+
+def test_a_command_that_wraps_is_said_and_one_that_jumps_is_not(read):
+    jumps = np.repeat([350, 5, 200, 20, 340, 10, 355, 3], 10)
+    for goal, said in ((SLOW % 360, True), (jumps, False)):
+        table = "t,q\n" + "".join(f"{i},{number:.3f}\n" for i, number in enumerate(goal))
+        notes = read(table, CLOCK + '[commands.q]\ncolumns = ["q"]\nunit = "deg"\n').metadata.get(NOTES, "")
+        assert ("commands.q: jumps of nearly a turn: 1" in notes) == said
+
+
+@pytest.mark.parametrize("second", [30.0, 100.0, -170.0])
+def test_relative_angles_that_wrap_begin_within_half_a_turn(read, second):
+    table = "t,a,b\n" + "".join(f"{i},{angle % 360:.4f},{(angle + second) % 360:.4f}\n" for i, angle in enumerate(SLOW))
+    signal = read(table, CLOCK + '[signals.q]\ncolumns = ["a", "b"]\nunit = "deg"\nunwrap = true\nrelative = true\n')
+    np.testing.assert_allclose(np.degrees(signal.signals["q"].values[:, 1]), second, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("number", "center", "lost", "asked"),
+    [
+        (9999, 0, 1, True),
+        (-999.25, 0, 1, True),
+        (3.402823e38, 20, 3, True),
+        (9999, 0, 20, True),
+        (-1, 20, 1, True),
+        (0, 20, 1, True),
+        (-1, 20, 5, False),
+        (0, 20, 5, False),
+        (0, 0, 1, False),
+    ],
+)
+def test_numbers_that_seem_to_stand_for_missing_ones_are_asked_about(read, number, center, lost, asked):
+    """Very far ones, and others that stand there shortly; 0 may be a number like others."""
+    x = np.round(center + 9 * np.sin(0.1 * np.arange(200)) + np.random.default_rng(0).normal(0, 0.01, 200), 4)
+    x[(np.arange(200) % 80 > 0) & (np.arange(200) % 80 <= lost)] = number
+    table = "t,q\n" + "".join(f"{i},{each}\n" for i, each in enumerate(x))
+    notes = read(table, CLOCK + '[signals.q]\ncolumns = ["q"]\nunit = "mm"\n').metadata.get(NOTES, "")
+    assert (f"write missing = [{number:.10g}]" in notes) == asked
+
+
+def test_lost_numbers_of_a_counter_are_no_wraps(read):
+    counts = np.where(np.arange(200) % 90 == 60, 0, 3000 + 2 * np.arange(200))
+    table = "t,q\n" + "".join(f"{i},{each}\n" for i, each in enumerate(counts))
+    assert NOTES not in read(table, CLOCK + '[signals.q]\ncolumns = ["q"]\nunit = "1"\n').metadata
+
+
 @pytest.mark.parametrize(
     ("first", "step", "said"),
     [(0, 10, "it lasts 1000 times as long as"), (0, 0.01, ""), (-5, 0.01, "begins 5 s before the first signal"),

@@ -10,7 +10,7 @@ import numpy as np
 from soro_bench.files import shown
 from soro_bench.recording.importers.clock import overflowed
 from soro_bench.recording.importers.guess_layout import Column, layout
-from soro_bench.recording.importers.source import counter_period, seen_wraps
+from soro_bench.recording.importers.source import counter_period, lost_number, saw_period, seen_wraps
 from soro_bench.recording.importers.tracks import signal_name
 from soro_bench.recording.importers.units import UNITS, in_brackets, of_text, si, split_unit, time_unit
 from soro_bench.recording.recording import RecordingError
@@ -114,6 +114,7 @@ def _time(columns: Sequence[Column]) -> tuple[list[Column], list[Column], list[s
     named = [column for column in found if _TIME.fullmatch(split_unit(column.name)[0].lower())]
     steady = [column for column in found if not _COUNT.fullmatch(column.name.lower()) and _is_clock(column)]
     nameless = [column for column in steady if not any(letter.isalpha() for letter in column.name)]
+    nameless.sort(key=_counts_rows)
     if not (candidates := named or nameless) and (like := next(filter(_like_times, columns), None)):
         text = shown(like.texts[0])[:40]
         return [], [], ["[time]", f"# column {toml(like.label)} may be the time, but {text} cannot be read as one, or "
@@ -197,6 +198,11 @@ def _is_clock(column: Column) -> bool:
     steps = np.diff(column.numbers[np.isfinite(column.numbers)])
     middle = np.median(steps)
     return bool(middle > 0 and (np.abs(steps - middle) < 0.5 * middle).mean() > 0.8)
+
+
+def _counts_rows(column: Column) -> bool:
+    """Whether numbers only say which row they are in, from 0 or 1."""
+    return bool((column.numbers - column.numbers[0] == np.arange(len(column.numbers))).all())
 
 
 def _time_unit(column: Column) -> tuple[str, str]:
@@ -286,6 +292,9 @@ def _entry(group: Group, names: set[str]) -> list[str]:
     while name in names:
         name += "_"
     names.add(name)
+    lost = lost_number(numbers) if section == "signals" else None
+    if lost:
+        numbers = np.where(numbers == lost.number, np.nan, numbers)
     held = (np.diff(numbers, axis=0) == 0).all(axis=1)
     lines = [f"[{section}.{name}]{_range(numbers)}"]
     if section == "signals" and len(held) and _HELD < held.mean() < 1:
@@ -301,11 +310,15 @@ def _entry(group: Group, names: set[str]) -> list[str]:
     if group.points:
         lines += [f"shape = [{len(group.columns) // 3}, 3]"] if len(group.columns) > 3 else []
         lines.append('# frame = "world"  # if the axes are those of the robot')
-    if words := sorted({word for column in group.columns for word in column.words}):
-        texts = [word for word in words if not any(map(str.isdigit, word))]
-        lines += [f"missing = {toml(texts[:20])}  # texts among its numbers"] if texts else []
-        odd = ", ".join(shown(word) for word in words if word not in texts)[:100]
-        lines += [f"# not read: {odd}; are they numbers, or missing = [...]?"] if odd else []
+    words = sorted({word for column in group.columns for word in column.words})
+    texts: list[str | float] = [word for word in words if not any(map(str.isdigit, word))]
+    odd = ", ".join(shown(word) for word in words if word not in texts)[:100]
+    about = "texts among its numbers" if texts else ""
+    if lost:
+        about = f"{lost.count} are exactly {lost.number:.10g}, far from those beside: missing?"
+        texts = [lost.number, *texts]
+    lines += [f"missing = {toml(texts[:20])}  # {about}"] if texts else []
+    lines += [f"# not read: {odd}; are they numbers, or missing = [...]?"] if odd else []
     return lines
 
 
@@ -324,11 +337,15 @@ def _unit_lines(group: Group, numbers: np.ndarray) -> list[str]:
             f"the file says {shown(said)}, which is unknown here: write scale" if said else "which? nothing says it"
         )
         lines = [f'unit = "{unit}"  # {"it seems to wrap; is it an angle?" if wraps else reason}']
-    if not wraps and unit == "1" and not group.command and (period := counter_period(numbers)):
+    period = None
+    if not wraps and unit in ("1", "rad", "deg", "rev") and not group.command:
+        turn = 0.0 if unit == "1" else 2 * np.pi / si(unit)[1]
+        period = (counter_period(numbers) if unit == "1" else None) or saw_period(numbers, turn)
+    if period:
         turns = seen_wraps(numbers, period.counts)
         doubt = f"  #{period.doubt}" if period.doubt else ""
-        lines.append(f"unwrap = true  # jumps of nearly {period.counts}: {turns}; a counter?")
-        lines.append(f"period = {period.counts}{doubt}")
+        lines.append(f"unwrap = true  # jumps of nearly {period.counts:.10g}: {turns}; a counter?")
+        lines.append(f"period = {period.counts:.10g}{doubt}")
     if wraps and not group.command:
         lines.append(f"unwrap = true  # jumps of nearly a turn: {wraps}")
     return lines

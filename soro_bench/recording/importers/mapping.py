@@ -217,8 +217,10 @@ class FileMapping:
         if len(kept) < len(time):
             time, numbers, since, rows = time[kept], numbers[kept], since[kept], tuple(each[kept] for each in rows)
         _named(label, chosen, time, "refuse", *rows)
-        if label.startswith("signals.") or source.unwrap:
-            self.notes.add(label, _named(label, source.note, numbers, unit))
+        is_command = label.startswith("commands.")
+        if not is_command:
+            self.notes.add(label, source.lost(numbers))
+        self.notes.add(label, _named(label, source.note, numbers, unit, is_command))
         self.notes.add(label, _pace(since))
         self.notes.add(label, _pause(since))
         found = _named(label, source.signal, np.maximum(since, 0.0), numbers, unit)

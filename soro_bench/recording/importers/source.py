@@ -22,6 +22,9 @@ _SMALLEST, _LARGEST = 256, 2**32  # counts of a turn of encoders that wrap
 _BESIDE, _LOOKED_AT = 5, 100  # steps on each side of a jump that tell how fast a counter moves; jumps
 _ON = 0.5  # of the way beside the jump of a counter leads on at least, and not back
 _ALIKE = 0.02  # of a period, by which the shown one differs at most from a power of two
+_NICE = 1.0, 3.6, 4.0, math.pi, 2 * math.pi  # times powers of ten: periods of what is no angle by its unit
+_FEW, _OFTEN = 20, 3  # numbers, of fewer none is lost; times that one comes which stands for a missing one
+_VERY_FAR, _SHORTLY = 10.0, 2  # ranges or median steps; samples in a row
 _MOST_INTERPOLATED = 1_000_000  # samples
 _FIRST, _IN_A_ROW = 5, 3  # samples that say where something is held, and that say that it has left
 _AT_ONCE = 0.05  # s after the first sample
@@ -69,24 +72,45 @@ class Source:
             values = values[:, 1:] - values[:, :1]
         elif self.relative:
             values = np.diff(values, axis=-1, prepend=0.0)
+            if self.unwrap and self.period is None:  # each number was unwrapped from a turn of its own
+                values[..., 1:] -= _TURN * np.round(_first(values[..., 1:]) / _TURN)
         if self.leaves is not None:
             return _staying(time, values, self.leaves, self.shift)
         if self.interpolate is not None:
             time, values = _interpolated(time, values, self.interpolate)
         return Signal(time, values, unit, self.frame)
 
-    def note(self, numbers: np.ndarray, unit: str | None = None) -> str:
-        """What the wraps of (T, ...) numbers of the file give reason to say, or ""."""
+    def note(self, numbers: np.ndarray, unit: str | None = None, is_command: bool = False) -> str:
+        """What the wraps of (T, ...) numbers of the file give reason to say, or "".
+
+        Commands may jump by themselves, so that of theirs only angles are said that go the other way beside a jump.
+        """
         unit, factor = si(self.unit or unit or "")
         shape = self._shape_of(numbers)
         if self.unwrap:
             return _told(numbers, self._period(factor, unit, shape))
+        if lost := lost_number(numbers):
+            numbers = np.where(numbers == lost.number, np.nan, numbers)
         if unit == "rad" and (count := seen_wraps(numbers, self._turns(factor, shape))):
+            if is_command and saw_period(numbers) is None:
+                return ""
             return f"jumps of nearly a turn: {count}; if the angle wraps, write unwrap = true"
-        if unit == "1" and (period := counter_period(numbers)):
-            said = f"jumps of nearly {period.counts}: {seen_wraps(numbers, period.counts)}"
-            return f"{said}; if the counter wraps, write unwrap = true and period = {period.counts}{period.doubt}"
+        if is_command or unit not in ("rad", "1"):
+            return ""
+        turn = float(np.max(self._turns(factor, shape))) if unit == "rad" else 0.0
+        period = (counter_period(numbers) if unit == "1" else None) or saw_period(numbers, turn)
+        if period:
+            said = f"jumps of nearly {period.counts:.10g}: {seen_wraps(numbers, period.counts)}"
+            what = "counter" if unit == "1" else "angle"
+            return f"{said}; if the {what} wraps, write unwrap = true and period = {period.counts:.10g}{period.doubt}"
         return ""
+
+    def lost(self, numbers: np.ndarray) -> str:
+        """What numbers that seem to stand for missing ones give reason to say, or ""."""
+        if not (lost := lost_number(numbers)):
+            return ""
+        hint = f"write missing = [{lost.number:.10g}]" if {"columns", "first"} & self.place.keys() else "take them out"
+        return f"{lost.count} numbers are exactly {lost.number:.10g}, far from those beside; if they are lost, {hint}"
 
     def _shape_of(self, numbers: np.ndarray) -> tuple[int, ...]:
         """The shape of a sample of (T, ...) numbers of the file; RecordingError if it does not fit them."""
@@ -276,8 +300,54 @@ def _steps(numbers: np.ndarray) -> np.ndarray:
     return np.concatenate(changes) if changes else np.zeros(0)
 
 
+def _first(values: np.ndarray) -> np.ndarray:
+    """(...) the first known one of (T, ...) values, NaN where there is none."""
+    known = np.isfinite(values)
+    return np.where(known.any(axis=0), np.take_along_axis(values, known.argmax(axis=0)[None], axis=0)[0], np.nan)
+
+
+@dataclass(frozen=True)
+class Lost:
+    """A number that seems to stand for a missing one, and how often it comes."""
+
+    number: float
+    count: int
+
+
+def lost_number(numbers: np.ndarray) -> Lost | None:
+    """The least or largest of (T, ...) numbers, if it seems to stand for a missing one; None if neither does.
+
+    It comes exactly again and again: very far from all others, or for a sample or two from which they are far.
+    """
+    columns = np.asarray(numbers, float).reshape(len(numbers), -1)
+    found: dict[float, int] = {}
+    for column in columns.T:
+        known = column[np.isfinite(column)]
+        for number in {known.min(), known.max()} if known.size > _FEW else ():
+            at = known == number
+            if _OFTEN <= at.sum() <= known.size / 2 and _is_lost(known, at, float(number)):
+                found[float(number)] = found.get(float(number), 0) + int(at.sum())
+    return Lost(*max(found.items(), key=lambda item: item[1])) if found else None
+
+
+def _is_lost(known: np.ndarray, at: np.ndarray, number: float) -> bool:
+    """Whether (T,) known numbers say nothing about where they are ``at`` a number."""
+    others = known[~at]
+    steps = np.abs(np.diff(others))
+    if not (moved := steps[steps > 0]).size:
+        return False
+    if number and np.abs(others - number).min() > _VERY_FAR * np.ptp(others):
+        return True
+    ends = np.flatnonzero(np.diff(at, prepend=False, append=False)).reshape(-1, 2)  # of its runs
+    inner = ends[(ends[:, 0] > 0) & (ends[:, 1] < len(known))]
+    if len(inner) < _OFTEN or np.median(inner[:, 1] - inner[:, 0]) > _SHORTLY:
+        return False
+    jumps = np.minimum(np.abs(known[inner[:, 0] - 1] - number), np.abs(known[inner[:, 1]] - number))
+    return bool(np.median(jumps) > _VERY_FAR * np.median(moved))
+
+
 def seen_wraps(numbers: np.ndarray, period: float | np.ndarray) -> int:
-    """How often (T, ...) numbers look as if they wrapped: within one period, from about one end to the other.
+    """How often (T, ...) numbers look as if they wrapped: within one period, but for spikes, from end to end.
 
     Args:
         period: of all, or (k,) of each number of a sample.
@@ -286,16 +356,25 @@ def seen_wraps(numbers: np.ndarray, period: float | np.ndarray) -> int:
     wraps = 0
     for column, own in zip(columns.T, np.broadcast_to(period, columns.shape[1:]), strict=True):
         finite = column[np.isfinite(column)]
-        if finite.size and np.ptp(finite) <= own * (1 + 1e-6):
-            wraps += int((np.abs(np.diff(finite)) > _WRAPS * own).sum())
+        jumps = int((np.abs(np.diff(finite)) > _WRAPS * own).sum())
+        if jumps and np.ptp(_without_spikes(finite)) <= own * (1 + 1e-6):
+            wraps += jumps
     return wraps
+
+
+def _without_spikes(numbers: np.ndarray) -> np.ndarray:
+    """Without those of (T,) numbers that are far from both beside them, on the same side."""
+    steps = np.diff(numbers)
+    far = np.abs(steps) > _VERY_FAR * np.median(np.abs(steps))
+    spikes = np.flatnonzero(far[:-1] & far[1:] & (np.sign(steps[:-1]) != np.sign(steps[1:]))) + 1
+    return np.delete(numbers, spikes)
 
 
 @dataclass(frozen=True)
 class CounterPeriod:
     """At how many counts a counter seems to wrap, and what to add to that number where it is not exact."""
 
-    counts: int
+    counts: float
     doubt: str = ""
 
 
@@ -310,7 +389,7 @@ def counter_period(numbers: np.ndarray) -> CounterPeriod | None:
     columns = np.asarray(numbers, float).reshape(len(numbers), -1)
     found = np.concatenate([_jumps(column[np.isfinite(column)]) for column in columns.T])
     known = found[~np.isnan(found).any(axis=1)]
-    if not len(known) or 2 * len(known) < len(found):
+    if 2 * len(known) <= len(found):
         return None
     counts, spread = np.median(known, axis=0)
     counts = max(round(counts), int(high - low) + 1)
@@ -320,13 +399,39 @@ def counter_period(numbers: np.ndarray) -> CounterPeriod | None:
     return CounterPeriod(counts, "" if spread <= 1 else " (about; its data sheet says it)")
 
 
-def _jumps(column: np.ndarray) -> np.ndarray:
+def saw_period(numbers: np.ndarray, turn: float = 0.0) -> CounterPeriod | None:
+    """At which period (T, ...) numbers with decimals seem to wrap, once at a usual one; None if they do not.
+
+    Args:
+        turn: of an angle, of which the period may be a part.
+    """
+    columns = np.asarray(numbers, float).reshape(len(numbers), -1)
+    found = np.concatenate([_jumps(column[np.isfinite(column)], 0.0) for column in columns.T])
+    known = found[~np.isnan(found).any(axis=1)]
+    if 2 * len(known) <= len(found):
+        return None
+    counts, spread = np.median(known, axis=0)
+    least = np.nanmax(columns, axis=0) - np.nanmin(columns, axis=0)
+    if spread > _ON * counts:
+        return None
+    nice = turn / np.arange(1, 21) if turn else np.concatenate([np.outer(_NICE, 10.0 ** np.arange(-3, 6)).ravel(),
+                                                                2.0 ** np.arange(8, 33)])  # fmt: skip
+    near = nice[(np.abs(nice - counts) <= max(spread, _ALIKE * counts)) & (nice >= least.max() * (1 - 1e-6))]
+    if near.size:
+        return CounterPeriod(float(near[np.abs(near - counts).argmin()]))
+    return CounterPeriod(float(f"{counts:.4g}"), " (about; its data sheet says it)") if len(known) > 1 else None
+
+
+def _jumps(column: np.ndarray, least: float = 1.0) -> np.ndarray:
     """(jumps, 2) the period that each jump of (T,) numbers over their range shows, and how exactly.
 
     Both are NaN where the numbers do not go the other way before and after it, as those of a counter do.
+
+    Args:
+        least: range of numbers that are looked at.
     """
     steps = np.diff(column)
-    large = np.abs(steps) > _WRAPS * max(np.ptp(column) if column.size else 0.0, 1.0)
+    large = np.abs(steps) > _WRAPS * max(np.ptp(column) if column.size else 0.0, least)
     found = np.full((min(int(large.sum()), _LOOKED_AT), 2), np.nan)
     for row, i in zip(found, np.flatnonzero(large), strict=False):
         around = slice(max(i - _BESIDE, 0), i + _BESIDE + 1)
