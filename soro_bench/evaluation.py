@@ -147,7 +147,7 @@ def _record(
         for name, values in signals.items():
             recorder.signals.setdefault(name, []).append(values[row])
         if actions is not None:
-            recorder.actions.append(np.array(actions[row]))  # what acts may reuse its array
+            recorder.actions.append(np.array(actions[row]))  # the caller may fill its array again
             recorder.is_success, recorder.diverged = info["is_success"][row], info["diverged"][row]
             for name in info:
                 if name.startswith("reward_"):
