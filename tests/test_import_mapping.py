@@ -388,6 +388,7 @@ def test_a_unit_of_time_that_no_robot_has_is_asked_for(read):
 @pytest.mark.parametrize(
     ("name", "unit"),
     [("time_usec", "us"), ("t_millis", "ms"), ("timeMs", "ms"), ("TimeUS", "us"), ("time/ms", "ms"), ("t.us", "us"),
+     ("t \u00b5s", "us"),
      ("time-ms", "ms"), ("ms since start", "ms"), ("millis()", "ms"), ("time_nsec", "ns"), ("t_minutes", "min"),
      ("sec_nanosec", ""), ("status", "")],
 )  # fmt: skip

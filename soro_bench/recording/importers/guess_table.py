@@ -111,7 +111,7 @@ def _time(columns: Sequence[Column]) -> tuple[list[Column], list[Column], list[s
         if part := _part_of_seconds(column, after):
             return [column, after], [], ["[time]", labels, f'units = ["s", "{part}"]']
     found = [column for column in columns if column.numeric and _goes_on(column)]
-    named = [column for column in found if _TIME.fullmatch(split_unit(column.name)[0].lower())]
+    named = [column for column in found if _called_time(column.name)]
     steady = [column for column in found if not _COUNT.fullmatch(column.name.lower()) and _is_clock(column)]
     nameless = [column for column in steady if not any(letter.isalpha() for letter in column.name)]
     nameless.sort(key=_counts_rows)
@@ -145,12 +145,19 @@ def _part_of_seconds(first: Column, second: Column) -> str:
     if b.min() < 0 or np.abs(np.diff(a)).max(initial=0.0) > 1e4:
         return ""
     (whole, _), (part, unit) = map(_time_name, (first.name, second.name))
-    if unit in ("ms", "us") and part in ("", whole) and _TIME.fullmatch(split_unit(first.name)[0].lower()):
+    if unit in ("ms", "us") and part in ("", whole) and _called_time(first.name):
         scale = UNITS[unit][1]
         back = np.diff(a + scale * b) < 0
         return unit if b.max() * scale < 1 and b.min() < b.max() and back.mean() < _BACK else ""
     named = re.search("nsec|nano", second.name.lower()) is not None
     return "ns" if b.max() < 1e9 and (named or (_EPOCH[0] < a[0] < _EPOCH[1] and b.max() > 1e6)) else ""
+
+
+def _called_time(name: str) -> bool:
+    """Whether a name without its unit is one of times, or with one behind another mark than _, as in "elapsed ms"."""
+    stem, unit = split_unit(name)
+    whole = unit is not None and f"{stem}_{unit}" != name and in_brackets(name) is None
+    return any(_TIME.fullmatch(text.lower()) for text in ([stem, name] if whole else [stem]))
 
 
 def _time_name(name: str) -> tuple[str, str | None]:
@@ -166,7 +173,7 @@ def _goes_on(column: Column) -> bool:
     """Whether numbers increase but for some, or stay for some rows each time; those of a column called time may
     decrease, where the newest row is the first."""
     steps = np.diff(column.numbers[np.isfinite(column.numbers)])
-    called = _TIME.fullmatch(split_unit(column.name)[0].lower()) is not None
+    called = _called_time(column.name)
     if called and len(steps) > 0 and (steps < 0).mean() > 1.0 - _BACK:
         return True
     return len(steps) > 0 and (steps > 0).mean() > (_ON if called else 0.5) and (steps < 0).mean() < _BACK
@@ -177,8 +184,7 @@ def _like_times(column: Column) -> bool:
     if not column.numeric:
         return any(map(_CLOCKLIKE.search, column.texts[:1]))
     steps = np.diff(column.numbers[np.isfinite(column.numbers)])
-    named = _TIME.fullmatch(split_unit(column.name)[0].lower())
-    return named is not None and len(steps) > 0 and bool((steps >= 0).all())
+    return _called_time(column.name) and len(steps) > 0 and bool((steps >= 0).all())
 
 
 def _beside(columns: Sequence[Column], clock: Sequence[Column]) -> Column | None:

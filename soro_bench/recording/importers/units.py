@@ -118,7 +118,8 @@ def _ending(text: str, least: int) -> str | None:
     """The unit that an ending of at least so many letters means; None for what rarely means one."""
     if text in UNITS:
         return text if len(text) >= least and text not in _SHORT else None
-    if (lower := text.lower()) in _ORDINARY or (len(text) < 3 and text.isalpha() and lower not in UNITS):
+    lower = text.lower()
+    if lower in _ORDINARY or (len(text) < 3 and text.isascii() and text.isalpha() and lower not in UNITS):
         return None
     unit = lower if lower in UNITS and lower not in _SHORT else _NAMES.get(lower)
     return None if unit == "1" else unit
