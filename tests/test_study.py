@@ -18,6 +18,7 @@ from soro_bench.diagnosis import study as module
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison
+from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.diagnosis.study import STUDIES, Part, Study, commands_of_take, errors, load_study, results, run_study
 from soro_bench.files import asset_path, read_toml
 from soro_bench.recording import published
@@ -243,7 +244,9 @@ def test_files_of_a_study_are_there(name):
     files = [table[key] for key in ("model", "map", "import") if isinstance(table[key], str)]
     assert all(Path(asset_path(f"mjcf/{name}")).is_file() for name in files)
     robot_map = table["map"] if isinstance(table["map"], dict) else asset_path(f"mjcf/{table['map']}")
-    ModelRobot(asset_path(f"mjcf/{table['model']}"), robot_map, threads=1)
+    robot = ModelRobot(asset_path(f"mjcf/{table['model']}"), robot_map, threads=1)
+    kept = table["import"].get("time", {}).get("until", np.inf) if isinstance(table["import"], dict) else np.inf
+    assert kept / robot.control_timestep >= DEFAULT.data_quality.least_samples  # of each recording
 
 
 def test_what_has_no_name_comes_first_in_the_table_only_where_no_effect_is_likelier():
