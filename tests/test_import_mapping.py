@@ -279,6 +279,7 @@ def test_relative_angles_that_wrap_begin_within_half_a_turn(read, second):
         (-1, 20, 5, False),
         (0, 20, 5, False),
         (0, 0, 1, False),
+        (-1.2345, 20, 1, False),
     ],
 )
 def test_numbers_that_seem_to_stand_for_missing_ones_are_asked_about(read, number, center, lost, asked):

@@ -25,6 +25,7 @@ _ALIKE = 0.02  # of a period, by which the shown one differs at most from a powe
 _NICE = 1.0, 3.6, 4.0, math.pi, 2 * math.pi  # times powers of ten: periods of what is no angle by its unit
 _FEW, _OFTEN = 20, 3  # numbers, of fewer none is lost; times that one comes which stands for a missing one
 _VERY_FAR, _SHORTLY = 10.0, 2  # ranges or median steps; samples in a row
+_DIGITS = 4  # of a number that somebody writes for a missing one, such as -1 or 9999
 _MOST_INTERPOLATED = 1_000_000  # samples
 _FIRST, _IN_A_ROW = 5, 3  # samples that say where something is held, and that say that it has left
 _AT_ONCE = 0.05  # s after the first sample
@@ -317,7 +318,8 @@ class Lost:
 def lost_number(numbers: np.ndarray) -> Lost | None:
     """The least or largest of (T, ...) numbers, if it seems to stand for a missing one; None if neither does.
 
-    It comes exactly again and again: very far from all others, or for a sample or two from which they are far.
+    It comes exactly again and again: very far from all others; or for a sample or two from which they are far, if it has
+    as few digits as what somebody writes there, which a tracker that slips for a moment does not.
     """
     columns = np.asarray(numbers, float).reshape(len(numbers), -1)
     found: dict[float, int] = {}
@@ -338,6 +340,8 @@ def _is_lost(known: np.ndarray, at: np.ndarray, number: float) -> bool:
         return False
     if number and np.abs(others - number).min() > _VERY_FAR * np.ptp(others):
         return True
+    if float(f"{number:.{_DIGITS}g}") != number:
+        return False
     ends = np.flatnonzero(np.diff(at, prepend=False, append=False)).reshape(-1, 2)  # of its runs
     inner = ends[(ends[:, 0] > 0) & (ends[:, 1] < len(known))]
     if len(inner) < _OFTEN or np.median(inner[:, 1] - inner[:, 0]) > _SHORTLY:
