@@ -318,8 +318,8 @@ class Lost:
 def lost_number(numbers: np.ndarray) -> Lost | None:
     """The least or largest of (T, ...) numbers, if it seems to stand for a missing one; None if neither does.
 
-    It comes exactly again and again: very far from all others; or for a sample or two from which they are far, if it has
-    as few digits as what somebody writes there, which a tracker that slips for a moment does not.
+    It comes exactly again and again: very far from all others; or for a sample or two from which they are far, with as
+    few digits as somebody writes there, unlike a tracker that slips for a moment.
     """
     columns = np.asarray(numbers, float).reshape(len(numbers), -1)
     found: dict[float, int] = {}
