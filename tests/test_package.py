@@ -22,7 +22,7 @@ from soro_bench.files import mjcf_path
 from soro_bench.leaderboard.strict import read_strict
 
 ROOT = Path(__file__).parents[1]
-MAX_FILES, MAX_BYTES = 500, 30_000_000  # half of it policies, of which all seeds are kept
+MAX_FILES, MAX_BYTES = 510, 30_000_000  # half of it policies, of which all seeds are kept
 
 
 @pytest.fixture(scope="module")

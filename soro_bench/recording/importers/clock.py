@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 
-from soro_bench.recording.importers.source import unwrapped
+from soro_bench.recording.importers.wraps import unwrapped
 from soro_bench.recording.recording import RecordingError
 
 ORDERS = ("refuse", "keep_first", "keep_last", "sort", "continue")

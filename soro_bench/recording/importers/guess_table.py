@@ -10,9 +10,9 @@ import numpy as np
 from soro_bench.files import shown
 from soro_bench.recording.importers.clock import overflowed
 from soro_bench.recording.importers.guess_layout import Column, layout
-from soro_bench.recording.importers.source import counter_period, lost_number, saw_period, seen_wraps
 from soro_bench.recording.importers.tracks import signal_name
 from soro_bench.recording.importers.units import UNITS, in_brackets, of_text, si, split_unit, time_unit
+from soro_bench.recording.importers.wraps import counter_period, lost_number, saw_period, seen_wraps
 from soro_bench.recording.recording import RecordingError
 from soro_bench.recording.untrusted import MAX_BYTES, named_errors, read_bytes
 

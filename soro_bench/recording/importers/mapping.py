@@ -10,8 +10,9 @@ import numpy as np
 
 from soro_bench.files import parsed_toml, shown
 from soro_bench.recording.importers.clock import ORDERS, chosen, continued, overflowed
-from soro_bench.recording.importers.source import Source, check_keys, positive, read_source, unwrapped, when_left
+from soro_bench.recording.importers.source import Source, check_keys, positive, read_source, when_left
 from soro_bench.recording.importers.units import si, split_unit, time_unit
+from soro_bench.recording.importers.wraps import unwrapped
 from soro_bench.recording.recording import MAX_SIGNALS, MAX_TEXT, NOTES, Recording, RecordingError, Signal, check_name
 from soro_bench.recording.untrusted import named_errors, read_bytes
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from soro_bench.files import brief
 from soro_bench.recording.importers.units import si
+from soro_bench.recording.importers.wraps import counter_period, lost_number, saw_period, seen_wraps, told, unwrapped
 from soro_bench.recording.recording import RecordingError, Signal, check_shape
 
 VALUE_KEYS = (
@@ -17,19 +18,9 @@ VALUE_KEYS = (
 )  # fmt: skip
 _TURN = 2 * math.pi
 _ROTATION_ERROR = 1e-3  # of what has three digits in the mapping
-_WRAPS = 0.75  # of a turn: larger steps within one turn look like wraps
-_SMALLEST, _LARGEST = 256, 2**32  # counts of a turn of encoders that wrap
-_BESIDE, _LOOKED_AT = 5, 100  # steps on each side of a jump that tell how fast a counter moves; jumps
-_ON = 0.5  # of the way beside the jump of a counter leads on at least, and not back
-_ALIKE = 0.02  # of a period, by which the shown one differs at most from a power of two
-_NICE = 1.0, 3.6, 4.0, math.pi, 2 * math.pi  # times powers of ten: periods of what is no angle by its unit
-_FEW, _OFTEN = 20, 3  # numbers, of fewer none is lost; times that one comes which stands for a missing one
-_VERY_FAR, _SHORTLY = 10.0, 2  # ranges or median steps; samples in a row
-_DIGITS = 4  # of a number that somebody writes for a missing one, such as -1 or 9999
 _MOST_INTERPOLATED = 1_000_000  # samples
 _FIRST, _IN_A_ROW = 5, 3  # samples that say where something is held, and that say that it has left
 _AT_ONCE = 0.05  # s after the first sample
-_FAST = 0.35  # of a period, over which steps may as well be wraps the other way
 
 
 @dataclass(frozen=True)
@@ -89,7 +80,7 @@ class Source:
         unit, factor = si(self.unit or unit or "")
         shape = self._shape_of(numbers)
         if self.unwrap:
-            return _told(numbers, self._period(factor, unit, shape))
+            return told(numbers, self._period(factor, unit, shape))
         if lost := lost_number(numbers):
             numbers = np.where(numbers == lost.number, np.nan, numbers)
         if unit == "rad" and (count := seen_wraps(numbers, self._turns(factor, shape))):
@@ -137,20 +128,6 @@ class Source:
         if not scale.all():
             raise RecordingError("scale = 0 for an angle; expected another number")
         return _TURN / (factor * scale)
-
-
-def unwrapped(numbers: np.ndarray, period: float | np.ndarray) -> np.ndarray:
-    """(T, ...) numbers without the jumps of a counter or angle; missing ones stay missing.
-
-    Args:
-        period: of all, or (k,) of each number of a sample.
-    """
-    columns = np.array(numbers, float).reshape(len(numbers), -1)
-    for column, own in zip(columns.T, np.broadcast_to(period, columns.shape[1:]), strict=True):
-        known = np.flatnonzero(np.isfinite(column))
-        turns = -np.cumsum(np.round(np.diff(column[known]) / own))
-        column[known[1:]] += own * turns
-    return columns.reshape(numbers.shape)
 
 
 def order_of(names: Sequence[str], found: Sequence[str]) -> list[int]:
@@ -294,166 +271,10 @@ def _fitting(label: str, numbers: np.ndarray | float, shape: tuple[int, ...]) ->
         raise RecordingError(f"{label} of shape {numbers.shape} does not fit the shape {shape}") from error
 
 
-def _steps(numbers: np.ndarray) -> np.ndarray:
-    """The changes from each sample of a number to its next one that is not missing."""
-    columns = np.asarray(numbers, float).reshape(len(numbers), -1)
-    changes = [np.diff(column[np.isfinite(column)]) for column in columns.T]
-    return np.concatenate(changes) if changes else np.zeros(0)
-
-
 def _first(values: np.ndarray) -> np.ndarray:
     """(...) the first known one of (T, ...) values, NaN where there is none."""
     known = np.isfinite(values)
     return np.where(known.any(axis=0), np.take_along_axis(values, known.argmax(axis=0)[None], axis=0)[0], np.nan)
-
-
-@dataclass(frozen=True)
-class Lost:
-    """A number that seems to stand for a missing one, and how often it comes."""
-
-    number: float
-    count: int
-
-
-def lost_number(numbers: np.ndarray) -> Lost | None:
-    """The least or largest of (T, ...) numbers, if it seems to stand for a missing one; None if neither does.
-
-    It comes exactly again and again: very far from all others; or for a sample or two from which they are far, with as
-    few digits as somebody writes there, unlike a tracker that slips for a moment.
-    """
-    columns = np.asarray(numbers, float).reshape(len(numbers), -1)
-    found: dict[float, int] = {}
-    for column in columns.T:
-        known = column[np.isfinite(column)]
-        for number in {known.min(), known.max()} if known.size > _FEW else ():
-            at = known == number
-            if _OFTEN <= at.sum() <= known.size / 2 and _is_lost(known, at, float(number)):
-                found[float(number)] = found.get(float(number), 0) + int(at.sum())
-    return Lost(*max(found.items(), key=lambda item: item[1])) if found else None
-
-
-def _is_lost(known: np.ndarray, at: np.ndarray, number: float) -> bool:
-    """Whether (T,) known numbers say nothing about where they are ``at`` a number."""
-    others = known[~at]
-    steps = np.abs(np.diff(others))
-    if not (moved := steps[steps > 0]).size:
-        return False
-    if number and np.abs(others - number).min() > _VERY_FAR * np.ptp(others):
-        return True
-    if float(f"{number:.{_DIGITS}g}") != number:
-        return False
-    ends = np.flatnonzero(np.diff(at, prepend=False, append=False)).reshape(-1, 2)  # of its runs
-    inner = ends[(ends[:, 0] > 0) & (ends[:, 1] < len(known))]
-    if len(inner) < _OFTEN or np.median(inner[:, 1] - inner[:, 0]) > _SHORTLY:
-        return False
-    jumps = np.minimum(np.abs(known[inner[:, 0] - 1] - number), np.abs(known[inner[:, 1]] - number))
-    return bool(np.median(jumps) > _VERY_FAR * np.median(moved))
-
-
-def seen_wraps(numbers: np.ndarray, period: float | np.ndarray) -> int:
-    """How often (T, ...) numbers look as if they wrapped: within one period, but for spikes, from end to end.
-
-    Args:
-        period: of all, or (k,) of each number of a sample.
-    """
-    columns = np.asarray(numbers, float).reshape(len(numbers), -1)
-    wraps = 0
-    for column, own in zip(columns.T, np.broadcast_to(period, columns.shape[1:]), strict=True):
-        finite = column[np.isfinite(column)]
-        jumps = int((np.abs(np.diff(finite)) > _WRAPS * own).sum())
-        if jumps and np.ptp(_without_spikes(finite)) <= own * (1 + 1e-6):
-            wraps += jumps
-    return wraps
-
-
-def _without_spikes(numbers: np.ndarray) -> np.ndarray:
-    """Without those of (T,) numbers that are far from both beside them, on the same side."""
-    steps = np.diff(numbers)
-    far = np.abs(steps) > _VERY_FAR * np.median(np.abs(steps))
-    spikes = np.flatnonzero(far[:-1] & far[1:] & (np.sign(steps[:-1]) != np.sign(steps[1:]))) + 1
-    return np.delete(numbers, spikes)
-
-
-@dataclass(frozen=True)
-class CounterPeriod:
-    """At how many counts a counter seems to wrap, and what to add to that number where it is not exact."""
-
-    counts: float
-    doubt: str = ""
-
-
-def counter_period(numbers: np.ndarray) -> CounterPeriod | None:
-    """At which period whole (T, ...) numbers seem to wrap; None if they do not.
-
-    A counter jumps by its period, less the step that it makes meanwhile. The steps beside the jump tell that step.
-    """
-    low, high = np.fmin.reduce(numbers, axis=None), np.fmax.reduce(numbers, axis=None)  # which copy nothing
-    if not _SMALLEST <= high - low + 1 <= _LARGEST or ((numbers % 1) > 0).any():
-        return None
-    columns = np.asarray(numbers, float).reshape(len(numbers), -1)
-    found = np.concatenate([_jumps(column[np.isfinite(column)]) for column in columns.T])
-    known = found[~np.isnan(found).any(axis=1)]
-    if 2 * len(known) <= len(found):
-        return None
-    counts, spread = np.median(known, axis=0)
-    counts = max(round(counts), int(high - low) + 1)
-    power = 2 ** round(math.log2(counts))
-    if abs(power - counts) <= max(min(spread, _ALIKE * counts), 1) and power > high - low:
-        return CounterPeriod(power)
-    return CounterPeriod(counts, "" if spread <= 1 else " (about; its data sheet says it)")
-
-
-def saw_period(numbers: np.ndarray, turn: float = 0.0) -> CounterPeriod | None:
-    """At which period (T, ...) numbers with decimals seem to wrap, once at a usual one; None if they do not.
-
-    Args:
-        turn: of an angle, of which the period may be a part.
-    """
-    columns = np.asarray(numbers, float).reshape(len(numbers), -1)
-    found = np.concatenate([_jumps(column[np.isfinite(column)], 0.0) for column in columns.T])
-    known = found[~np.isnan(found).any(axis=1)]
-    if 2 * len(known) <= len(found):
-        return None
-    counts, spread = np.median(known, axis=0)
-    least = np.nanmax(columns, axis=0) - np.nanmin(columns, axis=0)
-    if spread > _ON * counts:
-        return None
-    nice = turn / np.arange(1, 21) if turn else np.concatenate([np.outer(_NICE, 10.0 ** np.arange(-3, 6)).ravel(),
-                                                                2.0 ** np.arange(8, 33)])  # fmt: skip
-    near = nice[(np.abs(nice - counts) <= max(spread, _ALIKE * counts)) & (nice >= least.max() * (1 - 1e-6))]
-    if near.size:
-        return CounterPeriod(float(near[np.abs(near - counts).argmin()]))
-    return CounterPeriod(float(f"{counts:.4g}"), " (about; its data sheet says it)") if len(known) > 1 else None
-
-
-def _jumps(column: np.ndarray, least: float = 1.0) -> np.ndarray:
-    """(jumps, 2) the period that each jump of (T,) numbers over their range shows, and how exactly.
-
-    Both are NaN where the numbers do not go the other way before and after it, as those of a counter do.
-
-    Args:
-        least: range of numbers that are looked at.
-    """
-    steps = np.diff(column)
-    large = np.abs(steps) > _WRAPS * max(np.ptp(column) if column.size else 0.0, least)
-    found = np.full((min(int(large.sum()), _LOOKED_AT), 2), np.nan)
-    for row, i in zip(found, np.flatnonzero(large), strict=False):
-        around = slice(max(i - _BESIDE, 0), i + _BESIDE + 1)
-        beside = steps[around][~large[around] & (steps[around] != 0)]
-        if -np.sign(steps[i]) * beside.sum() > _ON * np.abs(beside).sum():
-            row[:] = np.abs(steps[i]) + np.abs(np.median(beside)), np.ptp(beside)
-    return found
-
-
-def _told(numbers: np.ndarray, period: np.ndarray) -> str:
-    label = ", ".join(f"{each:.6g}" for each in np.unique(period))[:80]
-    numbers = np.asarray(numbers, float).reshape(len(numbers), -1) / period
-    wraps = int((np.abs(_steps(numbers)) > 0.5).sum())
-    if not wraps:
-        return f"unwrap = true, but nothing wraps at {label}; period = ... says where it does"
-    left = np.abs(_steps(unwrapped(numbers, 1.0))).max()
-    fast = f"; steps of {left:.2f} of a period may as well be wraps the other way" if left > _FAST else ""
-    return f"wraps at {label} that are unwrapped: {wraps}{fast}"
 
 
 def _interpolated(time: np.ndarray, values: np.ndarray, interval: float) -> tuple[np.ndarray, np.ndarray]:
