@@ -130,6 +130,15 @@ def test_no_magnitude_is_no_effect_with_a_refined_time_step_either(name, element
     assert np.array_equal(*runs)
 
 
+def test_only_laws_of_setpoints_change_while_they_act(elements):
+    """Others would keep what they have written to fields, and a law at several joints has several values."""
+    stiff, late = (effect(elements, *where) for where in (("local_stiffness", "body"), ("pretension", "actuator")))
+    sim = trunk([(stiff, late)]).sim
+    sim.change(late.name, 0, late.location, "offset", 0.001)
+    with pytest.raises(EffectError, match="no law of setpoints called local_stiffness at"):
+        sim.change(stiff.name, 0, stiff.location, "factor", 2.0)
+
+
 def test_a_time_step_is_not_refined_under_effects_that_know_it(elements):
     with pytest.raises(RuntimeError, match="before there are effects"):
         trunk([(effect(elements, "actuator_delay", "actuator"),)]).refine(2)

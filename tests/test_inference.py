@@ -77,7 +77,9 @@ def test_simulations_of_bayes_sim_are_as_noisy_as_the_recording(reach, tmp_path)
 
 
 def test_the_log_of_another_inference_is_refused(reach, tmp_path):
-    infer("sysid", Replay(reach[0], threads=1), tmp_path / "log", max_iterations=1, starts=1)
+    found = infer("sysid", Replay(reach[0], threads=1), tmp_path / "log", max_iterations=1, starts=1)
+    again = infer("sysid", Replay(reach[0], threads=1), tmp_path / "log", starts=1, max_iterations=1)
+    assert again.estimate == found.estimate  # in another order the settings are the same
     with pytest.raises(ValueError, match="log of another inference"):
         infer("sysid", Replay(reach[0], threads=1), tmp_path / "log", seed=1)
 

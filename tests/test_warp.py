@@ -280,8 +280,9 @@ def test_wrong_arguments_are_refused_in_one_line():
         TorchVectorEnv("TrunkReach-v0", 2, device="cuda:7")
     with pytest.raises(ValueError, match="backend 'jax': allowed are 'mujoco' and 'warp'"):
         vector_env(backend="jax")
-    with pytest.raises(ValueError, match="max_episode_steps=-1: 1 or more"):
-        torch_env(max_episode_steps=-1)
+    for steps in (-1, 0, 2.5, np.inf, np.nan):
+        with pytest.raises(ValueError, match=f"max_episode_steps={steps}: a whole number of 1 or more"):
+            torch_env(max_episode_steps=steps)
     with pytest.raises(ValueError, match="is for backend='warp'"):
         vector_env(device="cuda:0")
     with pytest.raises(TypeError, match="cannot be copied"):

@@ -134,15 +134,17 @@ class ActiveEffects:
 
     def change(self, name: str, row: int, location: Location, quantity: str, value: float) -> None:
         """Give a law of setpoints that acts in a simulation another value of a quantity, from the next time step on.
-        Others write it to fields once, and have it at several joints."""
-        law, i = next(
-            (law, i)
-            for law in self.filters
-            if law.name == name
-            for i in np.flatnonzero(law.rows == row)
-            if law.locations[i] == location
-        )
-        law.values[quantity][i] = value
+        Others write it to fields once, and have it at several joints.
+
+        Raises:
+            EffectError: no such law acts there.
+        """
+        for law in self.filters:
+            for i in np.flatnonzero(law.rows == row):
+                if law.name == name and law.locations[i] == location:
+                    law.values[quantity][i] = value
+                    return
+        raise EffectError(f"simulation {row} has no law of setpoints called {name} at {location}")
 
     def memory(self) -> dict[str, Any]:
         """Copies of what effects go on from: what they remember, and what their laws read of the last time step."""

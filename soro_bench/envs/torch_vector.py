@@ -73,7 +73,7 @@ class TorchVectorEnv:
         self.num_envs, self.device = num_envs, torch.device(device)
         self.single_observation_space = self.task.single_observation_space
         self.single_action_space = self.task.single_action_space
-        if max_episode_steps is not None and (max_episode_steps < 1 or int(max_episode_steps) != max_episode_steps):
+        if max_episode_steps is not None and (not max_episode_steps >= 1 or max_episode_steps % 1):
             raise ValueError(f"max_episode_steps={max_episode_steps}: a whole number of 1 or more is needed")
         self.max_episode_steps = max_episode_steps or gymnasium.spec(env_id).max_episode_steps or math.inf
         self.elapsed = torch.zeros(num_envs, dtype=torch.int64, device=device)  # steps of the present episodes
