@@ -96,7 +96,9 @@ AFFORDABLE = {
 # Pairs of methods that the first two claims compare, on the simple and the accurate model
 ROBUSTER = (("rf_dropo", "oracle"), ("rf_dropo", "bayes_sim"), ("rf_dropo", "dr_box"), ("rf_dropo", "udr"))
 WALKER = (("dr", "no_dr"),)
-TRANSFERS = tuple((method, "oracle") for method in ("rf_dropo", "rf_dropo_cable", "bayes_sim", "dr_box", "udr"))
+TRANSFERS = tuple(
+    (method, "oracle") for method in ("rf_dropo", "rf_dropo_cable", "bayes_sim", "bayes_sim_variance", "dr_box", "udr")
+)
 # Table IV: elevation [mm], mean and standard deviation of three seeds
 LIFT = {
     ("TrunkLift-v0-100g", "no_dr"): (2.34, 4.03),
