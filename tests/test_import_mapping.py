@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from benchmarks.fuzz_recordings import mutated, outcome, readers, write_lerobot
 from soro_bench.cli import main
 from soro_bench.recording.importers import import_recording
+from soro_bench.recording.importers.wraps import saw_period
 from soro_bench.recording.parquet import load
 from soro_bench.recording.recording import NOTES, Recording, RecordingError
 from tests.arm import says
@@ -289,6 +290,13 @@ def test_numbers_that_seem_to_stand_for_missing_ones_are_asked_about(read, numbe
     table = "t,q\n" + "".join(f"{i},{each}\n" for i, each in enumerate(x))
     notes = read(table, CLOCK + '[signals.q]\ncolumns = ["q"]\nunit = "mm"\n').metadata.get(NOTES, "")
     assert (f"write missing = [{number:.10g}]" in notes) == asked
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_period_is_seen_beside_a_column_without_numbers_and_huge_numbers_give_none():
+    saw = 1.3 * np.arange(100) % 7
+    assert saw_period(np.stack([saw, np.full(100, np.nan)], axis=1)).counts == pytest.approx(7)
+    assert saw_period(np.where(saw > 3, 1e308, -1e308)) is None
 
 
 def test_lost_numbers_of_a_counter_are_no_wraps(read):

@@ -15,6 +15,7 @@ _FEW, _OFTEN = 20, 3  # numbers, of fewer none is lost; times that one comes whi
 _VERY_FAR, _SHORTLY = 10.0, 2  # ranges or median steps; samples in a row
 _DIGITS = 4  # of a number that somebody writes for a missing one, such as -1 or 9999
 _FAST = 0.35  # of a period, over which steps may as well be wraps the other way
+_LARGE = np.errstate(over="ignore", invalid="ignore")  # numbers near the largest there are
 
 
 def unwrapped(numbers: np.ndarray, period: float | np.ndarray) -> np.ndarray:
@@ -39,6 +40,7 @@ class Lost:
     count: int
 
 
+@_LARGE
 def lost_number(numbers: np.ndarray) -> Lost | None:
     """The least or largest of (T, ...) numbers, if it seems to stand for a missing one; None if neither does.
 
@@ -74,6 +76,7 @@ def _is_lost(known: np.ndarray, at: np.ndarray, number: float) -> bool:
     return bool(np.median(jumps) > _VERY_FAR * np.median(moved))
 
 
+@_LARGE
 def seen_wraps(numbers: np.ndarray, period: float | np.ndarray) -> int:
     """How often (T, ...) numbers look as if they wrapped: within one period, but for spikes, from end to end.
 
@@ -106,6 +109,7 @@ class CounterPeriod:
     doubt: str = ""
 
 
+@_LARGE
 def counter_period(numbers: np.ndarray) -> CounterPeriod | None:
     """At which period whole (T, ...) numbers seem to wrap; None if they do not.
 
@@ -127,6 +131,7 @@ def counter_period(numbers: np.ndarray) -> CounterPeriod | None:
     return CounterPeriod(counts, "" if spread <= 1 else " (about; its data sheet says it)")
 
 
+@_LARGE
 def saw_period(numbers: np.ndarray, turn: float = 0.0) -> CounterPeriod | None:
     """At which period (T, ...) numbers with decimals seem to wrap, once at a usual one; None if they do not.
 
@@ -139,12 +144,12 @@ def saw_period(numbers: np.ndarray, turn: float = 0.0) -> CounterPeriod | None:
     if 2 * len(known) <= len(found):
         return None
     counts, spread = np.median(known, axis=0)
-    least = np.nanmax(columns, axis=0) - np.nanmin(columns, axis=0)
+    least = np.fmax.reduce(np.fmax.reduce(columns) - np.fmin.reduce(columns))  # some may have no number
     if spread > _ON * counts:
         return None
     nice = turn / np.arange(1, 21) if turn else np.concatenate([np.outer(_NICE, 10.0 ** np.arange(-3, 6)).ravel(),
                                                                 2.0 ** np.arange(8, 33)])  # fmt: skip
-    near = nice[(np.abs(nice - counts) <= max(spread, _ALIKE * counts)) & (nice >= least.max() * (1 - 1e-6))]
+    near = nice[(np.abs(nice - counts) <= max(spread, _ALIKE * counts)) & (nice >= least * (1 - 1e-6))]
     if near.size:
         return CounterPeriod(float(near[np.abs(near - counts).argmin()]))
     return CounterPeriod(float(f"{counts:.4g}"), " (about; its data sheet says it)") if len(known) > 1 else None
