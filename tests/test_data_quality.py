@@ -43,6 +43,17 @@ def test_step_of_a_quantised_signal(levels, dither):
     assert lattice_step(x, 0.1 * step, SETTINGS) == pytest.approx(step, rel=1e-3)
 
 
+@pytest.mark.parametrize("counts", [[5, 4, 5], [2, 0, 2, 1], [0, 6, 9, 4, -5, -3, 6, 4]])
+def test_step_of_an_encoder_that_rests_on_a_few_levels(counts):
+    x = 0.0015 * np.repeat(counts, 8)
+    assert lattice_step(x, 1e-6, SETTINGS) == pytest.approx(0.0015)
+
+
+def test_a_robot_that_rests_at_a_few_places_has_no_levels():
+    rests = np.repeat([0.11, 0.37, 0.11, 0.22, 0.53, 0.37], 8)
+    assert lattice_step(rests, 1e-6, SETTINGS) == 0.0
+
+
 @pytest.mark.parametrize("x", [motion(), noisy(), np.linspace(0, 1, 400), np.sin(np.arange(400) / 9)])
 def test_no_step_where_there_is_none(x):
     assert lattice_step(x, 1e-6, SETTINGS) == 0.0

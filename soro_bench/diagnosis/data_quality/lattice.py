@@ -31,6 +31,24 @@ def lattice_step(samples: Floats, least: float, settings: DataQualitySettings) -
         if step and _in_changes(samples, step, settings) and _in_distinct(samples, step, settings):
             return _widened(samples, step, settings)
         high *= 0.5
+    return _between_few(samples, least, settings)
+
+
+def _between_few(samples: Floats, least: float, settings: DataQualitySettings) -> float:
+    """Step between a few levels on which samples mostly rest and to which they come back, as those of an encoder; 0 if
+    these are no whole steps apart."""
+    if not (np.diff(samples) == 0).sum() > 0.5 * len(samples):
+        return 0.0
+    levels = np.unique(samples)
+    runs = 1 + int(np.count_nonzero(np.diff(samples)))
+    if not 2 <= len(levels) <= settings.least_samples or runs == len(levels):
+        return 0.0
+    apart = np.diff(levels)
+    # many levels may all be several steps apart; of few, parts of the least distance would fit by chance
+    parts = range(1, settings.fewest_levels + 1) if len(levels) > settings.fewest_levels + 1 else (1,)
+    for step in (float(apart.min()) / part for part in parts):
+        if step >= least and (np.abs(apart / step - np.round(apart / step)) < settings.whole).all():
+            return step
     return 0.0
 
 
