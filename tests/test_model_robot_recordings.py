@@ -24,6 +24,7 @@ from soro_bench.diagnosis.preparation import check_unit_and_sign, unexplained
 from soro_bench.diagnosis.render.summary import summary
 from soro_bench.diagnosis.robots.model_file import ModelError
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.robot_map import read_mapping
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.effect import EVERY, Effect, Location
@@ -60,6 +61,18 @@ def test_a_start_that_was_measured_later_than_the_commands_begin_is_refused(path
     later = replace(given, signals={"angle": replace(angle, time=angle.time[50:], values=angle.values[50:])})
     with pytest.raises(RecordingError, match=r"first sample of angle is 1 s after .* within a control step, 0\.02 s"):
         ModelRobot(*paths, threads=1).measured(later)
+
+
+def test_nothing_is_explained_for_a_while_after_a_command_changes(paths):
+    given = recording(paths, [], 0)
+    goal = given.commands["goal"]
+    held = np.where(goal.time < 0.99, 0.0, 0.3)
+    told = replace(given, commands={"goal": replace(goal, values=held[:, None])})
+    table = read_mapping(paths[1])
+    table["commands"]["goal"]["leave_out"] = 0.5
+    measured = ModelRobot(paths[0], table, threads=1).measured(told)
+    lost = np.isnan(measured.values[:, 0, 0])
+    assert (lost == (measured.time > 1.01) & (measured.time < 1.51)).all() and lost.sum() == 25
 
 
 PULLED = Effect("pretension", Location("actuator", "motor"), {"offset": 0.03})

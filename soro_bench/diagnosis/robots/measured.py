@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from soro_bench.arrays import Floats
+from soro_bench.arrays import Bools, Floats
 from soro_bench.recording.recording import RecordingError, Signal, resampled, sampled
 
 
@@ -94,6 +94,11 @@ class Measured:
         """The largest range of a column [unit]; 0 where none has samples."""
         moved = self.columns[:, np.isfinite(self.columns).any(axis=0)]
         return float(np.max(np.nanmax(moved, axis=0) - np.nanmin(moved, axis=0), initial=0.0))
+
+    def without(self, left_out: Bools) -> "Measured":
+        """The same with nothing measured in some control steps (T,)."""
+        kept = [np.where(left_out[:, None, None], np.nan, each) for each in (self.values, *self.others)]
+        return replace(self, values=kept[0], others=tuple(kept[1:]))
 
     def only(self, which: int, signal: ObservedSignal) -> "Measured":
         """The same with samples of one signal only.

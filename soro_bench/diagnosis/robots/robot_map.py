@@ -70,7 +70,8 @@ _SECTIONS = {
     "settings": None,
     "parameters": None,
 }
-_COMMAND = ("actuators", "unit", "ctrlrange")
+_COMMAND = ("actuators", "unit", "ctrlrange", "leave_out")
+_LONGEST = 1e6  # s
 _WIDEN = "widen"
 _ACTUATOR = mujoco.mjtObj.mjOBJ_ACTUATOR
 _EXACT = 1e-6  # share of a control step; a time step that fits so well stays as it is
@@ -78,13 +79,21 @@ _EXACT = 1e-6  # share of a control step; a time step that fits so well stays as
 
 @dataclass(frozen=True)
 class Command:
-    """A command of the recordings: MuJoCo's ids of its actuators, its unit if the mapping names one, and whether it
-    may exceed the ranges of these actuators."""
+    """A command of the recordings: MuJoCo's ids of its actuators, its unit if the mapping names one, whether it may
+    exceed the ranges of these actuators, and how long after each of its changes nothing is explained [s]."""
 
     name: str
     actuators: list[int]
     unit: str | None
     widened: bool
+    leave_out: float
+
+    def changed(self, actions: Floats, control_timestep: float) -> Bools:
+        """(T,) whether a control step is one of those that are left out, as its command has changed before."""
+        own, steps = actions[:, self.actuators], np.arange(len(actions))
+        anew = np.any(np.diff(own, axis=0, prepend=own[:1]), axis=1)
+        since = steps - np.maximum.accumulate(np.where(anew, steps, -np.inf))
+        return np.asarray((since + 0.5) * control_timestep < self.leave_out)  # samples are at the ends of steps
 
 
 def read_mapping(mapping: str | Path | Mapping[str, Any]) -> dict[str, Any]:
@@ -171,7 +180,9 @@ def commands_of(model: mujoco.MjModel, table: dict[str, Any], widen_all: bool = 
         unit = entry.get("unit")
         if not isinstance(unit, str | None):
             raise ModelError(f"[commands.{name}] unit is {unit!r}; expected a text")
-        found.append(Command(name, actuators, unit, widen_all or widened(f"[commands.{name}]", entry)))
+        label = f"[commands.{name}]"
+        left_out = number(f"{label} leave_out", entry.get("leave_out", 0.0), 0.0, _LONGEST)
+        found.append(Command(name, actuators, unit, widen_all or widened(label, entry), left_out))
     return found
 
 
