@@ -14,6 +14,7 @@ pytest.importorskip("pyarrow", reason="needs the train extra")
 
 
 from soro_bench.diagnosis.api import diagnose
+from soro_bench.diagnosis.assembly.errors import motion
 from soro_bench.diagnosis.candidates import late, term, terms
 from soro_bench.diagnosis.commands import Diagnose
 from soro_bench.diagnosis.data_quality.inspection import inspected
@@ -61,6 +62,13 @@ def test_a_start_that_was_measured_later_than_the_commands_begin_is_refused(path
     later = replace(given, signals={"angle": replace(angle, time=angle.time[50:], values=angle.values[50:])})
     with pytest.raises(RecordingError, match=r"first sample of angle is 1 s after .* within a control step, 0\.02 s"):
         ModelRobot(*paths, threads=1).measured(later)
+
+
+def test_motion_is_about_the_mean_of_each_recording(paths):
+    robot = ModelRobot(*paths, threads=1)
+    measured = [robot.measured(recording(paths, [], seed)) for seed in (0, 1)]
+    left = np.concatenate([each.values - each.values.mean() for each in measured])
+    assert motion(unexplained(robot, measured, 1e-3)) == pytest.approx(left.std(), rel=1e-6)
 
 
 def test_nothing_is_explained_for_a_while_after_a_command_changes(paths):

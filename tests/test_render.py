@@ -388,3 +388,13 @@ def test_the_list_of_environments_has_every_cell(call):
         cells = ["{:g} .. {:g}".format(*pair) for pair in (parameter.bounds, parameter.search)]
         assert any(all(cell in row for cell in cells) for row in rows)
         assert set(parameter.meaning.split()) <= set(text.split())
+
+
+@pytest.mark.parametrize(
+    ("motion", "begins"), [(0.5, "Adequate within"), (8e-4, "Undecided"), (None, "Adequate within")]
+)
+def test_a_replay_that_leaves_most_of_the_motion_says_nothing(motion, begins):
+    result = RESULTS["adequate"]()
+    told = replace(result, heldout=replace(result.heldout, motion=motion))
+    assert sentences.headline(told).startswith(begins)
+    assert any("short pieces" in each for each in sentences.warnings(told)) == (begins == "Undecided")

@@ -19,6 +19,7 @@ class Errors:
     noise: standard deviation of the sensor's noise.
     corrected_before, corrected_after: of replays at the time step of fits, without what the covariance of
         discretisation error explains; no replay shows them.
+    motion: of what was measured, about its mean in each recording; None in older results.
     """
 
     before: float
@@ -26,6 +27,7 @@ class Errors:
     noise: float
     corrected_before: float
     corrected_after: float
+    motion: float | None = None
 
     @property
     def explained(self) -> float:

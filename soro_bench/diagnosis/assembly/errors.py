@@ -54,8 +54,8 @@ class PlainReplays:
         plain = zip(self.rms(diagnosis.explanation.nominal), self.rms(answer.hypothesis), strict=True)
         fits = [each for each in (answer.train, answer.heldout) if each is not None]
         found = [
-            Errors(*pair, fit.noise, *(fit.own or (fit.before, fit.after)))
-            for pair, fit in zip(plain, fits, strict=True)
+            Errors(*pair, fit.noise, *(fit.own or (fit.before, fit.after)), motion(problem))
+            for pair, fit, problem in zip(plain, fits, self.problems, strict=True)
         ]
         return found[0], found[1] if len(found) > 1 else None
 
@@ -201,6 +201,15 @@ def plain_rms(problem: Problem, simulated: Floats, which: int = 0) -> float:
     if not off.size:
         return math.nan
     return float(np.sqrt(np.mean(off**2))) if np.isfinite(off).all() else math.inf
+
+
+def motion(problem: Problem) -> float:
+    """Root mean square of the first signal [its unit] about the mean of each coordinate in each recording."""
+    parts = zip(problem.split(problem.measured), problem.split(problem.weight), strict=True)
+    present = [np.where(weight > 0, values, np.nan).reshape(len(values), -1) for values, weight in parts]
+    seen = [each[:, np.isfinite(each).any(axis=0)] for each in present]
+    off = np.concatenate([(each - np.nanmean(each, axis=0)).ravel() for each in seen])
+    return float(np.sqrt(np.nanmean(off**2)))
 
 
 def _key(hypothesis: Hypothesis) -> HypothesisKey:

@@ -28,6 +28,7 @@ from soro_bench.effects.effect import Location
 LIKELY = 0.05  # probability from which another hypothesis is mentioned
 VISIBLE = 0.3  # noise deviations from which an error of the model's form is told
 CORRECTED = 1.3  # ratio of plain to corrected errors from which the report warns
+LEAVES_MOST = 0.7  # of the motion's rms, half of its square; a replay that leaves more tests nothing
 FAR = 3.0  # standard deviations of the prior from which a parameter is called far off
 CLEAR = 0.7  # probability from which a kind of fault is clear
 AHEAD = 0.05  # by which a kind has to be more probable than the law
@@ -103,11 +104,20 @@ def headline(result: Result) -> str:
     if result.verdict == "measurement_fault" and not best_findings(result):
         return "Adequate but for outliers"
     if result.verdict == "adequate":
-        return f"Adequate within {number(_plain_error(result), result.robot.unit)}: no discrepancy detected"
+        left = number(_plain_error(result), result.robot.unit)
+        if says_little(result):
+            return f"Undecided: plain replays leave {left}, nearly as much as all motion"
+        return f"Adequate within {left}: no discrepancy detected"
     if equations := described(result):
         black_box = "a black box, " if label(result) == _BLACK_BOX else ""
         return f"{ANSWERS[result.verdict]}, described by {black_box}{'; '.join(equations)}"
     return ANSWERS[result.verdict]
+
+
+def says_little(result: Result) -> bool:
+    """Whether a robot without a discrepancy leaves so much of the motion that its replays test nothing."""
+    motion = (result.heldout or result.train).motion
+    return result.verdict == "adequate" and motion is not None and not _plain_error(result) < LEAVES_MOST * motion
 
 
 def described(result: Result) -> tuple[str, ...]:
@@ -342,6 +352,9 @@ def worse(result: Result) -> str:
 def warnings(result: Result) -> list[str]:
     """What a reader must know before using the numbers."""
     said = _of_errors(result)
+    if says_little(result):
+        said.append("Replays that run away from the recording, as of an unstable robot without its controller, test no "
+                    "physics. Cut the recording into short pieces, each from its own start.")  # fmt: skip
     if form := model_form(result):
         said.append(form)
     if result.patch.state == "untested" and result.best.effects:
