@@ -31,7 +31,7 @@ from soro_bench.diagnosis.robots.replays import Memory
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.robots.variants import Variant
-from soro_bench.diagnosis.selection.forward_selection import Progress
+from soro_bench.diagnosis.selection.forward_selection import StageProgress
 from soro_bench.diagnosis.settings import Settings
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import Effect, Location, effect_from
@@ -183,7 +183,7 @@ class Outcome:
     figures: dict[str, float] = field(default_factory=dict)
 
 
-CaseRun = Callable[[Groups, Progress], Outcome]
+CaseRun = Callable[[Groups, StageProgress], Outcome]
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ def runner(paths: Paths, case: Case) -> CaseRun:
         before = recording(paths, Case(), 0)
         return lambda groups, stage: of_pair(robot, before, train, Settings(**groups), stage)
 
-    def run(groups: Groups, stage: Progress) -> Outcome:
+    def run(groups: Groups, stage: StageProgress) -> Outcome:
         found = run_diagnosis(robot, [train], [heldout], Run(progress=stage, settings=Settings(**groups)))
         stage("limits")
         limits = ", ".join(f"{each.name} of {each.element}" for each in reached_limits(found))
@@ -262,7 +262,7 @@ def of_diagnosis(found: Diagnosis, limits: str) -> Outcome:
     return Outcome(said, best.probability, best.hypothesis.x, np.sqrt(np.diag(covariance)), figures)
 
 
-def of_pair(robot: Robot, before: Recording, after: Recording, settings: Settings, stage: Progress) -> Outcome:
+def of_pair(robot: Robot, before: Recording, after: Recording, settings: Settings, stage: StageProgress) -> Outcome:
     """What has changed between two recordings."""
     result = compare([before], [after], robot, progress=stage, settings=settings)
     found = result.explanation
@@ -298,7 +298,7 @@ def counted(build: Callable[[], CaseRun]) -> CaseRun:
     """A case that tells how many replays it takes."""
     run = build()
 
-    def counting(groups: Groups, stage: Progress) -> Outcome:
+    def counting(groups: Groups, stage: StageProgress) -> Outcome:
         before = Asked.replays
         outcome = run(groups, stage)
         return replace(outcome, figures={**outcome.figures, "replays": float(Asked.replays - before)})
@@ -326,7 +326,7 @@ def logs(folder: Path) -> CaseRun:
     signals = {name: replace(each, values=1000.0 * each.values) for name, each in whole.signals.items()}
     read.append(("trunk in mm", robots["trunk"], replace(whole, signals=signals)))
 
-    def run(groups: Groups, stage: Progress) -> Outcome:
+    def run(groups: Groups, stage: StageProgress) -> Outcome:
         settings = Settings(**groups)
         found = {name: _of_log(robot, each, settings) for name, robot, each in read}
         numbers = np.array([number for _, each in found.values() for number in each])
@@ -383,7 +383,7 @@ def hidden_arm(folder: Path, family: str) -> CaseRun:
 
 
 def _whole(
-    robot: Robot, train: Sequence[Recording], heldout: Sequence[Recording], groups: Groups, stage: Progress
+    robot: Robot, train: Sequence[Recording], heldout: Sequence[Recording], groups: Groups, stage: StageProgress
 ) -> Outcome:
     """The whole result of a diagnosis."""
     found = run_diagnosis(robot, train, heldout, Run(progress=stage, settings=Settings(**groups)))

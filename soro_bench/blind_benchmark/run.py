@@ -22,12 +22,12 @@ from soro_bench.sources import claim, method_version
 
 METHOD = "method.txt"
 
-Progress = Callable[[str, int, int], None]
+CaseProgress = Callable[[str, int, int], None]  # the stage, cases done, cases in all
 
 
 def run_blind_benchmark(
     folder: str | Path, count: int, seed: int | None = None, healthy: int | None = None, ablations: int = 0,
-    workers: Workers = HERE, progress: Progress = lambda *_: None, others: int | None = None,
+    workers: Workers = HERE, progress: CaseProgress = lambda *_: None, others: int | None = None,
     sorosim: str | Path | None = None,
 ) -> str:  # fmt: skip
     """Write what is missing of cases, reports and scorecard in a folder; returns the scorecard, Markdown.

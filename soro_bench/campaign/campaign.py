@@ -22,11 +22,15 @@ _COST = {"TrunkReach-v0": 1.0, "TrunkPush-v0": 1.3, "TrunkLift-v0": 1.5, "MultiG
 _ACCURATE = 10.0
 
 T = TypeVar("T")
-Progress = Callable[[float, list[str]], None]
+CampaignProgress = Callable[[float, list[str]], None]  # the share that is done, a line for each active run
 
 
 def carry_out_all(
-    runs: Sequence[Run], work: Path, results: Path, workers: Workers, progress: Progress = lambda share, rows: None
+    runs: Sequence[Run],
+    work: Path,
+    results: Path,
+    workers: Workers,
+    progress: CampaignProgress = lambda share, rows: None,
 ) -> list[str]:
     """Carry out the runs that are not done; what a run writes does not depend on the others, nor does whether it fails.
 
@@ -127,7 +131,7 @@ def _last_row(path: Path) -> dict[str, str] | None:
 
 
 @contextmanager
-def _watching(runs: Sequence[Run], work: Path, results: Path, progress: Progress, seen: Seen) -> Iterator[None]:
+def _watching(runs: Sequence[Run], work: Path, results: Path, progress: CampaignProgress, seen: Seen) -> Iterator[None]:
     """Looks at the files from a thread, as what runs elsewhere cannot call back."""
     stop = Event()
 

@@ -17,7 +17,7 @@ from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.result_parts import NextRecording
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.selection.forward_selection import Progress, silent
+from soro_bench.diagnosis.selection.forward_selection import StageProgress, silent
 from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.effect import load_effects
@@ -51,7 +51,7 @@ def diagnose_actively(
     most: int,
     heldout: Sequence[Recording] = (),
     seed: int = 0,
-    progress: Progress = silent,
+    progress: StageProgress = silent,
     settings: Settings = DEFAULT,
     known: Told = (),
 ) -> tuple[Result, tuple[Round, ...]]:

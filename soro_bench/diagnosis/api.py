@@ -9,7 +9,7 @@ from soro_bench.diagnosis.pipeline import Run, run_diagnosis
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.result_parts import SeedAnswer
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.selection.forward_selection import Progress, silent
+from soro_bench.diagnosis.selection.forward_selection import StageProgress, silent
 from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
@@ -24,7 +24,7 @@ def diagnose(
     recordings: Sequence[Recording],
     heldout: Sequence[Recording] = (),
     seed: int = 0,
-    progress: Progress = silent,
+    progress: StageProgress = silent,
     settings: Settings = DEFAULT,
     known: Told = (),
 ) -> Result:

@@ -15,7 +15,7 @@ from soro_bench.diagnosis.estimation.model_form import may_be_model_form
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.result_robot import Outliers
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.selection.forward_selection import SEEDS, Progress, silent
+from soro_bench.diagnosis.selection.forward_selection import SEEDS, StageProgress, silent
 from soro_bench.diagnosis.selection.moves import iterate_to_convergence
 from soro_bench.diagnosis.selection.rounds import fitted_in_growing_parts, is_discrepant
 from soro_bench.diagnosis.settings import DataQualitySettings
@@ -23,7 +23,7 @@ from soro_bench.inference.statistical_linearisation import LowRank
 
 
 def nominal_fit(
-    problem: Problem, refined: Sequence[Robot], seed: int, progress: Progress = silent
+    problem: Problem, refined: Sequence[Robot], seed: int, progress: StageProgress = silent
 ) -> tuple[Problem, Hypothesis]:
     """The problem with its discretisation error, and the nominal robot fitted to it, in turns; from the beginning of
     the recordings on, where that explains much more.
@@ -95,7 +95,7 @@ def fitted_again(
     least: Sequence[float],
     spoilt: bool,
     seed: int,
-    progress: Progress,
+    progress: StageProgress,
 ) -> tuple[Problem, Hypothesis, Outliers]:
     """The problem without outliers and with the noise that the nominal fit leaves, and that fit.
 

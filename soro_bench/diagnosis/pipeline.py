@@ -20,7 +20,7 @@ from soro_bench.diagnosis.result_robot import DataFinding, Outliers
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.experiment_design import Proposal, proposed
-from soro_bench.diagnosis.selection.forward_selection import Explanation, Progress, explained, silent
+from soro_bench.diagnosis.selection.forward_selection import Explanation, StageProgress, explained, silent
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, compared, shortlist
 from soro_bench.diagnosis.selection.sizing import sized
 from soro_bench.diagnosis.settings import DEFAULT, Settings
@@ -37,7 +37,7 @@ class Run:
     """
 
     seed: int = 0
-    progress: Progress = silent
+    progress: StageProgress = silent
     settings: Settings = DEFAULT
 
 

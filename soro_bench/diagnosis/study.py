@@ -13,7 +13,7 @@ import io
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -30,7 +30,7 @@ from soro_bench.diagnosis.render import FILES, render
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.selection.forward_selection import Progress, silent
+from soro_bench.diagnosis.selection.forward_selection import StageProgress, silent
 from soro_bench.diagnosis.selection.model_probabilities import Answer
 from soro_bench.files import asset_path, brief, check_folder, read_json, read_toml, write_json
 from soro_bench.markdown import table
@@ -226,7 +226,7 @@ def _command(name: str, entry: Mapping[str, Any], row: Mapping[str, str]) -> Sig
 
 
 def run_study(
-    study: Study, out: str | Path, seed: int = 0, threads: int = 0, progress: Progress = silent
+    study: Study, out: str | Path, seed: int = 0, threads: int = 0, progress: StageProgress = silent
 ) -> list[dict]:
     """Diagnose the parts that have no summary in the folder ``out`` yet; the summaries of all of them.
 
@@ -253,7 +253,7 @@ def run_study(
     return [read_json(Path(out) / part.name / SUMMARY) for part in study.parts]
 
 
-def _prefixed(progress: Progress, name: str) -> Callable[[str], None]:
+def _prefixed(progress: StageProgress, name: str) -> StageProgress:
     """Report stages with the name of a part before them."""
 
     def report(stage: str) -> None:

@@ -15,7 +15,7 @@ from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.robots.model_file import ModelError
 from soro_bench.diagnosis.robots.sysid_robot import COMMAND, SIGNAL, STATE, SysidRobot, free, names_of
-from soro_bench.diagnosis.selection.forward_selection import Progress, silent
+from soro_bench.diagnosis.selection.forward_selection import StageProgress, silent
 from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 
@@ -48,7 +48,7 @@ def diagnose_sequences(
     units: Mapping[str, str] | None = None,
     threads: int = 0,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: StageProgress = silent,
     settings: Settings = DEFAULT,
 ) -> Result:
     """Say which physics a model lacks, from the parameters and sequences that mujoco.sysid fits it to.

@@ -7,7 +7,7 @@ from scipy.stats import qmc
 
 from soro_bench.arrays import Floats
 from soro_bench.inference.replay import MISSING
-from soro_bench.inference.search import EvaluationLog, Progress, Residuals
+from soro_bench.inference.search import EvaluationLog, Residuals, SearchProgress
 from soro_bench.inference.statistical_linearisation import LENGTHS, LowRank, linearised, sample_around
 
 DIFFERENCE = 1e-3  # of the search box, step of the finite differences
@@ -26,7 +26,7 @@ def best_track(
     log: EvaluationLog,
     seed: int,
     starts: int,
-    progress: Progress = lambda *_: None,
+    progress: SearchProgress = lambda *_: None,
 ) -> Floats:
     """(d,) the point of the unit cube that explains the recording best: :func:`track`, and where much is left
     :func:`refine`, from other starting points until little is."""
@@ -84,7 +84,7 @@ def track(
     log: EvaluationLog,
     seed: Sequence[int],
     starts: int,
-    progress: Progress = lambda *_: None,
+    progress: SearchProgress = lambda *_: None,
 ) -> tuple[Floats, float]:
     """(d,) the point of the unit cube whose replay explains the recording, by continuation in the horizon; its cost.
 

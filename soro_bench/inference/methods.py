@@ -17,7 +17,7 @@ from soro_bench.inference.continuation import EXPLAINED
 from soro_bench.inference.guard import Guard, guarded, rms
 from soro_bench.inference.posterior import Posterior, combinations, fisher
 from soro_bench.inference.replay import SIMULATIONS, Replay
-from soro_bench.inference.search import EvaluationLog, Progress, cma_search
+from soro_bench.inference.search import EvaluationLog, SearchProgress, cma_search
 from soro_bench.parallel import HERE, Workers, each, one_blas_thread
 from soro_bench.randomization import Gaussian, TruncatedNormal
 
@@ -36,7 +36,7 @@ class Search:
     replay: Replay
     log: EvaluationLog
     seed: int
-    progress: Progress
+    progress: SearchProgress
     workers: Workers
 
     def __post_init__(self) -> None:
@@ -74,7 +74,7 @@ def infer(
     replay: Replay,
     work: str | Path | None = None,
     seed: int = 0,
-    progress: Progress = lambda *_: None,
+    progress: SearchProgress = lambda *_: None,
     workers: Workers = HERE,
     **settings: Any,
 ) -> Posterior:

@@ -24,7 +24,7 @@ from scipy.stats import qmc
 
 from soro_bench.arrays import Floats
 from soro_bench.inference.continuation import DIFFERENCE, best_track
-from soro_bench.inference.search import EvaluationLog, Progress, Residuals, cma_search
+from soro_bench.inference.search import EvaluationLog, Residuals, SearchProgress, cma_search
 
 SMALLEST_STD, LARGEST_STD = 1e-5, 0.25  # of the search box; the upper one as published
 ROUNDS = 12
@@ -51,7 +51,7 @@ def sampled(
     iterations: int = 500,
     samples: int = 100,
     popsize: int | None = None,
-    progress: Progress = lambda *_: None,
+    progress: SearchProgress = lambda *_: None,
 ) -> Fit:
     """The published search.
 
@@ -96,7 +96,7 @@ def linearised(
     log: EvaluationLog,
     seed: int = 0,
     starts: int = 8,
-    progress: Progress = lambda *_: None,
+    progress: SearchProgress = lambda *_: None,
 ) -> Fit:
     """The fast search; arguments as in :func:`sampled`.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from soro_bench.arrays import Floats
 
-Progress = Callable[[int, int, float], None]  # what is done, what there is to do, and the cost so far
+SearchProgress = Callable[[int, int, float], None]  # what is done, what there is to do, and the cost so far
 Residuals = Callable[[Floats, int], Floats]  # points (N, d), steps -> (N, steps, k) measured less simulated
 WORST = 1e300  # the cost of a replay that diverges: worse than those of all that do not
 
@@ -89,7 +89,7 @@ def cma_search(
     iterations: int,
     popsize: int,
     seed: int,
-    progress: Progress = lambda *_: None,
+    progress: SearchProgress = lambda *_: None,
 ) -> Floats:
     """The best point (D,) of the unit cube that CMA-ES finds.
 

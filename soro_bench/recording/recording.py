@@ -7,7 +7,7 @@ Nothing here knows a file format: :mod:`soro_bench.recording.parquet` reads and 
 import hashlib
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -26,6 +26,9 @@ _DENSE = 1.2  # of the spacing of times, above which samples are apart
 _ROUNDING = 1e-3  # of the spacing of times, by which a time stamp may be late
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_.-]{0,63}")
 _SHORT = re.compile(r"[ -~°µ²³]{0,32}")  # units and frames: printable
+
+# is told what is done, with how much of a file, and of how much: bytes, or letters of a text
+ReadingProgress = Callable[[str, int, int], None]
 
 
 class RecordingError(ValueError):

@@ -20,7 +20,7 @@ from soro_bench.randomization import Distribution
 from soro_bench.registration import task_type
 from soro_bench.sources import metric_key
 from soro_bench.training.configuration import PPOConfig, card, episode_steps, exploration
-from soro_bench.training.ppo import CheckpointFolder, Curve, Progress, claim
+from soro_bench.training.ppo import CheckpointFolder, Curve, TrainingProgress, claim
 
 try:
     from rsl_rl.algorithms import PPO
@@ -117,7 +117,7 @@ class DeviceTrainer:
         self.metric = task_type(config.env_id).metric
         self.updates = 0
 
-    def run_segment(self, segment: int, curve: Curve, progress: Progress) -> None:
+    def run_segment(self, segment: int, curve: Curve, progress: TrainingProgress) -> None:
         """Train for one segment, from episodes and generators that begin anew."""
         config = self.config
         seed = int(np.random.SeedSequence([config.seed, segment]).generate_state(1)[0])
@@ -208,7 +208,7 @@ def train_on_device(
     config: PPOConfig,
     folder: str | Path,
     distribution: Distribution | None = None,
-    progress: Progress = lambda steps, total, row: None,
+    progress: TrainingProgress = lambda steps, total, row: None,
     device: str = "cuda:0",
     room: Mapping[str, int] | None = None,
 ) -> Policy:

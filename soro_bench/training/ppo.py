@@ -36,7 +36,7 @@ from soro_bench.registration import task_type
 from soro_bench.sources import metric_key
 from soro_bench.training.configuration import PPOConfig, card, episode_steps, exploration
 
-Progress = Callable[[int, int, dict[str, float]], None]  # steps done, steps in total, a row of the curve
+TrainingProgress = Callable[[int, int, dict[str, float]], None]  # steps done, steps in total, a row of the curve
 # version of how a configuration becomes a policy; 1 let the learning rate fall in every segment anew, for 1 and 2
 # nothing that came after success counted, and 1 to 3 let observations that hardly vary be blown up
 TRAINER = 4
@@ -49,7 +49,7 @@ def train(
     config: PPOConfig,
     folder: str | Path,
     distribution: Distribution | None = None,
-    progress: Progress = lambda steps, total, row: None,
+    progress: TrainingProgress = lambda steps, total, row: None,
 ) -> Policy:
     """Train, or go on training, into ``folder`` and return the policy.
 
@@ -68,7 +68,7 @@ def train(
         torch.set_num_threads(threads)
 
 
-def _train(config: PPOConfig, folder: Path, distribution: Distribution | None, progress: Progress) -> Policy:
+def _train(config: PPOConfig, folder: Path, distribution: Distribution | None, progress: TrainingProgress) -> Policy:
     described, old = claim(folder, config, distribution)
     env = make_env(config, distribution)
     episode_steps(config)
@@ -172,7 +172,7 @@ def make_agent(config: PPOConfig, env: VecNormalize, device: str = "cpu") -> PPO
 
 
 def _run_segment(
-    config: PPOConfig, segment: int, agent: PPO, env: VecNormalize, curve: "Curve", progress: Progress
+    config: PPOConfig, segment: int, agent: PPO, env: VecNormalize, curve: "Curve", progress: TrainingProgress
 ) -> None:
     """Train for one segment, from episodes and generators that begin anew."""
     seed = int(np.random.SeedSequence([config.seed, segment]).generate_state(1)[0])
@@ -204,7 +204,7 @@ class Curve:
 class _Watch(BaseCallback):
     """Gathers finished episodes and adds a row to the curve after every rollout."""
 
-    def __init__(self, curve: Curve, progress: Progress, total: int, metric: str):
+    def __init__(self, curve: Curve, progress: TrainingProgress, total: int, metric: str):
         super().__init__()
         self._metric_key = metric_key(metric)
         self._curve, self._progress, self._total = curve, progress, total

@@ -8,7 +8,7 @@ from soro_bench.diagnosis.paired.difference import Difference, difference, measu
 from soro_bench.diagnosis.paired.explanation import explained
 from soro_bench.diagnosis.paired.result import CommandDifference, PairedResult, SignalDifference
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.selection.forward_selection import Progress, silent
+from soro_bench.diagnosis.selection.forward_selection import StageProgress, silent
 from soro_bench.diagnosis.settings import DEFAULT, DataQualitySettings, Settings
 from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
@@ -23,7 +23,7 @@ def compare(
     after: Sequence[Recording],
     robot: Robot | None = None,
     seed: int = 0,
-    progress: Progress = silent,
+    progress: StageProgress = silent,
     settings: Settings = DEFAULT,
     known: Told = (),
 ) -> PairedResult:

@@ -28,7 +28,7 @@ from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.result_parts import Estimate
 from soro_bench.diagnosis.robots.measured import Measured, ObservedSignal
 from soro_bench.diagnosis.robots.robot import Robot
-from soro_bench.diagnosis.selection.forward_selection import Progress
+from soro_bench.diagnosis.selection.forward_selection import StageProgress
 from soro_bench.diagnosis.settings import Settings
 from soro_bench.effects.effect import EVERY, Location
 from soro_bench.recording.recording import RecordingError
@@ -41,7 +41,7 @@ def explained(
     robot: Robot,
     pairs: Sequence[Pair],
     seed: int,
-    progress: Progress,
+    progress: StageProgress,
     settings: Settings,
 ) -> result.Explanation:
     """The change that explains the difference of pairs of recordings, in all signals of the robot that they have.
@@ -153,7 +153,7 @@ class _Search:
         noise: float,
         seed: int,
         settings: Settings,
-        progress: Progress,
+        progress: StageProgress,
     ):
         self.base, self.changes, self.noise, self.settings, self.progress = base, changes, noise, settings, progress
         self.rng = np.random.default_rng(seed)

@@ -51,7 +51,7 @@ SEEDS = 10_000  # of samples, for each seed of a diagnosis
 _MOST_BY_FITS = 2.0
 _FIRST_SEED, _SEED_STEP = 10, 10  # after those of the nominal fit, and between those of two calls
 
-Progress = Callable[[str], None]  # is told the name of each stage
+StageProgress = Callable[[str], None]  # is told the name of each stage
 
 
 def silent(stage: str) -> None:
@@ -96,7 +96,7 @@ def explained(
     refined: Sequence[Robot],
     candidates: Sequence[Term],
     seed: int,
-    progress: Progress = silent,
+    progress: StageProgress = silent,
     heldout: Problem | None = None,
 ) -> Explanation:
     """One term further as long as a candidate's predicted gain is worth a fit.
@@ -153,7 +153,7 @@ class _Search:
     refined: Sequence[Robot]
     candidates: Sequence[Term]
     seeds: Iterator[int]
-    progress: Progress
+    progress: StageProgress
     heldout: Problem | None = None
     tried: list[Hypothesis] = field(default_factory=list)
     rounds: list[Round] = field(default_factory=list)

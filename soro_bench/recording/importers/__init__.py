@@ -2,13 +2,13 @@
 
 import importlib
 import importlib.util
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from soro_bench.recording.recording import Recording, RecordingError
+from soro_bench.recording.recording import ReadingProgress, Recording, RecordingError
 
 # by suffix: the module that reads such a file, and there guess(path)
 _MODULES = {
@@ -28,7 +28,7 @@ _WITH_PROGRESS = ("csv_table", "bags", "motion_capture")
 def import_recording(
     path: str | Path,
     mapping: str | Path | Mapping | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: ReadingProgress | None = None,
     **selection: Any,
 ) -> Recording:
     """Read a foreign recording: a table, arrays, a bag, motion capture, or the folder of a LeRobot dataset.

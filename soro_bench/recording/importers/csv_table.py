@@ -23,10 +23,10 @@ from soro_bench.recording.importers.clock import (
 from soro_bench.recording.importers.guess_table import guessed
 from soro_bench.recording.importers.mapping import FileMapping, load_mapping, unit_doubt
 from soro_bench.recording.importers.source import Source
-from soro_bench.recording.importers.table_cells import Labels, Names, Numbers, Progress, Times, Want, read_columns
+from soro_bench.recording.importers.table_cells import Labels, Names, Numbers, Times, Want, read_columns
 from soro_bench.recording.importers.table_text import FORMAT, MISSING, TableText, read_text, value, words
 from soro_bench.recording.importers.units import TIME_UNITS, of_text, si
-from soro_bench.recording.recording import Recording, RecordingError
+from soro_bench.recording.recording import ReadingProgress, Recording, RecordingError
 from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, named_errors, read_bytes
 
 _PLACE = ("columns", "first", "last", "time", "time_unit", "missing", "label", "only", "names", "names_from")
@@ -35,7 +35,10 @@ _PEEKED, _SEARCHED = 20, 1000  # rows that tell whether a column holds dates, an
 
 
 def import_csv(
-    path: str | Path, mapping: str | Path | Mapping | None, max_bytes: int = MAX_BYTES, progress: Progress | None = None
+    path: str | Path,
+    mapping: str | Path | Mapping | None,
+    max_bytes: int = MAX_BYTES,
+    progress: ReadingProgress | None = None,
 ) -> Recording:
     """Read a CSV file with a mapping file; RecordingError says what is wrong with either."""
     if mapping is None:
@@ -59,7 +62,7 @@ def import_csv(
 class _Reader:
     """The columns of a table that a mapping asks for, read once."""
 
-    def __init__(self, table: TableText, spec: FileMapping, progress: Progress | None) -> None:
+    def __init__(self, table: TableText, spec: FileMapping, progress: ReadingProgress | None) -> None:
         self._table, self._spec = table, spec
         self._words = words("[format] missing", spec.format.get("missing", []))
         self._known_names: dict[Names, Names] = {}

@@ -26,7 +26,7 @@ from soro_bench.recording.importers.tracks import (
     read_text,
     written,
 )
-from soro_bench.recording.recording import Recording, RecordingError
+from soro_bench.recording.recording import ReadingProgress, Recording, RecordingError
 from soro_bench.recording.untrusted import MAX_BYTES, MAX_COLUMNS, MAX_ROWS, named_errors
 
 _MAX_ROW = 1_000_000  # letters
@@ -39,8 +39,6 @@ _UNSEEN = ("", "nan", "null", "none", "#n/a")
 _MAX_HEADER = 200  # rows
 _PLAIN = re.compile(r"[-+0-9.,\s]*")
 _TOLD = 2000  # rows, after which the progress is told
-
-Progress = Callable[[str, int, int], None]
 
 Cells = list[str]
 
@@ -60,7 +58,10 @@ def is_export(path: str | Path, mapping: str | Path | Mapping | None) -> bool:
 
 
 def import_motion_capture(
-    path: str | Path, mapping: str | Path | Mapping | None, max_bytes: int = MAX_BYTES, progress: Progress | None = None
+    path: str | Path,
+    mapping: str | Path | Mapping | None,
+    max_bytes: int = MAX_BYTES,
+    progress: ReadingProgress | None = None,
 ) -> Recording:
     """Read an export with a mapping that names markers; RecordingError says what is wrong with either."""
     if mapping is None:
@@ -73,7 +74,7 @@ def guess(path: str | Path) -> str:
     return written(read_tracks(path))
 
 
-def read_tracks(path: str | Path, max_bytes: int = MAX_BYTES, progress: Progress | None = None) -> Tracks:
+def read_tracks(path: str | Path, max_bytes: int = MAX_BYTES, progress: ReadingProgress | None = None) -> Tracks:
     """Everything in an export; RecordingError says what is wrong with it."""
     with named_errors(path):
         text = read_text(path, max_bytes)
@@ -96,7 +97,7 @@ def _head(text: str) -> str:
 class _Rows:
     """The rows of a table, which can be looked at before they are taken, and the line of the last one taken."""
 
-    def __init__(self, text: str, delimiter: str, progress: Progress | None = None) -> None:
+    def __init__(self, text: str, delimiter: str, progress: ReadingProgress | None = None) -> None:
         self.line, self.notes = 0, list[str]()
         self._ahead: Cells | None = None
         self._complete = text.endswith("\n")

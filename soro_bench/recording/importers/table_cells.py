@@ -7,7 +7,7 @@ read again cell by cell, which either succeeds or says in which line and why it 
 import csv
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -17,7 +17,7 @@ import pyarrow.csv as pacsv
 
 from soro_bench.recording.importers.clock import NO_STAMP, Stamps
 from soro_bench.recording.importers.table_text import BLANK, MAX_LETTERS, MISSING, Lines, TableText, plain, split, value
-from soro_bench.recording.recording import RecordingError
+from soro_bench.recording.recording import ReadingProgress, RecordingError
 from soro_bench.recording.untrusted import MAX_ROWS
 
 _MAX_CELLS = 50_000_000  # that a mapping asks for
@@ -29,8 +29,6 @@ _GROUPED = re.compile(
 )  # thousands
 _ROWS = 20_000  # that are read at once where cells have quotation marks
 _NEWLINE, _QUOTE = b'\n"'
-
-Progress = Callable[[str, int, int], None]
 
 
 class Chunk(Protocol):
@@ -118,7 +116,7 @@ Want = Numbers | Times | Labels | Names
 
 
 def read_columns(
-    table: TableText, wants: Sequence[Want], keep: Labels | None, progress: Progress | None = None
+    table: TableText, wants: Sequence[Want], keep: Labels | None, progress: ReadingProgress | None = None
 ) -> tuple[dict[Want, np.ndarray], np.ndarray]:
     """(rows,) of each column that is wanted, and (rows,) the lines that they are from.
 

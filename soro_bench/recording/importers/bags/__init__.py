@@ -10,10 +10,10 @@ import numpy as np
 from soro_bench.recording.importers.bags.collector import PLACE, Collector
 from soro_bench.recording.importers.bags.files import messages
 from soro_bench.recording.importers.bags.guess import guess
-from soro_bench.recording.importers.bags.logs import Progress, Reading
+from soro_bench.recording.importers.bags.logs import Reading
 from soro_bench.recording.importers.mapping import FileMapping, load_mapping
 from soro_bench.recording.importers.source import Source
-from soro_bench.recording.recording import Recording, RecordingError
+from soro_bench.recording.recording import ReadingProgress, Recording, RecordingError
 from soro_bench.recording.untrusted import EXPANSION, named_errors
 from soro_bench.recording.untrusted import MAX_BYTES as MAX_MEMORY
 
@@ -28,7 +28,7 @@ def import_bag(
     path: str | Path,
     mapping: str | Path | Mapping | None,
     max_bytes: int = MAX_BYTES,
-    progress: Progress | None = None,
+    progress: ReadingProgress | None = None,
 ) -> Recording:
     """Read a bag with a mapping file; RecordingError says what is wrong with either.
 
@@ -86,7 +86,7 @@ def _collectors(spec: FileMapping) -> dict[str, Collector]:
     return found
 
 
-def _read(path: Path, collectors: list[Collector], max_bytes: int, progress: Progress | None) -> Reading:
+def _read(path: Path, collectors: list[Collector], max_bytes: int, progress: ReadingProgress | None) -> Reading:
     """Give the messages of a bag to the collectors of their topics."""
     by_topic: dict[str, list[Collector]] = defaultdict(list)
     for collector in collectors:

@@ -10,7 +10,7 @@ from typing import BinaryIO
 from soro_bench.errors import one_line
 from soro_bench.recording.importers.bags.fields import SECOND
 from soro_bench.recording.importers.bags.layout import Channel
-from soro_bench.recording.recording import RecordingError
+from soro_bench.recording.recording import ReadingProgress, RecordingError
 
 MAX_MESSAGE = 5_000_000  # bytes
 MAX_CHUNK = 64_000_000  # bytes of a chunk or another record
@@ -20,9 +20,6 @@ WINDOW = 2**27  # bytes that zstd may look back
 _MCAP, _ROS1 = b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 3, 4, 5, 6, 15  # opcodes of MCAP
 _ROS1_MESSAGE, _ROS1_CHUNK, _ROS1_CONNECTION = 2, 5, 7
-
-
-Progress = Callable[[str, int, int], None]  # what is done, with how many bytes, and of how many
 
 
 class Damaged(RecordingError):
@@ -45,7 +42,7 @@ class Reading:
     wanted: Callable[[Channel], bool]
     budget: int
     notes: list[str] = field(default_factory=list)
-    progress: Progress | None = None
+    progress: ReadingProgress | None = None
     total: int = 0  # bytes
     before: int = 0  # bytes of files that are read already
     scale: float = 1.0  # bytes of a file for each one of what is packed in it
