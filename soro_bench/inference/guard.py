@@ -99,6 +99,10 @@ def independent(residual: Floats, seen: Bools) -> float:
     "Practical Markov chain Monte Carlo", Statistical Science 7(4), 1992), and those of one time as many as the
     participation ratio of their covariance says.
 
+    Of a change, ``diagnosis/paired/problem.py`` counts them by the same idea, but not to the same number: here the sum
+    ends at the first lag that is not alike, each lag is weighed by what was measured at both ends, and where much is
+    missing there may be more samples than were measured.
+
     Args:
         residual: (T, n) in units of its noise, 0 where nothing was measured.
         seen: (T, n) which numbers were measured. Steps without any do not count: a sensor may be slower than control.

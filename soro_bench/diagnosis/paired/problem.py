@@ -154,7 +154,12 @@ class PairedProblem:
 
 def _independent(values: Floats, count: float) -> float:
     """Of (T, C) numbers: samples over the time that they are correlated, times the number of independent columns (that
-    of equal eigenvalues with the same sum of squares)."""
+    of equal eigenvalues with the same sum of squares).
+
+    An inference counts them by the same idea, but not to the same number (``independent`` in ``inference/guard.py``):
+    here lags are summed in pairs, as one alone may be below zero by chance, missing numbers count as zeros, and there
+    are never more than ``count``.
+    """
     if not values.size or not values.any():
         return count
     covariance = values.T @ values
