@@ -12,6 +12,7 @@ import pytest
 pytest.importorskip("rerun", reason="needs the train extra")
 
 from soro_bench.diagnosis.assembly.errors import plain_replays, replayed_robots
+from soro_bench.diagnosis.assembly.model_export import exported
 from soro_bench.diagnosis.candidates import term
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.preparation import unexplained
@@ -24,10 +25,12 @@ from soro_bench.diagnosis.robots.model_file import ModelError
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.effects.effect import Effect, Location
+from soro_bench.recording.known import Known
 from soro_bench.recording.parquet import save
 from soro_bench.recording.recording import RecordingError, Signal
 from soro_bench.recording.simulated import record
 from soro_bench.recording.simulated import replay as replay_episode
+from tests.arm import ARM
 from tests.results import RESULTS
 
 NAMES = ("train", "heldout", "new")
@@ -271,6 +274,28 @@ def test_a_model_in_a_strangers_result_is_not_opened(diagnosed_arm, read, old, n
     result = replace(read, patch=replace(read.patch, model=xml))
     found = check_replays(result, robot_of(result)[0], {"run": diagnosed_arm.recordings[0]})
     assert "model_alone" not in found.robots and said in found.notes[0]
+
+
+@pytest.mark.parametrize("kind", ["suite", "model"])
+def test_a_robot_by_a_patched_model_keeps_it_with_other_time_steps_and_known_parameters(kind, robot, actions, paths):
+    if kind == "suite":
+        own, drive, start = robot, actions[:10], None
+        xml = exported(own, own.parameters(np.ones(len(own.priors))), ()).xml
+    else:
+        own, drive, start = ModelRobot(*paths, threads=1), np.full((10, 1), 0.4), np.zeros((1, 1))
+        xml = ARM.replace('damping="0.02"', 'damping="0"')  # of what a parameter scales, nothing is left
+    first = own.priors[0]
+
+    def moved(by):
+        return by.simulate(drive, np.array([[prior.nominal for prior in by.priors]]), [()], start)
+
+    alone = own.as_built(xml)
+    told, finer = alone.knowing(Known({first.name: first.nominal})), alone.shortened(2)
+    assert np.abs(moved(alone) - moved(own)).max() > 1e-3
+    for again in (told, finer.shortened(1), finer.as_built()):
+        np.testing.assert_array_equal(moved(again), moved(alone))
+    assert first not in told.priors
+    assert 0 < np.abs(moved(finer) - moved(alone)).max() < 0.3 * np.abs(moved(alone) - moved(own)).max()
 
 
 def test_a_robot_of_the_suite_has_no_files():

@@ -16,6 +16,7 @@ from mujoco import sysid
 from soro_bench.diagnosis.result_parts import Estimate, ParameterEstimate
 from soro_bench.diagnosis.robots.model_file import ModelError
 from soro_bench.diagnosis.sysid import parameter_dict, recordings, sysid_robot
+from soro_bench.recording.known import Known
 from soro_bench.recording.recording import RecordingError
 from tests.results import adequate
 from tests.test_bad_input import says
@@ -138,6 +139,13 @@ def test_the_robot_moves_as_mujoco_sysid_lets_it_move(interval, error):
     )  # fmt: skip
     expected = np.interp(drive.time + 0.01, rolled.times, rolled.data[:, 0])
     assert np.abs(angles[:-2, 0, 0] - expected[:-2]).max() < error
+
+
+def test_a_model_that_has_its_parameters_already_is_not_given_them_again():
+    robot = sysid_robot(parameters(), [sequences(steps=10)], threads=1)
+    heavy = robot.as_built(ARM.replace('mass="0.1"', 'mass="0.15"'))
+    for again in (heavy, heavy.shortened(2), heavy.knowing(Known({"mass": 0.1})), heavy.as_built()):
+        assert again.model({"mass": 0.1, "damping": 0.02}, ()).body("arm").mass[0] == pytest.approx(0.15)
 
 
 def test_every_number_of_a_parameter_is_fitted_and_fields_need_not_be_linear_in_it():

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import mujoco
@@ -63,12 +62,12 @@ class ModelRobot(Robot):
         shorter: how many times shorter the model's time step is made.
         baseline: result of a baseline diagnosis of the same robot.
         known: parameters that are known.
+        patched: whether the model is one that a diagnosis wrote: an effect may have taken all that a parameter scales.
 
     Raises:
         ModelError: says what is wrong with either of them.
     """
 
-    _folder: TemporaryDirectory[str] | None = None  # of its model, where it has been written for this robot only
     kinds = ("tendon", "joint", "actuator", "body", "flex", "geom", "model")
 
     def __init__(
@@ -130,23 +129,21 @@ class ModelRobot(Robot):
 
     def shortened(self, factor: int) -> Robot:
         """The same model with time steps shorter by a factor."""
-        robot = ModelRobot(*self._sources, self.threads, factor, self._baseline, self._known)
+        robot = ModelRobot(*self._sources, self.threads, factor, self._baseline, self._known, self._patched)
         return self._alike(robot)
 
     def knowing(self, known: Known) -> Robot:
         """The same robot with some parameters fixed."""
-        return self._alike(ModelRobot(*self._sources, self.threads, self.shorter, self._baseline, known))
+        robot = ModelRobot(*self._sources, self.threads, self.shorter, self._baseline, known, self._patched)
+        return self._alike(robot)
 
     def as_built(self, xml: str | None = None) -> Robot:
         """The same robot by its model file or another one, without a baseline."""
         if xml is None:
-            return self._alike(ModelRobot(*self._sources, self.threads))
-        folder = TemporaryDirectory()
-        path = Path(folder.name) / f"{self.name}.xml"
-        path.write_text(xml, encoding="utf-8")
-        robot = ModelRobot(path, self._sources[1], self.threads, patched=True)
-        robot._folder = folder  # as long as the robot may read it again
-        return self._alike(robot)
+            return self._alike(ModelRobot(*self._sources, self.threads, patched=self._patched))
+        spec = mujoco.MjSpec.from_string(xml)
+        spec.modelname = self.name  # by which unnamed parts are called
+        return self._alike(ModelRobot(spec, self._sources[1], self.threads, patched=True))
 
     def accurate(self) -> Robot | None:
         """The same robot by the accurate model of the mapping, if there is one."""

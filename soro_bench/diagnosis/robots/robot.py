@@ -187,7 +187,8 @@ class Robot(Replays):
         """The same robot without a baseline; with nominal parameters it simulates its model file as it is.
 
         Args:
-            xml: MJCF to simulate instead, of the same robot with other numbers.
+            xml: MJCF to simulate instead, of the same robot with other numbers. What is made of that robot simulates
+                it too, but for the accurate model.
         """
 
     @abstractmethod

@@ -60,6 +60,8 @@ class SuiteRobot(Robot):
         known: parameters that are known.
         signals: names of the signals that are explained beside the first; by default those that parameters are
             inferred from, such as the pose of an object.
+        xml: MJCF with the same elements, which is simulated as it is in the place of the model; parameters change
+            nothing then.
     """
 
     def __init__(
@@ -71,17 +73,21 @@ class SuiteRobot(Robot):
         baseline: Baseline | None = None,
         known: Known = _NOTHING,
         signals: Sequence[str] | None = None,
+        xml: str | None = None,
     ):
         if env_id not in ENV_IDS:
             raise ValueError(f"{env_id!r} cannot be diagnosed; allowed are {', '.join(ENV_IDS)}")
         kind = task_type(env_id)
         self.name = self.env_id = env_id
         self.threads, self.model_name, self._baseline = threads, model or kind.cheap, baseline
-        self._known = known
+        self._known, self._xml = known, xml
         self.shorter = shorter
         self._task = make_task(env_id, SIMULATIONS, threads, self.model_name, action="continuous", effects=())
+        if xml is None:
+            self._task.sim.batch.expand("opt.tolerance")[...] = _SOLVER_TOLERANCE
+        else:
+            self._task.sim = self._as_it_is()
         self._task.refine(shorter)
-        self._task.sim.batch.expand("opt.tolerance")[...] = _SOLVER_TOLERANCE
         self.simulation, self.control_timestep = self._task.sim, self._task.control_timestep
         self.kinds, self.pneumatic = _KINDS[env_id.split("-")[0]], env_id.startswith("MultiGait")
         self.longest = _WALKER_DURATION if self.pneumatic else math.inf
@@ -95,12 +101,14 @@ class SuiteRobot(Robot):
 
     def shortened(self, factor: int) -> Robot:
         """The same robot with shorter time steps."""
-        robot = SuiteRobot(self.env_id, self.model_name, self.threads, factor, self._baseline, self._known)
-        return self._alike(robot)
+        return self._again(factor, self._known)
 
     def knowing(self, known: Known) -> Robot:
         """The same robot with some parameters fixed."""
-        robot = SuiteRobot(self.env_id, self.model_name, self.threads, self.shorter, self._baseline, known)
+        return self._again(self.shorter, known)
+
+    def _again(self, shorter: int, known: Known) -> Robot:
+        robot = SuiteRobot(self.env_id, self.model_name, self.threads, shorter, self._baseline, known, xml=self._xml)
         return self._alike(robot)
 
     def _others(self, names: Sequence[str]) -> tuple[ObservedSignal, ...]:
@@ -128,17 +136,15 @@ class SuiteRobot(Robot):
 
     def as_built(self, xml: str | None = None) -> Robot:
         """The same robot by its own model or another one, without a baseline."""
-        robot = SuiteRobot(self.env_id, self.model_name, self.threads)
-        if xml is not None:
-            robot._simulate(instrument(mujoco.MjSpec.from_string(xml)).compile())
-        return self._alike(robot)
+        xml = self._xml if xml is None else xml
+        return self._alike(SuiteRobot(self.env_id, self.model_name, self.threads, xml=xml))
 
-    def _simulate(self, model: mujoco.MjModel) -> None:
-        """Take a model with the same elements, as it is, in the place of the task's own."""
-        old = self.simulation
-        self.simulation = self._task.sim = Simulation(model, old.parameters, (), self._count, self.threads, ())
+    def _as_it_is(self) -> Simulation:
+        """Simulations of the given MJCF, whatever the parameters are."""
+        found = Simulation(self.spec().compile(), self._task.sim.parameters, (), SIMULATIONS, self.threads, ())
         for name in _BOUND:
-            self.simulation.batch.bind(name)
+            found.batch.bind(name)
+        return found
 
     def accurate(self) -> Robot | None:
         """The same robot by the suite's accurate model; None if its signals have other points, as on another mesh."""
@@ -166,6 +172,8 @@ class SuiteRobot(Robot):
 
     def spec(self) -> mujoco.MjSpec:
         """The model of the task's scene, with what effects need where its model has that: a mesh has no springs."""
+        if self._xml is not None:
+            return instrument(mujoco.MjSpec.from_string(self._xml))
         spec = self._task.spec()
         return instrument(spec) if self.elements.model.ntendon else spec
 

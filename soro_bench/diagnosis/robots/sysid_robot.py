@@ -106,7 +106,7 @@ class SysidRobot(ModelRobot):
     def as_built(self, xml: str | None = None) -> "SysidRobot":
         """The same robot by its spec, or by another model that has its parameters already; without a baseline."""
         if xml is None:
-            return self._again(self._spec)
+            return self._again(self._spec, modified=self._modified)
         return self._again(mujoco.MjSpec.from_string(xml), modified=False)
 
     def accurate(self) -> None:
