@@ -35,7 +35,8 @@ from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import FITTED, Robot
 from soro_bench.diagnosis.selection.moves import iterate_to_convergence
-from soro_bench.diagnosis.study import STUDIES, check_summaries, errors_of, load_study, named, results, run_study
+from soro_bench.diagnosis.study import STUDIES, load_study
+from soro_bench.diagnosis.study_runs import check_summaries, errors_of, named, results, run_study
 from soro_bench.files import read_json, write_json
 from soro_bench.markdown import table
 from soro_bench.recording.recording import Recording

@@ -23,7 +23,8 @@ pytest.importorskip("joblib", reason="needs the infer extra")
 from soro_bench import parallel
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
-from soro_bench.diagnosis.study import Part, Study, run_study
+from soro_bench.diagnosis.study import Part, Study
+from soro_bench.diagnosis.study_runs import run_study
 from soro_bench.files import mjcf_path, write_json
 from soro_bench.inference.methods import infer
 from soro_bench.inference.replay import SIMULATIONS, Replay

@@ -15,11 +15,13 @@ pytest.importorskip("pyarrow")
 
 from soro_bench.cli import Data
 from soro_bench.diagnosis import study as module
+from soro_bench.diagnosis import study_runs
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison
 from soro_bench.diagnosis.settings import DEFAULT
-from soro_bench.diagnosis.study import STUDIES, Part, Study, commands_of_take, errors, load_study, results, run_study
+from soro_bench.diagnosis.study import STUDIES, Part, Study, commands_of_take, load_study
+from soro_bench.diagnosis.study_runs import errors, results, run_study
 from soro_bench.files import asset_path, read_toml
 from soro_bench.recording import published
 from soro_bench.recording.published import PublishedFile, Source, bam_table, fetch, sources, summary
@@ -75,15 +77,15 @@ def test_a_study_writes_reports_summaries_and_a_table_and_goes_on_where_it_was(s
     # the second part begins where the first one ended
     assert first[1]["nominal"]["train"]["mean_absolute"] < 0.3 * first[0]["nominal"]["train"]["mean_absolute"]
     asked = []
-    own = module.run_diagnosis
-    monkeypatch.setattr(module, "run_diagnosis", lambda *arguments: asked.append(1) or own(*arguments))
+    own = study_runs.run_diagnosis
+    monkeypatch.setattr(study_runs, "run_diagnosis", lambda *arguments: asked.append(1) or own(*arguments))
     (tmp_path / "out" / "again" / "summary.json").unlink()
     again = run_study(study, tmp_path / "out", threads=1)
     assert len(asked) == 1
     with pytest.raises(ValueError, match="results of seed 0, not 1"):
         run_study(study, tmp_path / "out", seed=1, threads=1)
     with monkeypatch.context() as other, pytest.raises(ValueError, match=r"results of method .*, not newer;"):
-        other.setattr(module, "METHOD", "newer")
+        other.setattr(study_runs, "METHOD", "newer")
         run_study(study, tmp_path / "out", threads=1)
     study.map.write_text(MAP + "# another")
     with pytest.raises(ValueError, match=r"results of inputs "):
@@ -99,7 +101,7 @@ def test_a_study_writes_reports_summaries_and_a_table_and_goes_on_where_it_was(s
 
 def test_a_summary_begins_with_the_answer_that_its_report_is_of(study, monkeypatch):
     """Which is not the most probable one where an effect is likelier whatever comes with it."""
-    monkeypatch.setattr(module, "errors_of", lambda *_: {})
+    monkeypatch.setattr(study_runs, "errors_of", lambda *_: {})
     monkeypatch.setattr(Hypothesis, "log_evidence", lambda *_: 0.0)
     monkeypatch.setattr(
         Hypothesis, "effects", lambda h, _: [SimpleNamespace(to_json=lambda s=s: s.name) for s in h.terms]
@@ -115,7 +117,7 @@ def test_a_summary_begins_with_the_answer_that_its_report_is_of(study, monkeypat
     problem = SimpleNamespace(robot=robot, parameters=3, sensor=1e-3)
     explanation = SimpleNamespace(problem=problem, nominal=nominal)
     found = SimpleNamespace(explanation=explanation, comparison=Comparison(answers, 0.03, 0.0), seconds=1.0)
-    summary = module._summary(study, study.parts[1], found, "", 0)
+    summary = study_runs._summary(study, study.parts[1], found, "", 0)
     assert [each["effects"] for each in summary["answers"]] == [["backlash", "compliance"], ["payload"], ["backlash"]]
 
 
@@ -179,7 +181,7 @@ def test_the_gain_of_a_servo_is_that_in_the_name_of_its_file(tmp_path):
 def test_a_part_that_comes_after_another_one_needs_its_result(tmp_path):
     part = module.Part("hung", "", (), (), "alone")
     with pytest.raises(ValueError, match=r"part hung comes after alone, of which .* has no result; run it first"):
-        module.run_study(module.Study("hung_beam", tmp_path, {}, (part,)), tmp_path / "out")
+        study_runs.run_study(module.Study("hung_beam", tmp_path, {}, (part,)), tmp_path / "out")
 
 
 def test_a_study_reads_a_folder_of_pieces_and_asks_which_part_files_are_for(tmp_path):

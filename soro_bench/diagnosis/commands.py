@@ -320,7 +320,8 @@ class Study:
 
     def run(self) -> None:
         from soro_bench.diagnosis.render import require_packages
-        from soro_bench.diagnosis.study import load_study, results, run_study
+        from soro_bench.diagnosis.study import load_study
+        from soro_bench.diagnosis.study_runs import results, run_study
         from soro_bench.files import replacing
 
         require_packages()
