@@ -27,14 +27,12 @@ from soro_bench.diagnosis.selection.model_probabilities import (
     Answer,
     Comparison,
     Fit,
-    alpha,
     compared,
-    p_slow,
-    p_value,
     shortlist,
-    slow_variance,
     temperature,
 )
+from soro_bench.diagnosis.selection.rounds import worth
+from soro_bench.diagnosis.selection.significance import alpha, p_slow, p_value, slow_variance
 from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.effect import Location
 from soro_bench.inference.statistical_linearisation import LowRank
@@ -187,6 +185,16 @@ def test_the_slow_variance_is_that_of_the_motion_in_units_of_the_noise(given):
     assert 0.9 * given.weight.size < pairs < given.weight.size
     white, _ = slow_variance([(given, noise(given))])
     assert abs(white) < 0.1
+
+
+def test_a_small_misfit_that_is_slower_than_noise_makes_a_law_worth_a_fit_that_explains_much_of_it(given):
+    few = replace(given, weight=given.weight * (np.arange(given.weight.size) < 600))
+    slow = hypothesis(few, few.weight * residual_of(few, "motion as slow as the commands"))
+    misfit = few.misfit(slow.residual)
+    assert misfit < DEFAULT.selection.least_gain / 0.2
+    assert worth(few, slow, slow) == pytest.approx(max(DEFAULT.probabilities.healthy_gain, 0.2 * misfit))
+    white = hypothesis(few, few.weight * noise(few))
+    assert worth(few, white, white) == DEFAULT.selection.least_gain
 
 
 def test_slow_variance_is_as_likely_as_not_at_its_setting():

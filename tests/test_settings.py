@@ -25,7 +25,8 @@ from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.priors import Prior
 from soro_bench.diagnosis.selection.experiment_design import motions
-from soro_bench.diagnosis.selection.model_probabilities import alpha, p_slow, temperature
+from soro_bench.diagnosis.selection.model_probabilities import temperature
+from soro_bench.diagnosis.selection.significance import alpha, p_slow
 from soro_bench.diagnosis.selection.stopping import is_better
 from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.diagnosis.spread_terms import spread

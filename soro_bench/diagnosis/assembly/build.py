@@ -36,8 +36,9 @@ from soro_bench.diagnosis.result_parts import (
 )
 from soro_bench.diagnosis.result_robot import Patch, Replay, RobotSummary, SignalErrors, SignalQuality
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
-from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison, alpha
+from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison
 from soro_bench.diagnosis.selection.rounds import Round
+from soro_bench.diagnosis.selection.significance import alpha
 from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.effects.catalogue import ALL, CATEGORIES
 from soro_bench.effects.effect import Location

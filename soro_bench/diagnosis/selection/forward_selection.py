@@ -209,7 +209,7 @@ class _Search:
             if self._is_predicted() and not self.problem.misfit_dominated:
                 self._screen(compatible(self.robot, self.best, self.candidates))  # where the best hypothesis is
             return self._is_predicted() or self._is_worth_it_from_priors()
-        gain, least = self.remaining_gain, self.problem.settings.selection.least_gain
+        gain, least = self.remaining_gain, min(self.problem.settings.selection.least_gain, self.worth)
         rough, most = self.problem.misfit_dominated, _MOST_BY_FITS * gain
         of_all = self.screened.of_all
         if covered := not rough and gain >= least and self.form.covers(self.problem, self.best, most, of_all):

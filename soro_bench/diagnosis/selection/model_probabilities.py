@@ -16,8 +16,9 @@ from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.estimation.model_form import UnderModelForm
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.selection.forward_selection import Explanation
+from soro_bench.diagnosis.selection.significance import alpha, p_of, p_slow, p_value, slow_variance
 from soro_bench.diagnosis.selection.stopping import evidence_beyond_chance
-from soro_bench.diagnosis.settings import DEFAULT, ProbabilitySettings, Settings
+from soro_bench.diagnosis.settings import DEFAULT, ProbabilitySettings
 from soro_bench.effects.effect import Location
 
 
@@ -119,66 +120,6 @@ class Comparison:
                 key = term.name, term.location
                 probabilities[key] = probabilities.get(key, 0) + answer.probability
         return probabilities
-
-
-def p_value(gain: float, settings: ProbabilitySettings = DEFAULT.probabilities) -> float:
-    """Probability that one more term is predicted to gain so much where nothing is missing: a Gumbel distribution.
-
-    Args:
-        gain: log evidence [nats].
-    """
-    return float(-np.expm1(-np.exp(1.0 - gain / settings.healthy_gain)))
-
-
-def alpha(settings: Settings = DEFAULT) -> float:
-    """The p-value at which a discrepancy is as likely as none: that of the least gain that is worth a fit."""
-    return p_value(settings.selection.least_gain, settings.probabilities)
-
-
-def _p_of(missing: float, settings: Settings) -> float:
-    """The p-value at which a discrepancy is as probable as that."""
-    return min(1.0, alpha(settings) * (1.0 - missing) / max(missing, 1e-300))
-
-
-def p_slow(slow: float, pairs: float, settings: Settings = DEFAULT) -> float:
-    """Probability that a healthy robot leaves so much slow variance.
-
-    Args:
-        slow: variance of the slow residual, in units of that of the fast one.
-        pairs: number of pairs of samples that it is estimated from.
-    """
-    group = settings.probabilities
-    limit = max(group.slow_variance, group.slow_deviations / math.sqrt(max(pairs, 1.0)))
-    return min(1.0, alpha(settings) * (limit / slow) ** group.slow_power) if slow > 0 else 1.0
-
-
-def slow_variance(residuals: Sequence[tuple[Problem, np.ndarray]]) -> tuple[float, float]:
-    """The variance of slow residuals, in units of that of fast ones, and the number of pairs of samples behind it.
-
-    Slow is what is still there after a lag (``ProbabilitySettings.slow_lag``), as white noise is not.
-
-    Args:
-        residuals: problems, and a residual (M,) of each.
-    """
-    squares, count, products, pairs = np.sum([_products(*each) for each in residuals], axis=0)
-    slow = products / max(pairs, 1.0)
-    return slow / max(squares / max(count, 1.0) - slow, 1e-9), pairs
-
-
-def _products(problem: Problem, residual: np.ndarray) -> np.ndarray:
-    """(4,) of a residual less discretisation error: sum of squares, their number, sum of products with the residual a
-    lag later, and their number."""
-    settings = problem.settings.probabilities
-    largest, sums = problem.settings.data_quality.outlier_deviations, np.zeros(4)
-    near = np.clip(problem.discretisation.without(residual), -largest, largest)
-    parts = zip(problem.rows(near), problem.rows(problem.weight), problem.recordings, strict=True)
-    for part, weight, recording in parts:
-        sampled = weight.any(axis=1)
-        part, weight, time = part[sampled], weight[sampled], recording.time[sampled]
-        lag = math.ceil(settings.slow_lag / float(np.median(np.diff(time))) - 1e-6)
-        later = (part[lag:] * part[:-lag]).sum(), (weight[lag:] * weight[:-lag]).sum()
-        sums += [(part**2).sum(), weight.sum(), *later]
-    return sums
 
 
 def temperature(misfit: float, settings: ProbabilitySettings = DEFAULT.probabilities) -> float:
@@ -292,7 +233,7 @@ def _p_of_healthy(weighed: _Weighed) -> float:
     problem, _ = weighed.of_nominal[0]
     p = p_value(weighed.gain, problem.settings.probabilities)
     if weighed.form.possible[0]:
-        return max(p, _p_of(float(weighed.stands_out.max()), problem.settings))
+        return max(p, p_of(float(weighed.stands_out.max()), problem.settings))
     # where the misfit is far above the sensor's noise something is missing, whether or not a law explains it
     return 0.0 if problem.misfit_dominated else min(p, p_slow(*slow_variance(weighed.of_nominal), problem.settings))
 

@@ -34,8 +34,11 @@ from soro_bench.diagnosis.selection.moves import (
     unique,
 )
 from soro_bench.diagnosis.selection.screening import Evidence, ScreenedCandidate, beyond_chance, screen, singles
+from soro_bench.diagnosis.selection.significance import alpha, p_slow, slow_variance
 from soro_bench.diagnosis.spread_terms import SpreadTerm, alike, is_single, law_of, spread
 from soro_bench.effects.catalogue import CATEGORIES
+
+_MUCH = 0.2  # of the misfit, a gain by which a law is the likely cause of a small one
 
 
 @dataclass(frozen=True)
@@ -363,7 +366,13 @@ def worth(problem: Problem, nominal: Hypothesis, best: Hypothesis) -> float:
     of_explained = problem.settings.probabilities.law_error * (of_nominal - remaining)
     if problem.misfit_dominated:  # then the whole residual counts as noise
         return max(settings.least_gain_of_misfit * 0.5 * float(problem.weight.sum()), of_explained)
-    return max(settings.least_gain, settings.least_gain_of_misfit * remaining, of_explained)
+    least = max(settings.least_gain, settings.least_gain_of_misfit * remaining, of_explained)
+    if not best.terms and p_slow(*slow_variance([(problem, best.residual)]), problem.settings) < alpha(
+        problem.settings
+    ):
+        # a short recording shows a discrepancy that no law can gain so much by
+        least = min(least, max(problem.settings.probabilities.healthy_gain, _MUCH * remaining))
+    return least
 
 
 def with_own_discretisation(
