@@ -18,6 +18,7 @@ from soro_bench.diagnosis import study as module
 from soro_bench.diagnosis import study_runs
 from soro_bench.diagnosis.estimation.fit import Hypothesis
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.diagnosis.robots.priors import Baseline
 from soro_bench.diagnosis.selection.model_probabilities import Answer, Comparison
 from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.diagnosis.study import STUDIES, Part, Study, commands_of_take, load_study
@@ -178,6 +179,28 @@ def test_the_gain_of_a_servo_is_that_in_the_name_of_its_file(tmp_path):
         module._from_name(tmp_path / "other.csv", study)
 
 
+def test_parameters_that_are_anew_are_as_unknown_as_before_the_part_that_was_first(study, tmp_path):
+    """The others are known from it."""
+    first, again = study.parts
+    names = [prior.name for prior in ModelRobot(study.model, study.map, threads=1).priors]
+    given = replace(study, parts=(first, replace(again, anew=(names[0],))))
+    seen = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study_runs, "run_diagnosis", lambda robot, *_: seen.append(robot) or stop())
+        patch.setattr(
+            study_runs, "baseline", lambda _: Baseline(dict.fromkeys(names, 1.0), dict.fromkeys(names, 1e-3), ())
+        )
+        (tmp_path / "first").mkdir()
+        with pytest.raises(RuntimeError):
+            run_study(replace(given, parts=given.parts[1:]), tmp_path, threads=1)
+    own = ModelRobot(study.model, study.map, threads=1).priors
+    assert [a.deviation == b.deviation for a, b in zip(seen[0].priors, own, strict=True)] == [True, False, False]
+
+
+def stop():
+    raise RuntimeError
+
+
 def test_a_part_that_comes_after_another_one_needs_its_result(tmp_path):
     part = module.Part("hung", "", (), (), "alone")
     with pytest.raises(ValueError, match=r"part hung comes after alone, of which .* has no result; run it first"):
@@ -249,6 +272,8 @@ def test_files_of_a_study_are_there(name):
     robot = ModelRobot(asset_path(f"mjcf/{table['model']}"), robot_map, threads=1)
     kept = table["import"].get("time", {}).get("until", np.inf) if isinstance(table["import"], dict) else np.inf
     assert kept / robot.control_timestep >= DEFAULT.data_quality.least_samples  # of each recording
+    anew = {name for part in table["parts"].values() for name in part.get("anew", ())}
+    assert anew <= {prior.name for prior in robot.priors}
 
 
 def test_what_has_no_name_comes_first_in_the_table_only_where_no_effect_is_likelier():

@@ -35,7 +35,8 @@ _MAX_BYTES = 1_000_000
 @dataclass(frozen=True)
 class Part:
     """Recordings of one question: to explain (train), to compare answers on too (heldout), and that play no part
-    (unseen). ``after`` names the part whose result is the baseline."""
+    (unseen). ``after`` names the part whose result is the baseline. Parameters ``anew`` may have changed since
+    as much as they were unknown before, as of markers that were put on again."""
 
     name: str
     question: str
@@ -43,6 +44,7 @@ class Part:
     heldout: tuple[Recording, ...]
     after: str | None
     unseen: tuple[Recording, ...] = ()
+    anew: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,8 @@ def load_study(
         entries = _replaced(folder, table, each, files) if files else {kind: each.get(kind, []) for kind in KINDS}
         train, heldout, unseen = (_recordings(folder, table, entries[kind]) for kind in KINDS)
         question = f"other files: {_listed(files)}" if files else each["question"]
-        loaded.append(Part(key, question, train, heldout, each.get("after"), unseen))
+        anew = tuple(each.get("anew", ()))
+        loaded.append(Part(key, question, train, heldout, each.get("after"), unseen, anew))
     robot_map = table["map"]
     if isinstance(robot_map, str):
         robot_map = asset_path(f"mjcf/{robot_map}")

@@ -1,6 +1,7 @@
 """Diagnoses of studies, and errors of their simulations: as built, with fitted parameters, and with effects."""
 
 import hashlib
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -47,6 +48,8 @@ def run_study(
         folder = Path(out) / part.name
         if not (folder / SUMMARY).exists():
             known = baseline(Path(out) / part.after) if part.after else None
+            if known and part.anew:
+                known = replace(known, spread={**known.spread, **dict.fromkeys(part.anew, math.inf)})
             robot = ModelRobot(study.model, study.map, threads, baseline=known)
             found = run_diagnosis(robot, part.train, part.heldout, Run(seed, _prefixed(progress, part.name)))
             text = render(build_result(found), folder)
@@ -94,7 +97,7 @@ def _inputs(study: Study, part: Part) -> str:
     for path in files:
         digest.update(path.read_bytes())
     for recordings in (part.train, part.heldout, part.unseen):
-        digest.update(f"{len(recordings)}, {part.after}".encode())
+        digest.update(f"{len(recordings)}, {part.after}, {part.anew}".encode())
         for recording in recordings:
             digest.update(repr(sorted(recording.metadata.items())).encode())
             for name, signal in sorted({**recording.commands, **recording.signals}.items()):
