@@ -273,7 +273,7 @@ def test_the_nominal_beam_is_near_its_recordings(kind, missed):
     mapping["metadata"]["load"] = {"gravity": "0", "load52": "1"}[kind]
     measured = one.measured(import_recording(BEAM / f"beam_{kind}_V2_a.csv", mapping))
     let_go = STEP * np.flatnonzero(measured.settings[:, 0] == 0)[0]
-    assert let_go == pytest.approx({"gravity": 0.706, "load52": 0.4355}[kind], abs=0.002)
+    assert let_go == pytest.approx({"gravity": 0.706, "load52": 0.4355}[kind], abs=1.01 * STEP)  # the next step
     rows = np.array([[prior.nominal for prior in one.priors]])
     (found,) = one.simulate(measured.actions, rows, [()], measured.start, settings=measured.settings)
     error = 1e3 * np.linalg.norm(found - measured.values, axis=2)
