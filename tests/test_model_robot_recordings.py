@@ -81,6 +81,13 @@ def test_nothing_is_explained_for_a_while_after_a_command_changes(paths):
     measured = ModelRobot(paths[0], table, threads=1).measured(told)
     lost = np.isnan(measured.values[:, 0, 0])
     assert (lost == (measured.time > 1.01) & (measured.time < 1.51)).all() and lost.sum() == 25
+    assert measured.notes == (
+        f"[commands.goal] leave_out = 0.5 s leaves out {2500 / len(lost):.0f} % of the recording",
+    )
+    always = replace(given, commands={"goal": replace(goal, values=np.arange(len(held))[:, None] * 1e-4)})
+    table["commands"]["goal"]["leave_out"] = 1e3
+    with pytest.raises(RecordingError, match=r"\[commands.goal\] leave_out = 1000 s leaves nothing"):
+        ModelRobot(paths[0], table, threads=1).measured(always)
 
 
 PULLED = Effect("pretension", Location("actuator", "motor"), {"offset": 0.03})

@@ -397,4 +397,6 @@ def test_a_replay_that_leaves_most_of_the_motion_says_nothing(motion, begins):
     result = RESULTS["adequate"]()
     told = replace(result, heldout=replace(result.heldout, motion=motion))
     assert sentences.headline(told).startswith(begins)
+    gone = replace(told, robots=tuple(replace(each, heldout=math.nan) for each in told.robots))
+    assert (sentences.headline(gone) == "Undecided: plain replays diverge") == (motion is not None)
     assert any("short pieces" in each for each in sentences.warnings(told)) == (begins == "Undecided")

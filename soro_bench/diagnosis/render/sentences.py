@@ -104,9 +104,10 @@ def headline(result: Result) -> str:
     if result.verdict == "measurement_fault" and not best_findings(result):
         return "Adequate but for outliers"
     if result.verdict == "adequate":
-        left = number(_plain_error(result), result.robot.unit)
+        error = _plain_error(result)
+        left = number(error, result.robot.unit)
         if says_little(result):
-            return f"Undecided: plain replays leave {left}, nearly as much as all motion"
+            return f"Undecided: plain replays {f'leave {left} of the motion' if math.isfinite(error) else 'diverge'}"
         return f"Adequate within {left}: no discrepancy detected"
     if equations := described(result):
         black_box = "a black box, " if label(result) == _BLACK_BOX else ""

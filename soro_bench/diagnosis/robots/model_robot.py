@@ -278,7 +278,7 @@ class ModelRobot(Robot):
         found = super().measured(recording)
         found = replace(found, notes=(*found.notes, *(text for _, text in self._clipped(found.actions))))
         for command in self._commands:
-            found = found.without(command.changed(found.actions, self.control_timestep))
+            found = command.without_changes(found, self.control_timestep)
         if not self._initial.parts:
             return found
         early = self._initial.begun(recording, self.begins(recording), self.control_timestep)

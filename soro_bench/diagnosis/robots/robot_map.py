@@ -43,7 +43,7 @@ deviation = 0.3                   # of the prior: of the logarithm, or in the un
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
@@ -52,6 +52,7 @@ import mujoco
 import numpy as np
 
 from soro_bench.arrays import Bools, Floats
+from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_file import ModelError, check_keys, element, name_of, names_of, number
 from soro_bench.files import parsed_toml
 from soro_bench.recording.importers.units import UNITS
@@ -88,12 +89,23 @@ class Command:
     widened: bool
     leave_out: float
 
-    def changed(self, actions: Floats, control_timestep: float) -> Bools:
-        """(T,) whether a control step is one of those that are left out, as its command has changed before."""
-        own, steps = actions[:, self.actuators], np.arange(len(actions))
+    def without_changes(self, measured: Measured, control_timestep: float) -> Measured:
+        """The same with nothing measured for a while after each change of the command.
+
+        Raises:
+            RecordingError: nothing is left.
+        """
+        if not self.leave_out:
+            return measured
+        own, steps = measured.actions[:, self.actuators], np.arange(len(measured.actions))
         anew = np.any(np.diff(own, axis=0, prepend=own[:1]), axis=1)
         since = steps - np.maximum.accumulate(np.where(anew, steps, -np.inf))
-        return np.asarray((since + 0.5) * control_timestep < self.leave_out)  # samples are at the ends of steps
+        out = np.asarray((since + 0.5) * control_timestep < self.leave_out)  # samples are at the ends of steps
+        name = f"[commands.{self.name}] leave_out = {self.leave_out:g} s"
+        if out[1:].all():  # nothing has changed before the first
+            raise RecordingError(f"{name} leaves nothing of this recording, whose command changes all the time")
+        note = f"{name} leaves out {100 * out.mean():.0f} % of the recording"
+        return replace(measured.without(out), notes=(*measured.notes, note))
 
 
 def read_mapping(mapping: str | Path | Mapping[str, Any]) -> dict[str, Any]:
