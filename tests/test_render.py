@@ -19,7 +19,7 @@ pytest.importorskip("rerun", reason="needs the train extra")
 
 from soro_bench.commands.recording import _describe
 from soro_bench.diagnosis.assembly.errors import worse_replays
-from soro_bench.diagnosis.render import render, sentences, words
+from soro_bench.diagnosis.render import outside, render, replay_errors, sentences, words
 from soro_bench.diagnosis.render.html import html
 from soro_bench.diagnosis.render.rerun import rmse
 from soro_bench.diagnosis.render.summary import WIDTH, summary
@@ -219,10 +219,10 @@ def test_plain_replay_errors_stand_first(name: str) -> None:
     lines, page = summary(result).splitlines(), text_of(html(result))
     assert lines[1].split() == ["plain", "replay", "RMSE", "fitted", "to", *["held", "out"] * bool(result.heldout)]
     assert page.splitlines()[3].startswith("plain replay, RMSE")
-    shown = [each for each in result.robots if each.name in sentences.ROBOTS]
+    shown = [each for each in result.robots if each.name in replay_errors.ROBOTS]
     for i, each in enumerate(shown):
         errors = [each.train] if each.heldout is None else [each.train, each.heldout]
-        row = " ".join([sentences.ROBOTS[each.name], *(words.number(error, result.robot.unit) for error in errors)])
+        row = " ".join([replay_errors.ROBOTS[each.name], *(words.number(error, result.robot.unit) for error in errors)])
         assert row.split() == lines[2 + i].split()
         assert row.replace(words.NO_BREAK, " ") in page
 
@@ -253,13 +253,13 @@ def test_laws_that_another_simulator_may_look_like_are_named() -> None:
     law = replace(result.best, effects=(NamedLocation("payload", Location("body", "arm")),), misfit_total=75.0)
     less = replace(law, effects=(NamedLocation("backlash", Location("actuator", "motor")),), misfit_total=90.0)
     none = replace(result.best, misfit_total=100.0)
-    said = sentences.model_form(replace(result, model_form=form, hypotheses=(none, less, law)))
+    said = outside.model_form(replace(result, model_form=form, hypotheses=(none, less, law)))
     assert "cannot be told from one" in said
     assert said.index("payload at body arm (25 %)") < said.index("backlash at actuator motor (10 %)")
-    assert sentences.model_form(replace(result, model_form=replace(form, largest=0.0005))) == ""
+    assert outside.model_form(replace(result, model_form=replace(form, largest=0.0005))) == ""
     screened = ScreenedTerm(law.effects[0], 5.0), ScreenedTerm(less.effects[0], -1.0)  # nothing was fitted
     unfitted = replace(result, hypotheses=(replace(none, misfit=50.0),), rounds=(SelectionRound((), screened, ()),))
-    said = sentences.model_form(replace(unfitted, model_form=form))
+    said = outside.model_form(replace(unfitted, model_form=form))
     assert said.endswith("As predicted, it may be part of what is left: payload at body arm (10 %) of the misfit.")
 
 
@@ -267,7 +267,7 @@ def test_parameters_that_replay_worse_than_the_model_as_built_raise_a_warning() 
     """With both errors and the recordings, in the verdict of console and report; from 1 % on, and if they diverge."""
     result = RESULTS["adequate"]()
     built, fitted = (replace(each, train=0.004, heldout=0.004) for each in result.robots)
-    assert sentences.worse(result) == "" and worse_replays(result.robots, 0.01) == ()
+    assert replay_errors.worse(result) == "" and worse_replays(result.robots, 0.01) == ()
     assert worse_replays((built, replace(fitted, train=0.00403)), 0.01) == ()
     fitted = replace(fitted, train=0.0044, heldout=math.nan)
     found = worse_replays((built, fitted, replace(fitted, name="alternative")), 0.01)
@@ -294,7 +294,9 @@ def test_every_error_and_magnitude_has_a_unit(name: str) -> None:
     result = RESULTS[name]()
     unit = words.shown_unit(result.robot.unit)[1]
     text = " ".join(summary(result).split())
-    cells = [cell for row in sentences.replays(result) for cell in row[1:] if cell not in ("", "no effects", "none")]
+    cells = [
+        cell for row in replay_errors.replays(result) for cell in row[1:] if cell not in ("", "no effects", "none")
+    ]
     assert len(cells) >= 2 and {cell.split(words.NO_BREAK)[1] for cell in cells} == {unit}
     assert re.search(rf"noise {NUMBER} {unit}", text)
     for each in [e for f in result.findings for e in f.estimates if e.unit != "1"]:
@@ -400,3 +402,11 @@ def test_a_replay_that_leaves_most_of_the_motion_says_nothing(motion, begins):
     gone = replace(told, robots=tuple(replace(each, heldout=math.nan) for each in told.robots))
     assert (sentences.headline(gone) == "Undecided: plain replays diverge") == (motion is not None)
     assert any("short pieces" in each for each in sentences.warnings(told)) == (begins == "Undecided")
+
+
+@pytest.mark.parametrize("name", ["payload", "coulomb_friction"])
+def test_the_mass_of_a_payload_is_said_to_be_at_the_centre_of_its_body(name):
+    result = RESULTS["trunk friction"]()
+    (found,) = sentences.best_findings(result)
+    told = replace(result, findings=(replace(found, name=name, location=Location("body", "hand")),))
+    assert any("centre of mass of body hand" in each for each in sentences.warnings(told)) == (name == "payload")

@@ -7,7 +7,7 @@ from jinja2 import Environment, PackageLoader, select_autoescape
 from latex2mathml.converter import convert
 from markupsafe import Markup, escape
 
-from soro_bench.diagnosis.render import figures, sentences, words
+from soro_bench.diagnosis.render import figures, outside, replay_errors, sentences, words
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.result_parts import Finding
 from soro_bench.effects.equations import EQUATIONS
@@ -49,6 +49,8 @@ def html(result: Result) -> str:
     """The report as HTML."""
     return TEMPLATES.get_template("report.html").render(
         result=result,
+        outside=outside,
+        replay_errors=replay_errors,
         sentences=sentences,
         words=words,
         tone="good" if sentences.headline(result).startswith("Adequate") else "bad",
@@ -93,7 +95,7 @@ def _figures(result: Result) -> list[Figure]:
         )
         found.append(Figure(f"Force against state: {words.law(curve.effect.name)}", caption, figures.law_curve(result)))
     if (law := result.discovery) and law.effects:
-        label = sentences.label(result)
+        label = outside.label(result)
         caption = f"Points: the input that explains most, free in time. Red: the {label}, {'; '.join(law.equations)}."
         found.append(
             Figure(f"Force against state: a {label} outside the catalogue", caption, figures.discovered(result))
@@ -121,7 +123,7 @@ def _candidates(result: Result) -> words.Rows:
 
 
 def _candidate(found: Finding, result: Result) -> tuple[str, ...]:
-    name = sentences.unnamed(result) if found.name == "unknown" else words.law(found.name)
+    name = outside.unnamed(result) if found.name == "unknown" else words.law(found.name)
     magnitudes = "; ".join(f"{words.law(each.name)} {words.estimate(each)}" for each in found.estimates)
     location = str(found.location) if found.location else ""
     return words.probability(found.probability), name, location, magnitudes, words.plain("; ".join(found.drawbacks))

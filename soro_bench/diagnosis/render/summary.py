@@ -2,7 +2,7 @@
 
 import textwrap
 
-from soro_bench.diagnosis.render import sentences, words
+from soro_bench.diagnosis.render import outside, replay_errors, sentences, words
 from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.result_parts import Finding
 from soro_bench.files import shown
@@ -28,14 +28,12 @@ def summary(result: Result) -> str:
     for each in sentences.best_findings(result):
         lines += _finding(each, nearest=result.verdict == "outside_catalogue")
     if result.verdict == "outside_catalogue":
-        lines += [
-            line("" if i else sentences.label(result), each) for i, each in enumerate(sentences.described(result))
-        ]
+        lines += [line("" if i else outside.label(result), each) for i, each in enumerate(outside.described(result))]
         if found := result.discovery:
             lines += [line("", f"{each.name} = {words.estimate(each)}") for each in found.estimates]
-        lines += [line("", each) for each in sentences.discovered(result)]
-        lines.append(line("location", sentences.where(result)))
-        if unconstrained := sentences.unconstrained(result):
+        lines += [line("", each) for each in outside.discovered(result)]
+        lines.append(line("location", outside.where(result)))
+        if unconstrained := outside.unconstrained(result):
             lines.append(line("", unconstrained))
     lines += [line("" if i else "recordings", each) for i, each in enumerate(sentences.disagreement(result))]
     if known := sentences.known(result):
@@ -60,14 +58,14 @@ def _replays(result: Result) -> list[str]:
     """A table of plain replay errors, and what they rest on."""
     head = ("RMSE", "fitted to", *(["held out"] if result.heldout else []))
     lines = []
-    for i, (name, *cells) in enumerate([head, *sentences.replays(result)]):
+    for i, (name, *cells) in enumerate([head, *replay_errors.replays(result)]):
         row = "".join(f"{cell.replace(words.NO_BREAK, ' '):>{_CELL}}" for cell in cells)
         lines.append(f"  {'' if i else 'plain replay':<{_LABEL}}{name:<{_NAME}}{row}".rstrip())
-    if worse := sentences.worse(result):
+    if worse := replay_errors.worse(result):
         lines.append(line("warning", worse))
     lines.append(line("noise", words.number(result.train.noise, result.robot.unit)))
-    lines += [line("" if i else "signals", each) for i, each in enumerate(sentences.signals(result))]
-    return lines + ([line("", said)] if (said := sentences.explained(result)) else [])
+    lines += [line("" if i else "signals", each) for i, each in enumerate(replay_errors.signals(result))]
+    return lines + ([line("", said)] if (said := replay_errors.explained(result)) else [])
 
 
 def _confidence(result: Result) -> str:
