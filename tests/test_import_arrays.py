@@ -55,6 +55,19 @@ def test_times_may_be_a_row_or_a_column(read, shape):
     np.testing.assert_allclose(signal.values, 1e-3 * FLAT)
 
 
+@pytest.mark.parametrize("numbers", [FLAT, np.arange(3.0 * T).reshape(T, 3).astype(int)])
+def test_numbers_that_stand_for_missing_ones_are_none(read, numbers):
+    lost = np.where(np.arange(T)[:, None] == 2, -99, numbers)
+    values = read(MAPPING + "missing = [-99]\n", t=TIME, x=lost).signals["x"].values
+    np.testing.assert_allclose(values, 1e-3 * np.where(lost == -99, np.nan, numbers))
+
+
+@pytest.mark.parametrize("missing", ['["lost"]', "-99", "[[1]]"])
+def test_texts_stand_for_no_missing_number_of_an_array(read, missing):
+    with pytest.raises(RecordingError, match=says("signals.x", "missing")):
+        read(MAPPING + f"missing = {missing}\n", t=TIME, x=FLAT)
+
+
 @pytest.mark.parametrize(
     ("indices", "x", "expected"),
     [

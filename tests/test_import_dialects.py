@@ -200,6 +200,12 @@ def test_the_message_on_a_cell_says_what_helps(read, table, entries, parts):
         read(table, f"[format]\n{entries}" + mapping)
 
 
+def test_ticks_of_a_tenth_of_a_microsecond_since_the_year_one(read):
+    table = "t,x\n" + "".join(f"{639_000_000_000_000_000 + 100_000 * i},{i}\n" for i in range(5))
+    signal = read(table, CLOCK + 'unit = "100ns"\n' + X).signals["x"]
+    np.testing.assert_allclose(signal.time, 0.01 * np.arange(5), atol=2e-5)  # 64 bits of a number have that much
+
+
 def test_a_row_of_units(read):
     """It is taken or skipped on request, and not taken for numbers."""
     table, signal = "t,x,q\nms,[mm],\u00b0\n0,1,90\n10,2,180\n", '[signals.q]\ncolumns = ["q"]\n'
@@ -210,7 +216,7 @@ def test_a_row_of_units(read):
     np.testing.assert_allclose(taken.signals["q"].time, [0, 0.01])
     spelt = read(table.replace("ms", "Millisekunden"), '[format]\nunit_row = "take"\n' + CLOCK + X)
     np.testing.assert_allclose(spelt.signals["x"].time, [0, 0.01])
-    with pytest.raises(RecordingError, match=says("row of units says 'ticks'", "[time] unit, one of ns, us, ms, s")):
+    with pytest.raises(RecordingError, match=says("row of units says 'ticks'", "[time] unit, one of ns, 100ns, us")):
         read(table.replace("ms", "ticks"), '[format]\nunit_row = "take"\n' + CLOCK + X)
     with pytest.raises(RecordingError, match=says("[time] unit = 's'", "row of units says 'ms'")):
         read(table, '[format]\nunit_row = "take"\n' + CLOCK + 'unit = "s"\n' + X)

@@ -140,6 +140,7 @@ class FileMapping:
                 if (infinite := np.isinf(numbers)).any():
                     self.notes.add(label, f"{infinite.sum()} infinite numbers are taken as missing")
                     numbers = np.where(infinite, np.nan, numbers)
+                numbers = source.known(numbers)
                 found[group, name] = _named(label, self._ordered, label, source, time, numbers, *rows)
         found = self._overflowed_before(found)
         begins = {".".join(key): float(seconds(time[0])) for key, (time, *_) in found.items() if len(time)}

@@ -14,7 +14,7 @@ from soro_bench.recording.recording import RecordingError, Signal, check_shape
 
 VALUE_KEYS = (
     "unit", "scale", "sign", "offset", "rotation", "frame", "shape", "shift", "leaves", "unwrap", "period", "relative",
-    "interpolate",
+    "interpolate", "missing",
 )  # fmt: skip
 _TURN = 2 * math.pi
 _ROTATION_ERROR = 1e-3  # of what has three digits in the mapping
@@ -46,6 +46,11 @@ class Source:
     # from its first one, which is left out
     relative: bool | str = False
     interpolate: float | None = None  # s, between samples on the lines between its own: of a command that was measured
+    missing: np.ndarray = field(default_factory=lambda: np.zeros(0))  # numbers in the file that stand for a missing one
+
+    def known(self, numbers: np.ndarray) -> np.ndarray:
+        """(T, ...) numbers of the file, NaN for those that stand for a missing one."""
+        return np.where(np.isin(numbers, self.missing), np.nan, numbers) if self.missing.size else numbers
 
     def signal(self, time: np.ndarray, numbers: np.ndarray, unit: str | None = None) -> Signal:
         """The signal for (T,) times [s] and (T, ...) numbers of the file, whose unit the file says if nothing does."""
@@ -101,8 +106,8 @@ class Source:
         """What numbers that seem to stand for missing ones give reason to say, or ""."""
         if not (lost := lost_number(numbers)):
             return ""
-        hint = f"write missing = [{lost.number:.10g}]" if {"columns", "first"} & self.place.keys() else "take them out"
-        return f"{lost.count} numbers are exactly {lost.number:.10g}, far from those beside; if they are lost, {hint}"
+        return (f"{lost.count} numbers are exactly {lost.number:.10g}, far from those beside; if they are lost, write "
+                f"missing = [{lost.number:.10g}]")  # fmt: skip
 
     def _shape_of(self, numbers: np.ndarray) -> tuple[int, ...]:
         """The shape of a sample of (T, ...) numbers of the file; RecordingError if it does not fit them."""
@@ -174,14 +179,23 @@ def read_source(entry: object, place_keys: tuple[str, ...], unit_optional: bool)
         positive("period", entry["period"]) if "period" in entry else None,
         entry.get("relative", False),
         positive("interpolate", entry["interpolate"]) if "interpolate" in entry else None,
+        _missing(entry) if "missing" not in place_keys else np.zeros(0),  # of a table, whose importer knows texts too
     )
+
+
+def _missing(entry: Mapping) -> np.ndarray:
+    """(k,) numbers that stand for a missing one."""
+    found = numbers_of("missing", entry.get("missing", np.zeros(0)))
+    if found.ndim != 1:
+        raise RecordingError(f"missing = {brief(entry['missing'])}; expected a list of numbers")
+    return found
 
 
 def check_keys(label: str, table: Mapping, allowed: tuple[str, ...]) -> None:
     """Raise RecordingError for a key that is not allowed."""
     for key in table:
         if key not in allowed:
-            there = f"there are {', '.join(allowed)}" if allowed else "a file of this kind needs none"
+            there = f"there are {', '.join(dict.fromkeys(allowed))}" if allowed else "a file of this kind needs none"
             raise RecordingError(f"unknown entry {ascii(key)[:80]} in {label}; {there}")
 
 
