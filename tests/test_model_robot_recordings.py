@@ -14,7 +14,7 @@ pytest.importorskip("pyarrow", reason="needs the train extra")
 
 
 from soro_bench.diagnosis.api import diagnose
-from soro_bench.diagnosis.assembly.errors import motion
+from soro_bench.diagnosis.assembly.errors import leave_most, motion
 from soro_bench.diagnosis.candidates import late, term, terms
 from soro_bench.diagnosis.commands import Diagnose
 from soro_bench.diagnosis.data_quality.inspection import inspected
@@ -23,6 +23,7 @@ from soro_bench.diagnosis.data_quality.signals import explaining
 from soro_bench.diagnosis.estimation.fit import Guess, fitted
 from soro_bench.diagnosis.preparation import check_unit_and_sign, unexplained
 from soro_bench.diagnosis.render.summary import summary
+from soro_bench.diagnosis.result_parts import Errors
 from soro_bench.diagnosis.robots.model_file import ModelError
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot_map import read_mapping
@@ -69,6 +70,13 @@ def test_motion_is_about_the_mean_of_each_recording(paths):
     measured = [robot.measured(recording(paths, [], seed)) for seed in (0, 1)]
     left = np.concatenate([each.values - each.values.mean() for each in measured])
     assert motion(unexplained(robot, measured, 1e-3)) == pytest.approx(left.std(), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("left", "moved", "most"), [(0.6, 1.0, False), (0.8, 1.0, True), (np.inf, 1.0, True), (0.8, None, False)]
+)
+def test_replays_leave_most_of_the_motion_if_half_of_its_square_is_left(left, moved, most):
+    assert leave_most(Errors(left, left, 0.1, 0.1, 0.1, moved)) == most
 
 
 def test_nothing_is_explained_for_a_while_after_a_command_changes(paths):

@@ -26,7 +26,12 @@ def released(name: str) -> str:
 
 
 SCHEMA = "soro-bench/diagnosis/1"
-VERDICTS = {"adequate": "none_detected", "discrepancy": "missing_physics", "outside_catalogue": "unknown_physics"}
+VERDICTS = {
+    "adequate": "none_detected",
+    "undecided": "none_detected",
+    "discrepancy": "missing_physics",
+    "outside_catalogue": "unknown_physics",
+}
 
 
 def report_of(result: Result) -> dict[str, Any]:

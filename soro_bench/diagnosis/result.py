@@ -42,7 +42,10 @@ from soro_bench.diagnosis.result_robot import (
 from soro_bench.files import brief, read_json, write_json
 
 SCHEMA = "soro-bench/diagnosis/2"
-VERDICTS = ("adequate", "discrepancy", "outside_catalogue", "measurement_fault", "recordings_disagree")
+VERDICTS = (
+    "adequate", "discrepancy", "outside_catalogue", "measurement_fault", "recordings_disagree", "undecided",
+)  # fmt: skip
+_NOTHING_FOUND = ("adequate", "undecided")  # verdicts of robots without a discrepancy
 DIGITS = 7  # significant ones of numbers in a file; a float32 has as many
 
 
@@ -70,7 +73,8 @@ class Result:
     """What a diagnosis found.
 
     verdict: "adequate" (no discrepancy detected), "discrepancy" (a law of the catalogue), "outside_catalogue",
-        "measurement_fault", or "recordings_disagree" (no law was detected, but parameters change).
+        "measurement_fault", "recordings_disagree" (no law was detected, but parameters change), or "undecided" (none
+        was detected, but plain replays leave most of the motion, and test little).
     p_value: probability of as much misfit where nothing is missing; None where the model error is far above the sensor
         noise. alpha: the level at which a discrepancy is as likely as none.
     unknown: probability that the discrepancy is outside the catalogue, or hidden by model-form error. healthy: that
@@ -157,7 +161,7 @@ class Result:
     @property
     def detected(self) -> bool:
         """Whether something is missing or wrong, outliers apart."""
-        return self.verdict not in ("adequate", "measurement_fault") or bool(self.best.effects)
+        return self.verdict not in (*_NOTHING_FOUND, "measurement_fault") or bool(self.best.effects)
 
     @property
     def answer(self) -> str:

@@ -7,7 +7,13 @@ import numpy as np
 
 from soro_bench.diagnosis.assembly.agreement import agreement
 from soro_bench.diagnosis.assembly.discovered import discovered_law, region
-from soro_bench.diagnosis.assembly.errors import PlainReplays, plain_replays, replayed_robots, worse_replays
+from soro_bench.diagnosis.assembly.errors import (
+    PlainReplays,
+    leave_most,
+    plain_replays,
+    replayed_robots,
+    worse_replays,
+)
 from soro_bench.diagnosis.assembly.findings import deviations, findings, prior_values, tempered, unit_at
 from soro_bench.diagnosis.assembly.force_against_state import force_against_state
 from soro_bench.diagnosis.assembly.limits import reached_limits
@@ -21,6 +27,7 @@ from soro_bench.diagnosis.result_parts import (
     NINETY,
     Agreement,
     Detectable,
+    Errors,
     Estimate,
     Finding,
     FittedTerms,
@@ -61,7 +68,7 @@ def build_result(diagnosis: Diagnosis) -> Result:
     robots = replayed_robots(diagnosis, replays, bool(patch(diagnosis)), law)
     return Result(
         robot=_robot(diagnosis),
-        verdict=_verdict(diagnosis, alone),
+        verdict=_verdict(diagnosis, alone, heldout or train),
         p_value=comparison.p_value,
         alpha=alpha(settings),
         unknown=float(comparison.unknown),
@@ -108,10 +115,14 @@ def build_result(diagnosis: Diagnosis) -> Result:
     )
 
 
-def _verdict(diagnosis: Diagnosis, alone: Sequence[Agreement]) -> str:
-    """That of the diagnosis; where no law was detected, parameters that change from recording to recording count."""
-    changes = any(each.changes for each in alone)
-    return "recordings_disagree" if changes and not diagnosis.detected else diagnosis.verdict
+def _verdict(diagnosis: Diagnosis, alone: Sequence[Agreement], errors: Errors) -> str:
+    """That of the diagnosis; where no law was detected, parameters that change from recording to recording count, and
+    replays that leave most of the motion."""
+    if diagnosis.detected:
+        return diagnosis.verdict
+    if any(each.changes for each in alone):
+        return "recordings_disagree"
+    return "undecided" if diagnosis.verdict == "adequate" and leave_most(errors) else diagnosis.verdict
 
 
 def _notes(diagnosis: Diagnosis) -> tuple[str, ...]:

@@ -22,6 +22,8 @@ from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.model_probabilities import Answer
 from soro_bench.inference.statistical_linearisation import LowRank
 
+_LEAVES_MOST = 0.7  # of the motion's rms, half of its square
+
 HypothesisKey = tuple[bytes, tuple[Term, ...]]
 
 
@@ -201,6 +203,11 @@ def plain_rms(problem: Problem, simulated: Floats, which: int = 0) -> float:
     if not off.size:
         return math.nan
     return float(np.sqrt(np.mean(off**2))) if np.isfinite(off).all() else math.inf
+
+
+def leave_most(errors: Errors) -> bool:
+    """Whether plain replays with fitted parameters leave so much of the motion that they test nothing, or diverge."""
+    return errors.motion is not None and not errors.before < _LEAVES_MOST * errors.motion
 
 
 def motion(problem: Problem) -> float:

@@ -22,7 +22,6 @@ from soro_bench.diagnosis.result import Result
 from soro_bench.diagnosis.result_parts import Finding, ReachedLimit
 
 LIKELY = 0.05  # probability from which another hypothesis is mentioned
-LEAVES_MOST = 0.7  # of the motion's rms, half of its square; a replay that leaves more tests nothing
 FAR = 3.0  # standard deviations of the prior from which a parameter is called far off
 CLEAR = 0.7  # probability from which a kind of fault is clear
 _PAYLOAD = "payload"  # the law whose place within a body is assumed
@@ -84,24 +83,16 @@ def headline(result: Result) -> str:
     """The verdict in one line."""
     if result.verdict == "measurement_fault" and not best_findings(result):
         return "Adequate but for outliers"
+    plain_error = replay_errors.plain_error(result)
+    left = number(plain_error, result.robot.unit)
+    if result.verdict == "undecided":
+        return f"Undecided: plain replays {f'leave {left} of the motion' if math.isfinite(plain_error) else 'diverge'}"
     if result.verdict == "adequate":
-        error = replay_errors.plain_error(result)
-        left = number(error, result.robot.unit)
-        if says_little(result):
-            return f"Undecided: plain replays {f'leave {left} of the motion' if math.isfinite(error) else 'diverge'}"
         return f"Adequate within {left}: no discrepancy detected"
     if equations := outside.described(result):
         black_box = "a black box, " if outside.label(result) == outside.BLACK_BOX else ""
         return f"{ANSWERS[result.verdict]}, described by {black_box}{'; '.join(equations)}"
     return ANSWERS[result.verdict]
-
-
-def says_little(result: Result) -> bool:
-    """Whether a robot without a discrepancy leaves so much of the motion that its replays test nothing."""
-    motion = (result.heldout or result.train).motion
-    if result.verdict != "adequate" or motion is None:
-        return False
-    return not replay_errors.plain_error(result) < LEAVES_MOST * motion
 
 
 def seeds(result: Result) -> str:
@@ -150,7 +141,7 @@ def kind(result: Result) -> str:
 def warnings(result: Result) -> list[str]:
     """What a reader must know before using the numbers."""
     said = replay_errors.of_errors(result)
-    if says_little(result):
+    if result.verdict == "undecided":
         said.append("Replays that run away from the recording, as of an unstable robot without its controller, test no "
                     "physics. Cut the recording into short pieces, each from its own start.")  # fmt: skip
     if form := outside.model_form(result):

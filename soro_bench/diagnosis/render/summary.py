@@ -38,7 +38,7 @@ def summary(result: Result) -> str:
     lines += [line("" if i else "recordings", each) for i, each in enumerate(sentences.disagreement(result))]
     if known := sentences.known(result):
         lines.append(line("known", known))
-    if not result.best.effects and result.verdict != "outside_catalogue":
+    if not result.best.effects and result.verdict not in ("outside_catalogue", "undecided"):
         lines += _detectable(result)
     if also := sentences.alternatives(result):
         lines.append(line("or", "; ".join(also)))
