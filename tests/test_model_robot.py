@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -11,12 +12,14 @@ pytest.importorskip("pyarrow", reason="needs the train extra")
 
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.assembly.findings import unit_at
+from soro_bench.diagnosis.assembly.model_export import exported
 from soro_bench.diagnosis.baseline import baseline
 from soro_bench.diagnosis.candidates import terms
 from soro_bench.diagnosis.estimation.fit import Guess, fitted
 from soro_bench.diagnosis.estimation.problem import SimulationError
 from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.render import render
+from soro_bench.diagnosis.robots.model_file import ModelError
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.priors import Baseline
 from soro_bench.diagnosis.selection.moves import simplify
@@ -24,7 +27,7 @@ from soro_bench.effects.catalogue import QUANTITIES
 from soro_bench.effects.effect import Effect, Location
 from soro_bench.recording.parquet import save
 from soro_bench.recording.recording import Signal
-from tests.arm import ARM, MAP, TRUTH, recording
+from tests.arm import ARM, MAP, TRUTH, recording, says
 
 SURE = {"inertia": 0.0, "damping": 0.0, "zero": 0.0}  # standard deviations of what was found
 
@@ -285,6 +288,63 @@ def test_sensors_can_be_what_is_explained(paths, sensor, shape):
     goals = np.full((20, 1), 0.4)
     (values,) = robot.simulate(goals, np.array([[1.0, 1.0, 0.0]]), [()])
     assert np.isfinite(values).all() and np.ptp(values) > 0.01
+
+
+def test_one_number_of_a_sensor_can_be_what_is_explained(paths):
+    model, mapping = paths
+    sensors = '<sensor><accelerometer name="imu" site="tip"/><jointvel name="rate" joint="hinge"/></sensor>'
+    model.write_text(ARM.replace("</mujoco>", f"{sensors}</mujoco>"))
+    text = MAP.split("[initial]")[0] + "[parameters" + MAP.split("[parameters", 1)[1]
+
+    def replay(names):
+        mapping.write_text(text.replace('joints = ["hinge"]\nunit', f"sensors = {names}\nunit", 1))
+        robot = ModelRobot(model, mapping, threads=1)
+        return robot.simulate(np.full((20, 1), 0.4), np.array([[1.0, 1.0, 0.0]]), [()])[0]
+
+    every, rate = replay('["imu"]'), replay('["rate"]')
+    some = replay('["imu[2]", "rate", "imu[0]"]')
+    assert np.array_equal(some[..., 0], np.concatenate([every[:, 0, [2]], rate[:, 0], every[:, 0, [0]]], axis=1))
+    with pytest.raises(ModelError, match=says("imu[3]", "0 to 2")):
+        replay('["imu[3]"]')
+
+
+STARTS = """[initial]
+keyframe = "bent"
+[parameters.bend]
+fields = ["key_qpos[0]:bent"]
+add = true
+unit = "rad"
+deviation = 0.1
+[parameters.rate]
+fields = ["key_qvel[0]:bent"]
+deviation = 0.3
+"""
+
+
+def test_where_a_recording_begins_can_be_a_parameter(paths):
+    """And the model that is written begins there."""
+    model, mapping = paths
+    model.write_text(ARM.replace("</mujoco>", '<keyframe><key name="bent" qpos="0.2" qvel="1"/></keyframe></mujoco>'))
+    mapping.write_text(MAP.split("[initial]")[0] + STARTS)
+    robot = ModelRobot(model, mapping, threads=1)
+    (replayed,) = robot.simulate(np.zeros((1, 1)), np.array([[0.3, 2.0]]), [()])[:, 0, 0, 0]
+    data = mujoco.MjData(plain := mujoco.MjModel.from_xml_path(str(model)))
+    data.qpos[:], data.qvel[:] = 0.2 + 0.3, 2.0
+    mujoco.mj_step(plain, data, 4)  # a control step
+    assert replayed == pytest.approx(data.qpos[0], abs=1e-6)
+    key = mujoco.MjModel.from_xml_string(exported(robot, {"bend": 0.3, "rate": 2.0}, []).xml).key("bent")
+    assert (key.qpos[0], key.qvel[0]) == (pytest.approx(0.5), pytest.approx(2.0))
+
+
+@pytest.mark.parametrize(("old", "new", "named"), [
+    ('keyframe = "bent"', "", "keyframe = 'bent' in [initial]"), ("key_qpos", "key_ctrl", "key_ctrl is no number"),
+])  # fmt: skip
+def test_a_keyframe_that_no_recording_begins_at_is_no_parameter(paths, old, new, named):
+    model, mapping = paths
+    model.write_text(ARM.replace("</mujoco>", '<keyframe><key name="bent" qpos="0.2" qvel="1"/></keyframe></mujoco>'))
+    mapping.write_text(MAP.split("[initial]")[0] + STARTS.replace(old, new))
+    with pytest.raises(ModelError, match=says(named)):
+        ModelRobot(model, mapping, threads=1)
 
 
 def test_channels_are_those_of_all_actuators(paths):

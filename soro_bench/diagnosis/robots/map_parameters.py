@@ -1,7 +1,7 @@
 """The parameters and settings of a robot map: model fields that are scaled or shifted together."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from typing import Any
@@ -15,6 +15,7 @@ from soro_bench.diagnosis.robots.model_file import (
     check_keys,
     element,
     joint_width,
+    name_of,
     names_of,
     number,
     springs,
@@ -35,7 +36,9 @@ _OBJECTS = {
     "site": mujoco.mjtObj.mjOBJ_SITE,
     "tendon": mujoco.mjtObj.mjOBJ_TENDON,
     "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
+    "key": mujoco.mjtObj.mjOBJ_KEY,
 }
+_STATES = ("key_qpos", "key_qvel", "key_act")  # fields of keyframes that a robot begins with
 _DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_length0", "tendon_invweight0")
 _FAR = 100.0  # prior deviations, bounds of a shifted parameter
 
@@ -136,12 +139,17 @@ def settings_of(model: mujoco.MjModel, table: dict[str, Any]) -> tuple[list[Sett
 
 
 def parameters_of(
-    model: mujoco.MjModel, table: dict[str, Any], scaled: dict[str, list[Entry]], patched: bool = False
+    model: mujoco.MjModel,
+    table: dict[str, Any],
+    scaled: dict[str, list[Entry]],
+    patched: bool = False,
+    keyframe: int = -1,
 ) -> tuple[tuple[Prior, ...], Fields]:
     """Priors of the parameters, and the fields that these and the settings change; settings change ``scaled``.
 
     Args:
         patched: whether the model is one that a diagnosis wrote: an effect may have taken all that is scaled.
+        keyframe: number of the one that recordings begin at; -1 for the default position.
     """
     priors: list[Prior] = []
     entries, added = dict(scaled), set()
@@ -165,6 +173,7 @@ def parameters_of(
                 if not patched:
                     _check_scaled(model, label, text, one)
             priors.append(Prior(name, "1", 1.0, deviation, True, (1e-3, 1e3)))
+    _check_begins(model, entries, keyframe)
     if not priors:
         raise ModelError("the mapping has no [parameters.<name>]; a diagnosis fits at least one")
     return tuple(priors), Fields(model, entries, added)
@@ -177,7 +186,7 @@ def _entry(model: mujoco.MjModel, label: str, text: str) -> Entry:
     field = getattr(model, match["field"], None) if match and kind in _OBJECTS else None
     if match is None or not isinstance(field, np.ndarray) or not field.ndim:
         raise ModelError(f"{label} has {text!r}; expected field:element of {', '.join(_OBJECTS)}: body_mass:arm")
-    if field.dtype.kind != "f" or match["field"] in _DERIVED:
+    if field.dtype.kind != "f" or match["field"] in _DERIVED or (kind == "key" and match["field"] not in _STATES):
         raise ModelError(f"{label}: {match['field']} is no number that a model is made of")
     column = int(match["column"]) if match["column"] else None
     if column is not None and (field.ndim < 2 or column >= field.shape[1]):
@@ -190,6 +199,16 @@ def _entry(model: mujoco.MjModel, label: str, text: str) -> Entry:
         widths = [joint_width(model, i)[1] for i in numbers]
         numbers = [model.jnt_dofadr[i] + k for i, width in zip(numbers, widths, strict=True) for k in range(width)]
     return Entry(match["field"], np.array(numbers), column)
+
+
+def _check_begins(model: mujoco.MjModel, entries: Mapping[str, Sequence[Entry]], keyframe: int) -> None:
+    """Refuse changes of a keyframe that no recording begins at: they would do nothing."""
+    for name, each in entries.items():
+        rows = [int(row) for one in each if one.field in _STATES for row in one.rows]
+        if others := [row for row in rows if row != keyframe]:
+            there = name_of(model, _OBJECTS["key"], others[0])
+            raise ModelError(f"{name} changes keyframe {there!r}, and recordings do not begin there; write "
+                             f"keyframe = {there!r} in [initial]")  # fmt: skip
 
 
 def _check_scaled(model: mujoco.MjModel, label: str, text: str, entry: Entry) -> None:

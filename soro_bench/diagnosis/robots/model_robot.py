@@ -159,7 +159,7 @@ class ModelRobot(Robot):
         self, model: mujoco.MjModel, table: dict[str, Any], scaled: dict[str, list[Entry]]
     ) -> tuple[tuple[Prior, ...], ParameterMap]:
         """Priors of the parameters, and the fields that these and the settings change; settings change ``scaled``."""
-        return parameters_of(model, table, scaled, self._patched)
+        return parameters_of(model, table, scaled, self._patched, self._initial.keyframe)
 
     def _said(self, timestep: float, fixed: set[int], keyframes: str | None) -> list[str]:
         """What a user should know of the model and the mapping.

@@ -1,5 +1,6 @@
 """What of a MuJoCo model's state a recording shows (the signal), and where a recording begins (the initial state)."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -32,6 +33,7 @@ _UNIT_LENGTH = 0.05  # by which the length of a quaternion may differ from 1, as
 _LATEST = SensorDelay.quantities[0].bounds[1]  # s, by which a sensor may be late
 _KEYFRAME = mujoco.mjtObj.mjOBJ_KEY
 _JOINT = mujoco.mjtObj.mjOBJ_JOINT
+_NUMBER_OF = re.compile(r"(.+)\[(\d{1,9})\]")  # of the numbers of a sensor
 
 
 @dataclass(frozen=True)
@@ -163,17 +165,29 @@ def _of_joints(model: mujoco.MjModel, names: list[str], unit: str) -> SignalSour
 
 
 def _of_sensors(model: mujoco.MjModel, names: list[str], unit: str) -> SignalSource:
-    ids = [element(model, mujoco.mjtObj.mjOBJ_SENSOR, name) for name in names]
-    if len(widths := {int(model.sensor_dim[i]) for i in ids}) > 1:
+    ids, parts = zip(*(_sensor(model, name) for name in names), strict=True)
+    if len(widths := {len(part) for part in parts}) > 1:
         raise ModelError(f"[signal] sensors {', '.join(names)} have {sorted(widths)} numbers; all need as many")
-    first, (width,) = model.sensor_adr[ids], widths
+    (width,), rows = widths, list(ids)
     # those of accelerations and forces too
-    stage = max(int(mujoco.mjtStage.mjSTAGE_VEL), int(model.sensor_needstage[ids].max()))
-    if (model.sensor_datatype[ids] == mujoco.mjtDataType.mjDATATYPE_QUATERNION).all():
-        return replace(_quaternions("sensordata", first, unit), stage=stage)
-    numbers = (first[:, None] + np.arange(width)).ravel()
+    stage = max(int(mujoco.mjtStage.mjSTAGE_VEL), int(model.sensor_needstage[rows].max()))
+    turns = (model.sensor_datatype[rows] == mujoco.mjtDataType.mjDATATYPE_QUATERNION).all()
+    if turns and width == _QUATERNION:
+        return replace(_quaternions("sensordata", model.sensor_adr[rows], unit), stage=stage)
+    numbers = np.concatenate(parts)
     shape = (len(names), width) if width <= _COORDINATES else (len(numbers), 1)
     return SignalSource("sensordata", numbers, shape, stage=stage)
+
+
+def _sensor(model: mujoco.MjModel, name: str) -> tuple[int, Ints]:
+    """The id of a sensor, and where its numbers are in the data: all of them, or the one that "imu[1]" means."""
+    kind = mujoco.mjtObj.mjOBJ_SENSOR
+    of_one = _NUMBER_OF.fullmatch(name) if mujoco.mj_name2id(model, kind, name) < 0 else None
+    i = element(model, kind, of_one[1] if of_one else name)
+    every = np.arange(model.sensor_dim[i])
+    if of_one and int(of_one[2]) >= len(every):
+        raise ModelError(f"[signal] has {name!r}; that sensor has the numbers 0 to {len(every) - 1}")
+    return i, model.sensor_adr[i] + (every[[int(of_one[2])]] if of_one else every)
 
 
 def _quaternions(field: str, first: Ints, unit: str) -> SignalSource:
