@@ -141,6 +141,16 @@ def test_the_robot_moves_as_mujoco_sysid_lets_it_move(interval, error):
     assert np.abs(angles[:-2, 0, 0] - expected[:-2]).max() < error
 
 
+def test_data_without_names_of_sensors_are_those_of_all_sensors_of_the_model():
+    named = sequences(steps=10)
+    (control,), (sensors,), (start,) = named.control, named.sensordata, named.initial_state
+    bare = sysid.TimeSeries(sensors.times, sensors.data)
+    unnamed = sysid.ModelSequences("arm", named.spec, "unnamed", start, control, bare)
+    robot = sysid_robot(parameters(), [unnamed], threads=1)
+    (one,), (other,) = recordings(robot, named), recordings(robot, unnamed)
+    assert robot.sensors == ["angle"] and one.digest() == other.digest()
+
+
 def test_a_model_that_has_its_parameters_already_is_not_given_them_again():
     robot = sysid_robot(parameters(), [sequences(steps=10)], threads=1)
     heavy = robot.as_built(ARM.replace('mass="0.1"', 'mass="0.15"'))

@@ -170,13 +170,10 @@ def _columns(model: mujoco.MjModel, measured: "TimeSeries", name: str) -> Floats
 
 
 def _chosen(model: mujoco.MjModel, sequences: "ModelSequences", names: Sequence[str]) -> tuple[list[str], str]:
-    """The sensors to explain, and their unit."""
+    """The sensors to explain, and their unit; data without a mapping of names have all sensors of the model."""
     measured = sequences.sensordata[0].signal_mapping
-    units = {
-        name: unit
-        for i in range(model.nsensor)
-        if (unit := _unit(model, i)) and ((name := model.sensor(i).name) in measured if measured else True)
-    }
+    named = [(model.sensor(i).name, _unit(model, i)) for i in range(model.nsensor)]
+    units = {name: unit for name, unit in named if unit and (not measured or name in measured)}
     if names:
         if unknown := [name for name in names if name not in units]:
             raise ModelError(f"no measured sensor {unknown[0]!r} with a known unit; there are {', '.join(units)}")
