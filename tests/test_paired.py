@@ -100,6 +100,14 @@ def test_runs_of_the_same_robot_say_what_a_difference_means() -> None:
     assert compare([recording(0)], [recording(2, grown=1.05)]).signals[0].verdict == "changed"
 
 
+def test_a_run_in_another_unit_says_nothing_of_how_far_runs_differ() -> None:
+    again = recording(1)
+    values = 1e3 * again.signals["markers"].values
+    again = replace(again, signals={"markers": replace(again.signals["markers"], values=values, unit="mm")})
+    found = compare([recording(0), again], [recording(2, grown=1.05)]).signals[0]
+    assert found.run_to_run is None and found.verdict == "changed"
+
+
 @pytest.mark.parametrize("back", [False, True])
 def test_a_payload_is_named_with_its_mass_and_a_lost_one_is_negative(paths: tuple[Path, Path], back: bool) -> None:
     load = Effect("payload", Location("body", "arm"), {"mass": 0.02})

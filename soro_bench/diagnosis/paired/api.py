@@ -13,7 +13,7 @@ from soro_bench.diagnosis.settings import DEFAULT, DataQualitySettings, Settings
 from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
 from soro_bench.recording.known import Told, known_parameters
-from soro_bench.recording.recording import Recording, RecordingError, with_file
+from soro_bench.recording.recording import Recording, RecordingError, Signal, with_file
 
 
 @one_blas_thread
@@ -132,12 +132,7 @@ def _signals(
     found, notes = [], []
     first = pairs[0].before
     for name, signal in first.signals.items():
-        others = [each.signals.get(name) for pair in pairs for each in (pair.before, pair.after)]
-        if any(
-            other is None
-            or (other.unit, other.frame, other.values.shape[1:]) != (signal.unit, signal.frame, signal.values.shape[1:])
-            for other in others
-        ):
+        if not all(_have(name, signal, pair) for pair in pairs):
             notes.append(f"{name} is not compared: not all recordings have it in the same unit, frame and shape")
             continue
         try:
@@ -145,19 +140,26 @@ def _signals(
         except RecordingError as error:
             notes.append(f"{name} is not compared: {error}")
             continue
-        found.append(measured(here, _differences(name, repeats, settings.data_quality), settings))
+        same = [pair for pair in repeats if _have(name, signal, pair)]
+        found.append(measured(here, _differences(name, same, settings.data_quality), settings))
     if not found:
         raise RecordingError("; ".join(notes) or "the recordings have no signal")
     return found, notes
 
 
+def _have(name: str, like: Signal, pair: Pair) -> bool:
+    """Whether both recordings of a pair have a signal of that name in the unit, frame and shape of another one."""
+    kind = like.unit, like.frame, like.values.shape[1:]
+    signals = (each.signals.get(name) for each in (pair.before, pair.after))
+    return all(each is not None and (each.unit, each.frame, each.values.shape[1:]) == kind for each in signals)
+
+
 def _differences(name: str, pairs: Sequence[Pair], settings: DataQualitySettings) -> list[Difference]:
-    """Of pairs that have a signal."""
+    """Of those pairs that have enough samples of a signal in common."""
     found = []
     for pair in pairs:
-        if name in pair.before.signals and name in pair.after.signals:
-            try:
-                found.append(difference(name, pair, settings))
-            except RecordingError:
-                continue
+        try:
+            found.append(difference(name, pair, settings))
+        except RecordingError:
+            continue
     return found
