@@ -130,7 +130,7 @@ def _before_change(
     nothing = np.zeros(0)
     for _ in range(2):
         point = Point(np.clip(start, *problem.bounds), nothing, ())
-        left = (problem.measured[0] - problem.simulated([point])[0][0])[None][0]
+        left = problem.measured[0] - problem.simulated([point])[0][0]
         seen = problem.seen[0] & np.isfinite(left)
         count = float(problem.seen[0].sum())
         sigma = max(float(np.sqrt((left[seen] ** 2).mean())), noise)
@@ -159,7 +159,7 @@ class _Search:
         self.rng = np.random.default_rng(seed)
         # what is to be explained is no noise: how independent its samples are shows when it is explained
         self.problem = replace(self._scaled(problem, base), share=(problem.share[0], 1.0))
-        self.nothing = float(problem.squares([base])[0][1])  # the difference's own
+        self.nothing = float(problem.squares([base])[0][1])  # the difference's own square
         self.singles: list[Fit] = []
         self.best: Fit | None = None
 
@@ -230,72 +230,80 @@ class _Search:
 
     def explanation(self, notes: tuple[str, ...]) -> result.Explanation:
         """The result."""
-        problem, robot = self.problem, self.problem.robot
-        nothing = problem.squares([self.base])[0]
-        count = max(float(problem.seen[1].sum()), 1.0)
-        independent = problem.share[1] * count
         # all by the same number of independent samples: each may have been weighed by another one on the way
         singles = [self._weighed(each) for each in self.singles]
         several = [self._weighed(self.best)] if self.best is not None and len(self.best.changes) > 1 else []
-        evidences = np.array([
-            -0.5 * independent * np.log(max(nothing[1], 1e-300)),
-            *(each.evidence for each in (*singles, *several)),
-        ])
-        counts = np.array([0, *(len(each.changes) for each in (*singles, *several))])
+        unknown, (nothing, *chances) = self._probabilities([*singles, *several])
+        candidates = _merged([
+            self._change(each, 0, chance) for each, chance in zip(singles, chances, strict=False)
+        ], self.settings.selection.least_gain_of_misfit)  # fmt: skip
+        best = tuple(candidates[:1])
+        if several:
+            best = tuple(self._change(several[0], i, chances[-1]) for i in range(len(several[0].changes)))
+        if nothing > max([unknown, *(each.probability for each in (*candidates, *best))]):
+            best = ()
+        return self._told(best, candidates, nothing, unknown, notes)
+
+    @property
+    def _left(self) -> float:
+        """The difference's square that the best changes leave [signal's unit, squared]."""
+        return self.best.squares[1] if self.best else self.nothing
+
+    def _probabilities(self, fits: Sequence[Fit]) -> tuple[float, list[float]]:
+        """That what has changed is none of the possible changes; and of no change, then of each fit's."""
+        count = max(float(self.problem.seen[1].sum()), 1.0)
+        without = -0.5 * self.problem.share[1] * count * np.log(max(self.nothing, 1e-300))
+        evidences = np.array([without, *(each.evidence for each in fits)])
+        counts = np.array([0, *(len(each.changes) for each in fits)])
         weights = probabilities(evidences, counts, len(self.changes))
-        left = self.best.squares[1] if self.best else nothing[1]
-        floor = count * 2.0 * self.noise**2
-        share = max(left - floor, 0.0) / max(nothing[1] - floor, 1e-300) if nothing[1] > floor else 0.0
+        noise = count * 2.0 * self.noise**2
+        share = max(self._left - noise, 0.0) / max(self.nothing - noise, 1e-300) if self.nothing > noise else 0.0
         unknown = float(expit((share - self.settings.paired.unknown_share) / self.settings.paired.unknown_width))
         certain = self.settings.probabilities.wrong_when_certain
-        unknown = certain + (1.0 - certain) * unknown * (1.0 - weights[0])
-        chances = (1.0 - unknown) * weights
-        candidates = _merged([
-            self._change(each, 0, float(chance), nothing[1])
-            for each, chance in zip(singles, chances[1 : 1 + len(singles)], strict=True)
-        ], self.settings.selection.least_gain_of_misfit)  # fmt: skip
-        if several:
-            chance = float(chances[-1])
-            best = tuple(self._change(several[0], i, chance, nothing[1]) for i in range(len(several[0].changes)))
-        else:
-            best = tuple(candidates[:1])
-        if float(chances[0]) > max([unknown, *(each.probability for each in (*candidates, *best))]):
-            best = ()
-        # told in numbers of the signal that differs most
+        unknown = float(certain + (1.0 - certain) * unknown * (1.0 - weights[0]))
+        return unknown, ((1.0 - unknown) * weights).tolist()
+
+    def _told(
+        self,
+        best: tuple[result.Change, ...],
+        candidates: Sequence[result.Change],
+        nothing: float,
+        unknown: float,
+        notes: tuple[str, ...],
+    ) -> result.Explanation:
+        """Changes and their probabilities with errors, in numbers of the signal that differs most."""
+        problem, robot = self.problem, self.problem.robot
         which = max(range(len(robot.signals)), key=lambda i: problem.rms(self.base, i)[1] * problem.scale(i))
-        _, differs = problem.rms(self.base, which)
-        replay, remains = problem.rms(self.best.point if self.best else self.base, which)
-        signal = robot.signals[which]
+        _, before = problem.rms(self.base, which)
+        replay, after = problem.rms(self.best.point if self.best else self.base, which)
         return result.Explanation(
             robot.name,
-            signal.name,
-            signal.unit,
+            robot.signals[which].name,
+            robot.signals[which].unit,
             best,
             tuple(candidates),
-            float(chances[0]),
+            nothing,
             unknown,
-            1.0 - float(left / max(nothing[1], 1e-300)),
-            differs,
-            remains,
-            replay,
-            independent,
-            notes,
+            explained=1.0 - self._left / max(self.nothing, 1e-300),
+            before=before,
+            after=after,
+            replay=replay,
+            informative=problem.share[1] * max(float(problem.seen[1].sum()), 1.0),
+            notes=notes,
         )
 
-    def _change(self, fit: Fit, number: int, probability: float, nothing: float) -> result.Change:
-        """One change of a fit, with intervals."""
+    def _change(self, fit: Fit, number: int, probability: float) -> result.Change:
+        """One change of a fit, of that change alone or of everything, with intervals."""
         change = fit.changes[number]
         covariance = fit.covariance()
-        size = len(covariance) - sum(each.size for each in fit.changes)  # 0 where the shared unknowns were not fitted
-        x = np.concatenate([fit.point.x[:size], fit.point.z])
-        if len(x) != len(covariance):  # only the last change was fitted
-            x = fit.point.z[-len(covariance) :]
+        shared = len(fit.point.x) if fit.joint else 0  # unknowns beside those of changes that were fitted
+        x = np.concatenate([fit.point.x[:shared], fit.point.z])
         draws = x + self.rng.multivariate_normal(np.zeros(len(x)), covariance, _DRAWS, method="eigh")
-        at = size + sum(each.size for each in fit.changes[:number])
-        z = fit.point.z[at - size : at - size + change.size]
-        zs = draws[:, at : at + change.size]
-        xs = draws[:, :size] if size else np.repeat(fit.point.x[None], _DRAWS, axis=0)
-        explained = float(1.0 - fit.squares[1] / max(nothing, 1e-300))
+        first = sum(each.size for each in fit.changes[:number])
+        z = fit.point.z[first : first + change.size]
+        zs = draws[:, shared + first : shared + first + change.size]
+        xs = draws[:, :shared] if shared else np.repeat(fit.point.x[None], _DRAWS, axis=0)
+        explained = float(1.0 - fit.squares[1] / max(self.nothing, 1e-300))
         if isinstance(change, ParameterChange):
             estimates = _of_parameter(change, fit.point.x, z, xs, zs)
             return result.Change(change.kind, change.prior.name, change.location, estimates, True, False, explained,
