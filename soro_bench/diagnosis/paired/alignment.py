@@ -12,6 +12,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from soro_bench.arrays import Floats
+from soro_bench.diagnosis.paired.result import CommandDifference
 from soro_bench.diagnosis.settings import DEFAULT, Settings
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 
@@ -22,29 +23,16 @@ _RATES = 2e-5  # of clocks, that are worth a correction; crystals differ by 1e-4
 
 
 @dataclass(frozen=True)
-class Commands:
-    """How commands differ.
-
-    shift: s, by which the clock of the second recording is ahead. rate: of its clock against the first one, less 1.
-    rms, largest: differences of the worst command, as a share of its range. overlap: s that both recordings have.
-    notes: in words.
-    """
-
-    shift: float
-    rate: float
-    rms: float
-    largest: float
-    overlap: float
-    notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
 class Pair:
-    """A recording before and one after a change, on the clock of the first: both begin at 0 and last as long."""
+    """A recording before and one after a change, on the clock of the first: both begin at 0 and last as long.
+
+    commands: how they differ. notes: on clocks and on what is left out, in words.
+    """
 
     before: Recording
     after: Recording
-    commands: Commands
+    commands: CommandDifference
+    notes: tuple[str, ...] = ()
 
 
 def aligned(before: Recording, after: Recording, settings: Settings = DEFAULT) -> Pair:
@@ -69,11 +57,11 @@ def aligned(before: Recording, after: Recording, settings: Settings = DEFAULT) -
     if left > 0.1 * (end - start):
         notes = (*notes, f"{end - start:.4g} s are compared; the recordings last {before.duration:.4g} and "
                          f"{after.duration:.4g} s")  # fmt: skip
-    commands = Commands(shift, rate, rms, largest, end - start, notes)
+    commands = CommandDifference(shift, rate, rms, largest, end - start)
     if shift == rate == 0.0 and left <= 1e-9:
-        return Pair(before, after, commands)
+        return Pair(before, after, commands, notes)
     first, second = _cut(before, start, end), _cut(moved, start, end)
-    return Pair(first, replace(second, commands=first.commands), commands)
+    return Pair(first, replace(second, commands=first.commands), commands, notes)
 
 
 def _check_names(before: Recording, after: Recording) -> None:

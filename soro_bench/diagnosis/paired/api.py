@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from soro_bench.diagnosis.paired.alignment import Pair, aligned
 from soro_bench.diagnosis.paired.difference import Difference, difference, measured
 from soro_bench.diagnosis.paired.explanation import explained
-from soro_bench.diagnosis.paired.result import CommandDifference, PairedResult, SignalDifference
+from soro_bench.diagnosis.paired.result import PairedResult, SignalDifference
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.forward_selection import StageProgress, silent
 from soro_bench.diagnosis.settings import DEFAULT, DataQualitySettings, Settings
@@ -58,10 +58,8 @@ def compare(
                                  f"they have {', '.join(each.name for each in signals)}")  # fmt: skip
         others = [each for each in robot.others if each.name in {signal.name for signal in signals}]
         explanation = explained(robot.explaining(others), pairs, seed, progress, settings)
-    notes += [note for pair in pairs for note in pair.commands.notes]
-    commands = tuple(
-        CommandDifference(c.shift, c.rate, c.rms, c.largest, c.overlap) for c in (pair.commands for pair in pairs)
-    )
+    notes += [note for pair in pairs for note in pair.notes]
+    commands = tuple(pair.commands for pair in pairs)
     return PairedResult(
         commands, tuple(signals), explanation, seed, time.perf_counter() - start, tuple(dict.fromkeys(notes))
     )

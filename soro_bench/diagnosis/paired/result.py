@@ -88,8 +88,11 @@ class SignalDifference:
 
 @dataclass(frozen=True)
 class CommandDifference:
-    """How far the commands of a pair are apart: s by which the second clock is ahead, its rate less 1, rms and largest
-    difference as shares of a command's range, and s that are compared."""
+    """How far the commands of a pair are apart.
+
+    shift: s, by which the clock of the second recording is ahead. rate: of that clock against the first one, less 1.
+    rms, largest: differences of the worst command, as shares of its range. overlap: s that both recordings have.
+    """
 
     shift: float
     rate: float
