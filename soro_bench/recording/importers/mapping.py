@@ -60,7 +60,6 @@ class FileMapping:
     format: dict[str, Any] = field(default_factory=dict)
     parameters: dict[str, float] = field(default_factory=dict)
     metadata: dict[str, str] = field(default_factory=dict)
-    order: str = "refuse"  # one of ORDERS, where [time] says none
     notes: Notes = field(default_factory=Notes, compare=False)
     periods: list[float] = field(default_factory=list, compare=False)  # s, of clocks that have overflowed
 
@@ -102,7 +101,7 @@ class FileMapping:
 
     def continued(self, time: np.ndarray) -> np.ndarray:
         """(T,) times that go on where the clock was set back, if [time] order asks for it."""
-        if self.time.get("order", self.order) != "continue":
+        if self.time.get("order") != "continue":
             return time
         time, note = continued(time)
         self.notes.add("[time]", note)
@@ -192,11 +191,10 @@ class FileMapping:
 
     def _ordered(self, label: str, source: Source, time: np.ndarray, numbers: np.ndarray, *rows: np.ndarray) -> tuple:
         """Shifted times, numbers and lines, in the order that [time] order asks for."""
-        order, note = self.time.get("order", self.order), ""
         if not np.isfinite(time).all():
             raise RecordingError("time is not finite")
         time = self.continued(time)
-        if order != "refuse":  # which looks at what is left after cutting
+        if (order := self.time.get("order", "refuse")) != "refuse":  # which looks at what is left after cutting
             kept, note = chosen(time, order)
             self.notes.add(label, note)
             time, numbers, rows = time[kept], numbers[kept], tuple(each[kept] for each in rows)
@@ -319,7 +317,6 @@ def load_mapping(
     time_keys: tuple[str, ...] = (),
     format_keys: tuple[str, ...] = (),
     unit_optional: bool = False,
-    order: str = "refuse",
 ) -> FileMapping:
     """Read a mapping file.
 
@@ -327,7 +324,6 @@ def load_mapping(
         mapping: the file, or what one says.
         place_keys, time_keys, format_keys: what the importer knows in a command or signal, in [time] and in [format].
         unit_optional: whether the file may say the unit.
-        order: what becomes of stamps that do not increase, where [time] order does not say it.
 
     Raises:
         RecordingError: names what is wrong and what is allowed.
@@ -354,7 +350,7 @@ def load_mapping(
         table["metadata"] = {
             k: v if type(v) not in (int, float) else repr(v) for k, v in table.get("metadata", {}).items()
         }
-        return FileMapping(**table, order=order)
+        return FileMapping(**table)
 
 
 def in_utf8(data: bytes) -> str:
