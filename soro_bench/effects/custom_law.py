@@ -89,13 +89,9 @@ class CustomLaw:
             }
         return {**found, "expression": to_json(self.expression), "units": dict(self.units)}
 
-    def equation(self, parameters: Mapping[str, float], symbols: bool = False) -> str:
-        """One line of text.
-
-        Args:
-            symbols: whether parameters are named, instead of their values.
-        """
-        values = {} if symbols else {name: f"{value:.4g}" for name, value in parameters.items()}
+    def equation(self, parameters: Mapping[str, float]) -> str:
+        """One line of text, with the values of parameters in the place of their names."""
+        values = {name: f"{value:.4g}" for name, value in parameters.items()}
         return f"F = {written(self.expression, values)}"
 
     def legend(self) -> dict[str, str]:

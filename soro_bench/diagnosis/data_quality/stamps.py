@@ -76,7 +76,7 @@ def _irregular(time: Floats, values: Floats, settings: DataQualitySettings, lagg
     for at, jump in zip(steps, jumps, strict=True):
         lost = max(round(jump / period), 0)
         whole = lost >= 1 and abs(jump - lost * period) < settings.whole * period
-        if _moved_on(time, values, at, period, jump) or (whole and not _stood(values, at, settings)):
+        if _moved_on(values, at, period, jump) or (whole and not _stood(values, at, settings)):
             number[at:] += lost
             level[at:] += jump - lost * period
             missing += lost
@@ -171,12 +171,10 @@ def _level_steps(extra: Floats, late: Floats, period: float, settings: DataQuali
             sizes.append(float(after[i] - before[i]))
     if (np.abs(extra) <= settings.regular * period).mean() > 0.5:  # so few are late that each step is one
         return steps, np.array(sizes)
-    return _lasting(steps, late, window, least, settings)
+    return _lasting(steps, late, window, least)
 
 
-def _lasting(
-    steps: list[int], late: Floats, window: int, least: float, settings: DataQualitySettings
-) -> tuple[list[int], Floats]:
+def _lasting(steps: list[int], late: Floats, window: int, least: float) -> tuple[list[int], Floats]:
     """The steps after which stamps stay later or earlier than before; a burst of late ones begins and ends."""
     while True:
         edges = [0, *steps, len(late)]
@@ -192,7 +190,7 @@ def _lasting(
         steps = [step for i, step in enumerate(steps) if i != int(weak.argmin())]
 
 
-def _moved_on(time: Floats, values: Floats, at: int, period: float, jump: float) -> bool:
+def _moved_on(values: Floats, at: int, period: float, jump: float) -> bool:
     """Whether the motion between two samples fits a gap of ``period + jump`` rather than one of ``period``."""
     near = values[max(at - 3, 0) : at + 3]
     if len(near) < 6 or not np.isfinite(near).all():

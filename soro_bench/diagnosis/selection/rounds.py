@@ -97,7 +97,7 @@ def generalised(problem: Problem, screened: Evidence, candidates: Sequence[Term]
         if not others:
             continue
         guess = _generalised(problem, screened, own, list(others.values())[::-1], worth)
-        found += [guess, *_simpler(problem, guess, candidates)] if guess else []
+        found += [guess, *_simpler(guess, candidates)] if guess else []
     return [each for each in found if problem.robot.accepts(effects_at(each.x[problem.parameters :], each.terms))]
 
 
@@ -129,7 +129,7 @@ def _generalised(
     )
 
 
-def _simpler(problem: Problem, guess: Guess, candidates: Sequence[Term]) -> list[Guess]:
+def _simpler(guess: Guess, candidates: Sequence[Term]) -> list[Guess]:
     """The guess with laws of fewer quantities, of the same class at the same elements, in place of its last one."""
     *others, last = guess.terms
     if not isinstance(last, SpreadTerm) or guess.jacobian is None:
