@@ -8,7 +8,7 @@ whoever records the real one and puts the file into a folder.
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,7 @@ from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.simulated import record
 
 _POLL = 0.2  # s between looks for a file
+_READ = ("env_id", "model", "action", "noise")  # metadata of a recording that a simulated robot is made from
 Source = Callable[[NextRecording, int], Recording]  # answers the k-th proposal, from 1
 
 
@@ -93,10 +94,9 @@ class SimulatedAnswer:
 
     recording: Recording
     effects: Path
-    names: tuple[str, ...] = field(default=("env_id", "model", "action", "noise"), repr=False)
 
     def __post_init__(self) -> None:
-        if missing := [name for name in self.names if name not in self.recording.metadata]:
+        if missing := [name for name in _READ if name not in self.recording.metadata]:
             raise ValueError(f"the first recording has no {missing[0]!r} in its metadata; a simulated robot can answer "
                              "for recordings of soro-bench record only")  # fmt: skip
         if self.recording.metadata["action"] != "continuous":
