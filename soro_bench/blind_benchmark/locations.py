@@ -1,7 +1,7 @@
 """Where a hidden effect acts, and how it looks: what the draws have in common."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,7 +18,7 @@ class Hidden:
     """An effect but for its magnitude.
 
     Args:
-        where: as in a report of a diagnosis: kind and name of an element, and perhaps an index.
+        location: as in a report of a diagnosis: kind and name of an element, and perhaps an index.
         law: of a magnitude.
         parameters: value and unit by name, of a magnitude.
         guess: the magnitude that changes keypoints by about 2 mm.
@@ -31,7 +31,7 @@ class Hidden:
     parameters: Callable[[float], Quantities]
     guess: float
     highest: float
-    description: str = field(default="")
+    description: str = ""
 
 
 def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:

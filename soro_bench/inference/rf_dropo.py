@@ -34,7 +34,7 @@ ROUNDS = 12
 class Fit:
     """A distribution on the unit cube of the search box.
 
-    mean, std: (d,); jacobian (T, k, d) of what is measured there.
+    mean, std: (d,). jacobian: (T, k, d) there, of measured less simulated with respect to the cube.
     """
 
     mean: Floats
