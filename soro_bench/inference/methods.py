@@ -312,8 +312,7 @@ def _widened(
 
 def _deviation(replay: Replay, residual: Floats) -> Floats:
     """(T, k) of the measurement, or what a fit leaves if it is more."""
-    left = (residual / replay.deviation)[~np.isnan(replay.measured)]
-    return max(1.0, float(np.sqrt((left**2).mean()))) * replay.deviation
+    return max(1.0, _left(replay, residual)) * replay.deviation
 
 
 def _with_known(distribution: TruncatedNormal | Gaussian, known: dict[str, float]) -> TruncatedNormal | Gaussian:
