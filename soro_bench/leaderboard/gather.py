@@ -36,7 +36,9 @@ class Group:
     @property
     def name(self) -> str:
         """The method, and if that is old of which trainer."""
-        return self.method + ((self.old and (f" (trainer {self.trainer})" if self.trainer else OLD)) or "")
+        if not self.old:
+            return self.method
+        return self.method + (f" (trainer {self.trainer})" if self.trainer else OLD)
 
     @property
     def trained_on(self) -> str:
