@@ -257,7 +257,8 @@ def descended(problem: Problem, hypotheses: Sequence[Hypothesis], least_gain: fl
 
     It serves fits of real robots, whose misfit is larger than the ruggedness of the simulation. The samples of other
     fits are too wide where the phase of an oscillation runs away: that is linear near a point only. SciPy's method
-    would replay one point after the other.
+    would replay one point after the other. Changes between recordings have a descent of their own (paired/fit.py): of
+    white residuals, with Jacobians by differences only.
 
     A Jacobian by differences costs a replay for each unknown. As long as steps gain what it predicts, it is updated
     by what they change instead (Broyden, "A class of methods for solving nonlinear simultaneous equations", 1965).

@@ -170,33 +170,26 @@ def _descended(
 ) -> list[tuple[Floats, Floats]]:
     """Levenberg-Marquardt fits side by side, with standard normal priors: of each the Jacobian (M, n) and the unknowns.
 
-    The Jacobian is that of the last step's beginning: at convergence its standard deviations are right to 1 %.
+    The Jacobian is that of the last step's beginning: at convergence its standard deviations are right to 1 %. That of
+    a diagnosis (``descended`` in ``estimation/fit.py``) is for hypotheses of a ``Problem``, whose costs have a
+    covariance, and updates Jacobians between steps; it ends at other digits.
 
     Args:
         residuals: (N, M) of N pairs of a fit's number and its unknowns (n,).
         starts, bounds: (n,) and (2, n) of each fit.
     """
     edges = [_EDGE * np.minimum(high - low, 1.0) for low, high in bounds]
-    found = [np.clip(v, b[0] + e, b[1] - e) for v, b, e in zip(starts, bounds, edges, strict=True)]
+    found = [np.clip(x, b[0] + e, b[1] - e) for x, b, e in zip(starts, bounds, edges, strict=True)]
     jacobians: list[Floats] = [np.zeros((0, 0))] * len(found)
     damping, going = np.ones(len(found)), list(range(len(found)))
     for _ in range(_STEPS):
-        rows = _in_parts(
-            residuals, [(i, v) for i in going for v in (found[i], *_beside(found[i], bounds[i], settings))]
-        )
-        trials, costs, at = [], {}, 0
-        for i in going:
-            v, by = found[i], np.diag(_beside(found[i], bounds[i], settings) - found[i])
-            here, moved = rows[at], rows[at + 1 : at + 1 + len(v)]
-            at += 1 + len(v)
-            jacobians[i] = ((moved - here) / by[:, None]).T
-            costs[i] = float(here @ here + v @ v)
-            hessian = jacobians[i].T @ jacobians[i] + np.eye(len(v))
-            gradient = jacobians[i].T @ here + v
-            for factor in _DAMPINGS * damping[i]:
-                step = np.linalg.solve(hessian + factor * np.diag(np.diag(hessian)), gradient)
-                trials.append((i, np.clip(v - step, *bounds[i])))
-        tried = (_in_parts(residuals, trials) ** 2).sum(axis=1) + [float(v @ v) for _, v in trials]
+        lines = _linearised(residuals, [(i, found[i]) for i in going], bounds, settings)
+        trials, costs = [], {}
+        for i, (here, jacobian) in zip(going, lines, strict=True):
+            jacobians[i], costs[i] = jacobian, float(here @ here + found[i] @ found[i])
+            points = _steps(found[i], here, jacobian, _DAMPINGS * damping[i])
+            trials += [(i, np.clip(point, *bounds[i])) for point in points]
+        tried = (_in_parts(residuals, trials) ** 2).sum(axis=1) + [float(x @ x) for _, x in trials]
         improved = []
         for k, i in enumerate(going):
             part = slice(k * len(_DAMPINGS), (k + 1) * len(_DAMPINGS))
@@ -211,11 +204,42 @@ def _descended(
     return list(zip(jacobians, found, strict=True))
 
 
-def _beside(v: Floats, bounds: Floats, settings: Settings) -> Floats:
+def _linearised(
+    residuals: Callable[[list[tuple[int, Floats]]], Floats],
+    points: Sequence[tuple[int, Floats]],
+    bounds: Sequence[Floats],
+    settings: Settings,
+) -> list[tuple[Floats, Floats]]:
+    """Residuals (M,) and Jacobians (M, n), by one-sided differences, at the unknowns (n,) of some fits.
+
+    Args:
+        residuals, bounds: as of ``_descended``.
+        points: numbers of the fits with their unknowns.
+    """
+    moved = [_beside(x, bounds[i], settings) for i, x in points]
+    rows = _in_parts(
+        residuals, [(i, each) for (i, x), others in zip(points, moved, strict=True) for each in (x, *others)]
+    )
+    found, first = [], 0
+    for (_, x), others in zip(points, moved, strict=True):
+        here, there = rows[first], rows[first + 1 : first + 1 + len(x)]
+        first += 1 + len(x)
+        found.append((here, ((there - here) / np.diag(others - x)[:, None]).T))
+    return found
+
+
+def _steps(x: Floats, residual: Floats, jacobian: Floats, dampings: Floats) -> list[Floats]:
+    """Unknowns (n,) of least linearised cost, one for each damping (K,) of the Hessian's diagonal."""
+    hessian = jacobian.T @ jacobian + np.eye(len(x))
+    gradient = jacobian.T @ residual + x
+    return [x - np.linalg.solve(hessian + factor * np.diag(np.diag(hessian)), gradient) for factor in dampings]
+
+
+def _beside(x: Floats, bounds: Floats, settings: Settings) -> Floats:
     """(n, n) unknowns of which one each is moved, within the bounds."""
     size = settings.descent.difference
-    by = np.where(v + size <= bounds[1], size, -size)
-    return np.asarray(v + np.diag(by), float)
+    by = np.where(x + size <= bounds[1], size, -size)
+    return np.asarray(x + np.diag(by), float)
 
 
 def _in_parts(residuals: Callable[[list[tuple[int, Floats]]], Floats], points: Sequence[tuple[int, Floats]]) -> Floats:
