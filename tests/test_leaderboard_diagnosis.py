@@ -1,6 +1,8 @@
 """Entries of the diagnosis track, scored releases, and archives of entries."""
 
 import hashlib
+import json
+import lzma
 import os
 import zipfile
 from dataclasses import replace
@@ -87,6 +89,25 @@ def test_a_release_has_the_labels_that_were_committed_to(number, tmp_path):
     Release.load(root / "docs" / "results" / "releases" / f"release_{number}.json.xz").unpack(tmp_path)
     entry = root / "leaderboard" / "results" / "diagnosis" / f"soro_bench_{number}.json"
     assert diagnosis_entry.opened(tmp_path / "cases") == diagnosis_entry.read_entry(entry)["set"]
+
+
+@pytest.mark.parametrize(("key", "value", "said"), [
+    ("reports", [], "its reports is []; expected is an object"),
+    ("labels", None, "its labels is None; expected is an object"),
+    ("method", 7, "its method is 7; expected is a text"),
+    ("reports", {"../case_000": {}}, "'../case_000' is no name of a case"),
+])  # fmt: skip
+def test_a_file_that_holds_no_release_is_named(tmp_path, key, value, said):
+    parts = {"commitment": "0" * 64, "method": "abc", "labels": {}, "reports": {}}
+    content = {"format": diagnosis_entry.RELEASE, **parts, key: value}
+    (path := tmp_path / "release.json.xz").write_bytes(lzma.compress(json.dumps(content).encode()))
+    with pytest.raises(ValueError, match=says("release.json.xz", "is no release", said)):
+        Release.load(path)
+
+
+def test_a_release_without_reports_is_unpacked_without(tmp_path):
+    Release("0" * 64, "abc", {"cases": []}, {}).unpack(tmp_path)
+    assert (tmp_path / "reports" / "method.txt").read_text() == "abc\n"
 
 
 def test_the_command_prove_writes_an_entry_that_verifies(tmp_path, monkeypatch):

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from soro_bench import packed
 from soro_bench.blind_benchmark.criteria import criteria, is_met
@@ -31,6 +32,7 @@ FORMAT, SCHEMA = "soro_bench/diagnosis/1", "diagnosis_entry.schema.json"
 PARTS = ("gates", "confusion", "calibration", "ablations")
 RELEASE = "soro_bench/release/1"
 PACKED_BYTES, OPENED_BYTES = 1_000_000, 50_000_000
+_FIELDS = {"commitment": str, "method": str, "labels": dict, "reports": dict}  # of a release, in this order
 # keys of a report and of its effects that neither a score nor a comparison of releases reads
 LEFT_OUT = {"rounds", "places", "residual_force", "detectable", "invisible", "next_recording", "audit"}
 LEFT_OUT_OF_EFFECTS = {"when", "condition", "evidence", "against", "together_with"}
@@ -63,7 +65,7 @@ class Release:
             found = parsed_json(data)
             if found["format"] != RELEASE:
                 raise ValueError(f"its format is {found['format']!a}; {RELEASE} is needed")
-            return cls(found["commitment"], found["method"], found["labels"], found["reports"])
+            return cls(*_parts(found))
         except (lzma.LZMAError, LookupError, TypeError, ValueError, RecursionError) as error:
             raise ValueError(f"{path} is no release of the diagnosis: {error}") from error
 
@@ -92,13 +94,24 @@ class Release:
     def unpack(self, folder: str | Path) -> None:
         """Write the release into ``folder`` as the blind benchmark does: cases/ with the labels, and reports/."""
         cases, reports = Path(folder) / "cases", Path(folder) / "reports"
+        reports.mkdir(parents=True, exist_ok=True)
         write_json(cases / "sealed" / "labels.json", self.labels)
         (cases / "commitment.txt").write_text(f"{self.digest}\n")
         for name, report in self.reports.items():
-            if Path(name).name != name:
-                raise ValueError(f"{name!a} is no name of a case")
             write_json(reports / f"{name}.json", report)
         (reports / "method.txt").write_text(f"{self.method}\n")
+
+
+def _parts(found: dict) -> Iterator[Any]:
+    """The fields of a release that a file holds; ValueError for what is none, as a stranger may have written it."""
+    for key, kind in _FIELDS.items():
+        if not isinstance(found[key], kind):
+            expected = "a text" if kind is str else "an object"
+            raise ValueError(f"its {key} is {brief(found[key])}; expected is {expected}")
+        yield found[key]
+    for name in found["reports"]:
+        if Path(name).name != name:
+            raise ValueError(f"{brief(name)} is no name of a case")
 
 
 def _reduced(report: dict) -> dict:
