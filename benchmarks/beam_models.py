@@ -159,7 +159,7 @@ def recorded(options: argparse.Namespace) -> None:
             unexplained(robot, (measured[0],), data_quality(measured[0]).sigma), robot.refined(), seed=0
         )
         x = nominal.x
-    print("; ".join(map(str, robot.known)) or "no effects")
+    print("; ".join(map(str, robot.known_effects)) or "no effects")
     print(", ".join(f"{name} {value:.4g}" for name, value in robot.parameters(x).items()))
     for run, each in zip("ab", measured, strict=True):
         _compare(unexplained(robot, (each,), 1.0), x, f"{kind} {run}", FREQUENCY[kind])

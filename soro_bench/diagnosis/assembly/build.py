@@ -277,7 +277,7 @@ def _covariance(diagnosis: Diagnosis) -> Rows:
 
 
 def _patch(diagnosis: Diagnosis, replays: PlainReplays) -> Patch:
-    model, effects = model_patch(diagnosis, replays.built), [*diagnosis.robot.known, *patch(diagnosis)]
+    model, effects = model_patch(diagnosis, replays.built), [*diagnosis.robot.known_effects, *patch(diagnosis)]
     if rejected(diagnosis):
         state = "rejected"
     elif not patch(diagnosis):

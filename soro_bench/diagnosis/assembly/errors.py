@@ -137,7 +137,7 @@ def replayed_robots(
 def _replayed(name: str, diagnosis: Diagnosis, hypothesis: Hypothesis, errors: Sequence[float]) -> ReplayedRobot:
     """The robot of a hypothesis, with errors of its replays."""
     robot = diagnosis.robot
-    laws = tuple(effect.to_json() for effect in (*robot.known, *hypothesis.effects(len(robot.priors))))
+    laws = tuple(effect.to_json() for effect in (*robot.known_effects, *hypothesis.effects(len(robot.priors))))
     return ReplayedRobot(name, robot.every_parameter(hypothesis.x), laws, *map(_finite, errors))
 
 

@@ -93,7 +93,7 @@ def model_patch(diagnosis: Diagnosis, built: Sequence[float]) -> ModelPatch:
         built: errors of the model as built [signal's unit], on the recordings fitted to and on held-out ones.
     """
     robot = diagnosis.robot
-    effects = (*robot.known, *patch(diagnosis))
+    effects = (*robot.known_effects, *patch(diagnosis))
     try:
         found = exported(robot, robot.parameters(kept(diagnosis).x), effects)
     except PatchError as error:
@@ -131,7 +131,7 @@ def _with_parameters_only(diagnosis: Diagnosis) -> ExportedModel | None:
     """The model with parameters that were fitted without the patch; None if MJCF cannot hold it."""
     robot = diagnosis.robot
     try:
-        return exported(robot, robot.parameters(diagnosis.explanation.nominal.x), robot.known, _REFITTED)
+        return exported(robot, robot.parameters(diagnosis.explanation.nominal.x), robot.known_effects, _REFITTED)
     except PatchError:
         return None
 
@@ -154,7 +154,7 @@ def _refitted(diagnosis: Diagnosis) -> Iterator[ExportedModel]:
     least_gain = max(LEAST_GAIN, 2.0 * problem.settings.report.same_error)
     for start in _begun(diagnosis, problem):
         (each,) = descended(problem, [start], least_gain)
-        effects = (*robot.known, *each.effects(problem.parameters))
+        effects = (*robot.known_effects, *each.effects(problem.parameters))
         try:
             yield exported(robot, robot.parameters(each.x), effects, _REFITTED)
         except PatchError:

@@ -86,7 +86,7 @@ def _compared(robot: Robot, pairs: Sequence[Pair], settings: Settings) -> tuple[
 def _shared(robot: Robot) -> tuple[Term, ...]:
     """Laws that both recordings have anyway: nearly every real robot is late, and the difference with it."""
     late = term(robot, "sensor_delay", Location("sensor", EVERY if robot.others else robot.signal))
-    known = [(e.name, e.location) for e in robot.known]
+    known = [(e.name, e.location) for e in robot.known_effects]
     return () if (late.name, late.location) in known else (late,)
 
 

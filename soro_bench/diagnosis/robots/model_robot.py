@@ -82,7 +82,7 @@ class ModelRobot(Robot):
     ):
         self._patched = patched
         self._sources, self.threads, self._baseline = (model, mapping), threads, baseline
-        self._known = known
+        self._known_parameters = known
         self.shorter = shorter
         table = read_mapping(mapping)
         self.files = source_files(model, mapping)
@@ -129,7 +129,7 @@ class ModelRobot(Robot):
 
     def shortened(self, factor: int) -> Robot:
         """The same model with time steps shorter by a factor."""
-        robot = ModelRobot(*self._sources, self.threads, factor, self._baseline, self._known, self._patched)
+        robot = ModelRobot(*self._sources, self.threads, factor, self._baseline, self._known_parameters, self._patched)
         return self._alike(robot)
 
     def knowing(self, known: Known) -> Robot:
@@ -150,7 +150,9 @@ class ModelRobot(Robot):
         if self._accurate is None:
             return None
         try:
-            robot = ModelRobot(self._accurate, self._sources[1], self.threads, 1, self._baseline, self._known)
+            robot = ModelRobot(
+                self._accurate, self._sources[1], self.threads, 1, self._baseline, self._known_parameters
+            )
             return self._alike(robot)
         except ModelError as error:
             raise ModelError(f"the accurate model {self._accurate}: {error}") from error

@@ -51,7 +51,7 @@ class Replays(ABC):
         simulation: N simulations of the robot.
         control_timestep: s, between commands.
         signal: the name of the first signal of recordings that is explained.
-        known: effects that the robot is known to have, whatever else acts.
+        known_effects: those that the robot is known to have, whatever else acts.
         settling: control steps under its first action before a recording begins.
         relaxing: whether it is stopped behind positions of rest meanwhile.
     """
@@ -59,7 +59,7 @@ class Replays(ABC):
     simulation: Simulation
     control_timestep: float
     signal: str
-    known: tuple[Effect, ...] = ()
+    known_effects: tuple[Effect, ...] = ()
     settling: int = 0
     relaxing: bool = False
 
@@ -151,7 +151,7 @@ class Replays(ABC):
     ) -> list[Floats]:
         """Replays under each of several drives, side by side: (N, T, C) of every drive, the numbers of all signals.
         See :meth:`simulate`."""
-        effects = [(*self.known, *each) for each in effects]
+        effects = [(*self.known_effects, *each) for each in effects]
         # what differs only in the sensor is simulated once
         physics = [tuple(e for e in each if e.location.kind != "sensor") for each in effects]
         driven = {(k, i): self._driven(drive, each) for k, drive in enumerate(drives) for i, each in enumerate(effects)}

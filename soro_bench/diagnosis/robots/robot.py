@@ -78,7 +78,7 @@ class Robot(Replays):
             names = [prior.name for prior in self.priors]
             if sorted(names) != sorted(baseline.parameters):
                 raise ValueError(f"the baseline diagnosis has {sorted(baseline.parameters)}; this robot has {names}")
-            self.known, self.from_baseline = baseline.effects, True
+            self.known_effects, self.from_baseline = baseline.effects, True
             self.priors = tuple(p.about(baseline.parameters[p.name], baseline.spread[p.name]) for p in self.priors)
             if not self.accepts([]):
                 raise CannotHave("the baseline diagnosis has effects that this robot cannot have")
@@ -338,11 +338,13 @@ class Robot(Replays):
         """
         found = [(e.name, e.location, e.law) for e in effects]
         once = [
-            (e.name, e.location, e.law) for e in self.known if e.name in ALL and not getattr(ALL[e.name], "adds", False)
+            (e.name, e.location, e.law)
+            for e in self.known_effects
+            if e.name in ALL and not getattr(ALL[e.name], "adds", False)
         ]
         if len({*once, *found}) < len(once) + len(found):
             return False
-        effects = [*self.known, *effects]
+        effects = [*self.known_effects, *effects]
         return self.simulation.accepts([e for e in effects if e.location.kind != "sensor"])
 
     def native(self, effect: Effect) -> bool:

@@ -80,7 +80,7 @@ class SuiteRobot(Robot):
         kind = task_type(env_id)
         self.name = self.env_id = env_id
         self.threads, self.model_name, self._baseline = threads, model or kind.cheap, baseline
-        self._known, self._xml = known, xml
+        self._known_parameters, self._xml = known, xml
         self.shorter = shorter
         self._task = make_task(env_id, SIMULATIONS, threads, self.model_name, action="continuous", effects=())
         if xml is None:
@@ -101,7 +101,7 @@ class SuiteRobot(Robot):
 
     def shortened(self, factor: int) -> Robot:
         """The same robot with shorter time steps."""
-        return self._again(factor, self._known)
+        return self._again(factor, self._known_parameters)
 
     def knowing(self, known: Known) -> Robot:
         """The same robot with some parameters fixed."""
@@ -149,7 +149,7 @@ class SuiteRobot(Robot):
     def accurate(self) -> Robot | None:
         """The same robot by the suite's accurate model; None if its signals have other points, as on another mesh."""
         names, accurate = [each.name for each in self.others], task_type(self.env_id).accurate
-        other = SuiteRobot(self.env_id, accurate, self.threads, 1, self._baseline, self._known, names)
+        other = SuiteRobot(self.env_id, accurate, self.threads, 1, self._baseline, self._known_parameters, names)
         same = [each.shape for each in other.signals] == [each.shape for each in self.signals]
         return self._alike(other) if same else None
 

@@ -95,7 +95,7 @@ class SysidRobot(ModelRobot):
     def shortened(self, factor: int) -> "SysidRobot":
         """The same model with time steps shorter by a factor."""
         return self._again(
-            self._spec, modified=self._modified, shorter=factor, baseline=self._baseline, known=self._known
+            self._spec, modified=self._modified, shorter=factor, baseline=self._baseline, known=self._known_parameters
         )
 
     def knowing(self, known: Known) -> "SysidRobot":
