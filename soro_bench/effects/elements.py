@@ -11,7 +11,15 @@ from soro_bench.effects.effect import EACH, EVERY, EffectError, Location
 AUXILIARY = "auxiliary:"  # and a joint's name: a spring of the effects, beside the joint's own
 FOUND = "found_at_"  # the same in a patched model
 NEVER = 1e9  # m or rad, a yield threshold that is not reached
-_SCALARS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+SCALAR_JOINTS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+OBJECTS = {  # by kind of location
+    "tendon": mujoco.mjtObj.mjOBJ_TENDON,
+    "joint": mujoco.mjtObj.mjOBJ_JOINT,
+    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
+    "body": mujoco.mjtObj.mjOBJ_BODY,
+    "flex": mujoco.mjtObj.mjOBJ_FLEX,
+    "geom": mujoco.mjtObj.mjOBJ_GEOM,
+}
 _APART = 1e-9  # m; masses that are closer are at one point
 _SHARE = 0.03  # of a range, what counts as a typical force or length
 _SPEED, _TURN = 0.05, 1.0  # m/s and rad/s, at which a typical damping gives a typical force
@@ -27,7 +35,7 @@ def instrument(spec: mujoco.MjSpec) -> mujoco.MjSpec:
         if not np.any(tendon.stiffness):
             tendon.springyield = NEVER
     for joint in spec.joints:
-        if joint.type in _SCALARS and joint.name:
+        if joint.type in SCALAR_JOINTS and joint.name:
             spring = spec.add_tendon(name=AUXILIARY + joint.name)
             spring.wrap_joint(joint.name, 1.0)
             _do_nothing(spring)
@@ -132,7 +140,7 @@ class Elements:
 
     def id(self, location: Location) -> int:
         """MuJoCo's number of an element."""
-        return mujoco.mj_name2id(self.model, _OBJECTS[location.kind], location.name)
+        return mujoco.mj_name2id(self.model, OBJECTS[location.kind], location.name)
 
     def joints_of(self, body: int, bending_only: bool = False) -> Ints:
         """Scalar joints of a body: its hinges only, where there are some and only bending counts."""
@@ -144,7 +152,7 @@ class Elements:
         model, start = self.model, self.model.body_jntadr[body]
         joints = np.arange(start, start + model.body_jntnum[body])
         hinges = joints[model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_HINGE]
-        return hinges if bending_only and len(hinges) else joints[np.isin(model.jnt_type[joints], _SCALARS)]
+        return hinges if bending_only and len(hinges) else joints[np.isin(model.jnt_type[joints], SCALAR_JOINTS)]
 
     def sprung(self, body: int, bending_only: bool = False) -> Ints:
         """The joints of ``joints_of`` whose springs laws may change: none where the model has no springs but a flex,
@@ -192,7 +200,7 @@ class Elements:
         target, transmission = int(model.actuator_trnid[i, 0]), model.actuator_trntype[i]
         if transmission == mujoco.mjtTrn.mjTRN_TENDON:
             return Location("tendon", model.tendon(target).name)
-        if transmission == mujoco.mjtTrn.mjTRN_JOINT and model.jnt_type[target] in _SCALARS:
+        if transmission == mujoco.mjtTrn.mjTRN_JOINT and model.jnt_type[target] in SCALAR_JOINTS:
             return Location("joint", model.joint(target).name)
         raise EffectError(f"{actuator} drives neither a tendon nor a scalar joint")
 
@@ -287,7 +295,7 @@ class Elements:
     def _joints(self) -> list[str]:
         model = self.model
         names = _names(model, mujoco.mjtObj.mjOBJ_JOINT, model.njnt)
-        return [name for name in names if int(model.joint(name).type[0]) in _SCALARS]
+        return [name for name in names if int(model.joint(name).type[0]) in SCALAR_JOINTS]
 
     def _bodies(self) -> list[str]:
         model = self.model
@@ -304,16 +312,6 @@ class Elements:
         model = self.model
         touching = np.flatnonzero(model.geom_contype | model.geom_conaffinity)
         return [model.geom(i).name for i in touching if model.geom(i).name]
-
-
-_OBJECTS = {
-    "tendon": mujoco.mjtObj.mjOBJ_TENDON,
-    "joint": mujoco.mjtObj.mjOBJ_JOINT,
-    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
-    "body": mujoco.mjtObj.mjOBJ_BODY,
-    "flex": mujoco.mjtObj.mjOBJ_FLEX,
-    "geom": mujoco.mjtObj.mjOBJ_GEOM,
-}
 
 
 def _names(model: mujoco.MjModel, kind: mujoco.mjtObj, count: int) -> list[str]:

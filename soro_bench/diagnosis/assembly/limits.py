@@ -19,18 +19,9 @@ from soro_bench.diagnosis.robots.measured import Drive
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import LimitSettings
 from soro_bench.effects.effect import Effect
-from soro_bench.effects.elements import AUXILIARY
+from soro_bench.effects.elements import AUXILIARY, OBJECTS, SCALAR_JOINTS
 
 ORDER = ("force_limit", "control_limit", "slack", "stop", "contact")
-_SCALARS = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
-_OBJECTS = {
-    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
-    "tendon": mujoco.mjtObj.mjOBJ_TENDON,
-    "joint": mujoco.mjtObj.mjOBJ_JOINT,
-    "geom": mujoco.mjtObj.mjOBJ_GEOM,
-    "body": mujoco.mjtObj.mjOBJ_BODY,
-    "flex": mujoco.mjtObj.mjOBJ_FLEX,
-}
 
 
 @dataclass(frozen=True)
@@ -151,7 +142,7 @@ def _of_tendons(model: mujoco.MjModel, data: mujoco.MjData, tolerance: float) ->
 def _of_joints(model: mujoco.MjModel, data: mujoco.MjData, tolerance: float) -> Iterator[_Reached]:
     """Hinges and slides at a stop, and joints at the limit of their actuators' forces."""
     for i in range(model.njnt):
-        if model.jnt_type[i] not in _SCALARS:
+        if model.jnt_type[i] not in SCALAR_JOINTS:
             continue
         if model.jnt_limited[i]:
             position = data.qpos[model.jnt_qposadr[i]]
@@ -184,7 +175,7 @@ def _side(model: mujoco.MjModel, contact: mujoco.MjContact, k: int, side: int) -
 
 def _name(model: mujoco.MjModel, kind: str, i: int) -> str:
     """The kind and name of an element, or its number where it has none."""
-    return f"{kind} {mujoco.mj_id2name(model, _OBJECTS[kind], i) or f'#{i}'}"
+    return f"{kind} {mujoco.mj_id2name(model, OBJECTS[kind], i) or f'#{i}'}"
 
 
 def _end(value: float, ends: Floats, tolerance: float) -> float | None:

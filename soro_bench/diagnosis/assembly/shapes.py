@@ -9,6 +9,7 @@ from soro_bench.diagnosis.assembly.patch import kept
 from soro_bench.diagnosis.pipeline import Diagnosis
 from soro_bench.diagnosis.result_robot import Shape
 from soro_bench.effects.effect import Location
+from soro_bench.effects.elements import SCALAR_JOINTS
 
 THIN = 0.02  # of the robot's extent: radius of what has none
 MOST_VERTICES = 400  # of flexes; more would not be seen
@@ -16,7 +17,6 @@ MOST_VERTICES = 400  # of flexes; more would not be seen
 _LONG = (int(mujoco.mjtGeom.mjGEOM_CAPSULE), int(mujoco.mjtGeom.mjGEOM_CYLINDER))
 _THICK = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_ELLIPSOID))
 _GROUND = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
-_SINGLE = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 MOST_JOINTS = 50  # that are drawn; more hide the robot
 
 
@@ -98,7 +98,7 @@ def _geoms(model: mujoco.MjModel, data: mujoco.MjData, thin: float) -> Iterator[
 
 def _joints(model: mujoco.MjModel, data: mujoco.MjData, thin: float) -> Iterator[Shape]:
     for j in range(model.njnt):
-        if int(model.jnt_type[j]) in _SINGLE and model.njnt <= MOST_JOINTS:
+        if int(model.jnt_type[j]) in SCALAR_JOINTS and model.njnt <= MOST_JOINTS:
             yield Shape((_point(data.xanchor[j]),), 0.5 * thin, tuple(_joint_locations(model, j)))
 
 
