@@ -11,7 +11,6 @@ import pytest
 pytest.importorskip("pyarrow", reason="needs the train extra")
 
 from soro_bench.diagnosis.api import diagnose
-from soro_bench.diagnosis.assembly.findings import unit_at
 from soro_bench.diagnosis.assembly.model_export import exported
 from soro_bench.diagnosis.baseline import baseline
 from soro_bench.diagnosis.candidates import terms
@@ -412,7 +411,7 @@ def test_a_delayed_servo_stays_where_its_first_command_holds_it(paths):
     ],
 )
 def test_units_are_those_of_what_turns(paths, name, kind, place, unit):
-    assert unit_at(ModelRobot(*paths, threads=1), QUANTITIES[name][0].unit, Location(kind, place)) == unit
+    assert ModelRobot(*paths, threads=1).unit_at(QUANTITIES[name][0].unit, Location(kind, place)) == unit
 
 
 @pytest.mark.parametrize("stiffness", [20000, 500])

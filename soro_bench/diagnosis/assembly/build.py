@@ -14,7 +14,7 @@ from soro_bench.diagnosis.assembly.errors import (
     replayed_robots,
     worse_replays,
 )
-from soro_bench.diagnosis.assembly.findings import deviations, findings, prior_values, tempered, unit_at
+from soro_bench.diagnosis.assembly.findings import deviations, findings, prior_values, tempered
 from soro_bench.diagnosis.assembly.force_against_state import force_against_state
 from soro_bench.diagnosis.assembly.limits import reached_limits
 from soro_bench.diagnosis.assembly.patch import described, kept, model_patch, patch, rejected
@@ -328,7 +328,7 @@ def detectable(diagnosis: Diagnosis) -> tuple[Detectable, ...]:
         if not q.bounds[0] <= q.null + change <= q.bounds[1]:
             continue
         if term.name not in found or abs(change) < found[term.name].minimum:
-            unit = unit_at(diagnosis.robot, q.unit, term.location)
+            unit = diagnosis.robot.unit_at(q.unit, term.location)
             found[term.name] = Detectable(term.name, q.name, float(abs(change)), unit, q.null, term.location)
     return tuple(found[name] for name in sorted(found))
 

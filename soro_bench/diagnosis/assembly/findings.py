@@ -19,6 +19,7 @@ from soro_bench.diagnosis.selection.model_probabilities import Answer, temperatu
 from soro_bench.effects.catalogue import CATEGORIES
 from soro_bench.effects.effect import Location
 
+_LEAST_SHARE = 0.02  # of the time; what is explained in less is not concentrated there but chance
 _TELLS = 1.2  # times more than its share of the time has to be explained for a condition to say when an effect acts
 
 _TOO_MUCH = {
@@ -103,15 +104,15 @@ def _condition(location: Location, shares: Sequence[Regime], single: bool) -> st
     Args:
         single: whether a single channel moves where the effect acts.
     """
-    most = max(shares, key=lambda r: r.explained / max(r.time, 0.02))
+    most = max(shares, key=lambda regime: regime.explained / max(regime.time, _LEAST_SHARE))
     if most.explained <= _TELLS * most.time:
         return ""
-    subject, ending = (location.name, "s") if single else ("a command", "s")
+    subject = location.name if single else "a command"
     when = {
-        "just after reversals": f"just after {subject} reverse{ending}",
-        "while it moves on, fast": f"while {subject} move{ending} fast",
-        "while it moves on, slowly": f"while {subject} move{ending} slowly",
-        "while it rests": f"while {subject} rest{ending}",
+        "just after reversals": f"just after {subject} reverses",
+        "while it moves on, fast": f"while {subject} moves fast",
+        "while it moves on, slowly": f"while {subject} moves slowly",
+        "while it rests": f"while {subject} rests",
         "early": "in the first half",
         "late": "in the second half",
     }[most.condition]
@@ -143,14 +144,8 @@ def estimates_of(robot: Robot, term: Term, x: np.ndarray, covariance: np.ndarray
             name = f"{q.name} at {one.location.name}" if magnitude and len(parts) > 1 else q.name
             ends = sorted((float(low[q.name]), float(high[q.name])))
             group = found if magnitude or len(parts) == 1 else shape
-            group.append(Estimate(name, float(value[q.name]), unit_at(robot, q.unit, one.location), *ends))
+            group.append(Estimate(name, float(value[q.name]), robot.unit_at(q.unit, one.location), *ends))
     return (*found, *shape)
-
-
-def unit_at(robot: Robot, unit: str, location: Location) -> str:
-    """What a quantity of an effect is in at a place: of "N or N m" and the like the one that fits what turns or slides
-    there."""
-    return robot.unit_at(unit, location)
 
 
 def deviations(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:
@@ -166,10 +161,8 @@ def tempered(diagnosis: Diagnosis, hypothesis: Hypothesis) -> np.ndarray:
 def tempered_by(problem: Problem, hypothesis: Hypothesis) -> np.ndarray:
     """(n, n) covariance of x, under evidence of the fitted recordings that is tempered by their misfit: a model that is
     wrong knows less than it seems. Priors are as they are."""
-    temper, prior = (
-        temperature(problem.misfit(hypothesis.residual), problem.settings.probabilities),
-        np.eye(len(hypothesis.x)),
-    )
+    temper = temperature(problem.misfit(hypothesis.residual), problem.settings.probabilities)
+    prior = np.eye(len(hypothesis.x))  # its precision
     return np.linalg.inv((np.linalg.inv(hypothesis.covariance(problem)) - prior) / temper + prior)
 
 
