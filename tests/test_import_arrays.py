@@ -163,6 +163,14 @@ def test_times_in_whole_nanoseconds_and_dates_keep_every_digit(read):
         np.testing.assert_allclose(recording.signals["x"].time, 1e-9 * steps, rtol=1e-12)
 
 
+def test_dates_that_repeat_or_are_missing_stay_dates(read):
+    dates = (1_700_000_000_000 + 100 * np.arange(T)).astype("datetime64[ms]")
+    dates[2], dates[4] = dates[1], np.datetime64("NaT")
+    recording = read(MAPPING.replace('"t"', '"t"\norder = "keep_first"'), t=dates, x=FLAT)
+    np.testing.assert_allclose(recording.signals["x"].time, np.delete(0.1 * np.arange(T), [2, 4]))
+    assert float(recording.metadata["start_time"]) == 1.7e9
+
+
 def test_a_counter_of_microseconds_that_overflows_goes_on(read):
     t = (np.int64(2**32) - 250_000 + np.arange(T) * 100_000).astype(np.uint32)
     recording = read(MAPPING.replace('"t"', '"t"\nunit = "us"'), t=t, x=FLAT)

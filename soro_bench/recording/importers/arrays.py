@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from soro_bench.recording.importers.clock import NO_STAMP
 from soro_bench.recording.importers.mapping import FileMapping, Source, load_mapping, texts, unit_doubt
 from soro_bench.recording.importers.tracks import signal_name
 from soro_bench.recording.importers.units import split_unit, time_unit
@@ -76,8 +77,7 @@ def import_arrays(path: str | Path, file: ArrayFile, spec: FileMapping, max_byte
         indices = None if "time" in source.place else spec.time.get("indices")
         time = spec.counted(len(numbers)) if clock is None else _times(arrays, cut, spec, clock, indices, len(numbers))
         present = ~np.isnan(numbers).all(axis=1)  # episodes of several lengths are filled up with NaN
-        if time.dtype.kind == "f":
-            present &= ~np.isnan(time)
+        present &= ~np.isnan(time) if time.dtype.kind == "f" else time != NO_STAMP
         if not present.any():
             raise RecordingError("no row has a time and a number")
         return time[present], numbers[present]
@@ -240,16 +240,14 @@ def _checked(index: int, size: int, name: str) -> int:
 
 
 def _times(arrays: _Arrays, cut: _Cut, spec: FileMapping, name: Any, indices: Any, rows: int) -> np.ndarray:
-    """(T,) times [s], or whole ones [ns]."""
+    """(T,) times [s]; or whole ones [ns], NO_STAMP where a date or duration is missing."""
     array = arrays.of(name)
-    if (kind := array.dtype.kind) in "mM":
-        if "unit" in spec.time:
-            raise RecordingError(f"[time] unit has no effect: {ascii(name)[:80]} holds dates or durations")
-        array = array.astype(f"{kind}8[ns]").astype(np.int64)
-        to_nanoseconds: int | None = 1
+    if has_dates := array.dtype.kind in "mM":
+        if told := [key for key in ("unit", "period") if key in spec.time]:
+            raise RecordingError(f"[time] {told[0]} has no effect: {ascii(name)[:80]} holds dates or durations")
+        array = array.astype(f"{array.dtype.kind}8[ns]").astype(np.int64)  # which makes NO_STAMP of NaT
     else:
         spec.check_unit_of_time(name.rpartition(".")[2], spec.time.get("unit"))
-        to_nanoseconds = _NANOSECONDS.get(spec.time.get("unit", "s")) if array.dtype.kind in "iu" else None
     if array.dtype.kind not in "fiu" or not array.ndim:
         raise RecordingError(f"its times {ascii(name)[:80]} have type {array.dtype}; expected numbers or dates")
     found = cut.of_clock(array, rows) if indices is None else _rows(cut.of(array), indices, name)
@@ -260,11 +258,16 @@ def _times(arrays: _Arrays, cut: _Cut, spec: FileMapping, name: Any, indices: An
         elif rows in found.shape:
             hint = '[time] indices = [0, "rows"] for its first row'
         raise RecordingError(f"its times {ascii(name)[:80]} have shape {found.shape}; expected ({rows},), or {hint}")
-    found = found.ravel()
-    if found.dtype == np.float32 and (np.diff(found) == 0).any() and len(np.unique(found)) < rows:
+    return found.ravel() if has_dates else _of_clock(found.ravel(), spec, name)
+
+
+def _of_clock(found: np.ndarray, spec: FileMapping, name: str) -> np.ndarray:
+    """(T,) times [s] from the numbers of a clock, or whole ones [ns] where they are whole and increase."""
+    if found.dtype == np.float32 and (np.diff(found) == 0).any() and len(np.unique(found)) < len(found):
         step = float(np.spacing(np.abs(found).max()))
         raise RecordingError(f"its times {ascii(name)[:80]} are of single precision, steps of {step:.3g}: write [time] "
                              "interval = ... instead, or save them as float64")  # fmt: skip
+    to_nanoseconds = _NANOSECONDS.get(spec.time.get("unit", "s")) if found.dtype.kind in "iu" else None
     if to_nanoseconds is not None and "period" not in spec.time and np.abs(found).max() < 2**62 // to_nanoseconds:
         stamps = found.astype(np.int64) * to_nanoseconds
         if (np.diff(stamps) > 0).all():  # else the clock may have overflowed
