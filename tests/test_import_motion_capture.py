@@ -267,6 +267,15 @@ def test_bad_export_or_mapping(read, name, text, mapping, parts):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("cell", ["2_5", "inf"])
+@pytest.mark.parametrize("end", ["\n", ""])
+def test_a_cell_is_no_number_whatever_row_follows_it(read, cell, end):
+    rest = "\t0.0\t132.0\t0.0\t0.0\t0.1"
+    rows = f"2\t0.0100\t{cell}{rest}\n3\t0.0200\t1.5{rest}{end}"
+    with pytest.raises(RecordingError, match=says("line 8", ascii(cell), "no finite number")):
+        read("a.trc", TRC.split("2\t0.0100")[0] + rows, TIP)
+
+
 def test_a_last_number_that_was_cut_is_left_out(read):
     """Its line has all cells."""
     recording = read("a.tsv", QUALISYS[:-3], BOTH)

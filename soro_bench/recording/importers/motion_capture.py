@@ -145,6 +145,7 @@ class _Rows:
         """
         cells, count, longest = array("d"), 0, 0  # letters of the last number of a line
         while (row := self.look()) is not None:
+            is_plain = self._plain  # of this row, before the next one is looked at
             if not any(row):
                 self.take("")
                 if blocks:
@@ -156,7 +157,7 @@ class _Rows:
                 break
             if any(row[width:]):
                 raise RecordingError(f"line {self.line} has {len(row)} cells; the header has {width}")
-            cells.extend(self._numbers(row[:width]))
+            cells.extend(self._numbers(row[:width], is_plain))
             cells.extend([math.nan] * (width - len(row)))
             longest = max(longest, len(row[width - 1]) if len(row) >= width else 0)
             count += 1
@@ -171,8 +172,8 @@ class _Rows:
     def _is_cut(self) -> bool:
         return not self._complete and self.look() is None
 
-    def _numbers(self, cells: Cells) -> list[float]:
-        if self._plain and "" not in cells:
+    def _numbers(self, cells: Cells, is_plain: bool) -> list[float]:
+        if is_plain and "" not in cells:
             try:
                 return list(map(float, cells))
             except ValueError:  # a decimal comma, or no number
