@@ -108,8 +108,8 @@ def _written_unit(name: str) -> tuple[str, str | None]:
     unit = _ending(found[3], 1) if found else None
     if found and unit and (found[1] or (unit != "s" and not _ending(re.split(r"[\W_]", found[2])[-1], 1))):
         return found[2], unit  # as physicists write quantities, and no ratio of two units
-    for pattern, least in ((_MARKED, 2), (_CAMEL, 2)):
-        unit = _ending(found[2], least) if (found := pattern.match(name)) else None
+    for pattern in (_MARKED, _CAMEL):
+        unit = _ending(found[2], 2) if (found := pattern.match(name)) else None
         if found and unit and (si(unit)[0] != "s" or found[2].lower() in UNITS):  # "tv_sec" is a name of times
             return found[1], unit
     return name, None

@@ -334,10 +334,6 @@ def _hint(node: Any, step: Step) -> str:
     return ""
 
 
-def _listed(node: Mapping[str, Any]) -> str:
-    return listed(node)
-
-
 def listed(names: Iterable[str]) -> str:
     """Names for a message, cut to a sensible length."""
 
