@@ -64,8 +64,8 @@ class Prior:
         Raises:
             ValueError: the value is out of bounds.
         """
-        low, high = self.bounds
-        if not low <= value <= high or (self.logarithmic and value <= 0):
+        if not self._allows(value):
+            low, high = self.bounds
             unit = "" if self.unit == "1" else f" {self.unit}"
             raise ValueError(f"{self.name} = {value:g} is not possible; allowed is {low:g} to {high:g}{unit}")
         return FixedParameter(self.name, self.unit, float(value), self.nominal, recorded)
@@ -80,12 +80,17 @@ class Prior:
         Raises:
             ValueError: the value is out of bounds.
         """
-        low, high = self.bounds
-        if not low <= value <= high or (self.logarithmic and value <= 0):
+        if not self._allows(value):
+            low, high = self.bounds
             raise ValueError(f"{self.name} = {value} in the baseline diagnosis; allowed is {low} to {high}")
         known = spread / value if self.logarithmic else spread
         deviation = min(self.deviation, float(np.hypot(known, settings.same_robot * self.deviation)))
         return replace(self, nominal=value, deviation=deviation)
+
+    def _allows(self, value: float) -> bool:
+        """Whether a value [unit] is within the bounds, and has a logarithm where that counts."""
+        low, high = self.bounds
+        return low <= value <= high and not (self.logarithmic and value <= 0)
 
 
 @dataclass(frozen=True)
