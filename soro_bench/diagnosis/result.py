@@ -249,11 +249,12 @@ def read(kind: typing.Any, value: typing.Any, name: str) -> typing.Any:
 
 
 def _read_dataclass(kind: typing.Any, value: typing.Any, name: str) -> typing.Any:
-    known = typing.get_type_hints(kind)
-    required = {f.name for f in fields(kind)}
-    if not isinstance(value, dict) or not value.keys() <= required:
-        raise ValueError(f"{name} is {brief(value)}; an object with {', '.join(sorted(required))} is expected")
+    hints = typing.get_type_hints(kind)
+    allowed = {f.name for f in fields(kind)}
+    if not isinstance(value, dict) or not value.keys() <= allowed:
+        raise ValueError(f"{name} is {brief(value)}; an object with {', '.join(sorted(allowed))} is expected")
+    entries = {key: read(hints[key], each, f"{name}.{key}") for key, each in value.items()}
     try:
-        return kind(**{key: read(known[key], each, f"{name}.{key}") for key, each in value.items()})
-    except TypeError as error:
+        return kind(**entries)
+    except TypeError as error:  # of entries without a default that are not there
         raise ValueError(f"{name} lacks entries: {error}") from error
