@@ -124,7 +124,7 @@ def build_other(
             return recordings, files, _label(case, found)
         except ValueError as error:
             diverged = error
-    raise ValueError(f"{case.kind} cannot be simulated: {diverged}")
+    raise ValueError(f"{case.kind} cannot be simulated: {diverged}") from diverged
 
 
 def _built(
