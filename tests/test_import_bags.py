@@ -376,3 +376,12 @@ def test_topics_of_commands_are_guessed(tmp_path):
     path = write_mcap(tmp_path / "a.mcap", states(), topic="/arm_controller/commands")
     (tmp_path / "a.toml").write_text(guess_mapping(path))
     assert list(import_recording(path, tmp_path / "a.toml").commands) == ["arm_controller_commands_position"]
+
+
+def test_stamps_of_messages_that_came_late_are_guessed_as_times(tmp_path):
+    rows = list(states())
+    late = [(row[0], *other[1:]) for row, other in zip(rows, [rows[1], rows[0], *rows[2:]], strict=True)]
+    path = write_mcap(tmp_path / "a.mcap", late)
+    (tmp_path / "a.toml").write_text(guess_mapping(path))
+    signal = import_recording(path, tmp_path / "a.toml").signals["joint_states_position"]
+    np.testing.assert_array_equal(signal.values, [position for *_, position in rows])

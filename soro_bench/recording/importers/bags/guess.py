@@ -258,7 +258,7 @@ def _names(topic: _Topic, path: str) -> list[list[str]]:
 
 
 def _clock(topic: _Topic) -> str:
-    """The stamp in its messages, if it is set and goes on."""
+    """The stamp in its messages, if it is set and goes on, but for messages that came late."""
     for path in _STAMPS:
         try:
             found = np.array([_time(content, parse_path(path)) for content in topic.contents])
@@ -266,7 +266,8 @@ def _clock(topic: _Topic) -> str:
             continue
         is_set = np.abs(found - np.int64(np.median(found))) < _DAY  # the first ones may not be
         steps, seconds = np.diff(found[is_set]), np.diff(np.array(topic.stamps)[is_set])
-        if steps.size and (steps >= 0).all() and seconds.sum() / _ALIKE < steps.sum() < _ALIKE * seconds.sum():
+        late = np.maximum.accumulate(found[is_set]) - found[is_set]
+        if steps.size and late.max() <= SECOND and seconds.sum() / _ALIKE < steps.sum() < _ALIKE * seconds.sum():
             return path
     return "log_time"
 
