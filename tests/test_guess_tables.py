@@ -117,16 +117,27 @@ def test_the_unit_of_time(guessed, header, row, unit):
     assert mapping["time"].get("unit") == unit
 
 
-def test_without_a_column_of_time_rows_are_counted(guessed, tmp_path):
-    """But not where one is there that cannot be used."""
-    mapping, recording = guessed(table("x,y", "{i}.5,{t}"))
-    assert mapping["time"] == {"rate": 100.0}
-    assert recording.signals.keys() == {"x", "y"}
-    for stamp in ("10:11:02:{i:03d}", "1.71943e9"):
-        (tmp_path / "log.csv").write_text(table("time,x", stamp + ",{i}"))
+def test_without_a_column_of_time_the_rate_is_asked_for(tmp_path):
+    """And no number is made up, nor is a column taken that cannot be used."""
+    rows = {"x,y": "{i}.5,{t}", "time,x": "10:11:02:{i:03d},{i}", "time,x,y": "1.71943e9,{i},0"}
+    for header, row in rows.items():
+        (tmp_path / "log.csv").write_text(table(header, row))
         text = guess_mapping(tmp_path / "log.csv")
-        assert tomllib.loads(text)["time"] == {}
-        assert '# column "time" may be the time' in text
+        mapping = tomllib.loads(text)
+        assert mapping["time"] == {}
+        assert ('# column "time" may be the time' in text) == ("time" in header)
+        with pytest.raises(RecordingError, match=says("no times", "rate")):
+            import_recording(tmp_path / "log.csv", mapping)
+        mapping["time"]["rate"] = 50
+        assert import_recording(tmp_path / "log.csv", mapping).duration == pytest.approx(0.98)
+
+
+@pytest.mark.parametrize(
+    "name", ["Temps [s]", "Messzeit_s", "Tiempo", "\u6642\u523b [s]", "\u7d4c\u904e(\u79d2)", "Elapsed"]
+)
+def test_times_are_known_by_their_unit_or_in_other_languages(guessed, name):
+    mapping, _ = guessed(table(f"n,{name},x", "{i},{t},1"))
+    assert mapping["time"] == {"column": name}
 
 
 def test_numbered_columns_and_points_become_one_signal(guessed):

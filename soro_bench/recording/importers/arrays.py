@@ -327,7 +327,7 @@ def _clock(names: Sequence[str], shapes: Mapping[str, np.ndarray]) -> _Clock:
     rows = max((len(_line(array)) for array in shapes.values()), default=0)
     if unread := next(filter(_is_called_time, names), None):
         return _Clock([f"# interval = ...  # s between rows: {ascii(unread)[1:-1]} holds no numbers or dates"], rows)
-    return _Clock(["interval = 0.01  # s between rows: no array is called time"], rows)
+    return _Clock(["# interval = ...  # s between rows: no array is called time"], rows)
 
 
 def _is_called_time(name: str) -> bool:

@@ -20,8 +20,10 @@ _TIME = re.compile(r"(.*[^a-z])?(t|time|timestamp|stamp|zeit|secs?|seconds?|mill
 _COUNT = re.compile(r"(.*[^a-z])?(frame|index|idx|row|sample|nr|no|count|n|#)s?([^a-z].*)?")
 _COMMAND = re.compile(
     r"(.*[^a-z])?(cmd|command|commanded|goal|target|desired|des|setpoint|sp|ref|reference|soll|sollwert|action|ctrl|"
-    r"control|demand|pwm|duty|enable|enabled|u\d*)s?([^a-z].*)?"
+    r"control|demand|pwm|duty|enable|enabled|u\d*|consigne|consigna|commande|comando|\u6307\u4ee4|\u76ee\u6a19)s?"
+    r"([^a-z].*)?"
 )
+_ABROAD = re.compile(r"zeit|temps|tiempo|tempo|elapsed|^x_value$|\u6642\u9593|\u6642\u523b")  # of what goes on evenly
 _EPOCH = 1e9, 1e10  # s since 1970 of the years 2001 to 2286
 _SELDOM = 5.0  # s between stamps since 1970 at most; a counter of smaller units may be as large
 _STEPS = ("s", 1e-5, 2.0), ("ms", 2.0, 2e3), ("us", 2e3, 2e5), ("ns", 2e5, 1e12)  # the step that each unit has
@@ -112,6 +114,7 @@ def _time(columns: Sequence[Column]) -> tuple[list[Column], list[Column], list[s
             return [column, after], [], ["[time]", labels, f'units = ["s", "{part}"]']
     found = [column for column in columns if column.numeric and _goes_on(column)]
     named = [column for column in found if _called_time(column.name)]
+    named = named or [column for column in found if _says_time(column)][:1]
     steady = [column for column in found if not _COUNT.fullmatch(column.name.lower()) and _is_clock(column)]
     nameless = [column for column in steady if not any(letter.isalpha() for letter in column.name)]
     nameless.sort(key=_counts_rows)
@@ -120,7 +123,7 @@ def _time(columns: Sequence[Column]) -> tuple[list[Column], list[Column], list[s
         return [], [], ["[time]", f"# column {toml(like.label)} may be the time, but {text} cannot be read as one, or "
                         "repeats: correct it, or write rate = ...  # Hz"]  # fmt: skip
     if not candidates:
-        rate = "rate = 100.0  # Hz: no column is called time; write how many rows there are in a second"
+        rate = "# rate = ...  # Hz: no column is called time; write how many rows there are in a second"
         other = [f"# column = {toml(column.label)}  # increases steadily: is this the time?" for column in steady[:3]]
         return [], [], ["[time]", rate, *other]
     column, *others = candidates if named else candidates[:1]
@@ -158,6 +161,14 @@ def _called_time(name: str) -> bool:
     stem, unit = split_unit(name)
     whole = unit is not None and f"{stem}_{unit}" != name and in_brackets(name) is None
     return any(_TIME.fullmatch(text.lower()) for text in ([stem, name] if whole else [stem]))
+
+
+def _says_time(column: Column) -> bool:
+    """Whether the unit of a column is one of times, or its name one in another language."""
+    unit = (of_text(column.unit) if column.unit.strip() else None) or time_unit(column.name)
+    if unit and si(unit)[0] == "s":
+        return True
+    return _ABROAD.search(column.name.lower()) is not None and _is_clock(column)
 
 
 def _time_name(name: str) -> tuple[str, str | None]:

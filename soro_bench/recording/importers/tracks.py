@@ -103,7 +103,7 @@ def written(tracks: Tracks) -> str:
     """A mapping (TOML) that takes every track, to be corrected."""
     lines = [f"# {tracks.kind}: times, units and names are those of the file"]
     if any(track.time is None for track in (*tracks.markers.values(), *tracks.bodies.values())):
-        lines += ["[time]", "interval = 0.01  # s between rows: the file has no times"]
+        lines += ["[time]", "# interval = ...  # s between rows: the file has no times"]
     entries = [(group, name, track) for group in GROUPS for name, track in getattr(tracks, group).items()]
     lines += ["", "# [commands.NAME]: commands are in another file, or among the channels below"]
     for count, (group, name, track) in enumerate(entries):

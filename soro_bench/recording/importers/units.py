@@ -45,7 +45,7 @@ _NAMES = {
     **dict.fromkeys(("us", "\u00b5s", "\u03bcs", "usec", "usecs", "micros", "microsec", "microsecond", "microseconds",
                      "mikrosekunden"), "us"),
     **dict.fromkeys(("ns", "nsec", "nsecs", "nanos", "nanosec", "nanosecond", "nanoseconds", "nanosekunden"), "ns"),
-    "100 ns": "100ns", "filetime": "100ns",
+    "100 ns": "100ns", "filetime": "100ns", "\u79d2": "s", "\u30df\u30ea\u79d2": "ms",
     **dict.fromkeys(("min", "mins", "minute", "minutes", "minuten"), "min"),
     **dict.fromkeys(("h", "hr", "hrs", "hour", "hours", "stunden"), "h"), "day": "d", "days": "d", "tage": "d",
     "\u00b5m": "um", "\u03bcm": "um", "mm/sec": "mm/s", "m/sec": "m/s", "m/s\u00b2": "m/s^2", "m/s2": "m/s^2",
