@@ -323,3 +323,18 @@ def test_a_table_of_several_blocks(read):
     np.testing.assert_array_equal(read(table, CLOCK + X.replace("mm", "m")).signals["x"].values, np.arange(40_000) / 8)
     with pytest.raises(RecordingError, match="line 39993: 'lost'"):
         read(table.replace("39990,4998.75", "39990,lost"), CLOCK + X)
+
+
+@pytest.mark.parametrize("between", ["# paused, by hand, 1, 2", "% paused", "t,x,u", "t,x,u\n#\n", "#\tagain"])
+def test_comments_and_a_repeated_header_between_rows_are_left_out(read, between):
+    recording = read(f"t,x,u\n0,1,2\n{between}\n1,2,3\n2,3,4\n", CLOCK + X)
+    assert values(recording) == [1, 2, 3]
+    assert "the first is line 3" in recording.metadata[NOTES]
+
+
+def test_rows_that_only_begin_as_comments_do_are_kept(read):
+    mapping = CLOCK + X + 'label = "n"\nonly = ["#1"]\n'
+    assert values(read("n,t,x\n#1,0,1\n#2,0,5\n#1,1,2\n", mapping)) == [1, 2]
+    assert values(read("x,t\n1,0\n#N/A,1,\n3,2\n", CLOCK + X)) == [1, 3]
+    with pytest.raises(RecordingError, match=says("line 3", "'#1' is no finite number")):
+        read("t,x\n0,1\n#1,2\n2,3\n", CLOCK + X)

@@ -123,6 +123,7 @@ def read_text(data: bytes, options: Mapping[str, Any]) -> TableText:
     if any(units) and all(value(cell) is not None for cell in units if cell):
         raise RecordingError(f"{label} unit_row = {unit_row!r}, and the row after the header has numbers; leave it out")
     units += [""] * (len(first) - len(units))
+    head = text[before[0] : lines.position].split("\n") if has_header else []
     table = TableText(
         text,
         lines.position,
@@ -134,7 +135,7 @@ def read_text(data: bytes, options: Mapping[str, Any]) -> TableText:
         note,
         bool(unit_row),
     )
-    return _without_cut_line(table)
+    return _without_cut_line(_without_interruptions(table, {line for line in head if any(map(str.isalpha, line))}))
 
 
 def decoded(data: bytes, encoding: str) -> str:
@@ -244,6 +245,52 @@ def _first(lines: Lines, delimiter: str) -> list[str]:
             cells = [cell.strip() for cell in row]
             return cells[1:] if delimiter == BLANK and cells[0] in ("#", "%") else cells
     return []
+
+
+def _without_interruptions(table: TableText, head: set[str]) -> TableText:
+    """Without comments between the rows, and lines of the header again where a log was started anew.
+
+    The lines stay, empty, so that others keep their numbers.
+    """
+    text = table.text
+    starts = {start for line in head for start in _line_starts(text, table.start, f"{line}\n")}
+    starts |= {start for mark in "#%" for start in _line_starts(text, table.start, mark) if _comment(table, start)}
+    if not starts:
+        return table
+    pieces, position = [], 0
+    for start in sorted(starts):
+        pieces.append(text[position:start])
+        position = _line_end(text, start)
+    count = table.line + text.count("\n", table.start, min(starts))
+    note = f"lines that are comments or repeat the header are left out: {len(starts)}, the first is line {count}"
+    return replace(table, text="".join([*pieces, text[position:]]), note="; ".join(filter(None, (table.note, note))))
+
+
+def _line_starts(text: str, start: int, begin: str) -> Iterator[int]:
+    """Where lines after a start begin with a text."""
+    position = text.find(f"\n{begin}", start - 1)
+    while position >= 0:
+        yield position + 1
+        position = text.find(f"\n{begin}", position + 1)
+
+
+def _line_end(text: str, start: int) -> int:
+    """Where a line ends, before its line end."""
+    end = text.find("\n", start)
+    return end if end >= 0 else len(text)
+
+
+def _comment(table: TableText, start: int) -> bool:
+    """Whether a line, which begins as a comment does, does not fit as a row."""
+    line = table.text[start : _line_end(table.text, start)]
+    if '"' in line or len(line) > MAX_LETTERS:
+        return False
+    cells = next(table.rows(iter([line])))
+    try:
+        extra = table.fits(len(cells))
+    except RecordingError:
+        return cells[0].strip().lower() not in MISSING
+    return any(cell.strip() for cell in cells[len(cells) - extra :])
 
 
 def _without_cut_line(table: TableText) -> TableText:
