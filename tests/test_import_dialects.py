@@ -338,3 +338,25 @@ def test_rows_that_only_begin_as_comments_do_are_kept(read):
     assert values(read("x,t\n1,0\n#N/A,1,\n3,2\n", CLOCK + X)) == [1, 3]
     with pytest.raises(RecordingError, match=says("line 3", "'#1' is no finite number")):
         read("t,x\n0,1\n#1,2\n2,3\n", CLOCK + X)
+
+
+@pytest.mark.parametrize(
+    ("cells", "expected"),
+    [
+        ("1.25D+01 -.5d0 2.D-1", [12.5, -0.5, 0.2]),
+        ("0x10 0XfF 3", [16, 255, 3]),
+        ("yes No JA", [1, 0, 1]),
+        ("oui nein non", [1, 0, 0]),
+        ("\u22121.5 \u20132 3", [-1.5, -2, 3]),
+    ],
+)
+def test_numbers_and_truth_values_as_other_programs_write_them(read, cells, expected):
+    assert (
+        values(read("t,x\n" + "".join(f"{i},{cell}\n" for i, cell in enumerate(cells.split())), CLOCK + X)) == expected
+    )
+
+
+@pytest.mark.parametrize("cell", ["1.5 mm", "12D4", "0x", "(1.5)", "1.5-", "1.5D+4000", "0x1G"])
+def test_what_only_resembles_a_number_is_refused(read, cell):
+    with pytest.raises(RecordingError, match=says("line 3", "is no finite number", "missing")):
+        read(f"t,x\n0,1\n1,{cell}\n", CLOCK + X)

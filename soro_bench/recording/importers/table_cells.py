@@ -209,6 +209,7 @@ def _whole(table: TableText, row: list[str], line: int) -> list[str]:
         fits = False
     if not fits:
         hint = f'; of several blanks in a row [format] says delimiter = "{BLANK}"' if table.delimiter in " \t" else ""
+        hint = hint or ("; what is no row has to begin with #" if missing > 0 else "")
         raise RecordingError(f"line {line} has {len(row)} cells; expected {len(table.header)}{hint}")
     return row + [""] * missing if missing > 0 else row
 
@@ -256,6 +257,8 @@ class _Rows:
             return 'of decimal commas [format] says decimal = ",", and separators of thousands are not read'
         if ":" in cell:
             return "times are read if they are written as 2024-06-27T10:11:02.5Z or 10:11:02.5"
+        if _is_number(cell) and value(cell) is None:
+            return "a unit or mark behind a number is not read; [format] missing has what stands for a missing one"
         if self.lines[i] != table.line or any(_is_number(each) for each in self._rows[i]):
             return "what stands for a missing one belongs into [format] missing, or into missing at one signal"
         if table.header == [str(number + 1) for number in range(len(table.header))]:

@@ -32,8 +32,13 @@ _LOOKED_AT = 1000  # lines before the last one, that it is compared with
 # by the bytes that a file begins with
 _PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, such as an Excel workbook", b"\x28\xb5\x2f\xfd": "zstd"}
 _WIDE = 0.3  # of the bytes of text are zeros, where each letter takes two
-_TRUTHS = {"true": "1", "false": "0", "wahr": "1", "falsch": "0", "vrai": "1", "faux": "0", "on": "1", "off": "0"}
-_MINUS = "\u2212"  # that office programs write before numbers
+_TRUTHS = {
+    **dict.fromkeys(("true", "wahr", "vrai", "on", "yes", "ja", "oui"), "1"),
+    **dict.fromkeys(("false", "falsch", "faux", "off", "no", "nein", "non"), "0"),
+}
+_MINUS = str.maketrans("\u2212\u2013", "--")  # that office programs write before numbers
+_FORTRAN = re.compile(r"([+-]?(?:\d+\.\d*|\.\d+))[dD]([+-]?\d{1,3})")  # a number of double precision
+_HEXADECIMAL = re.compile(r"0[xX][0-9a-fA-F]{1,13}")
 _ZERO, _END = "\x00", "\x1a"  # where the power was lost; the end of a file in DOS
 
 
@@ -359,4 +364,9 @@ def value(word: str) -> float | None:
 
 def plain(cell: str, decimal: str) -> str:
     """A cell as Python writes a number or a truth value, 1 or 0, if it is one."""
-    return _TRUTHS.get(cell.lower(), cell.replace(_MINUS, "-").replace(decimal, "."))
+    if cell.lower() in _TRUTHS:
+        return _TRUTHS[cell.lower()]
+    if _HEXADECIMAL.fullmatch(cell):
+        return str(int(cell, 16))
+    cell = cell.translate(_MINUS).replace(decimal, ".")
+    return f"{found[1]}e{found[2]}" if (found := _FORTRAN.fullmatch(cell)) else cell
