@@ -360,3 +360,12 @@ def test_numbers_and_truth_values_as_other_programs_write_them(read, cells, expe
 def test_what_only_resembles_a_number_is_refused(read, cell):
     with pytest.raises(RecordingError, match=says("line 3", "is no finite number", "missing")):
         read(f"t,x\n0,1\n1,{cell}\n", CLOCK + X)
+
+
+def test_separators_of_thousands_that_look_like_decimal_points_are_asked_about(read):
+    """In 998, 1.003; not where numbers have three decimals, or are rounded."""
+    rows = [f"{i},{911 + 11 * i:,}\n".replace(",", ".").replace(".", ",", 1) for i in range(100)]
+    assert "1.01 follows 999" in read("t,x\n" + "".join(rows), CLOCK + X).metadata[NOTES]
+    for numbers in (np.arange(30) / 8, 990 + np.arange(30) / 4, np.arange(30) % 7 * 1.001):
+        rows = [f"{i},{number:g}\n" for i, number in enumerate(numbers)]
+        assert NOTES not in read("t,x\n" + "".join(rows), CLOCK + X).metadata

@@ -12,7 +12,7 @@ from soro_bench.files import parsed_toml, shown
 from soro_bench.recording.importers.clock import ORDERS, chosen, continued, overflowed
 from soro_bench.recording.importers.source import Source, check_keys, positive, read_source, when_left
 from soro_bench.recording.importers.units import si, split_unit, time_unit
-from soro_bench.recording.importers.wraps import unwrapped
+from soro_bench.recording.importers.wraps import thousands, unwrapped
 from soro_bench.recording.recording import MAX_SIGNALS, MAX_TEXT, NOTES, Recording, RecordingError, Signal, check_name
 from soro_bench.recording.untrusted import named_errors, read_bytes
 
@@ -220,6 +220,7 @@ class FileMapping:
         is_command = label.startswith("commands.")
         if not is_command:
             self.notes.add(label, source.lost(numbers))
+        self.notes.add(label, thousands(numbers))
         self.notes.add(label, _named(label, source.note, numbers, unit, is_command))
         self.notes.add(label, _pace(since))
         self.notes.add(label, _pause(since))

@@ -14,6 +14,7 @@ _NICE = 1.0, 3.6, 4.0, math.pi, 2 * math.pi  # times powers of ten: periods of w
 _FEW, _OFTEN = 20, 3  # numbers, of fewer none is lost; times that one comes which stands for a missing one
 _VERY_FAR, _SHORTLY = 10.0, 2  # ranges or median steps; samples in a row
 _DIGITS = 4  # of a number that somebody writes for a missing one, such as -1 or 9999
+_DECIMAL = 1e-6  # of a thousandth, by which a number of three decimals differs from one at most
 _FAST = 0.35  # of a period, over which steps may as well be wraps the other way
 _LARGE = np.errstate(over="ignore", invalid="ignore")  # numbers near the largest there are
 
@@ -74,6 +75,28 @@ def _is_lost(known: np.ndarray, at: np.ndarray, number: float) -> bool:
         return False
     jumps = np.minimum(np.abs(known[inner[:, 0] - 1] - number), np.abs(known[inner[:, 1]] - number))
     return bool(np.median(jumps) > _VERY_FAR * np.median(moved))
+
+
+@_LARGE
+def thousands(numbers: np.ndarray) -> str:
+    """A question about (T, ...) numbers that look as if separators of thousands were read as decimal points, or "".
+
+    As in 998, 999, 1.001: without the point the step is a small one.
+    """
+    for column in np.asarray(numbers, float).reshape(len(numbers), -1).T:
+        known = column[np.isfinite(column)]
+        parted = known != np.rint(known)
+        mended = np.where(parted, np.rint(1000.0 * known), known)
+        below = np.where(parted, 0.0, np.abs(known)) >= 100.0  # but for whole thousands, such as 5.000
+        i = np.flatnonzero((parted[1:] & below[:-1]) | (parted[:-1] & below[1:]))
+        if not i.size or np.abs(known).max() >= 1000.0 or np.abs(known[parted]).min() < 1.0:
+            continue
+        exact = np.abs(mended - 1000.0 * known)[parted].max() < _DECIMAL
+        if exact and np.median(np.abs(np.diff(mended))[i]) < 0.5 * np.median(np.abs(np.diff(known))[i]):
+            return (
+                f"{known[i[0] + 1]:.10g} follows {known[i[0]]:.10g}; if these are thousands, export without separators"
+            )
+    return ""
 
 
 @_LARGE
