@@ -192,6 +192,7 @@ def test_truth_values_of_office_programs_and_switches(read, words):
         ("t,x\n0,1\n", "header = false\n", ("line 1", "leave [format] header = false out")),
         ("t,x\ns,mm\ntime,way\n0,1\n", 'unit_row = "take"\n', ("line 3", "header = false and skip_rows")),
         ("t,x\n0,1\n1,2\n", 'unit_row = "skip"\n', ("unit_row = 'skip'", "has numbers")),
+        ("t,x,n\n0,7,A\n1,2,A\n", 'unit_row = "skip"\n', ("unit_row = 'skip'", "has numbers")),
     ],
 )
 def test_the_message_on_a_cell_says_what_helps(read, table, entries, parts):

@@ -202,6 +202,8 @@ class _Reader:
 
     def _time_wants(self, source: Source) -> list[Numbers] | list[Times]:
         positions = [self._table.position(name) for name in self._clock_columns(source)]
+        if len(set(positions)) < len(positions):
+            raise RecordingError(f"time is in columns {brief(self._clock_columns(source))}; expected each once")
         if not positions:
             return []
         cells = [" ".join(row[i] for i in positions) for row in self._peeked if max(positions) < len(row)]

@@ -92,7 +92,11 @@ class FileMapping:
         A counter that overflows is unwrapped: by [time] period, or where the numbers show it.
         """
         if "period" in self.time:
-            numbers, note = unwrapped(numbers, positive("[time] period", self.time["period"])), ""
+            period = positive("[time] period", self.time["period"])
+            if (span := np.ptp(numbers) if len(numbers) else 0.0) > period:
+                raise RecordingError(f"[time] period = {period:g}, and its times span {span:g}; a clock that begins "
+                                     "anew spans less: correct period, or leave it out")  # fmt: skip
+            numbers, note = unwrapped(numbers, period), ""
         else:
             numbers, note, period = overflowed(numbers)
             self.periods.extend([self.to_seconds(unit) * period] if period else [])
@@ -185,7 +189,7 @@ class FileMapping:
         counted = [key for key in _COUNTED if key in self.time]
         if counted and len(own) == len(sources):
             self.notes.add(f"[time] {counted[0]}", "not used, as every command and signal has a time of its own")
-        for key in ("unit", "period", "order") if counted and not own else ():
+        for key in ("unit", "units", "period", "order", "date") if counted and not own else ():
             if key in self.time and not (key == "unit" and "interval" in self.time):
                 raise RecordingError(f"[time] {key} has no effect: {counted[0]} counts rows")
 

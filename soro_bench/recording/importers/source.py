@@ -200,8 +200,8 @@ def check_keys(label: str, table: Mapping, allowed: tuple[str, ...]) -> None:
 
 
 def positive(label: str, value: Any) -> float:
-    """A positive number; RecordingError for anything else."""
-    if type(value) not in (int, float) or not value > 0:
+    """A finite positive number; RecordingError for anything else."""
+    if type(value) not in (int, float) or not 0 < value < math.inf:
         raise RecordingError(f"{label} = {ascii(value)[:80]}; expected a positive number")
     return float(value)
 

@@ -125,7 +125,7 @@ def read_text(data: bytes, options: Mapping[str, Any]) -> TableText:
     if not has_header:
         first, (lines.position, lines.count) = [str(i + 1) for i in range(len(first))], before
     units = _first(lines, delimiter) if unit_row else []
-    if any(units) and all(value(cell) is not None for cell in units if cell):
+    if any(units) and _has_numbers([cell for cell in units if cell]):
         raise RecordingError(f"{label} unit_row = {unit_row!r}, and the row after the header has numbers; leave it out")
     units += [""] * (len(first) - len(units))
     head = text[before[0] : lines.position].split("\n") if has_header else []
@@ -141,6 +141,12 @@ def read_text(data: bytes, options: Mapping[str, Any]) -> TableText:
         bool(unit_row),
     )
     return _without_cut_line(_without_interruptions(table, {line for line in head if any(map(str.isalpha, line))}))
+
+
+def _has_numbers(cells: list[str]) -> bool:
+    """Whether most cells are numbers that mean no unit, as 1 does, or all cells are numbers."""
+    numbers = [number for cell in cells if (number := value(cell)) is not None]
+    return len(numbers) == len(cells) or 2 * sum(number != 1 for number in numbers) > len(cells)
 
 
 def decoded(data: bytes, encoding: str) -> str:
