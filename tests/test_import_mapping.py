@@ -1,6 +1,7 @@
 """Importers of every kind of file: entries of a mapping, what is refused, damaged files, the command line."""
 
 import sys
+import tomllib
 
 import pytest
 
@@ -16,7 +17,7 @@ from hypothesis import strategies as st
 
 from benchmarks.fuzz_recordings import mutated, outcome, readers, write_lerobot
 from soro_bench.cli import main
-from soro_bench.recording.importers import import_recording
+from soro_bench.recording.importers import guess_mapping, import_recording
 from soro_bench.recording.importers.wraps import saw_period
 from soro_bench.recording.parquet import load
 from soro_bench.recording.recording import NOTES, Recording, RecordingError
@@ -264,6 +265,18 @@ def test_a_command_that_wraps_is_said_and_one_that_jumps_is_not(read):
         table = "t,q\n" + "".join(f"{i},{number:.3f}\n" for i, number in enumerate(goal))
         notes = read(table, CLOCK + '[commands.q]\ncolumns = ["q"]\nunit = "deg"\n').metadata.get(NOTES, "")
         assert ("commands.q: jumps of nearly a turn: 1" in notes) == said
+
+
+def test_an_encoder_that_wraps_at_a_part_of_a_turn_is_unwrapped_there_or_asked_about(read, tmp_path):
+    turning = 200 + 3.7 * np.arange(200)
+    table = "t,q_deg\n" + "".join(f"{i},{number:.3f}\n" for i, number in enumerate(turning % 300))
+    mapping = CLOCK + '[signals.q]\ncolumns = ["q_deg"]\nunit = "deg"\n'
+    assert "unwrap = true and period = 300" in read(table, mapping).metadata[NOTES]
+    wrong = read(table, mapping + "unwrap = true\n")
+    assert "wraps at 360 that are unwrapped: 3; steps of 0.18 of a period are left" in wrong.metadata[NOTES]
+    guess = guess_mapping(tmp_path / "a.csv")
+    found = import_recording(tmp_path / "a.csv", tomllib.loads(guess)).signals["q"].values
+    np.testing.assert_allclose(np.degrees(found), turning, atol=0.01)
 
 
 @pytest.mark.parametrize("second", [30.0, 100.0, -170.0])

@@ -12,7 +12,7 @@ from soro_bench.recording.importers.clock import overflowed
 from soro_bench.recording.importers.guess_layout import Column, layout
 from soro_bench.recording.importers.tracks import signal_name
 from soro_bench.recording.importers.units import UNITS, in_brackets, of_text, si, split_unit, time_unit
-from soro_bench.recording.importers.wraps import counter_period, lost_number, saw_period, seen_wraps
+from soro_bench.recording.importers.wraps import counter_period, lost_number, part_of_turn, saw_period, seen_wraps
 from soro_bench.recording.recording import RecordingError
 from soro_bench.recording.untrusted import MAX_BYTES, named_errors, read_bytes
 
@@ -346,6 +346,7 @@ def _unit_lines(group: Group, numbers: np.ndarray) -> list[str]:
         taken = bool(first.unit) and {of_text(column.unit) for column in group.columns} == {unit}
         lines = [f'# unit = "{unit}", from the row of units' if taken else f'unit = "{unit}"']
         wraps = seen_wraps(numbers, 2 * np.pi / si(unit)[1]) if si(unit)[0] == "rad" else 0
+        wraps = 0 if wraps and part_of_turn(numbers, 2 * np.pi / si(unit)[1]) else wraps
     else:
         unit, wraps = _angle(numbers)
         found = in_brackets(first.name)

@@ -9,7 +9,15 @@ import numpy as np
 
 from soro_bench.files import brief
 from soro_bench.recording.importers.units import si
-from soro_bench.recording.importers.wraps import counter_period, lost_number, saw_period, seen_wraps, told, unwrapped
+from soro_bench.recording.importers.wraps import (
+    counter_period,
+    lost_number,
+    part_of_turn,
+    saw_period,
+    seen_wraps,
+    told,
+    unwrapped,
+)
 from soro_bench.recording.recording import RecordingError, Signal, check_shape
 
 VALUE_KEYS = (
@@ -91,6 +99,9 @@ class Source:
         if unit == "rad" and (count := seen_wraps(numbers, self._turns(factor, shape))):
             if is_command and saw_period(numbers) is None:
                 return ""
+            if part := part_of_turn(numbers, float(np.max(self._turns(factor, shape)))):
+                return (f"jumps of nearly {part.counts:.10g}: {count}; if the angle wraps, write unwrap = true and "
+                        f"period = {part.counts:.10g}{part.doubt}")  # fmt: skip
             return f"jumps of nearly a turn: {count}; if the angle wraps, write unwrap = true"
         if is_command or unit not in ("rad", "1"):
             return ""

@@ -10,12 +10,14 @@ _SMALLEST, _LARGEST = 256, 2**32  # counts of a turn of encoders that wrap
 _BESIDE, _LOOKED_AT = 5, 100  # steps on each side of a jump that tell how fast a counter moves; jumps
 _ON = 0.5  # of the way beside the jump of a counter leads on at least, and not back
 _ALIKE = 0.02  # of a period, by which the shown one differs at most from a power of two
+_PART = 0.1  # of a turn, by which the period of what wraps at a part of one differs from it at least
 _NICE = 1.0, 3.6, 4.0, math.pi, 2 * math.pi  # times powers of ten: periods of what is no angle by its unit
 _FEW, _OFTEN = 20, 3  # numbers, of fewer none is lost; times that one comes which stands for a missing one
 _VERY_FAR, _SHORTLY = 10.0, 2  # ranges or median steps; samples in a row
 _DIGITS = 4  # of a number that somebody writes for a missing one, such as -1 or 9999
 _DECIMAL = 1e-6  # of a thousandth, by which a number of three decimals differs from one at most
 _FAST = 0.35  # of a period, over which steps may as well be wraps the other way
+_LEFT, _TIMES = 0.05, 3.0  # of a period, and of the usual steps: what is left of a jump with the wrong period
 _LARGE = np.errstate(over="ignore", invalid="ignore")  # numbers near the largest there are
 
 
@@ -178,6 +180,12 @@ def saw_period(numbers: np.ndarray, turn: float = 0.0) -> CounterPeriod | None:
     return CounterPeriod(float(f"{counts:.4g}"), " (about; its data sheet says it)") if len(known) > 1 else None
 
 
+def part_of_turn(numbers: np.ndarray, turn: float) -> CounterPeriod | None:
+    """At which period (T, ...) numbers of an angle wrap that is no whole turn, as encoders of 300 degrees do."""
+    found = saw_period(numbers, turn)
+    return found if found and abs(found.counts - turn) > _PART * turn else None
+
+
 def _jumps(column: np.ndarray, least: float = 1.0) -> np.ndarray:
     """(jumps, 2) the period that each jump of (T,) numbers over their range shows, and how exactly.
 
@@ -201,12 +209,18 @@ def told(numbers: np.ndarray, period: np.ndarray) -> str:
     """What there is to say of (T, ...) numbers that are unwrapped at periods (k,) of each number of a sample."""
     label = ", ".join(f"{each:.6g}" for each in np.unique(period))[:80]
     numbers = np.asarray(numbers, float).reshape(len(numbers), -1) / period
-    wraps = int((np.abs(_steps(numbers)) > 0.5).sum())
+    jumps = np.abs(_steps(numbers)) > 0.5
+    wraps = int(jumps.sum())
     if not wraps:
         return f"unwrap = true, but nothing wraps at {label}; period = ... says where it does"
-    left = np.abs(_steps(unwrapped(numbers, 1.0))).max()
-    fast = f"; steps of {left:.2f} of a period may as well be wraps the other way" if left > _FAST else ""
-    return f"wraps at {label} that are unwrapped: {wraps}{fast}"
+    steps = np.abs(_steps(unwrapped(numbers, 1.0)))
+    left, usual = float(np.median(steps[jumps])), float(np.quantile(steps[~jumps], 0.95)) if wraps < len(jumps) else 1.0
+    doubt = ""
+    if steps.max() > _FAST:
+        doubt = f"; steps of {steps.max():.2f} of a period may as well be wraps the other way"
+    elif left > max(_LEFT, _TIMES * usual):
+        doubt = f"; steps of {left:.2f} of a period are left there: is it another period?"
+    return f"wraps at {label} that are unwrapped: {wraps}{doubt}"
 
 
 def _steps(numbers: np.ndarray) -> np.ndarray:
