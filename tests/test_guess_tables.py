@@ -140,6 +140,22 @@ def test_times_are_known_by_their_unit_or_in_other_languages(guessed, name):
     assert mapping["time"] == {"column": name}
 
 
+@pytest.mark.parametrize(("header", "row"), [("t,x", "{t},{i},,,"), ("t,x,,,", "{t},{i}"), ("t,x,y,z,w", "{t},{i},,,")])
+def test_delimiters_at_the_ends_of_header_or_rows_do_not_count(guessed, header, row):
+    mapping, _ = guessed(table(header, row))
+    assert mapping["time"] == {"column": "t"}
+    assert mapping["signals"]["x"]["columns"] == ["x"]
+
+
+def test_japanese_headers_of_windows_are_known(guessed):
+    text = table("\u6642\u9593 [s],\u89d2\u5ea6 [deg]", "{t},{i}")
+    mapping, _ = guessed(text.encode("shift_jis"))
+    assert mapping["format"] == {"encoding": "shift_jis"}
+    assert mapping["time"] == {"column": "\u6642\u9593 [s]"}
+    western = table("t,L\u00e4nge \u201ex\u201c,Gr\u00f6\u00dfe [\u00b0]", "{t},{i},1")
+    assert guessed(western.encode("cp1252"))[0]["format"] == {"encoding": "cp1252"}
+
+
 def test_numbered_columns_and_points_become_one_signal(guessed):
     header = "t,q1,q2,M1 x,M1 y,M1 z,M2 x,M2 y,M2 z,qx,qy,qz,qw,u_cmd1,u_cmd2"
     mapping, recording = guessed(table(header, "{t}" + ",{i}" * 14))

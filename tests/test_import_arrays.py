@@ -179,6 +179,23 @@ def test_a_counter_of_microseconds_that_overflows_goes_on(read):
         read(MAPPING.replace('"t"', '"t"\nunit = "us"'), t=t.astype("datetime64[us]"), x=FLAT)
 
 
+def test_a_guess_knows_times_since_1970_by_their_size(tmp_path):
+    for unit, factor in (("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
+        np.savez(tmp_path / "a.npz", stamp=((1.7e9 + np.arange(T)) * factor).astype(np.int64), x=FLAT)
+        mapping = tomllib.loads(guess_mapping(tmp_path / "a.npz"))
+        assert mapping["time"] == {"array": "stamp", "unit": unit}
+
+
+def test_a_guess_for_a_file_without_numbers_says_what_it_holds(tmp_path):
+    np.savez(tmp_path / "a.npz", log=np.array({"t": TIME}, object))
+    with pytest.raises(RecordingError, match=says("no array of numbers", "log", "Python objects")):
+        guess_mapping(tmp_path / "a.npz")
+    np.save(tmp_path / "a.npy", FLAT)
+    (tmp_path / "a.npy").write_bytes((tmp_path / "a.npy").read_bytes()[:-20])
+    with pytest.raises(RecordingError, match=says("no array of numbers", "144 bytes, and has 124")):
+        guess_mapping(tmp_path / "a.npy")
+
+
 def test_durations_a_matrix_with_its_times_and_one_sample(read, tmp_path):
     durations = read(MAPPING, t=(1000 * TIME).astype("timedelta64[ms]"), x=np.where(FLAT > 1, np.inf, FLAT))
     np.testing.assert_allclose(durations.signals["x"].time, TIME)

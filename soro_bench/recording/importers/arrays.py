@@ -12,7 +12,7 @@ import numpy as np
 from soro_bench.recording.importers.clock import NO_STAMP
 from soro_bench.recording.importers.mapping import FileMapping, Source, load_mapping, texts, unit_doubt
 from soro_bench.recording.importers.tracks import signal_name
-from soro_bench.recording.importers.units import split_unit, time_unit
+from soro_bench.recording.importers.units import since_1970, split_unit, time_unit
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, MAX_ROWS
 
@@ -287,6 +287,9 @@ def written(file: ArrayFile) -> str:
             continue
         parts = {f"{name}.{part}": array[part] for part in array.dtype.names or ()} or {name: array}
         shapes.update({key: each for key, each in parts.items() if each.dtype.kind in "fiubmM" and each.size > 1})
+    if not shapes:
+        found = "; ".join(line.removeprefix("# ") for line in lines[1:4]) or f"there are {len(file.names)} arrays"
+        raise RecordingError(f"no array of numbers is found: {found}")
     clock = _clock(file.names, shapes)
     lines += ["", "[time]", *clock.lines]
     lines.append("# [format] episode = 0 takes the first entry of the first axis; ends, lengths or label cut rows")
@@ -319,7 +322,9 @@ def _clock(names: Sequence[str], shapes: Mapping[str, np.ndarray]) -> _Clock:
     if named:
         name = (increasing or named)[0]
         doubt = "" if increasing else f"  # {ascii(name)[1:-1]} does not increase everywhere"
-        unit = time_unit(name.rpartition(".")[2]) or "s"
+        numbers = shapes[name].ravel().astype(float)
+        step = float(np.median(np.diff(numbers))) if numbers.size > 1 else 0.0
+        unit = time_unit(name.rpartition(".")[2]) or since_1970(float(numbers[0]), step) or "s"
         units = [f'unit = "{unit}"  # or "s", "ms", "us", "ns"'] if shapes[name].dtype.kind not in "mM" else []
         return _Clock([f"array = {json.dumps(name)}{doubt}", *units], shapes[name].size, name)
     if matrix := next(filter(None, (_matrix(*item) for item in shapes.items())), None):

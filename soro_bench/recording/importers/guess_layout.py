@@ -19,6 +19,7 @@ _ROWS = 20_000  # rows that are looked at
 _DELIMITERS = (",", ";", "\t", "|", BLANK)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _DATE = re.compile(r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[./-]\w{1,3}[./-]\d{4}")
+_JAPANESE = re.compile(r"[\u3040-\u30ff\u4e00-\u9fff]{2,}")
 _MOST = 0.5  # of the cells of a row of data that are numbers
 
 
@@ -84,20 +85,26 @@ def is_number(text: str, decimal: str) -> bool:
 
 
 def _encoding(head: bytes) -> str:
+    if head.startswith((b"\xff\xfe\x00\x00", b"\x00\x00\xfe\xff")):
+        return "utf-32"
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "utf-16"
     for name, place in (("utf-16-le", 1), ("utf-16-be", 0)):
         if len(head) > 3 and head[place:200:2].count(0) > 0.8 * len(head[place:200:2]):
             return name
-    for name in ("utf-8", "cp1252"):
+    for name in ("utf-8", "shift_jis", "cp1252"):
         try:
-            decoded(head, name)
-        except RecordingError:
+            text = decoded(head, name)
+        except (RecordingError, UnicodeDecodeError):
             continue
-        except UnicodeDecodeError:
-            continue
-        return name
+        if name != "shift_jis" or _is_japanese(text):
+            return name
     return "latin-1"
+
+
+def _is_japanese(text: str) -> bool:
+    """Whether most letters beyond ASCII are Japanese ones in a row; single ones come of western letters."""
+    return 2 * sum(map(len, _JAPANESE.findall(text))) > sum(not letter.isascii() for letter in text)
 
 
 def _cells(lines: list[str], delimiter: str) -> list[list[str]]:
@@ -154,10 +161,10 @@ def _rows_before(rows: list[list[str]], decimal: str, delimiter: str) -> dict[st
     if delimiter == "," and above and _split_decimals(rows[above[-1]], rows[data]):
         raise RecordingError(f"{len(rows[above[-1]])} names stand above {len(rows[data])} cells; are these decimal "
                              "commas between commas? Export with semicolons or decimal points")  # fmt: skip
-    if not above or abs(_named(rows[above[-1]], delimiter) - len(rows[data])) > 1:
+    if not above or not _names(rows[above[-1]], rows[data], delimiter):
         return {"header": False, **({"skip_rows": data} if data else {})}
     header, options = above[-1], {}
-    if len(above) > 1 and _is_units(rows[above[-1]]) and abs(_named(rows[above[-2]], delimiter) - len(rows[data])) <= 1:
+    if len(above) > 1 and _is_units(rows[above[-1]]) and _names(rows[above[-2]], rows[data], delimiter):
         header, options = above[-2], {"unit_row": "take"}
     return ({"skip_rows": header} if any(any(row) for row in rows[:header]) else {}) | options
 
@@ -174,9 +181,15 @@ def _split_decimals(names: list[str], cells: list[str]) -> bool:
     return len(names) > 1 and len(cells) == 2 * len(names) and whole and all(any(map(str.isalpha, n)) for n in names)
 
 
-def _named(row: list[str], delimiter: str) -> int:
-    """How many columns a header names."""
-    return len(row) - (delimiter == BLANK and row[:1] in (["#"], ["%"]))
+def _names(header: list[str], row: list[str], delimiter: str) -> bool:
+    """Whether a header names the columns of a row; delimiters at the end of either do not count."""
+    mark = delimiter == BLANK and header[:1] in (["#"], ["%"])
+    return min(abs(len(header) - mark - len(row)), abs(_filled(header) - mark - _filled(row))) <= 1
+
+
+def _filled(row: list[str]) -> int:
+    """How many cells there are up to the last one that says something."""
+    return max((i + 1 for i, cell in enumerate(row) if cell), default=0)
 
 
 def _numeric(rows: list[list[str]], decimal: str) -> list[int]:

@@ -11,7 +11,16 @@ from soro_bench.files import shown
 from soro_bench.recording.importers.clock import overflowed
 from soro_bench.recording.importers.guess_layout import Column, layout
 from soro_bench.recording.importers.tracks import signal_name
-from soro_bench.recording.importers.units import UNITS, in_brackets, of_text, si, split_unit, time_unit
+from soro_bench.recording.importers.units import (
+    EPOCH,
+    UNITS,
+    in_brackets,
+    of_text,
+    si,
+    since_1970,
+    split_unit,
+    time_unit,
+)
 from soro_bench.recording.importers.wraps import counter_period, lost_number, part_of_turn, saw_period, seen_wraps
 from soro_bench.recording.recording import RecordingError
 from soro_bench.recording.untrusted import MAX_BYTES, named_errors, read_bytes
@@ -24,15 +33,12 @@ _COMMAND = re.compile(
     r"([^a-z].*)?"
 )
 _ABROAD = re.compile(r"zeit|temps|tiempo|tempo|elapsed|^x_value$|\u6642\u9593|\u6642\u523b")  # of what goes on evenly
-_EPOCH = 1e9, 1e10  # s since 1970 of the years 2001 to 2286
-_SELDOM = 5.0  # s between stamps since 1970 at most; a counter of smaller units may be as large
 _STEPS = ("s", 1e-5, 2.0), ("ms", 2.0, 2e3), ("us", 2e3, 2e5), ("ns", 2e5, 1e12)  # the step that each unit has
 _HELD = 0.8  # of the samples of a command are as the one before
 _ON, _BACK = 0.01, 0.05  # of the steps of a clock go on at least, and back at most
 _REPEATED, _NAMES = 0.7, 100  # of the stamps are others, where rows of several names share one; names at most
 _NEARLY = 0.9  # of a turn, that an angle that wraps has seen
 _ROW = "row of units"
-_CLOCK = ("s", "ms", "us", "ns")
 _CLOCKLIKE = re.compile(r"\d{1,2}:\d\d|\d{8}\D\d{6}")  # in texts that may be times
 
 
@@ -153,7 +159,7 @@ def _part_of_seconds(first: Column, second: Column) -> str:
         back = np.diff(a + scale * b) < 0
         return unit if b.max() * scale < 1 and b.min() < b.max() and back.mean() < _BACK else ""
     named = re.search("nsec|nano", second.name.lower()) is not None
-    return "ns" if b.max() < 1e9 and (named or (_EPOCH[0] < a[0] < _EPOCH[1] and b.max() > 1e6)) else ""
+    return "ns" if b.max() < 1e9 and (named or (EPOCH[0] < a[0] < EPOCH[1] and b.max() > 1e6)) else ""
 
 
 def _called_time(name: str) -> bool:
@@ -232,10 +238,8 @@ def _time_unit(column: Column) -> tuple[str, str]:
     numbers = column.numbers[np.isfinite(column.numbers)]
     steps = np.diff(numbers)
     step = float(np.median(np.abs(steps[steps != 0])))
-    for unit in _CLOCK:
-        factor = UNITS[unit][1]
-        if _EPOCH[0] < numbers[0] * factor < _EPOCH[1] and step * factor < _SELDOM:
-            return unit, "from its size: a time since 1970"
+    if epoch := since_1970(float(numbers[0]), step):
+        return epoch, "from its size: a time since 1970"
     if (numbers == np.rint(numbers)).all():
         for unit, least, most in _STEPS:
             if least <= step < most:

@@ -25,6 +25,8 @@ UNITS = {
     "ml/min": ("m^3/s", 1e-6 / 60), "l/min": ("m^3/s", 1e-3 / 60),
     "mV": ("V", 1e-3), "V": ("V", 1.0), "mA": ("A", 1e-3), "A": ("A", 1.0), "ohm": ("ohm", 1.0), "K": ("K", 1.0),
 }  # fmt: skip
+EPOCH = 1e9, 1e10  # s since 1970 of the years 2001 to 2286
+_SELDOM = 5.0  # s between stamps since 1970 at most; a counter of smaller units may be as large
 TIME_UNITS = ", ".join(unit for unit, (dimension, _) in UNITS.items() if dimension == "s")
 
 
@@ -135,6 +137,14 @@ def time_unit(name: str) -> str | None:
         unit = split_unit(name)[1] or of_text(name)
         return unit if unit and si(unit)[0] == "s" else None
     return units.pop() if len(units) == 1 else None
+
+
+def since_1970(number: float, step: float) -> str | None:
+    """The unit in which a number is a time since 1970, if others follow it in such steps; None if it is none."""
+    for unit in ("s", "ms", "us", "ns"):
+        if EPOCH[0] < number * UNITS[unit][1] < EPOCH[1] and step * UNITS[unit][1] < _SELDOM:
+            return unit
+    return None
 
 
 def _is_unit(text: str) -> bool:
