@@ -317,6 +317,15 @@ def test_a_period_is_seen_beside_a_column_without_numbers_and_huge_numbers_give_
     assert saw_period(np.where(saw > 3, 1e308, -1e308)) is None
 
 
+def test_a_motion_of_few_large_steps_does_not_wrap(read, tmp_path):
+    """Such as of a sensor that holds its values; each goes on a little before and after it comes back."""
+    angle = np.repeat([0.0, 0.1, 0.2, 0.3, 0.4, -0.5, -0.4, -0.3, -0.2, -0.1, 0.0, 0.1, -0.75], 5)
+    for unit, numbers in (("rad", angle), ("1", 1000 * angle)):
+        table = f"t,q_{unit}\n" + "".join(f"{i},{number:g}\n" for i, number in enumerate(numbers))
+        recording = read(table, CLOCK + f'[signals.q]\ncolumns = ["q_{unit}"]\nunit = "{unit}"\n')
+        assert "wrap" not in recording.metadata.get(NOTES, "") + guess_mapping(tmp_path / "a.csv")
+
+
 def test_lost_numbers_of_a_counter_are_no_wraps(read):
     counts = np.where(np.arange(200) % 90 == 60, 0, 3000 + 2 * np.arange(200))
     table = "t,q\n" + "".join(f"{i},{each}\n" for i, each in enumerate(counts))

@@ -149,6 +149,8 @@ def counter_period(numbers: np.ndarray) -> CounterPeriod | None:
     if 2 * len(known) <= len(found):
         return None
     counts, spread = np.median(known, axis=0)
+    if counts < (1.0 - _ALIKE) * (high - low):
+        return None
     counts = max(round(counts), int(high - low) + 1)
     power = 2 ** round(math.log2(counts))
     if abs(power - counts) <= max(min(spread, _ALIKE * counts), 1) and power > high - low:
@@ -170,7 +172,7 @@ def saw_period(numbers: np.ndarray, turn: float = 0.0) -> CounterPeriod | None:
         return None
     counts, spread = np.median(known, axis=0)
     least = np.fmax.reduce(np.fmax.reduce(columns) - np.fmin.reduce(columns))  # some may have no number
-    if spread > _ON * counts:
+    if spread > _ON * counts or not seen_wraps(columns, counts * (1.0 + _ALIKE)):
         return None
     nice = turn / np.arange(1, 21) if turn else np.concatenate([np.outer(_NICE, 10.0 ** np.arange(-3, 6)).ravel(),
                                                                 2.0 ** np.arange(8, 33)])  # fmt: skip
