@@ -174,6 +174,12 @@ def test_clipping_of_a_slow_coarse_signal_is_found_and_its_rest_is_not():
     assert not samples.clipped(Channel(levels, 0.0, step), SETTINGS).any()
 
 
+def test_held_values_are_clipped_only_where_they_stay_longer_than_others():
+    held = np.repeat(noisy()[::5], 5)
+    assert not samples.clipped(Channel(held, NOISE), SETTINGS).any()
+    assert np.array_equal(samples.clipped(Channel(np.minimum(held, 0.4), NOISE), SETTINGS), held >= 0.4)
+
+
 @pytest.mark.parametrize("rows", [1.06, 1.1, 1.27])
 def test_a_sensor_a_little_slower_than_its_logger_is_held_on_levels_too(rows):
     sampled = np.floor(np.arange(400) / rows) * rows

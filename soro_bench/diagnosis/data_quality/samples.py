@@ -200,7 +200,7 @@ class Runs:
 
 
 def clipped(channel: Channel, settings: DataQualitySettings) -> Bools:
-    """(T,) where the values stay at the least or at the largest one, and come and go with the speed of motion."""
+    """(T,) where the values stay at the least or at the largest one, longer than at others, and come and go fast."""
     x = channel.values
     present = np.flatnonzero(np.isfinite(x))
     found = np.zeros(len(x), bool)
@@ -214,7 +214,7 @@ def clipped(channel: Channel, settings: DataQualitySettings) -> Bools:
     for end in (runs.value.min(), runs.value.max()):
         at = runs.value == end
         samples, longest = runs.length[at].sum(), runs.length[at].max()
-        if samples < settings.least_repeats or longest < 2:
+        if samples < settings.least_repeats or longest < 2 or longest <= np.median(runs.length):
             continue
         corners = np.stack([before[at], after[at]])
         # a robot at its end stop comes fast and leaves slowly, one at rest does both slowly
