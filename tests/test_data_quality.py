@@ -18,7 +18,7 @@ from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.recording.recording import Recording, RecordingError, Signal
-from tests.arm import ARM, MAP, recording
+from tests.arm import ARM, MAP, recording, says
 
 SETTINGS = DEFAULT.data_quality
 NOISE = 1e-3
@@ -121,18 +121,31 @@ def test_samples_half_way_between_two_control_steps_keep_their_noise():
     assert noise(found[np.isfinite(found).all(axis=1)]) == pytest.approx(NOISE, rel=0.3)
 
 
-def test_a_log_that_begins_behind_a_wrap_is_moved_to_the_turn_in_which_the_robot_begins(tmp_path):
-    paths = tmp_path / "arm.xml", tmp_path / "arm.toml"
+def arm_at_rest(folder) -> ModelRobot:
+    """The arm, whose map does not say how it begins."""
+    paths = folder / "arm.xml", folder / "arm.toml"
     for path, text in zip(paths, (ARM, MAP.split("[initial]")[0] + MAP[MAP.index("[parameters") :]), strict=True):
         path.write_text(text)
+    return ModelRobot(*paths, threads=1)
+
+
+def test_a_log_that_begins_behind_a_wrap_is_moved_to_the_turn_in_which_the_robot_begins(tmp_path):
     time = 0.02 * np.arange(400)
     true = 0.5 * np.sin(1.3 * time - 0.6) + NOISE * np.random.default_rng(0).standard_normal(400)
     logged = Recording(
         {"goal": Signal(time, np.zeros((400, 1)), "rad")}, {"angle": Signal(time, np.mod(true, 2 * np.pi), "rad")}
     )
-    found = inspected(logged, 0, ModelRobot(*paths, threads=1))
+    found = inspected(logged, 0, arm_at_rest(tmp_path))
     assert [each.name for each in found.findings] == ["wrap"]
     assert found.recording.signals["angle"].values.ravel() == pytest.approx(true)
+
+
+def test_wraps_at_a_part_of_a_turn_are_asked_about(tmp_path):
+    time = 0.02 * np.arange(400)
+    part = Signal(time, np.mod(3.0 * time, np.radians(300)), "rad")
+    logged = Recording({"goal": Signal(time, np.zeros((400, 1)), "rad")}, {"angle": part})
+    with pytest.raises(RecordingError, match=says("jumps back by about 300 deg", "period = ")):
+        inspected(logged, 0, arm_at_rest(tmp_path))
 
 
 @pytest.mark.parametrize("value", [0.0, -99.0])

@@ -17,6 +17,7 @@ from soro_bench.diagnosis.result_robot import DataFinding
 from soro_bench.diagnosis.robots.measured import Measured, ObservedSignal
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import DEFAULT, Settings
+from soro_bench.recording.importers.wraps import part_of_turn
 from soro_bench.recording.recording import Recording, RecordingError, Signal
 
 SEARCHED = 8  # channels, those that move most, in which steps between levels are looked for
@@ -198,12 +199,18 @@ class _Inspection:
             yield i, Channel(self.values[:, i], self.noise, float(steps[i]))
 
     def _unwrap(self) -> bool:
-        """Take out the wraps of angles."""
+        """Take out the wraps of angles; RecordingError where they are of no whole turn, which the import has to say."""
         if self.observed.unit != "rad" or self.coordinates != 1:
             return False
         count, turn = 0, 0.0
         for i in range(self.values.shape[1]):
             found, period = samples.wrapped(self.values[:, i], self.settings)
+            if found and (part := part_of_turn(self.values[:, i], period)):
+                back = np.degrees(part.counts)
+                raise RecordingError(
+                    f"{self.observed.name} jumps back by about {back:.4g} deg, which is no whole turn; if it wraps "
+                    "there, write unwrap = true and period = ... in the mapping of the import"
+                )
             if found:
                 self.values[:, i] = samples.unwrapped(self.values[:, i], period)
                 self._take_off_turns(i, period)
