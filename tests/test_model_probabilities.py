@@ -17,6 +17,7 @@ from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.suite_robot import SuiteRobot
 from soro_bench.diagnosis.selection.experiment_design import (
     competing,
+    labels,
     motions,
     predictions,
     proposed,
@@ -288,6 +289,15 @@ def several(*probabilities, residual=(0.0, 0.0)):
 def two_samples(frictions):
     """A problem of two samples without discretisation error."""
     return replace(frictions[0], weight=np.ones(2), discretisation=LowRank(np.zeros((0, 2))))
+
+
+def test_answers_of_the_same_laws_are_named_with_their_locations():
+    """Also where one has a law twice."""
+    one, two = several(0.6, 0.4)
+    both = replace(one, hypothesis=replace(one.hypothesis, terms=one.hypothesis.terms + two.hypothesis.terms))
+    first, second = (f"coulomb_friction at {each.hypothesis.terms[0].location}" for each in (one, two))
+    assert labels([one]) == ["coulomb_friction"]
+    assert labels([one, both]) == [first, f"{first} with {second}"]
 
 
 def test_viscous_and_dry_friction_of_a_cable_are_told_apart_by_moving_it(frictions):

@@ -241,10 +241,13 @@ def _proposal(motion: Motion, rivals: Sequence[Answer], evidence: np.ndarray, en
 
 
 def labels(rivals: Sequence[Answer]) -> list[str]:
-    """Names of the effects of every answer, with their locations where the names alone are the same; "none"."""
-    names = [" with ".join(a.names) or "none" for a in rivals]
+    """Names of the effects of every answer, with their locations where answers have the same laws; "none"."""
+    laws = [frozenset(a.names) for a in rivals]
     located = [" with ".join(f"{term.name} at {term.location}" for term in a.hypothesis.terms) for a in rivals]
-    return [full if names.count(name) > 1 else name for name, full in zip(names, located, strict=True)]
+    return [
+        full if laws.count(same) > 1 else " with ".join(a.names) or "none"
+        for a, same, full in zip(rivals, laws, located, strict=True)
+    ]
 
 
 def _laws(answer: Answer) -> frozenset[tuple[str, Location]]:
