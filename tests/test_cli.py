@@ -61,6 +61,7 @@ def test_excite_writes_controls_of_a_model(call, paths, tmp_path):
     assert "soro-bench diagnose RECORDING --model" in call("excite", *robot, "--out", tmp_path / "actions.csv")
     table = np.loadtxt(tmp_path / "actions.csv", delimiter=",", skiprows=1)
     assert table.shape == (1500, 2) and table[1, 0] == 0.02 and 0.1 < np.abs(table[:, 1]).max() < 1.0
+    assert (tmp_path / "actions.csv").read_text().startswith("time,actuator motor\n")
     with pytest.raises(SystemExit, match="say which robot moves"):
         call("excite", "TrunkReach-v0", *robot, "--out", tmp_path / "a.csv")
 

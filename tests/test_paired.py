@@ -209,10 +209,10 @@ def test_a_slow_motion_leaves_delay_and_lag_and_the_one_that_is_asked_for_settle
 
 def test_a_file_in_the_folder_answers_at_once_or_when_it_comes(tmp_path):
     said = []
-    source = DroppedFile(tmp_path, said.append)
+    source = DroppedFile(tmp_path, said.append, ("cable L0",))
     save(example(), tmp_path / "next_1.parquet")
     assert_same(source(WANTED, 1), example())
-    assert not said and (tmp_path / "next_1.csv").read_text().startswith("time,action.0")
+    assert not said and (tmp_path / "next_1.csv").read_text().startswith("time,cable L0")
     (tmp_path / "next_2.parquet").write_bytes(b"PAR1 cut")
     later = threading.Timer(1.0, save, (example(), tmp_path / "next_2.parquet"))
     later.start()

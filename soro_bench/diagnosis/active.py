@@ -130,15 +130,18 @@ class DroppedFile:
     """Whoever records the robot: proposals are written into a folder as next_1.csv, and next_1.parquet is awaited.
 
     A file that is there already answers at once, so an interrupted loop goes on with the files that it has.
+
+    channels: names of the columns of a proposal; action.0, action.1 and so on by default.
     """
 
     folder: Path
     say: Callable[[str], None]
+    channels: Sequence[str] = ()
 
     def __call__(self, wanted: NextRecording, number: int) -> Recording:
         """Wait for the file that answers."""
         actions, answer = self.folder / f"next_{number}.csv", self.folder / f"next_{number}.parquet"
-        write_actions(actions, wanted.control_timestep, np.array(wanted.actions))
+        write_actions(actions, wanted.control_timestep, np.array(wanted.actions), self.channels)
         if not answer.exists():
             self.say(f"{actions}: {wanted.motion}, {wanted.duration_s:g} s. Replay it and write {answer}")
         refused: tuple[int, float] | None = None  # size and time of a file that could not be read

@@ -52,7 +52,7 @@ class Excite:
 
         robot = ModelRobot(model, map_file, threads=1)
         actions = robot.excited(load(self.recording) if self.recording else None, self.duration, self.seed)
-        write_actions(self.out, robot.control_timestep, actions)
+        write_actions(self.out, robot.control_timestep, actions, robot.channels)
         command = f"soro-bench diagnose RECORDING --model {model} --map {map_file} --out FOLDER"
         console.print(f"{self.out}: replay it on the robot, record what it does, and: {command}", soft_wrap=True)
 
@@ -167,7 +167,7 @@ class Diagnose:
             for note in robot.notes:
                 console.print(f"note: {note}", soft_wrap=True, highlight=False, markup=False)
             recordings, heldout = ([load(path) for path in paths] for paths in (self.recordings, self.heldout))
-            source = self._source(recordings)
+            source = self._source(recordings, robot)
             result, rounds = diagnose_actively(
                 robot, recordings, source, self.next, heldout, self.seed, status, known=joined(self.known)
             )
@@ -185,13 +185,17 @@ class Diagnose:
             console.print(lines)
         console.print(f"{self.out / 'report.html'}, {self.out / 'result.json'}; {result.seconds:.0f} s", soft_wrap=True)
 
-    def _source(self, recordings: Sequence["Recording"]) -> "Source":
+    def _source(self, recordings: Sequence["Recording"], robot: "Robot") -> "Source":
         """Who answers proposals."""
         from soro_bench.diagnosis.active import DroppedFile, SimulatedAnswer
 
         if self.answer:
             return SimulatedAnswer(recordings[0], self.answer)
-        return DroppedFile(self.out, lambda text: console.print(text, soft_wrap=True, highlight=False, markup=False))
+
+        def say(text: str) -> None:
+            console.print(text, soft_wrap=True, highlight=False, markup=False)
+
+        return DroppedFile(self.out, say, robot.channels)
 
     def _compare(self) -> None:
         """Compare recordings before and after a change."""

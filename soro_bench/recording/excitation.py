@@ -68,11 +68,15 @@ def excitation(
     return np.concatenate(parts)
 
 
-def write_actions(path: str | Path, timestep: float, actions: np.ndarray) -> None:
-    """A table for a robot's controller: a row per control step with its time [s] and the action of every channel."""
+def write_actions(path: str | Path, timestep: float, actions: np.ndarray, channels: Sequence[str] = ()) -> None:
+    """A table for a robot's controller: a row per control step with its time [s] and the action of every channel.
+
+    Args:
+        channels: names of the columns; action.0, action.1 and so on by default.
+    """
     with replacing(path) as temporary, open(temporary, "w", newline="") as file:
         table = csv.writer(file)
-        table.writerow(["time", *(f"action.{i}" for i in range(actions.shape[1]))])
+        table.writerow(["time", *(channels or (f"action.{i}" for i in range(actions.shape[1])))])
         table.writerows([f"{step * timestep:.12g}", *(f"{a:.9g}" for a in row)] for step, row in enumerate(actions))
 
 

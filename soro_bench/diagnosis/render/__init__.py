@@ -60,7 +60,7 @@ def write_files(result: Result, folder: str | Path) -> None:
         if result.patch.remaining and result.patch.model_state != "refitted":  # whose parameters are for itself alone
             write_json(folder / REMAINING, {"schema": SCHEMA, "effects": list(result.patch.remaining)})
     if (found := result.next_recording) is not None:
-        write_actions(folder / NEXT, found.control_timestep, np.array(found.actions))
+        write_actions(folder / NEXT, found.control_timestep, np.array(found.actions), result.robot.channels)
     result.save(folder / "result.json")
 
 
