@@ -41,8 +41,16 @@ def one_line(error: BaseException | str) -> str:
     Args:
         error: an exception, or its message.
     """
-    lines = (" ".join(line.split()).strip(" ;") for line in _HINT.sub(_NOT_LOADED, str(error)).splitlines())
+    said = _HINT.sub(_NOT_LOADED, _of_file(error) or str(error))
+    lines = (" ".join(line.split()).strip(" ;") for line in said.splitlines())
     return shown("; ".join(line for line in lines if line) or type(error).__name__)[:_LENGTH]
+
+
+def _of_file(error: BaseException | str) -> str:
+    """What the system says of one file, without a number of its own; "" for any other error."""
+    if not isinstance(error, OSError) or not error.strerror or error.filename is None or error.filename2 is not None:
+        return ""
+    return f"{error.filename}: {error.strerror}"
 
 
 def missing(error: BaseException) -> str:

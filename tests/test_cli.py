@@ -115,6 +115,11 @@ def test_an_error_is_one_line(call):
         call("excite", "TrunkReach-v0", "--duration", "3", "--out", "a.csv")
 
 
+def test_a_file_that_is_not_there_is_named_without_a_number_of_the_system(call):
+    with pytest.raises(SystemExit, match=r"^soro-bench: nowhere\.json: No such file or directory$"):
+        call("report", "nowhere.json", "--out", "report")
+
+
 @pytest.mark.parametrize("arguments", [
     ("train", "TrunkReach-v0", "--name", "../mine"),
     ("leaderboard", "enter", "POLICY", "--entry", "../mine"),
