@@ -326,6 +326,15 @@ def test_what_could_not_be_matched_is_a_comment(guessed):
     assert any(note.startswith("no command drives gripper") for note in robot.notes)
 
 
+def test_signals_that_nothing_is_called_like_are_listed(tmp_path):
+    """And where no command was recorded, the control step does not say that commands are rare."""
+    strange = {name: Signal(TIME, np.zeros((STEPS + 1, 5))) for name in ("one", "two")}
+    (tmp_path / "hand.xml").write_text(HAND)
+    text = guess_map(tmp_path / "hand.xml", Recording({}, {**recorded().signals, **strange}))
+    assert "# signals that nothing in the model is called like: one, two" in text
+    assert "the spacing of the signal, as no command was recorded" in text
+
+
 def test_commands_that_come_only_where_they_change_do_not_set_the_control_step(guessed):
     rare = Recording({"motor": Signal(TIME[::20], np.arange(3.0))}, recorded().signals)
     assert guessed(rare)[1]["robot"]["control_timestep"] == pytest.approx(0.025)

@@ -152,6 +152,8 @@ class _Guess:
         signal, command = min(signals, default=_CONTROL_STEP), min(commands, default=np.inf)
         if command <= _SPARSE * signal:
             return command, "the spacing of the command"
+        if not commands:
+            return signal, "the spacing of the signal, as no command was recorded"
         return signal, "the spacing of the signal, as commands come rarely"
 
     def commands(self) -> Iterator[str]:
@@ -198,7 +200,7 @@ class _Guess:
             yield from [f"frame = {_text(signal.frame)}"] if signal.frame else []
         elif self.recording and self.recording.signals:
             name, signal = next(iter(self.recording.signals.items()))
-            yield f"name = {_text(name)}   # {signal.values[0].size} numbers; nothing in the model has as many"
+            yield f"name = {_text(name)}   # a sample has {signal.values[0].size}; nothing in the model is called so"
             yield f"sites = []   # write sites, bodies, joints or sensors\nunit = {_text(signal.unit)}"
         else:
             yield from self._placeholder()
@@ -223,6 +225,8 @@ class _Guess:
         for name, matches in self.matches.items():
             if name != self.chosen and matches:
                 yield f"# or the signal {name!r}: {matches[0].kind} = {_list(matches[0].names)}"
+        if unmatched := [name for name, matches in self.matches.items() if not matches]:
+            yield f"# signals that nothing in the model is called like: {_shown(unmatched)}"
         for label, kind, count in (
             ("sites", _SITE, self.model.nsite),
             ("sensors", _SENSOR, self.model.nsensor),
