@@ -22,6 +22,7 @@ from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.trunk_chain import simulate_chain
 from soro_bench.recording.importers import guess_mapping, import_recording
 from soro_bench.recording.importers.guess_table import toml
+from soro_bench.recording.importers.mapping import NO_COMMAND
 from soro_bench.recording.importers.units import split_unit
 from soro_bench.recording.recording import Recording, RecordingError
 from tests.arm import says
@@ -76,6 +77,16 @@ def test_the_layout_of_rows(guessed, text, options):
     assert mapping.get("format") == options
     assert recording.signals["q"].values.shape[0] >= 48
     assert mapping["commands"]["u"]["columns"] == ["u"]
+
+
+@pytest.mark.parametrize("pull, told", [("pull", True), ("u", False)])
+def test_a_guess_tells_that_nothing_is_called_like_a_command(tmp_path, pull, told):
+    """Of tables and of arrays."""
+    (tmp_path / "a.csv").write_text(table(f"t,{pull},x", "{t},{i}.5,{i}"))
+    np.savez(tmp_path / "a.npz", **{"t": T, pull: T, "x": T})
+    said = [guess_mapping(tmp_path / name) for name in ("a.csv", "a.npz")]
+    assert [f"[commands.{'NAME' if told else 'u'}]" in text for text in said] == [True, True]
+    assert [NO_COMMAND in text for text in said] == [told, told]
 
 
 @pytest.mark.parametrize(("header", "row"), [("0,1,2", "{t},{i},1.0"), (",0,1,2", "{i},{t},{i},1.0")])

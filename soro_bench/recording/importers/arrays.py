@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from soro_bench.recording.importers.clock import NO_STAMP
-from soro_bench.recording.importers.mapping import FileMapping, Source, load_mapping, texts, unit_doubt
+from soro_bench.recording.importers.mapping import NO_COMMAND, FileMapping, Source, load_mapping, texts, unit_doubt
 from soro_bench.recording.importers.tracks import signal_name
 from soro_bench.recording.importers.units import since_1970, split_unit, time_unit
 from soro_bench.recording.recording import Recording, RecordingError
@@ -291,6 +291,7 @@ def written(file: ArrayFile) -> str:
         found = "; ".join(line.removeprefix("# ") for line in lines[1:4]) or f"there are {len(file.names)} arrays"
         raise RecordingError(f"no array of numbers is found: {found}")
     clock = _clock(file.names, shapes)
+    lines += [] if any(map(_is_command, shapes)) else [NO_COMMAND]
     lines += ["", "[time]", *clock.lines]
     lines.append("# [format] episode = 0 takes the first entry of the first axis; ends, lengths or label cut rows")
     for name, array in shapes.items():
@@ -339,6 +340,10 @@ def _is_called_time(name: str) -> bool:
     return split_unit(name.rpartition(".")[2])[0].lower() in _CLOCKS
 
 
+def _is_command(name: str) -> bool:
+    return name.rpartition(".")[2].lower() in _COMMANDS
+
+
 def _matrix(name: str, array: np.ndarray) -> _Clock | None:
     """The clock in a matrix whose first column or row increases; None for others."""
     if array.ndim != 2 or min(array.shape) < 2 or array.shape[0] == array.shape[1]:
@@ -357,7 +362,7 @@ def _line(array: np.ndarray) -> np.ndarray:
 
 def _section(name: str, array: np.ndarray, rows: int, indices: str = "") -> list[str]:
     """The lines of one array, as a comment where it has another number of rows."""
-    group = "commands" if name.rpartition(".")[2].lower() in _COMMANDS else "signals"
+    group = "commands" if _is_command(name) else "signals"
     line = _line(array)
     head = f"[{group}.{signal_name(name)}]  # shape {array.shape}"
     unit = split_unit(name.rpartition(".")[2])[1]

@@ -10,6 +10,7 @@ import numpy as np
 from soro_bench.files import shown
 from soro_bench.recording.importers.clock import overflowed
 from soro_bench.recording.importers.guess_layout import Column, layout
+from soro_bench.recording.importers.mapping import NO_COMMAND
 from soro_bench.recording.importers.tracks import signal_name
 from soro_bench.recording.importers.units import (
     EPOCH,
@@ -81,6 +82,7 @@ def guessed(path: str | Path) -> str:
         if not entries:
             raise RecordingError("no column of numbers is found beside time")
         head = [f"# A guess from {shown(Path(path).name)}: correct what is wrong, and take out what you do not need."]
+        head += [] if any(group.command for group in groups) else [NO_COMMAND]
         about = [_text_column(column) for column in rest if not column.numeric and any(column.texts)]
         lines = [*lines, *([] if beside else _order(*clock))]
         sections = [[*head, *_format(options)], lines, *([about] if about else []), *entries]

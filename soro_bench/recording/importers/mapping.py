@@ -25,6 +25,7 @@ _LATEST = 1e11  # s since 1970, or since a computer was started: 3000 years
 _APART = 86_400.0  # s, between the beginnings of two signals: their clocks differ
 _NEARLY = 0.1  # of a thousand, by which the ratio of two durations differs from it at most
 _PAUSE, _INTERVALS = 1.0, 20  # a gap is longer than both, in s and in median intervals
+NO_COMMAND = "# Nothing is called like a command; what moved the robot belongs in [commands.NAME], not [signals.NAME]."
 _SECTIONS = ("format", "time", "commands", "signals", "parameters", "metadata")
 _CLOCKS = ("column", "columns", "array", "source", "interval", "rate")  # one of them says when samples are
 _COUNTED = ("interval", "rate")
