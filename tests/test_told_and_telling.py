@@ -62,7 +62,7 @@ def test_a_known_parameter_of_a_model_is_simulated_and_not_fitted(paths):
         ({"mass": 1.0}, "no parameter 'mass'; this robot has inertia, damping, zero"),
         ({"inertia": 5000.0}, "inertia = 5000 is not possible; allowed is 0.001 to 1000"),
         ({"zero": np.nan}, "zero = nan is not possible; allowed is -2 to 2 N m"),
-        (["inertia"], "'inertia' is no parameter; expected something like trunk_mass=0.3"),
+        (["inertia"], "'inertia' is no NAME=NUMBER; expected something like trunk_mass=0.3"),
     ],
 )
 def test_what_a_robot_cannot_have_is_refused_in_one_line(paths, told, said):

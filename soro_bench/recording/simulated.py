@@ -167,7 +167,7 @@ def parse_params(pairs: Sequence[str]) -> dict[str, float]:
         try:
             params[name] = float(value)
         except ValueError:
-            raise ValueError(f"{pair!r} is no parameter; expected something like trunk_mass=0.3") from None
+            raise ValueError(f"{pair!r} is no NAME=NUMBER; expected something like trunk_mass=0.3") from None
     return params
 
 
