@@ -326,6 +326,13 @@ def test_what_could_not_be_matched_is_a_comment(guessed):
     assert any(note.startswith("no command drives gripper") for note in robot.notes)
 
 
+def test_another_signal_that_matches_may_be_explained_too(tmp_path):
+    (tmp_path / "hand.xml").write_text(HAND)
+    tip = Signal(TIME, np.zeros((STEPS + 1, 3)), "m", "world")
+    text = guess_map(tmp_path / "hand.xml", Recording({}, {**recorded(name="hinge").signals, "tip": tip}))
+    assert """# instead, or also in [[signals]], 'tip': sites = ["tip"]""" in text
+
+
 def test_signals_that_nothing_is_called_like_are_listed(tmp_path):
     """And where no command was recorded, the control step does not say that commands are rare."""
     strange = {name: Signal(TIME, np.zeros((STEPS + 1, 5))) for name in ("one", "two")}

@@ -224,7 +224,7 @@ class _Guess:
         """Comments: other signals, and what the model has to compare with."""
         for name, matches in self.matches.items():
             if name != self.chosen and matches:
-                yield f"# or the signal {name!r}: {matches[0].kind} = {_list(matches[0].names)}"
+                yield f"# instead, or also in [[signals]], {name!r}: {matches[0].kind} = {_list(matches[0].names)}"
         if unmatched := [name for name, matches in self.matches.items() if not matches]:
             yield f"# signals that nothing in the model is called like: {_shown(unmatched)}"
         for label, kind, count in (
