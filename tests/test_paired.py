@@ -78,6 +78,12 @@ def test_noise_that_remembers_is_no_change() -> None:
     assert sum(each.verdict == "changed" for each in found) <= 1
 
 
+def test_a_summary_says_what_its_p_value_is_of() -> None:
+    """A payload differs far beyond noise, and may be neither offset nor gain nor delay."""
+    said = summary(compare([recording()], [recording(1)]))
+    assert "an offset, gain or delay: p" in " ".join(said.split())
+
+
 def test_a_delay_is_measured_without_a_model_and_a_lost_marker_said() -> None:
     after = recording(1, late=0.02)
     values = after.signals["markers"].values.copy()

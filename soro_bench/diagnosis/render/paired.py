@@ -112,7 +112,7 @@ def _difference(found: SignalDifference) -> str:
     noise = words.number(found.noise, found.unit, 2)
     runs = " (between runs of the same robot)" if found.run_to_run and found.run_to_run >= found.noise else ""
     rms, chance = words.number(found.rms, found.unit), words.chance(found.p_value)
-    return f"{rms} rms of a coordinate, {noise} by noise{runs}; {chance}"
+    return f"{rms} rms of a coordinate, {noise} by noise{runs}; an offset, gain or delay: {chance}"
 
 
 def _points(found: SignalDifference) -> str:
