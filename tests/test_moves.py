@@ -12,7 +12,7 @@ import pytest
 from soro_bench.diagnosis.api import diagnose
 from soro_bench.diagnosis.candidates import term, terms
 from soro_bench.diagnosis.data_quality.responses import answered
-from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, descended, fitted, linearised_at
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, descended, fitted, linearised_at, settled
 from soro_bench.diagnosis.outliers import nominal_fit
 from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
@@ -27,7 +27,12 @@ from soro_bench.diagnosis.selection.moves import (
     unique,
     without_one,
 )
-from soro_bench.diagnosis.selection.rounds import fitted_from_priors, fitted_in_growing_parts, may_imitate
+from soro_bench.diagnosis.selection.rounds import (
+    fitted_from_priors,
+    fitted_in_growing_parts,
+    from_base_if_worse,
+    may_imitate,
+)
 from soro_bench.diagnosis.selection.screening import ScreenedCandidate, evidence, responses
 from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.effect import EVERY, Effect, Location
@@ -71,6 +76,46 @@ def test_a_descent_finds_the_parameters_of_the_arm(paths):
     values = given.robot.parameters(found.x)
     assert list(values.values()) == pytest.approx(arm.TRUTH[0], rel=0.05)
     assert found.cost < 0.1 * begun.cost
+
+
+RATIOS = (
+    MAP.split("[parameters.zero]")[0]
+    + """[parameters.motor]
+fields = ["actuator_gainprm[0]:motor", "actuator_biasprm[1]:motor", "actuator_biasprm[2]:motor"]
+deviation = 0.1
+"""
+)
+
+
+def test_along_a_direction_that_no_recording_shows_priors_decide(paths):
+    """Of mass, damping and the motor's stiffness only ratios matter."""
+    paths[0].write_text(ARM.replace(' forcerange="-1 1"', ""))
+    recorded = recording(paths, [], 0)
+    paths[1].write_text(RATIOS)
+    robot = ModelRobot(*paths, threads=1)
+    measured = robot.measured(recorded)
+    (values,) = robot.simulate(measured.actions, np.array([[1.1, 0.9, 1.0]]), [()], measured.start)
+    noise = 5e-4 * np.random.default_rng(0).standard_normal(values.shape)
+    problem = unexplained(robot, (replace(measured, values=values + noise),), 5e-4)
+    (best,) = descended(problem, [linearised_at(problem, Guess(np.zeros(3)), 0.01, 0)])
+    deviations = np.array([each.deviation for each in robot.priors])
+    x = best.x + 0.3 / deviations  # of all logarithms
+    (row,) = problem.residuals([(x, ())])
+    assert problem.misfit(row) == pytest.approx(problem.misfit(best.residual), abs=0.1)
+    found = settled(problem, replace(best, x=x, residual=row, cost=problem.cost(row, x)))
+    assert found.x @ (1.0 / deviations) == pytest.approx(0.0, abs=0.5)  # where the sum of squares is least
+    assert found.cost <= best.cost + 0.1
+
+
+def test_fits_that_all_end_above_what_they_contain_begin_there_again(paths):
+    given = arm.problem(paths, [FRICTION])
+    base = descended(given, [fit(given)])[0]
+    apart = [replace(fit(given, name), cost=base.cost + 10.0) for name in ("coulomb_friction", "actuator_delay")]
+    again = from_base_if_worse(given, base, apart)
+    assert again[0].terms[0].name == "coulomb_friction"
+    assert again[0].cost < 0.2 * base.cost and all(h.cost <= base.cost for h in again)
+    good = [replace(apart[0], cost=base.cost - 1.0), apart[1]]
+    assert from_base_if_worse(given, base, good) == good
 
 
 def test_without_the_term_that_acts_the_misfit_grows_and_without_an_idle_one_it_does_not(paths):

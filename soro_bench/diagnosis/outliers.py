@@ -10,7 +10,13 @@ import numpy as np
 from soro_bench.diagnosis.data_quality.inspection import Inspected
 from soro_bench.diagnosis.data_quality.noise import compressed, noise
 from soro_bench.diagnosis.data_quality.samples import far_off
-from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, fitted_under_discretisation
+from soro_bench.diagnosis.estimation.fit import (
+    Guess,
+    Hypothesis,
+    allowing,
+    descended,
+    fitted_under_discretisation,
+)
 from soro_bench.diagnosis.estimation.model_form import may_be_model_form
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.result_robot import Outliers
@@ -52,12 +58,28 @@ def nominal_fit(
         guess = Guess(fit.x, jacobian=fit.jacobian)
     if problem.misfit_dominated:
         (fit,) = iterate_to_convergence(problem, [fit], SEEDS * seed + len(stages))
-        problem, (fit,) = allowing(problem, fit, [fit])
+        problem, fit = _as_noise_falls(*_allowed(problem, fit))
     known = may_be_model_form(problem, fit.residual, fit.jacobian)
     if problem.misfit_dominated or (is_discrepant(problem, fit) and not known):
         other = fitted_in_growing_parts(given, refined, SEEDS * seed + len(stages))
         if other and other[0].left(other[1].residual) < problem.left(fit.residual):
             return other
+    return problem, fit
+
+
+def _allowed(problem: Problem, fit: Hypothesis) -> tuple[Problem, Hypothesis]:
+    """The problem with a fit's misfit as noise, and the fit to it."""
+    problem, (fit,) = allowing(problem, fit, [fit])
+    return problem, fit
+
+
+def _as_noise_falls(problem: Problem, fit: Hypothesis) -> tuple[Problem, Hypothesis]:
+    """Descents in turns with the noise that the last one left, as long as it falls: priors count less and less."""
+    for _ in range(problem.settings.selection.turns):
+        before = problem.left(fit.residual)
+        problem, fit = _allowed(problem, descended(problem, [fit])[0])
+        if problem.left(fit.residual) > (1.0 - problem.settings.selection.turn_gain) * before:
+            break
     return problem, fit
 
 

@@ -249,6 +249,7 @@ def _hessian(discretisation: LowRank, jacobian: Floats) -> Floats:
 _STEPS = 10  # at most with Jacobians by differences; the gain of a step ends most descents
 LEAST_GAIN = 0.003  # share of the cost that a step has to gain for another one
 _POWERS = 10.0 ** np.arange(6.0)  # of the damping, tried side by side
+_NOTICED = 0.1  # nats, that a step has to gain along a direction that only priors know
 _AS_PREDICTED = 0.5  # share of its predicted gain, from which on the Jacobian of a step is good for the next one
 
 
@@ -297,6 +298,25 @@ def descended(problem: Problem, hypotheses: Sequence[Hypothesis], least_gain: fl
                 further.append(i)
         going = further
     return found
+
+
+def settled(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
+    """The hypothesis at the minimum of its cost, along directions too that no recording shows: Gauss-Newton steps with
+    central differences. The errors of other Jacobians are larger than the slopes of priors, which decide there."""
+    h, difference, n = hypothesis, problem.settings.descent.difference, len(hypothesis.x)
+    for _ in range(_STEPS if n else 0):
+        points = np.clip(h.x + difference * np.vstack([np.eye(n), -np.eye(n)]), *bounds(problem, h.terms))
+        after, before = np.split(problem.residuals([(x, h.terms) for x in points]), 2)
+        jacobian = (after - before) / np.diag(points[:n] - points[n:])[:, None]
+        line = replace(h, jacobian=jacobian, error=h.error[:0])
+        trials = _trials(problem, Guess(h.x, h.terms), Line(h.residual, jacobian, line.error))
+        rows = problem.residuals([(x, h.terms) for x in trials])
+        costs = [problem.cost(row, x) for row, x in zip(rows, trials, strict=True)]
+        best = int(np.argmin(costs))
+        if not costs[best] < line.cost - _NOTICED:
+            return line
+        h = replace(line, x=trials[best], residual=rows[best], cost=costs[best])
+    return h
 
 
 def _updated(before: Hypothesis, after: Hypothesis) -> Floats:

@@ -13,7 +13,7 @@ import numpy as np
 
 from soro_bench.diagnosis.candidates import Term
 from soro_bench.diagnosis.estimation.discretisation import differences
-from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, descended
+from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, allowing, descended, settled
 from soro_bench.diagnosis.estimation.problem import Problem
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.selection.moves import (
@@ -31,6 +31,7 @@ from soro_bench.diagnosis.selection.rounds import (
     cheapest,
     compatible,
     fitted_from_priors,
+    from_base_if_worse,
     generalised,
     guesses_of,
     is_discrepant,
@@ -130,6 +131,7 @@ def explained(
             break
         problem, nominal = search.problem, search.nominal
     search.remove_terms()
+    search.settle()
     return search.explanation()
 
 
@@ -301,6 +303,16 @@ class _Search:
             self.progress(f"without {len(self.best.terms)} effects")
             self._take(fewer, None)
 
+    def settle(self) -> None:
+        """Bring the best hypothesis to the minimum of its cost: samples may leave it far from where priors would have
+        it, along a direction that no recording shows. A robot with other simulations is too rugged for that."""
+        if self.problem.misfit_dominated or self.problem.variants:
+            return
+        best = settled(self.problem, self.best)
+        self.tried = [best if each is self.best else each for each in self.tried]
+        self.nominal = best if self.best is self.nominal else self.nominal
+        self.best = best
+
     def _as_tried(self, hypothesis: Hypothesis) -> Hypothesis:
         """A hypothesis of an earlier round, as it is under the present problem."""
         same = (h for h in (*self.tried, self.nominal) if laws(h) == laws(hypothesis))
@@ -345,6 +357,8 @@ class _Search:
                 guesses += guesses_of(self.problem, self.first, pairs(self.first))
         rough = self.problem.with_longer_steps(self.robot, best.x, best.terms, best.residual)
         new = replayed_anew(self.problem, refitted(rough, guesses, screened, next(self.seeds)))
+        if not self.problem.misfit_dominated:
+            new = from_base_if_worse(self.problem, under_present_error(self.problem, best), new)
         if self.rounds:
             new += revisit_rivals(self.problem, new[0], self.tried, next(self.seeds))
         if self.problem.misfit_dominated:

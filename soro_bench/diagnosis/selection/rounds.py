@@ -394,6 +394,21 @@ def replayed_anew(problem: Problem, hypotheses: Sequence[Hypothesis]) -> list[Hy
     return [replace(h, residual=row, cost=problem.cost(row, h.x)) for h, row in pairs]
 
 
+def from_base_if_worse(problem: Problem, base: Hypothesis, fits: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Fits of a base with more terms; where all ended above the base, fits that begin at it, without the new terms.
+
+    Then samples were too wide, as where the phase of an oscillation runs away.
+    """
+    if any(h.cost <= base.cost or h.terms[: len(base.terms)] != base.terms for h in fits):
+        return list(fits)
+    starts = [
+        replace(h, x=np.concatenate([base.x, np.zeros(len(h.x) - len(base.x))]), residual=base.residual,
+                cost=base.cost, error=h.error[:0])
+        for h in fits
+    ]  # fmt: skip
+    return sorted(descended(problem, starts), key=lambda h: -h.log_evidence(problem))
+
+
 def under_present_error(problem: Problem, hypothesis: Hypothesis) -> Hypothesis:
     """The hypothesis with its cost under the discretisation error that the problem has now."""
     return replace(hypothesis, cost=problem.cost(hypothesis.residual, hypothesis.x))
