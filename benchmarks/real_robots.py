@@ -47,7 +47,7 @@ DATA = ("train", "heldout", "unseen")
 RADII = (0.7, 0.3)  # prior deviations, of samples around fits of --fit
 
 
-UNITS = {"m": (1000, "mm"), "rad": (1, "rad"), "N": (1, "N")}  # of a table: factor and name
+UNITS = {"m": (1000, "mm"), "rad": (1, "rad"), "N": (1, "N"), "m/s^2": (1, "m/s²")}  # of a table: factor and name
 
 
 def left(summary: dict, fit: dict) -> str:
