@@ -266,6 +266,16 @@ def test_an_excitation_of_a_model_moves_what_is_commanded_within_its_range(paths
     assert controls.shape == (500, 1) and 0.1 < np.abs(controls).max() <= 0.5
 
 
+def test_an_excitation_begins_at_the_control_of_the_keyframe(paths):
+    model = ARM.replace('name="motor"', 'name="motor" ctrlrange="-1 1"')
+    paths[0].write_text(
+        model.replace("</mujoco>", '<keyframe><key name="bent" qpos="0.4" ctrl="0.4"/></keyframe></mujoco>')
+    )
+    paths[1].write_text(MAP.replace("[initial]", '[initial]\nkeyframe = "bent"'))
+    controls = ModelRobot(*paths, threads=1).excited(duration=10.0)
+    assert (controls[0], controls[-1]) == (pytest.approx(0.4), pytest.approx(0.4))
+
+
 def test_a_pair_is_replayed_where_every_parameter_is_known(paths):
     nominal = {"inertia": 1.0, "damping": 1.0, "zero": 0.0}
     robot = ModelRobot(*paths, threads=1).knowing(Known(nominal))

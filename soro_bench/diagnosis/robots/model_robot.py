@@ -300,8 +300,9 @@ class ModelRobot(Robot):
     def commanded(self, rates: Floats, recorded: Floats) -> Floats:
         """(T, nu) setpoints with given rates (T, nu), or controls with them where controls are rates.
 
-        They stay within a share of each actuator's range on both sides of zero, or of the value nearest to it. An
-        actuator without a range has that of the recorded setpoints; one without a command is held.
+        They stay within a share of each actuator's range on both sides of the keyframe's control, zero without one, or
+        of the value nearest to it. An actuator without a range has that of the recorded setpoints; one without a
+        command is held.
         """
         way, model = np.cumsum(rates, axis=0), self._model
         integrates = model.actuator_dyntype == mujoco.mjtDyn.mjDYN_INTEGRATOR
@@ -315,7 +316,7 @@ class ModelRobot(Robot):
         bounds = np.abs(model.actuator_ctrlrange).min(axis=1)
         fastest = np.where(model.actuator_ctrllimited, bounds, np.abs(recorded).max(axis=0))
         slower = np.maximum(np.abs(speeds).max(axis=0) / np.maximum(fastest, 1e-9), 1.0)
-        found = np.where(integrates, speeds / slower, np.clip(0.0, low + reach, high - reach) + moved)
+        found = np.where(integrates, speeds / slower, np.clip(self._control, low + reach, high - reach) + moved)
         return np.where(self.driven, found, self._control)
 
     def excited(self, recording: Recording | None = None, duration: float | None = None, seed: int = 0) -> Floats:
