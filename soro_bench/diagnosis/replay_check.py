@@ -267,7 +267,8 @@ def _left_out(quality: SignalQuality, shape: tuple[int, ...]) -> tuple[list[int]
     samples, columns = ([pair[i] for pair in quality.left_out] for i in (0, 1))
     for name, indices, size in (("sample", samples, shape[0]), ("column", columns, shape[1])):
         if indices and not 0 <= min(indices) <= max(indices) < size:
-            raise ValueError(f"the result leaves out {name} {max(indices)} of a recording with {size}")
+            wrong = next(each for each in indices if not 0 <= each < size)
+            raise ValueError(f"the result leaves out {name} {wrong} of a recording with {size}")
     return samples, columns
 
 

@@ -80,6 +80,8 @@ def check_summaries(study: Study, out: str | Path, seed: int) -> None:
         if not path.exists():
             continue
         summary = read_json(path)
+        if not isinstance(summary, dict):
+            raise ValueError(f"{path} is no summary of a study; give another folder")
         for key, expected in {"seed": seed, "method": METHOD, "inputs": _inputs(study, part)}.items():
             if (found := summary.get(key)) != expected:
                 raise ValueError(f"{path.parent} has results of {key} {found}, not {expected}; give another folder")

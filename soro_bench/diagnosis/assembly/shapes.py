@@ -1,5 +1,6 @@
 """The robot as shapes to draw, each with the locations that it stands for."""
 
+import math
 from collections.abc import Iterator
 
 import mujoco
@@ -115,7 +116,7 @@ def _tendons(model: mujoco.MjModel, data: mujoco.MjData) -> Iterator[Shape]:
 def _flexes(model: mujoco.MjModel, data: mujoco.MjData, thin: float) -> Iterator[Shape]:
     for f in range(model.nflex):
         start, count = int(model.flex_vertadr[f]), int(model.flex_vertnum[f])
-        step = max(1, count // MOST_VERTICES)
+        step = max(1, math.ceil(count / MOST_VERTICES))
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_FLEX, f)
         for point in data.flexvert_xpos[start : start + count : step]:
             yield Shape((_point(point),), 0.5 * thin, (Location("flex", name),) if name else ())

@@ -317,9 +317,10 @@ def simulated_under(
         batch.qfrc_applied[: len(inputs)] += force - turned
         before[:], turned[:] = wrench, force
 
-    simulated = robot.simulate_all([drive], parameters, effects, exert)[0]
-    batch.xfrc_applied[:] = batch.qfrc_applied[:] = 0.0
-    return simulated
+    try:
+        return robot.simulate_all([drive], parameters, effects, exert)[0]
+    finally:
+        batch.xfrc_applied[:] = batch.qfrc_applied[:] = 0.0
 
 
 def setpoints(problem: Problem, robot: Robot, base: Hypothesis) -> list[np.ndarray]:
