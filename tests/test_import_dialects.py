@@ -326,7 +326,7 @@ def test_a_table_of_several_blocks(read):
         read(table.replace("39990,4998.75", "39990,lost"), CLOCK + X)
 
 
-@pytest.mark.parametrize("between", ["# paused, by hand, 1, 2", "% paused", "t,x,u", "t,x,u\n#\n", "#\tagain"])
+@pytest.mark.parametrize("between", ["# paused, once, 1, 2", "% paused", "t,x,u", "t,x,u\n#\n", "#\tagain"])
 def test_comments_and_a_repeated_header_between_rows_are_left_out(read, between):
     recording = read(f"t,x,u\n0,1,2\n{between}\n1,2,3\n2,3,4\n", CLOCK + X)
     assert values(recording) == [1, 2, 3]
