@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("pyarrow")
-from soro_bench.recording.importers import import_recording
+from soro_bench.recording.importers import import_recording, table_text
 from soro_bench.recording.recording import NOTES, Recording, RecordingError
 from tests.arm import says
 
@@ -324,6 +324,14 @@ def test_a_table_of_several_blocks(read):
     np.testing.assert_array_equal(read(table, CLOCK + X.replace("mm", "m")).signals["x"].values, np.arange(40_000) / 8)
     with pytest.raises(RecordingError, match="line 39993: 'lost'"):
         read(table.replace("39990,4998.75", "39990,lost"), CLOCK + X)
+
+
+def test_a_file_of_comments_is_refused_before_all_are_looked_at(read, monkeypatch):
+    monkeypatch.setattr(table_text, "_MOST_INTERRUPTIONS", 50)
+    kept = "t,x\n0,1\n" + 50 * "#\n" + "10,2\n"
+    assert values(read(kept, CLOCK + X)) == [1, 2]
+    with pytest.raises(RecordingError, match=says("more than 50 lines", "comments")):
+        read(kept.replace("#", "#\n#", 1), CLOCK + X)
 
 
 @pytest.mark.parametrize("between", ["# paused, once, 1, 2", "% paused", "t,x,u", "t,x,u\n#\n", "#\tagain"])

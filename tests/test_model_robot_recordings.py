@@ -6,6 +6,7 @@ Robots with several signals, each in its own unit and with its own noise.
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ pytest.importorskip("pyarrow", reason="needs the train extra")
 
 
 from soro_bench.diagnosis.api import diagnose
+from soro_bench.diagnosis.assembly.build import _verdict
 from soro_bench.diagnosis.assembly.errors import leave_most, motion
 from soro_bench.diagnosis.candidates import late, term, terms
 from soro_bench.diagnosis.commands import Diagnose
@@ -77,6 +79,21 @@ def test_motion_is_about_the_mean_of_each_recording(paths):
 )
 def test_replays_leave_most_of_the_motion_if_half_of_its_square_is_left(left, moved, most):
     assert leave_most(Errors(left, left, 0.1, 0.1, 0.1, moved)) == most
+
+
+@pytest.mark.parametrize(
+    ("detected", "changes", "left", "verdict"),
+    [
+        (False, False, 0.5, "adequate"),
+        (False, False, 0.9, "undecided"),
+        (False, True, 0.9, "recordings_disagree"),
+        (True, True, 0.9, "discrepancy"),
+    ],
+)
+def test_a_verdict_counts_what_replays_leave_where_nothing_was_detected(detected, changes, left, verdict):
+    found = SimpleNamespace(detected=detected, verdict="discrepancy" if detected else "adequate")
+    alone, errors = [SimpleNamespace(changes=changes)], Errors(left, left, 0.1, 0.1, 0.1, 1.0)
+    assert _verdict(found, alone, errors) == verdict
 
 
 def test_nothing_is_explained_for_a_while_after_a_command_changes(paths):

@@ -2,6 +2,7 @@
 
 import codecs
 import csv
+import itertools
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -28,6 +29,7 @@ MISSING = frozenset((
 ))  # fmt: skip
 MAX_LETTERS = 1_000_000  # of a row, as every cell of it is a text of its own before they are counted
 _SEP = re.compile(r"sep=(.)\n?", re.IGNORECASE)  # the first line of what Excel writes
+_MOST_INTERRUPTIONS = 100_000  # lines of comments, or of the header again, between the rows
 _LOOKED_AT = 1000  # lines before the last one, that it is compared with
 # by the bytes that a file begins with
 _PACKED = {b"\x1f\x8b": "gzip", b"PK\x03\x04": "zip, such as an Excel workbook", b"\x28\xb5\x2f\xfd": "zstd"}
@@ -264,8 +266,12 @@ def _without_interruptions(table: TableText, head: set[str]) -> TableText:
     The lines stay, empty, so that others keep their numbers.
     """
     text = table.text
-    starts = {start for line in head for start in _line_starts(text, table.start, f"{line}\n")}
-    starts |= {start for mark in "#%" for start in _line_starts(text, table.start, mark) if _comment(table, start)}
+    again = (start for line in head for start in _line_starts(text, table.start, f"{line}\n"))
+    comments = (start for mark in "#%" for start in _line_starts(text, table.start, mark) if _comment(table, start))
+    starts = set(itertools.islice(itertools.chain(again, comments), _MOST_INTERRUPTIONS + 1))
+    if len(starts) > _MOST_INTERRUPTIONS:
+        raise RecordingError(f"more than {_MOST_INTERRUPTIONS} lines between the rows are comments, or the header "
+                             "again; take them out")  # fmt: skip
     if not starts:
         return table
     pieces, position = [], 0
