@@ -60,12 +60,13 @@ def evaluate(
     seed: int = 0,
     stop_when_solved: bool = True,
     full_state: bool = False,
+    inputs: int | None = None,
     **options: Any,
 ) -> list[Episode]:
     """Run one episode from every start and record it.
 
     Args:
-        act: (n, k) observations -> n actions, row by row.
+        act: (n, inputs) observations -> n actions, row by row.
         env_id, model, action: the environment; the model is its ``model`` or ``mesh`` argument.
         starts: reset options, one mapping per episode; by default the environment's fixed evaluation starts.
         num_threads: threads, 0 for all processors; results do not depend on it.
@@ -73,13 +74,15 @@ def evaluate(
         seed: of what the starts leave to chance; episode i takes seed + i.
         stop_when_solved: whether an episode ends when its task is solved.
         full_state: whether the episodes' signals hold the simulations' whole state, as state.qpos and so on.
+        inputs: numbers that ``act`` sees; those of one observation by default. A multiple of it is a memory of the last
+            ones, the newest last, with zeros for those before the first.
         options: further arguments of the environment.
 
     Returns:
         An episode for every start, in their order.
 
     Raises:
-        ValueError: there is no such environment or model, or a number of steps is below 1.
+        ValueError: there is no such environment or model, a number of steps is below 1, or ``inputs`` is no multiple.
     """
     if max_episode_steps is None:
         max_episode_steps = gymnasium.spec(env_id).max_episode_steps
@@ -91,18 +94,29 @@ def evaluate(
     rngs = [np.random.default_rng(seed + i) for i in range(len(starts))]
     everyone = np.arange(len(starts))
     observation, info = task.reset(everyone, rngs, starts)
+    seen = np.zeros((len(starts), frames_of(task, inputs), observation.shape[1]))
+    seen[:, -1] = observation
     recorders = [_Recorder(full_state) for _ in starts]
     _record(recorders, everyone, task, info)
     running = everyone
     for _ in range(max_episode_steps):
-        actions = task.check_actions(act(observation[running]), len(running))
+        actions = task.check_actions(act(seen[running].reshape(len(running), -1)), len(running))
         step = task.step(running, actions)
-        observation[running] = step.observation
+        seen[running, :-1], seen[running, -1] = seen[running, 1:], step.observation
         _record(recorders, running, task, step.info, actions)
         running = running[~(step.diverged | (step.terminated & stop_when_solved))]
         if len(running) == 0:
             break
     return [recorder.episode(env_id, model, task, i) for i, recorder in enumerate(recorders)]
+
+
+def frames_of(task: Task, inputs: int | None) -> int:
+    """How many observations are so many numbers; one by default. ValueError if they are no whole number of them."""
+    (size,) = task.single_observation_space.shape or (0,)
+    inputs = size if inputs is None else inputs
+    if inputs < size or inputs % size:
+        raise ValueError(f"{inputs} inputs; observations have {size} numbers, so a multiple of it is needed")
+    return inputs // size
 
 
 class _Recorder:

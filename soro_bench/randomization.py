@@ -24,6 +24,10 @@ class Distribution(Protocol):
     def names(self) -> tuple[str, ...]:
         """The parameters that it is over."""
 
+    @property
+    def mean(self) -> Floats:
+        """(d,) their means [SI units]."""
+
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
         """One draw of all parameters, by name [SI units], within their bounds."""
 
@@ -81,6 +85,11 @@ class Uniform:
         for name, low, high, least, most in zip(self.names, *ends, lowest, highest, strict=True):
             if not least <= low <= high <= most:
                 raise ValueError(f"{name}: [{low}, {high}] is no interval inside the bounds [{least}, {most}]")
+
+    @property
+    def mean(self) -> Floats:
+        """(d,) the middle of the box [SI units]."""
+        return 0.5 * (np.asarray(self.low, float) + np.asarray(self.high, float))
 
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
         """One draw of all parameters, by name [SI units]."""
@@ -215,6 +224,12 @@ def holding(distribution: Distribution | None, values: Mapping[str, float]) -> D
     for name, value in values.items():
         rows[name] = dict(zip(columns, (value, value) if columns[0] == "low" else (value, 0.0), strict=True))
     return from_dict({**distribution.to_dict(), "parameters": rows})
+
+
+def means(distribution: Distribution | None, names: Sequence[str]) -> dict[str, float]:
+    """The mean of each parameter [SI units]; its nominal value where the distribution, if any, is not over it."""
+    known = {} if distribution is None else dict(zip(distribution.names, distribution.mean, strict=True))
+    return {name: float(known.get(name, ALL_PARAMETERS[name].nominal)) for name in names}
 
 
 def search_box(parameters: Sequence[Parameter]) -> Uniform:

@@ -29,12 +29,14 @@ from soro_bench.leaderboard.boards import BOARDS, board_of
 from soro_bench.leaderboard.enter import _check_fixed, enter
 from soro_bench.leaderboard.entry import policy_of, read_entry
 from soro_bench.leaderboard.page import build
+from soro_bench.leaderboard.verify import verify_control
 from soro_bench.parallel import HERE
+from soro_bench.parameters import ALL_PARAMETERS
 from soro_bench.policies.policy import Policy
 from soro_bench.randomization import TruncatedNormal, Uniform, from_dict
 from soro_bench.registration import task_type
 from soro_bench.training.configuration import PPOConfig
-from soro_bench.training.methods import ORACLE, Method, fixed, udr
+from soro_bench.training.methods import MEMORY, ORACLE, Method, fixed, udr, universal
 from soro_bench.training.ppo import TRAINER, train
 from tests.results import adequate
 
@@ -53,7 +55,8 @@ def small_board(monkeypatch):
 
 
 def test_the_paper_has_a_run_for_every_cell_of_its_tables():
-    """Ten seeds of what claims 1 and 2 compare, ten boxes of uniform randomisation; no two runs share a name."""
+    """Ten seeds of what claims 1 and 2 compare, ten boxes of uniform randomisation, three seeds of others' methods;
+    no two runs share a name."""
     runs = paper()
     names = {run.name for run in runs}
     assert len(names) == len(runs)
@@ -61,6 +64,8 @@ def test_the_paper_has_a_run_for_every_cell_of_its_tables():
         for method in ("oracle", "rf_dropo", "rf_dropo_cable", "dr_box", "bayes_sim", "bayes_sim_variance"):
             assert {f"{board}/{method}/seed{k}" for k in MORE_SEEDS} <= names
         assert {f"{board}/udr/seed{k}" for k in BOXES} <= names
+        for method in ("droid", "memory", "universal_rf_dropo"):
+            assert {f"{board}/{method}/seed{k}" for k in SEEDS} <= names
     for method in ("rf_dropo_unmodelled", "bayes_sim_unmodelled"):
         assert {f"TrunkPush-v0/{method}/seed{k}" for k in MORE_SEEDS} <= names
     for board in [name for name in BOARDS if name.startswith(("TrunkLift", "MultiGait"))]:
@@ -119,7 +124,8 @@ def test_runs_can_be_sent_to_other_machines():
 
 
 def test_a_run_ends_in_an_entry_whose_policy_is_the_trained_one(small_board, tmp_path):
-    runs = [Run("TrunkReach-v0", method, TINY) for method in (ORACLE, udr())]
+    known = fixed("known", Uniform(("trunk_mass",), np.array([0.4]), np.array([0.4])))
+    runs = [Run("TrunkReach-v0", method, TINY) for method in (ORACLE, udr(), MEMORY, universal(known))]
     work, results, seen = tmp_path / "work", tmp_path / "results", []
     carry_out_all(runs, work, results, HERE, lambda share, active: seen.append(share))
     assert seen[-1] == 1.0
@@ -132,6 +138,9 @@ def test_a_run_ends_in_an_entry_whose_policy_is_the_trained_one(small_board, tmp
         assert (work / run.name / "evaluation_cable.rrd").exists()
     assert read_json(runs[0].result(results))["distribution"] is None
     from_dict(read_json(runs[1].result(results))["distribution"])
+    assert read_json(runs[2].result(results))["training"]["settings"]["frames"] == MEMORY.frames
+    assert read_json(runs[3].result(results))["training"]["told"]["trunk_mass"] == 0.4
+    assert verify_control(runs[2].result(results)) == verify_control(runs[3].result(results)) == {"cable": "same"}
 
 
 def test_an_entry_takes_the_place_of_no_other_policy_unasked(small_board, tmp_path):
@@ -299,3 +308,15 @@ def test_seeds_and_steps_are_those_asked_for():
         (4, 64_000, "flex"),
         (7, 64_000, "flex"),
     ]
+
+
+def test_a_method_decides_what_its_policies_remember_and_are_told(small_board, tmp_path):
+    """A universal policy is told the means of what the method found, and nominal values of the rest."""
+    found = Uniform(("trunk_mass",), np.array([0.3]), np.array([0.4]))
+    (told,) = runs_of("TrunkReach-v0", universal(fixed("half", found)), [0], steps=100)
+    (remembers,) = runs_of("TrunkReach-v0", MEMORY, [0], steps=100)
+    box = told.distribution(tmp_path)
+    values = told.told(box, tmp_path)
+    assert (told.name, remembers.config.frames) == ("TrunkReach-v0/universal_half/seed0", MEMORY.frames)
+    assert values["trunk_mass"] == 0.35 and values["young_modulus"] == ALL_PARAMETERS["young_modulus"].nominal
+    assert tuple(values) == box.names and remembers.told(box, tmp_path) == {}

@@ -1,5 +1,6 @@
 """PPO training: resumable, deterministic, and policies are data."""
 
+import itertools
 import json
 import os
 import re
@@ -22,10 +23,10 @@ from soro_bench.effects.effect import Effect, Location, save_effects
 from soro_bench.errors import plain_errors
 from soro_bench.evaluation import evaluate
 from soro_bench.files import read_json, write_json
-from soro_bench.policies.policy import Policy
+from soro_bench.policies.policy import Policy, PolicyCard
 from soro_bench.randomization import Uniform
 from soro_bench.training.configuration import PPOConfig, default_config
-from soro_bench.training.ppo import TRAINER, train
+from soro_bench.training.ppo import TRAINER, make_env, train
 
 CONFIG = PPOConfig(
     "TrunkReach-v0", total_steps=600, num_envs=2, rollout_steps=100, rollouts_per_segment=1, batch_size=100, epochs=2,
@@ -313,6 +314,85 @@ def test_evaluation_does_not_depend_on_how_episodes_are_batched(trained):
         alone = evaluate(policy.act, "TrunkReach-v0", "cable", "continuous", [goal])[0]
         assert alone.metric.tobytes() == episode.metric.tobytes()
         assert alone.actions.tobytes() == episode.actions.tobytes()
+
+
+BOX = Uniform(("trunk_mass", "young_modulus"), np.array([0.3, 3e6]), np.array([0.5, 6e6]))
+
+
+def test_a_policy_with_a_memory_sees_the_last_observations():
+    """The newest last, and zeros for those before the first."""
+    seen = []
+
+    def act(observations):
+        seen.append(observations.reshape(3, -1).copy())
+        return np.full((1, 8), 0.5)
+
+    evaluate(act, "TrunkReach-v0", "cable", "continuous", [{}], max_episode_steps=4, inputs=3 * 66)
+    assert not seen[0][:2].any() and not seen[1][0].any() and seen[0][2].any()
+    for before, after in itertools.pairwise(seen):
+        np.testing.assert_array_equal(after[:2], before[1:])
+        assert (after[2] != before[2]).any()
+    with pytest.raises(ValueError, match="100 inputs; observations have 66 numbers"):
+        evaluate(act, "TrunkReach-v0", "cable", "continuous", [{}], inputs=100)
+
+
+def test_training_and_evaluation_remember_alike(tmp_path):
+    """The same actions from the same start: what training shows the policy is what evaluation does."""
+    env, shown, seen = make_env(replace(CONFIG, frames=3, num_envs=1)), [], []
+
+    def act(observations):
+        seen.append(observations[0])
+        return np.full((1, 8), 0.5)
+
+    env.seed(0)
+    env.reset()
+    for _ in range(4):
+        shown.append(env.get_original_obs()[0])
+        env.step(np.full((1, 8), 0.5))
+    goal = {"goal": env.venv.unwrapped.envs.task.goal[0]}
+    evaluate(act, "TrunkReach-v0", "cable", "continuous", [goal], max_episode_steps=4, inputs=3 * 66)
+    np.testing.assert_allclose(seen, shown, atol=1e-12)
+
+
+def test_a_policy_is_told_the_parameters_of_its_episode():
+    """The last observation of an episode those of that episode, not those of the next one."""
+    env = make_env(replace(CONFIG, episode_steps=3), BOX, BOX.names)
+    task = env.venv.envs.task
+    columns = [task.parameters.names.index(name) for name in BOX.names]
+    env.reset()
+    for step in range(1, 8):
+        before = task.sim.params[:, columns].copy()
+        _, _, done, infos = env.step(np.zeros((2, 8)))
+        np.testing.assert_array_equal(env.get_original_obs()[:, 66:], task.sim.params[:, columns])
+        assert done.all() == (step % 3 == 0)
+        for i in np.flatnonzero(done):
+            last = env.unnormalize_obs(infos[i]["terminal_observation"])[66:]
+            np.testing.assert_allclose(last, before[i], rtol=1e-6)
+            assert (before[i] != task.sim.params[i, columns]).all()
+
+
+def test_what_a_policy_is_told_is_part_of_it():
+    """It acts on the rest of an observation as on the whole."""
+    rng = np.random.default_rng(0)
+    tensors = {"mean": rng.normal(size=5), "std": np.ones(5), "w0": rng.normal(size=(4, 5)), "b0": rng.normal(size=4),
+               "w1": 0.2 * rng.normal(size=(2, 4)), "b1": np.zeros(2)}  # fmt: skip
+    policy = Policy(PolicyCard("TrunkReach-v0", "cable", "continuous", "own", 0, 1), tensors)
+    seen, values = rng.normal(size=(7, 3)), np.array([0.3, -50.0])
+    whole = np.hstack([seen, np.tile(values, (7, 1))])
+    told = policy.told(values)
+    assert told.inputs == 3
+    np.testing.assert_allclose(told.act(seen), policy.act(whole), atol=1e-12)
+
+
+def test_a_policy_is_told_other_values_without_training(tmp_path):
+    train(CONFIG, tmp_path, BOX, told={"trunk_mass": 0.4, "young_modulus": 4e6})
+    first, more = _bytes(tmp_path), []
+    train(CONFIG, tmp_path, BOX, lambda *_: more.append(1), told={"trunk_mass": 0.3, "young_modulus": 4e6})
+    assert not more
+    assert read_json(tmp_path / "config.json")["told"]["trunk_mass"] == 0.3
+    assert _bytes(tmp_path)["policy.safetensors"] != first["policy.safetensors"]
+    with pytest.raises(ValueError, match="another told"):
+        train(CONFIG, tmp_path, BOX, told={"trunk_mass": 0.4})
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from soro_bench.leaderboard.strict import read_strict
 from soro_bench.options import check_name, check_seed
 from soro_bench.packed import is_there
 from soro_bench.parallel import processors
-from soro_bench.randomization import Distribution, holding
+from soro_bench.randomization import Distribution, holding, means
 from soro_bench.recording.rerun_stream import require_rerun
 from soro_bench.training.configuration import PPOConfig
 from soro_bench.training.methods import Method
@@ -24,7 +24,7 @@ ENTRY = "ppo"  # whose the results are, on the leaderboard
 class Run:
     """A policy of a board: by which method the training parameters are chosen, and how it is trained.
 
-    Environment, method and length of episodes in ``config`` are replaced by those of board and method.
+    Environment, method, length of episodes and memory in ``config`` are replaced by those of board and method.
     """
 
     board: str
@@ -38,7 +38,13 @@ class Run:
         object.__setattr__(
             self,
             "config",
-            replace(self.config, env_id=board.env_id, method=self.method.name, episode_steps=board.episode_steps),
+            replace(
+                self.config,
+                env_id=board.env_id,
+                method=self.method.name,
+                episode_steps=board.episode_steps,
+                frames=self.method.frames,
+            ),
         )
 
     def done(self, results: Path) -> bool:
@@ -76,6 +82,13 @@ class Run:
         own = self.method.distribution(self.config.env_id, self.config.seed, folder)
         return holding(own, BOARDS[self.board].fixed)
 
+    def told(self, distribution: Distribution | None, folder: Path) -> dict[str, float]:
+        """What the policy is told of the robot: means of what the method finds, of the parameters that training draws
+        from a distribution; nothing by most methods."""
+        if self.method.told is None or distribution is None:
+            return {}
+        return means(self.method.told(self.config.env_id, self.config.seed, folder), distribution.names)
+
     def result(self, results: Path) -> Path:
         """Where its entry is written."""
         return Path(results) / self.board / ENTRY / self.method.name / f"seed{self.config.seed}.json"
@@ -92,5 +105,6 @@ def carry_out(run: Run, work: Path, results: Path) -> None:
     check_output(run.result(results), ".json")  # before the training, not after it
     require_rerun()
     folder, threads = Path(work) / run.name, processors()
-    train(replace(run.config, num_threads=threads), folder, run.distribution(folder))
+    distribution = run.distribution(folder)
+    train(replace(run.config, num_threads=threads), folder, distribution, told=run.told(distribution, folder))
     enter(folder, run.board, ENTRY, results, threads, replace_other=True)

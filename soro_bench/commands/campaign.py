@@ -119,8 +119,13 @@ class InferenceBaseline(_OfOneMethod):
         recording = given or recording_path(BOARDS[self.board].env_id)
         found = inferred(method, recording, parse_params(self.known), self.replay_model,
                          self.noise)  # fmt: skip
-        check_name("the method", name := self._named(found.name))  # before the work, not after it
-        self.carry_out(replace(found, name=name))
+        chosen = self.of(replace(found, name=self._named(found.name)))
+        check_name("the method", chosen.name)  # before the work, not after it
+        self.carry_out(chosen)
+
+    def of(self, found: "Method") -> "Method":
+        """What is trained with a method that infers."""
+        return found
 
     def _named(self, method: str) -> str:
         """The method with the options that differ from the defaults: other options are another method."""
@@ -133,6 +138,17 @@ class InferenceBaseline(_OfOneMethod):
         if len(name) <= MAX_NAME:
             return name
         return f"{name[: MAX_NAME - 9]}_{_digest(name.encode())}"
+
+
+@dataclass
+class UniversalBaseline(InferenceBaseline):
+    """The same for a universal policy, which is told what is inferred."""
+
+    def of(self, found: "Method") -> "Method":
+        """A universal policy that is told what a method finds."""
+        from soro_bench.training.methods import universal
+
+        return universal(found)
 
 
 def _digest(data: bytes) -> str:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -12,6 +12,9 @@ from soro_bench.options import EnvId, KnownParameters, Parallel, check_name, che
 from soro_bench.parallel import HERE
 from soro_bench.progress import InferenceBar, TrainingBars, console
 from soro_bench.registration import task_type
+
+if TYPE_CHECKING:
+    from soro_bench.randomization import Distribution
 
 
 @dataclass
@@ -112,6 +115,12 @@ class Train:
     """The environment's model or mesh to train on; the cheap one by default."""
     action: Literal["discrete", "continuous"] | None = None
     """What the environment is best learned with by default."""
+    frames: int = 1
+    """Observations that the policy sees, the newest last; 5 are a memory of a quarter of a second of the trunk."""
+    told: Path | None = None
+    """JSON file of a distribution, such as `soro-bench infer` and `diagnose` write. The policy is told the parameters
+    of each episode in training, and afterwards the means of this file. Repeated with another file, the command tells
+    the same policy those, without training."""
     device: str = "cpu"
     """cpu, or a GPU such as cuda, by MuJoCo Warp and rsl_rl (docs/how_to/gpu.md)."""
     room: dict[str, int] | None = None
@@ -133,15 +142,27 @@ class Train:
         name = self.name or ("own" if self.randomization or self.effects else self.method)
         check_name("name", name)
         check_seed(self.seed)
-        config = default_config(self.env, self.steps, self.device, method=name, seed=self.seed, **changes)
+        own = {"method": name, "seed": self.seed, "frames": self.frames}
+        config = default_config(self.env, self.steps, self.device, **own, **changes)
         box = METHODS[self.method].distribution(self.env, self.seed, self.out)
         distribution = load(self.randomization) if self.randomization else box
+        told = self._told(distribution)
         with TrainingBars() as bar:
             shown = partial(bar, f"{name} seed {self.seed}")
             if self.device == "cpu":
-                train(config, self.out, distribution, shown)
+                train(config, self.out, distribution, shown, told)
             else:
                 from soro_bench.training.device import train_on_device
 
                 train_on_device(config, self.out, distribution, shown, self.device, self.room)
         console.print(f"policy in {self.out}")
+
+    def _told(self, distribution: "Distribution | None") -> dict[str, float]:
+        """What the policy is told, by name [SI units]; ValueError where it would learn nothing from that."""
+        from soro_bench.randomization import load, means
+
+        if self.told is None:
+            return {}
+        if distribution is None or self.device != "cpu":
+            raise ValueError("--told needs parameters that vary, by --method udr or --randomization, and --device cpu")
+        return means(load(self.told), distribution.names)

@@ -1,15 +1,18 @@
 """Stable-Baselines3's view of a vector environment."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import NDArray
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
 from soro_bench.arrays import Floats
 from soro_bench.envs.gymnasium_vector import AutoresetMode
+from soro_bench.envs.task import Task
 from soro_bench.envs.vector import SoftRobotVectorEnv
 
 
@@ -112,3 +115,40 @@ class SB3VecEnv(VecEnv):
 
     def _indices(self, indices: VecEnvIndices) -> list[int]:
         return list(self._get_indices(indices))
+
+
+class ParametersTold(VecEnvWrapper):
+    """Observations with physical parameters of their episode behind them, for a policy that is told them.
+
+    Args:
+        venv: a :class:`SB3VecEnv`, or wrappers around one.
+        task: its simulations.
+        names: parameters (d,), which each observation (k,) is followed by [SI units].
+    """
+
+    def __init__(self, venv: VecEnv, task: Task, names: Sequence[str]):
+        space = venv.observation_space
+        if not isinstance(space, spaces.Box):
+            raise TypeError(f"observations of {space}; a box is needed")
+        low, high = (np.r_[end, np.full(len(names), far)] for end, far in ((space.low, -np.inf), (space.high, np.inf)))
+        super().__init__(venv, spaces.Box(low, high, dtype=np.float64))
+        self._task, self._columns = task, [task.parameters.names.index(name) for name in names]
+
+    def reset(self) -> Floats:
+        """Observations (N, k + d) of new episodes in all environments."""
+        return self._with_parameters(np.asarray(self.venv.reset()))
+
+    def step_wait(self) -> VecEnvStepReturn:
+        """As that of the wrapped environments; a last observation has the parameters of its own episode."""
+        before = self._values()
+        observation, reward, done, infos = self.venv.step_wait()
+        for i in np.flatnonzero(done):
+            infos[i]["terminal_observation"] = np.concatenate([infos[i]["terminal_observation"], before[i]])
+        return self._with_parameters(np.asarray(observation)), reward, done, infos
+
+    def _with_parameters(self, observation: Floats) -> Floats:
+        return np.concatenate([observation, self._values()], axis=1)
+
+    def _values(self) -> Floats:
+        """(N, d) of the present episodes."""
+        return np.array(self._task.sim.params[:, self._columns], float)

@@ -64,7 +64,7 @@ class Board:
         condition = self.conditions[label]
         return evaluate(
             policy.act, self.env_id, condition.model, policy.card.action, condition.starts, num_threads,
-            self.episode_steps, **condition.options,
+            self.episode_steps, inputs=policy.inputs, **condition.options,
         )  # fmt: skip
 
     def score(self, episodes: list[Episode]) -> dict:

@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 
 from soro_bench.envs.task import effects_of
@@ -15,6 +16,8 @@ from soro_bench.recording.rerun_log import write_recording
 from soro_bench.recording.rerun_stream import require_rerun
 from soro_bench.registration import task_type
 from soro_bench.training.configuration import PPOConfig
+
+_SETTINGS = tuple(each.name for each in fields(PPOConfig) if each.name != "effects")  # which are entered by their names
 
 
 def enter(folder: Path, board: str, entry: str, results: Path, threads: int = 0, replace_other: bool = False) -> Path:
@@ -39,9 +42,11 @@ def enter(folder: Path, board: str, entry: str, results: Path, threads: int = 0,
     training = _training(folder, policy.card.env_id) | {
         "trainer": trainer,
         "algorithm": f"PPO ({config['learner']})" if "learner" in config else "PPO",
-        "settings": {name: config[name] for name in PPOConfig(policy.card.env_id).settings() if name in config},
+        "settings": {name: config[name] for name in _SETTINGS if name in config},
         "effects": [effect.name for effect in effects],
     }
+    if "told" in config:
+        training["told"] = config["told"]
     if not replace_other:
         check_free(results, board, entry, policy)
     check_writable(results, board, entry, policy)

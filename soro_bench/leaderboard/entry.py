@@ -18,6 +18,7 @@ import numpy as np
 from soro_bench import packed
 from soro_bench.arrays import Floats
 from soro_bench.envs.task import Task
+from soro_bench.evaluation import frames_of
 from soro_bench.files import check_folder, replacing, write_json
 from soro_bench.leaderboard.boards import BOARDS, Board
 from soro_bench.leaderboard.strict import ENTRY_BYTES, check, read_strict
@@ -108,7 +109,8 @@ def _check_fit(policy: TrainedPolicy, file: Path) -> None:
     """ValueError if a policy does not take its environment's observations or gives other actions."""
     task = _task(policy.card.env_id, policy.card.action)
     try:
-        task.check_actions(policy.act(np.zeros((1, *task.single_observation_space.shape))), 1)
+        frames_of(task, policy.inputs)
+        task.check_actions(policy.act(np.zeros((1, policy.inputs))), 1)
     except ValueError as error:
         raise ValueError(f"{file} is no policy for {policy.card.env_id}: {error}") from error
 

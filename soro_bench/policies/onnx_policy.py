@@ -38,7 +38,7 @@ _DOMAINS = ("", "ai.onnx")  # two names of the default one
 class OnnxPolicy:
     """A network with one input (n, k) and one output: (n, m) floats, or n integers if it picks discrete actions itself.
 
-    The observations are raw: what normalises them is in the network.
+    The observations are raw: what normalises them is in the network. k is the ``inputs`` of every policy.
     """
 
     suffix: ClassVar[str] = ".onnx"
@@ -48,7 +48,7 @@ class OnnxPolicy:
 
         self.card, self._data, self._source = card, data, source
         entrance = model.graph.input[0]
-        self._name, self._size = entrance.name, entrance.type.tensor_type.shape.dim[1].dim_value
+        self._name, self.inputs = entrance.name, entrance.type.tensor_type.shape.dim[1].dim_value
         self._dtype = _FLOATS[entrance.type.tensor_type.elem_type]
         self._evaluator = ReferenceEvaluator(model)
 
@@ -73,7 +73,7 @@ class OnnxPolicy:
 
     def act(self, observations: Floats) -> NDArray[Any]:
         """Actions for (n, k) observations: (n,) integers if the action mode is discrete, else (n, nu) in [-1, 1]."""
-        check_observations(observations, self._size)
+        check_observations(observations, self.inputs)
         # one row at a time, so that an action does not depend on how many are asked for at once
         rows = [self._evaluated(row) for row in observations]
         found = np.stack([np.ravel(row) for row in rows])
@@ -93,7 +93,7 @@ class OnnxPolicy:
         """ValueError if an action takes too long, twice: the first may wait for other work of the machine."""
         for _ in range(2):
             begin = time.perf_counter()
-            self.act(np.zeros((1, self._size)))
+            self.act(np.zeros((1, self.inputs)))
             if (took := time.perf_counter() - begin) <= MAX_SECONDS:
                 return
         raise ValueError(f"an action takes {took:.2g} s; allowed: {MAX_SECONDS:g} s")

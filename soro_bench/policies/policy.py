@@ -1,7 +1,7 @@
 """A trained policy as data: safetensors for the numbers, JSON for their meaning. Nothing is ever unpickled."""
 
 import reprlib
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, cast
 
@@ -51,8 +51,13 @@ class TrainedPolicy(Protocol):
     def card(self) -> PolicyCard:
         """What it was trained for."""
 
+    @property
+    def inputs(self) -> int:
+        """How many numbers it sees: those of an observation, or a multiple for the last ones, the newest last."""
+
     def act(self, observations: Floats) -> NDArray[Any]:
-        """Actions for (n, k) observations: (n,) integers if the action mode is discrete, else (n, nu) in [-1, 1]."""
+        """Actions for (n, inputs) observations: (n,) integers if the action mode is discrete, else (n, nu) in
+        [-1, 1]."""
 
     def to_bytes(self) -> bytes:
         """The content of its file."""
@@ -70,11 +75,15 @@ class Policy:
     card: PolicyCard
     tensors: dict[str, NDArray[np.floating]]
 
+    @property
+    def inputs(self) -> int:
+        """How many numbers it sees: those of an observation, or a multiple for the last ones, the newest last."""
+        return len(self.tensors["mean"])
+
     def act(self, observations: Floats) -> NDArray[Any]:
         """Actions for (n, k) observations: (n,) integers if the action mode is discrete, else (n, nu) in [-1, 1]."""
-        check_observations(observations, len(self.tensors["mean"]))
-        x = (observations - self.tensors["mean"]) / self.tensors["std"]
-        x = np.clip(x, -OBSERVATION_CLIP, OBSERVATION_CLIP)
+        check_observations(observations, self.inputs)
+        x = _normalised(observations, self.tensors["mean"], self.tensors["std"])
         layers = self.num_layers
         for i in range(layers):
             # one row at a time, so that an action does not depend on how many are asked for at once
@@ -82,6 +91,14 @@ class Policy:
             if i < layers - 1:
                 x = np.tanh(x)
         return x.argmax(axis=1) if self.card.action == "discrete" else np.clip(x, -1.0, 1.0)
+
+    def told(self, values: Floats) -> "Policy":
+        """The policy that takes its last inputs for ``values`` (d,), and sees the others only."""
+        seen, tensors = self.inputs - len(values), dict(self.tensors)
+        first, normalised = tensors["w0"], _normalised(values, tensors["mean"][seen:], tensors["std"][seen:])
+        tensors["b0"] = (tensors["b0"] + first[:, seen:] @ normalised).astype(tensors["b0"].dtype)
+        tensors |= {"w0": first[:, :seen], "mean": tensors["mean"][:seen], "std": tensors["std"][:seen]}
+        return replace(self, tensors=tensors)
 
     @property
     def num_layers(self) -> int:
@@ -147,6 +164,11 @@ class Policy:
             raise ValueError(f"{source} holds no valid policy: its layers do not fit together or are not finite")
         if (smallest := self.tensors["std"].min()) <= 0:
             raise ValueError(f"{source} holds no valid policy: its std has {smallest}; positive numbers are needed")
+
+
+def _normalised(values: Floats, mean: NDArray[np.floating], std: NDArray[np.floating]) -> Floats:
+    """Values (..., k) in standard deviations from their mean, as a network sees them."""
+    return np.asarray(np.clip((values - mean) / std, -OBSERVATION_CLIP, OBSERVATION_CLIP), float)
 
 
 OBSERVATION_CLIP = 10.0  # standard deviations

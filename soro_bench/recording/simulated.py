@@ -81,9 +81,11 @@ def record(
         act, steps = _in_turn(given), len(given)
     else:
         act = trained.act if trained else _random(task.single_action_space, seed)
+    inputs = trained.inputs if trained else None
     steps = steps or gymnasium.spec(env_id).max_episode_steps
     missing = {} if effects is None else {"effects": effects}
-    episode = _run(act, env_id, model, action, {"params": params or {}}, steps, seed, full_state, **missing)
+    start = {"params": params or {}}
+    episode = _run(act, env_id, model, action, start, steps, seed, full_state, inputs=inputs, **missing)
     if episode.diverged:
         raise ValueError(f"the simulation diverged after {episode.time[-1]:g} s; parameters nearer to the nominal "
                          "ones, or softer actions, are needed")  # fmt: skip

@@ -36,9 +36,11 @@ class PPOConfig:
     hidden: tuple[int, ...] = (128, 128)
     num_threads: int = 0
     effects: str | None = None  # an effects file: physics that the model leaves out
+    frames: int = 1  # observations that the policy sees, the newest last: more are its memory
 
     def __post_init__(self) -> None:
-        for name in ("total_steps", "num_envs", "rollout_steps", "rollouts_per_segment", "batch_size", "epochs"):
+        counts = ("total_steps", "num_envs", "rollout_steps", "rollouts_per_segment", "batch_size", "epochs", "frames")
+        for name in counts:
             if (count := getattr(self, name)) < 1:
                 raise ValueError(f"{name} = {count}; at least 1 is needed")
 
@@ -53,9 +55,11 @@ class PPOConfig:
         return -(-self.total_steps // self.segment_steps)
 
     def settings(self) -> dict[str, Any]:
-        """What changes the result, as JSON."""
+        """What changes the result, as JSON; what earlier trainings could not have is there only where it is used."""
         described = asdict(self) | {"hidden": list(self.hidden)}
         del described["num_threads"], described["effects"]  # the file may be elsewhere tomorrow
+        if self.frames == 1:
+            del described["frames"]
         return described
 
 

@@ -83,6 +83,8 @@ class DeviceTrainer:
     ):
         if config.action != "continuous":
             raise ValueError(f"action={config.action}: training on a device has continuous actions; use --device cpu")
+        if config.frames > 1:
+            raise ValueError(f"frames={config.frames}: training on a device has no memory; use --device cpu")
         self.config, self.device = config, device
         self.envs = TorchVectorEnv(
             config.env_id, config.num_envs, device, config.model, config.action, distribution, config.effects,

@@ -10,7 +10,7 @@ import io
 import time
 import warnings
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,9 +22,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.utils import set_random_seed
-from stable_baselines3.common.vec_env import VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecFrameStack, VecNormalize
 
-from soro_bench.envs.sb3 import SB3VecEnv
+from soro_bench.envs.sb3 import ParametersTold, SB3VecEnv
 from soro_bench.envs.task import effects_of
 from soro_bench.envs.vector import SoftRobotVectorEnv
 from soro_bench.errors import missing, one_line
@@ -50,6 +50,7 @@ def train(
     folder: str | Path,
     distribution: Distribution | None = None,
     progress: TrainingProgress = lambda steps, total, row: None,
+    told: Mapping[str, float] | None = None,
 ) -> Policy:
     """Train, or go on training, into ``folder`` and return the policy.
 
@@ -59,18 +60,27 @@ def train(
         distribution: what the parameters of every episode are drawn from; nominal if None.
         progress: called after every rollout in which an episode ended, with steps done, steps in total and the newest
             row of the curve.
+        told: parameters of its episode that the policy is told in training, and what it is told afterwards of the
+            robot [SI units]: a universal policy (Yu et al., "Preparing for the unknown", RSS 2017). Other values of the
+            same parameters need no other training.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # sums would depend on the number; networks this small gain nothing from more
     try:
-        return _train(config, Path(folder), distribution, progress)
+        return _train(config, Path(folder), distribution, progress, dict(told or {}))
     finally:
         torch.set_num_threads(threads)
 
 
-def _train(config: PPOConfig, folder: Path, distribution: Distribution | None, progress: TrainingProgress) -> Policy:
-    described, old = claim(folder, config, distribution)
-    env = make_env(config, distribution)
+def _train(
+    config: PPOConfig,
+    folder: Path,
+    distribution: Distribution | None,
+    progress: TrainingProgress,
+    told: Mapping[str, float],
+) -> Policy:
+    described, old = claim(folder, config, distribution, told=told)
+    env = make_env(config, distribution, tuple(told))
     episode_steps(config)
     agent = make_agent(config, env)
     for path in old:  # only now: what cannot be trained claims no folder
@@ -83,18 +93,25 @@ def _train(config: PPOConfig, folder: Path, distribution: Distribution | None, p
         kept.save(segment + 1, _state(agent, env))
     env.close()
     policy = _export(config, agent, env)
+    if told:
+        policy = policy.told(np.array(list(told.values())))
     policy.save(folder)
     return policy
 
 
 def claim(
-    folder: Path, config: PPOConfig, distribution: Distribution | None, learner: str | None = None
+    folder: Path,
+    config: PPOConfig,
+    distribution: Distribution | None,
+    learner: str | None = None,
+    told: Mapping[str, float] | None = None,
 ) -> tuple[dict[str, Any], list[Path]]:
     """What is trained into a folder, and files of an older trainer, whose run is trained anew; ValueError if the folder
     has another run.
 
     Args:
         learner: the library whose PPO it is, if it is not Stable-Baselines3's.
+        told: see :func:`train`; other values are no other run.
     """
     described = config.settings() | {"distribution": distribution.to_dict() if distribution else None}
     if config.effects:
@@ -102,6 +119,8 @@ def claim(
     described["trainer"] = TRAINER
     if learner:
         described["learner"] = learner
+    if told:
+        described["told"] = dict(told)
     path, written = folder / "config.json", [folder / name for name in _WRITTEN]
     if not path.exists():
         if left := [each.name for each in written if each.exists()]:
@@ -109,7 +128,7 @@ def claim(
                 f"{folder} has {', '.join(left)}, and no config.json that says of which run; choose another folder"
             )
         return described, []
-    if (found := read_json(path)) == described:
+    if (found := read_json(path)) == described or _but_for_values(found, described):
         return described, []
     if not isinstance(found, dict) or type(trainer := found.get("trainer", 0)) is not int:
         raise ValueError(f"{path} describes no training: it is {brief(found)}")
@@ -123,8 +142,16 @@ def claim(
     return described, written
 
 
-def make_env(config: PPOConfig, distribution: Distribution | None = None) -> VecNormalize:
-    """The environments of a training, as Stable-Baselines3 takes them."""
+def _but_for_values(found: Any, described: dict[str, Any]) -> bool:
+    """Whether a run is the same but for what its policy is told afterwards."""
+    told = described.get("told", {})
+    if not isinstance(found, dict) or not isinstance(values := found.get("told"), dict) or list(values) != list(told):
+        return False
+    return found | {"told": told} == described
+
+
+def make_env(config: PPOConfig, distribution: Distribution | None = None, told: Sequence[str] = ()) -> VecNormalize:
+    """The environments of a training, as Stable-Baselines3 takes them; ``told`` are parameters that the policy sees."""
     options: dict[str, Any] = {task_type(config.env_id).variant_name: config.model}
     if config.episode_steps is not None:
         options["max_episode_steps"] = config.episode_steps
@@ -144,10 +171,12 @@ def make_env(config: PPOConfig, distribution: Distribution | None = None) -> Vec
         raise TypeError(f"{config.env_id} is no environment of the suite")
     if distribution is not None:
         envs.task.randomize(distribution)
-    return VecNormalize(
-        SB3VecEnv(envs, config.finite_horizon), norm_reward=False, clip_obs=OBSERVATION_CLIP,
-        epsilon=config.observation_floor**2,
-    )  # fmt: skip
+    seen: VecEnv = SB3VecEnv(envs, config.finite_horizon)
+    if config.frames > 1:
+        seen = VecFrameStack(seen, config.frames)
+    if told:
+        seen = ParametersTold(seen, envs.task, told)
+    return VecNormalize(seen, norm_reward=False, clip_obs=OBSERVATION_CLIP, epsilon=config.observation_floor**2)
 
 
 def make_agent(config: PPOConfig, env: VecNormalize, device: str = "cpu") -> PPO:
