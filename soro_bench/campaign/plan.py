@@ -15,7 +15,7 @@ from soro_bench.parameters import ALL_PARAMETERS, WALL_OFFSET
 from soro_bench.randomization import TruncatedNormal, search_box
 from soro_bench.registration import task_type
 from soro_bench.training.configuration import default_config
-from soro_bench.training.methods import ORACLE, Method, fixed, udr
+from soro_bench.training.methods import MEMORY, ORACLE, Method, fixed, udr, universal
 
 SEEDS, BOXES = range(3), range(10)  # published: three repetitions, and ten random boxes for UDR
 # of what the first and the second claim compare: three seeds cannot tell methods apart
@@ -70,8 +70,10 @@ def _identified(board: str) -> list[Run]:
     # what wide randomisation does by itself, about no inferred value
     box = fixed("dr_box", search_box(task.randomized))
     methods = (ORACLE, rf_dropo, cheaply, box, bayes_sim, variance_for_deviation(bayes_sim))
-    runs = [run for method in methods for run in runs_of(board, method, MORE_SEEDS)]
-    return runs + runs_of(board, udr(), BOXES)
+    # methods of others, which the study names and did not run
+    others = (inferred("droid", recording), MEMORY, universal(rf_dropo))
+    seeds = dict.fromkeys(methods, MORE_SEEDS) | dict.fromkeys(others, SEEDS) | {udr(): BOXES}
+    return [run for method, some in seeds.items() for run in runs_of(board, method, some)]
 
 
 def _accurately() -> list[Run]:
