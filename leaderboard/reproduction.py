@@ -89,6 +89,9 @@ AFFORDABLE = {
     "bayes_sim_variance": "BayesSim, variances for deviations",
     "bayes_sim_unmodelled": "BayesSim, modulus held wrong",
     "udr": "random-box UDR",
+    "droid": "DROID: one value, fitted",
+    "memory": "whole box, and five observations remembered",
+    "universal_rf_dropo": "whole box, and told RF-DROPO's means",
     "oracle_flex": "true parameters, trained on the accurate model",
     "dr": "randomised",
     "no_dr": "nominal",
@@ -96,9 +99,10 @@ AFFORDABLE = {
 # Pairs of methods that the first two claims compare, on the simple and the accurate model
 ROBUSTER = (("rf_dropo", "oracle"), ("rf_dropo", "bayes_sim"), ("rf_dropo", "dr_box"), ("rf_dropo", "udr"))
 WALKER = (("dr", "no_dr"),)
-TRANSFERS = tuple(
-    (method, "oracle") for method in ("rf_dropo", "rf_dropo_cable", "bayes_sim", "bayes_sim_variance", "dr_box", "udr")
-)
+_TRANSFERRED = ("rf_dropo", "rf_dropo_cable", "bayes_sim", "bayes_sim_variance", "dr_box", "udr")
+TRANSFERS = (
+    *((method, "oracle") for method in _TRANSFERRED), ("memory", "dr_box"), ("universal_rf_dropo", "dr_box"),
+)  # fmt: skip
 # Table IV: elevation [mm], mean and standard deviation of three seeds
 LIFT = {
     ("TrunkLift-v0-100g", "no_dr"): (2.34, 4.03),
