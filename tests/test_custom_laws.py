@@ -27,7 +27,7 @@ from soro_bench.diagnosis.settings import DEFAULT
 from soro_bench.effects.catalogue import ALL
 from soro_bench.effects.custom_law import Memory, Variable
 from soro_bench.effects.effect import Effect, EffectError, Location, effect_from, load_effects, save_effects
-from soro_bench.effects.expression import names_in
+from soro_bench.effects.expression import name_of, names_in
 from tests.arm import ARM, HAND, MAP, problem, says
 from tests.results import outside_catalogue
 from tests.test_effects_on_a_hinge import flat, servo, turn
@@ -420,6 +420,27 @@ def test_a_law_reads_other_joints_where_there_are_a_dozen(robot_of, joints, read
     robot = robot_of(mapping, f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
     found = variables_at(robot, Location("joint", "j0"), DEFAULT.discovery)
     assert sum(variable.of == "position" for variable, _ in found) == 1 + read
+
+
+def test_names_in_laws_are_short_and_distinct_where_elements_have_long_names_that_begin_alike(robot_of):
+    joints = [f"left_shadow_hand/finger_{i}" for i in range(9)]
+    bodies = "".join(f'<body><joint name="{each}" damping="1"/><geom size="0.01"/></body>' for each in joints)
+    motors = "".join(f'<position name="{each}_motor" joint="{each}" kp="1"/>' for each in joints)
+    mapping = f"[robot]\ncontrol_timestep = 0.02\n[commands.goal]\nactuators = {[f'{each}_motor' for each in joints]}\n"
+    mapping += f'[signal]\nname = "q"\njoints = ["{joints[0]}"]\nunit = "rad"\n'
+    mapping += '[parameters.damping]\nfields = ["dof_damping:*"]\ndeviation = 0.3\n'
+    robot = robot_of(mapping, f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>")
+    read, rng = variables_at(robot, Location("joint", joints[0]), DEFAULT.discovery), np.random.default_rng(0)
+    meanings = {}
+    for term, *_ in groups([Read(each, rng.normal(size=50), unit) for each, unit in read], []):
+        said = [(each.name, each) for each in term.variables]
+        for state in term.states:
+            said += [(name, (state.of, state.input)) for name in (state.name, state.parameter)]
+        if not term.states and len(term.variables) == 1:
+            said += [(shape.name, term.variables[0].name) for shape in term.shapes]
+        for name, meaning in said:
+            meanings.setdefault(name_of(name, "a name"), set()).add(meaning)
+    assert len(meanings) > len(read) and {len(each) for each in meanings.values()} == {1}
 
 
 def test_seeds_that_disagree_are_alternatives_with_their_shares():

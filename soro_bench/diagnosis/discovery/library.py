@@ -15,6 +15,7 @@ from soro_bench.effects.effect import Location
 from soro_bench.effects.expression import Node, evaluated
 
 _FAR = 1e6  # s or m, of ranges that are not known yet
+_LONGEST = 18  # characters of a variable; what is named after it adds six at most, and a name in a law has 24
 # where fits of shapes begin: s, of lags and Maxwell elements; shares of a range of position, of play and hysteresis;
 # periods in that range; and shares of a range of velocity, in which the sign of a law changes
 _TIMES, _WIDTHS, _WAVES, _SMOOTHINGS = (0.1, 0.3, 1.0), (0.05, 0.2), (1.0, 1.5, 2.0, 3.0), (0.005, 0.02)
@@ -82,8 +83,7 @@ def variables_at(robot: Robot, location: Location, settings: DiscoverySettings) 
     taken: set[str] = set()
 
     def add(of: str, name: str, unit: str, place: Place | None, axis: str | None = None) -> None:
-        while name in taken:
-            name += "_"
+        name = _not_taken(name, taken)
         taken.add(name)
         found.append((Variable(name, of, -_FAR, _FAR, place, axis), unit))
 
@@ -114,7 +114,14 @@ def variables_at(robot: Robot, location: Location, settings: DiscoverySettings) 
 
 
 def _named(of: str, element: str) -> str:
-    return f"{_OTHER[of]}_{re.sub(r'[^0-9A-Za-z]', '_', element)[:16]}"
+    return f"{_OTHER[of]}_{re.sub(r'[^0-9A-Za-z]', '_', element)}"[:_LONGEST]
+
+
+def _not_taken(name: str, taken: set[str]) -> str:
+    """The name, or as much of it as there is room for with the first number that makes it another one."""
+    numbers = (f"_{k}" for k in itertools.count(2))
+    names = itertools.chain([name], (f"{name[: _LONGEST - len(number)]}{number}" for number in numbers))
+    return next(each for each in names if each not in taken)
 
 
 def groups(reads: Sequence[Read], periods: Sequence[float]) -> list[Group]:
@@ -171,7 +178,7 @@ def _of_one(each: Read) -> Iterator[Term]:
 
 def _smooth(each: Read) -> list[Shape]:
     """Within which a sign changes."""
-    return [Shape(f"s_{each.name}"[:24], share * each.span, each.unit) for share in _SMOOTHINGS]
+    return [Shape(f"s_{each.name}", share * each.span, each.unit) for share in _SMOOTHINGS]
 
 
 def _pairs(moving: Sequence[Read], own: Sequence[Read]) -> Iterator[tuple[Read, Read]]:
@@ -228,8 +235,8 @@ def _memories(each: Read, lags_only: bool = False) -> list[Group]:
 
 
 def _memory(of: str, each: Read, shape: Shape, unit: str) -> Term:
-    name = f"{of}_{each.name}"[:24]
-    shape = replace(shape, name=f"{shape.name}_{of}"[:24])
+    name = f"{of}_{each.name}"
+    shape = replace(shape, name=f"{shape.name}_{of}")
     state = Memory(name, of, each.name, shape.name)
     return Term(name, unit, (each.variable,), (state,), (shape,))
 
@@ -238,7 +245,7 @@ def _waves(each: Read) -> list[Group]:
     """Periodic in a position, as cogging is."""
     found = list[Group]()
     for count in _WAVES:
-        shape = Shape(f"n_{each.name}"[:24], float(np.pi * count / each.span), f"1/{each.unit}")
+        shape = Shape(f"n_{each.name}", float(np.pi * count / each.span), f"1/{each.unit}")
         turned: Node = ("multiply", shape.name, each.name)
         found.append((_simple(each, ("sin", turned), "1", shape), _simple(each, ("cos", turned), "1", shape)))
     return found
