@@ -338,7 +338,7 @@ def test_nothing_is_proposed_where_one_answer_stands_alone(frictions):
 @pytest.mark.parametrize("timestep", [0.05, 0.6])
 def test_motions_stay_in_the_action_space_and_end_where_they_began(channels, timestep):
     found = motions(channels, NAMES, timestep)
-    assert len({m.words for m in found}) == len(found) >= 2
+    assert len({m.words for m in found}) == len(found) >= 1
     for motion in found:
         assert motion.actions.shape == (round(10.0 / timestep), 8)
         assert all(row in spaces.Box(-1, 1, (8,)) for row in motion.actions.astype(np.float32))
@@ -354,6 +354,11 @@ def test_motions_have_holds_slow_parts_and_fast_parts():
         assert part in words
     slow = next(m for m in motions((2,), NAMES, 0.05) if m.words.startswith("slow triangles"))
     assert np.abs(slow.actions).max() == pytest.approx(0.1)
+
+
+def test_motions_that_do_not_fit_are_left_out():
+    """Ten seconds are 17 control steps of the walker; triangles of eight channels take 48."""
+    assert [m.words for m in motions(range(8), NAMES, 0.6)] == ["sums of sines of every channel"]
 
 
 def test_motions_leave_channels_without_a_command_alone():

@@ -119,16 +119,16 @@ def motions(
     together = groups.sum(axis=0, keepdims=True)
     others = every - together if some else together
     triangle, hold = triangles(settings.stroke, (1,)), step_and_hold(round(settings.hold / timestep))
+    slow_beside = _slowed(triangle, settings.slow, groups, room - 2 * len(others))
+    pulled = np.concatenate([others, slow_beside, -others]) if slow_beside.any() else slow_beside
     parts = {
         "fast triangles of {}": _slowed(triangle, 1, groups, room),
         "slow triangles of {}": _slowed(triangle, settings.slow, groups, room),
         "slow nested loops of {}": _slowed(loops(), settings.slow, groups, room),
         f"steps of {{}} with holds of {settings.hold:g} s": _slowed(hold, 1, together, room),
-        f"slow triangles of {{}} with {'the others' if some else 'all'} pulled a little": np.concatenate([
-            others, _slowed(triangle, settings.slow, groups, room - 2 * len(others)), -others
-        ]),
+        f"slow triangles of {{}} with {'the others' if some else 'all'} pulled a little": pulled,
         "sums of sines of {}": multisine(room, len(groups), timestep, seed) @ groups,
-    }  # fmt: skip
+    }
     what = " and ".join(names[i] for i in channels) if some else "every channel"
     before = int(settings.rest * total)
     return [
