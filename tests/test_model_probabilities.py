@@ -361,6 +361,19 @@ def test_motions_that_do_not_fit_are_left_out():
     assert [m.words for m in motions(range(8), NAMES, 0.6)] == ["sums of sines of every channel"]
 
 
+@pytest.mark.parametrize("timestep", [3.0, 5.0, 8.0, 30.0])
+def test_motions_of_robots_with_few_control_steps_end_where_they_began_or_are_left_out(timestep):
+    found = motions((0,), NAMES, timestep)
+    assert bool(found) == (timestep < 8.0)
+    assert all(np.abs(motion.actions.sum(axis=0)).max() < 1e-9 for motion in found)
+
+
+def test_nothing_is_proposed_where_no_motion_fits():
+    robot = SimpleNamespace(driven=np.ones(8, bool), channels=NAMES, control_timestep=30.0, channel=lambda _: 0)
+    slow = SimpleNamespace(robot=robot, settings=DEFAULT, misfit=lambda _: 0.0)
+    assert proposed(slow, Comparison(tuple(several(0.5, 0.5)), 0.0, 1e-6)) is None
+
+
 def test_motions_leave_channels_without_a_command_alone():
     found = motions((1,), NAMES, 0.05, driven=np.arange(8) < 3)
     moved = {motion.words: np.flatnonzero(motion.actions.any(axis=0)).tolist() for motion in found}

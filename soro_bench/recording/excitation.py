@@ -101,11 +101,11 @@ def in_turn(rates: np.ndarray, groups: np.ndarray) -> np.ndarray:
 
 
 def multisine(steps: int, channels: int, timestep: float, seed: int) -> np.ndarray:
-    """(steps, channels) rates: odd harmonics of equal displacement and random phases.
+    """(steps, channels) rates in two time steps or more: odd harmonics of equal displacement and random phases.
 
     They are whole periods, so that it ends where it began.
     """
-    periods = max(1, round(FREQUENCIES[0] * steps * timestep))
+    periods = max(1, min(round(FREQUENCIES[0] * steps * timestep), int(_HIGHEST * steps)))
     base = periods / steps  # cycles per time step
     highest = min(FREQUENCIES[1] * timestep, _HIGHEST)
     harmonics = np.arange(1, max(2, int(highest / base) + 1), 2)

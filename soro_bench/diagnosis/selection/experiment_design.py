@@ -56,7 +56,8 @@ class Proposal:
 def proposed(
     problem: Problem, comparison: Comparison, unknown: Location | None = None, seed: int = 0
 ) -> Proposal | None:
-    """The motion that best tells the remaining answers apart; None where there is only one, or no command to move.
+    """The motion that best tells the remaining answers apart; None where there is only one, no command to move, or no
+    motion that fits.
 
     Args:
         unknown: where a discrepancy outside the catalogue acts, if that is the answer: then the channels there move.
@@ -70,7 +71,8 @@ def proposed(
     least_misfit = min(problem.misfit(a.hypothesis.residual) for a in comparison.answers)
     tempered_by = temperature(least_misfit, problem.settings.probabilities)
     channels = _channels(robot, rivals, unknown)
-    tried = motions(channels, robot.channels, robot.control_timestep, seed, settings, robot.driven)
+    if not (tried := motions(channels, robot.channels, robot.control_timestep, seed, settings, robot.driven)):
+        return None
     predicted = [predictions(problem, motion.actions, as_fitted) for motion in tried]
     first = [_rated(rivals, separations(problem, rivals, rows), tempered_by) for rows in predicted]
     finalists = sorted(range(len(tried)), key=lambda i: -first[i])[: settings.finalists]
@@ -121,13 +123,14 @@ def motions(
     triangle, hold = triangles(settings.stroke, (1,)), step_and_hold(round(settings.hold / timestep))
     slow_beside = _slowed(triangle, settings.slow, groups, room - 2 * len(others))
     pulled = np.concatenate([others, slow_beside, -others]) if slow_beside.any() else slow_beside
+    sines = multisine(room, len(groups), timestep, seed) @ groups if room > 1 else groups[:0]
     parts = {
         "fast triangles of {}": _slowed(triangle, 1, groups, room),
         "slow triangles of {}": _slowed(triangle, settings.slow, groups, room),
         "slow nested loops of {}": _slowed(loops(), settings.slow, groups, room),
         f"steps of {{}} with holds of {settings.hold:g} s": _slowed(hold, 1, together, room),
         f"slow triangles of {{}} with {'the others' if some else 'all'} pulled a little": pulled,
-        "sums of sines of {}": multisine(room, len(groups), timestep, seed) @ groups,
+        "sums of sines of {}": sines,
     }
     what = " and ".join(names[i] for i in channels) if some else "every channel"
     before = int(settings.rest * total)
@@ -264,4 +267,5 @@ def _slowed(rates: np.ndarray, slowness: int, groups: np.ndarray, room: int) -> 
     """
     once = len(rates) * len(groups)
     slowness = max(1, min(slowness, room // once))
-    return in_turn(np.tile(np.repeat(rates / slowness, slowness), room // (once * slowness)), groups)
+    times = max(0, room // (once * slowness))
+    return in_turn(np.tile(np.repeat(rates / slowness, slowness), times), groups)
