@@ -115,7 +115,7 @@ def discovered(
     before, with_nearest = (_mean_square(test, each) for each in (nominal, nearest))
     laws = [each for located in inputs for each in structures(located)]
     fitted_on, found = _fitted(begun, test, nominal, laws, seed)
-    peaks = tuple(each / (2.0 * np.pi) for each in inputs[0].periods())
+    peaks = tuple(each / (2.0 * np.pi) for each in inputs[0].peaks())
     nothing = Discovery(None, (), near[0].location, before, with_nearest, np.nan, own, peaks, inputs[0])
     best = None
     if found:

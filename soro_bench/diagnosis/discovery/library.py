@@ -124,11 +124,11 @@ def _not_taken(name: str, taken: set[str]) -> str:
     return next(each for each in names if each not in taken)
 
 
-def groups(reads: Sequence[Read], periods: Sequence[float]) -> list[Group]:
+def groups(reads: Sequence[Read], frequencies: Sequence[float]) -> list[Group]:
     """All terms of the grammar.
 
     Args:
-        reads: what the location may read. periods: rad/s, of peaks in the spectrum of the input.
+        reads: what the location may read. frequencies: rad/s, of peaks in the spectrum of the input.
     """
     moving = [each for each in reads if each.values.std() > 1e-9]
     by = {each.name: each for each in moving}
@@ -147,7 +147,7 @@ def groups(reads: Sequence[Read], periods: Sequence[float]) -> list[Group]:
             found += _memories(each, lags_only=True)
         if each.variable.of == "position":
             found += _waves(each)
-    found += _periodic(time, periods) if time else []
+    found += _periodic(time, frequencies) if time else []
     return found
 
 
@@ -251,9 +251,9 @@ def _waves(each: Read) -> list[Group]:
     return found
 
 
-def _periodic(time: Read, periods: Sequence[float]) -> list[Group]:
+def _periodic(time: Read, frequencies: Sequence[float]) -> list[Group]:
     found = list[Group]()
-    for omega in periods:
+    for omega in frequencies:
         shape = Shape("omega", float(omega), "rad/s", False, float(np.pi / max(time.span, 1e-9)))
         turned: Node = ("multiply", shape.name, time.name)
         found.append((_simple(time, ("sin", turned), "1", shape), _simple(time, ("cos", turned), "1", shape)))

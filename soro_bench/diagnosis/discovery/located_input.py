@@ -219,8 +219,8 @@ class LocatedInput:
     def _dt(self) -> float:
         return self.problem.robot.control_timestep
 
-    def periods(self) -> list[float]:
-        """rad/s, of the largest peaks of the spectrum of the input, the first one first."""
+    def peaks(self) -> list[float]:
+        """rad/s, where the spectrum of the input is largest, the largest peak first."""
         dt, longest = self.problem.robot.control_timestep, max(self.lengths)
         frequencies = np.fft.rfftfreq(4 * longest, dt)
         power = np.zeros(len(frequencies))

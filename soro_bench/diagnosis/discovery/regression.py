@@ -74,9 +74,9 @@ def structures(located: LocatedInput) -> list[Structure]:
 
 
 def _candidates(located: LocatedInput) -> list[Candidate]:
-    periods, found = located.periods(), []
+    frequencies, found = located.peaks(), []
     for channel, reads in enumerate(located.reads):
-        found += [Candidate(group, channel) for group in groups(reads, periods)]
+        found += [Candidate(group, channel) for group in groups(reads, frequencies)]
     for point in _points(located):
         found += [Candidate((_central(power),), 0, point) for power in _FALLS]
     return found
