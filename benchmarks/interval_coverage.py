@@ -4,8 +4,8 @@
 
 Every arm is simulated with parameters drawn from their priors, dry friction that its model lacks, and a tenth of the
 model's time step. Only ratios of all these forces show in the motion. Prints, of every number, the truth and its 90 %
-interval, and how many intervals hold it: as they are, and from the slopes that the fits ended with (widths.py). Of
-another law than dry friction there is no friction to hold.
+interval, and how many intervals hold it: as they are, and from the slopes that the fits ended with. Of another law
+than dry friction there is no friction to hold.
 """
 
 import argparse

@@ -91,6 +91,12 @@ def test_old_words_do_not_come_back():
     assert not odd
 
 
+def test_scripts_that_texts_name_are_there():
+    pattern = re.compile(r"(?<![\w/])(?:benchmarks|docs|leaderboard)/\w+\.py\b(?!` of commit)")
+    named = {(name, script) for name in _files() for script in pattern.findall((ROOT / name).read_text())}
+    assert len(named) > 50 and sorted(each for each in named if not (ROOT / each[1]).exists()) == []
+
+
 CHECKOUT = Path(soro_bench.__file__).parents[1]
 EPISODE_STEPS = {"TrunkReach": 100, "TrunkPush": 100, "TrunkLift": 100, "TrunkGrasp": 100, "MultiGait": 6}
 USE = "import gymnasium; env = gymnasium.make('soro_bench:TrunkPush-v0', model='cable'); env.reset(seed=0); env.step(3)"

@@ -101,7 +101,7 @@ class UnderModelForm:
 
         Such an error looks a little like many laws: all of them together explain much of it, and none of them much
         more than the others. One law that is missing explains most of what all do. How often either is so was counted
-        (``benchmarks/model_form.py``).
+        on healthy robots of other simulators and on hidden effects (``benchmarks/other_simulators.py``).
 
         Args:
             gains: (H,) in log evidence, or less misfit, by each law [nats].

@@ -149,7 +149,9 @@ class DiscoverySettings:
     many locations as laws are kept (``SelectionSettings.kept``)."""
 
     location_share: float = setting(0.8, "1", "of the best location's gain, below which none is looked at")
-    elements: int = setting(12, "elements", "of each kind that a law may read, the nearest first")
+    elements: int = setting(
+        12, "elements", "of each kind that a law may read: of more joints or tendons none, of more actuators the first"
+    )
     replayed: tuple[int, ...] = setting(
         (6, 5, 2), "laws", "of one to three terms that are replayed; half are fitted; as many as the last, again"
     )
