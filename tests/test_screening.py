@@ -10,7 +10,7 @@ pytest.importorskip("pyarrow", reason="needs the train extra")
 
 from soro_bench.diagnosis.candidates import term, terms, typical
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, descended, fitted, with_covariance
-from soro_bench.diagnosis.estimation.problem import Problem
+from soro_bench.diagnosis.estimation.problem import DIVERGED, Problem
 from soro_bench.diagnosis.outliers import nominal_fit
 from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
@@ -180,6 +180,16 @@ def test_nothing_is_sized_where_noise_is_all_that_is_left(swing):
     problem, fit, robot = swing
     candidates = terms(robot)
     assert sized(problem.allowing(0.0), fit, candidates, robot) == candidates
+
+
+def test_samples_that_do_not_count_have_no_response_where_a_term_makes_the_robot_diverge(swing, monkeypatch):
+    problem, fit, robot = swing
+    counts = np.arange(problem.weight.size) % 2.0
+    diverged = np.array([[0.0], [np.nan]]) + 0.0 * counts  # without the term, and with it
+    monkeypatch.setattr(Problem, "simulated", lambda *_: diverged)
+    one = term(robot, "viscous_friction", TRUTH.location)
+    (rows,) = responses(replace(problem, weight=counts), fit, [one], robot)
+    assert np.array_equal(rows[0], DIVERGED * counts)
 
 
 @pytest.mark.parametrize(("misfits", "scaled"), [(7.0, False), (14.0, True)])

@@ -23,6 +23,11 @@ class SimulationError(ValueError):
     """The nominal robot cannot be simulated."""
 
 
+def finite(residuals: Floats) -> Floats:
+    """Residuals of any shape [noise deviations], ``DIVERGED`` far off where they are no finite numbers."""
+    return np.nan_to_num(residuals, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED)
+
+
 @dataclass(frozen=True)
 class Problem:
     """Recordings to explain together, M samples in all.
@@ -175,8 +180,7 @@ class Problem:
 
     def residuals_of(self, simulated: Floats) -> Floats:
         """(N, M) measured less simulated (N, M) [signal's unit], in units of sigma."""
-        residual = (np.nan_to_num(self.measured) - simulated) / self.sigma
-        return np.nan_to_num(residual, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED) * self.weight
+        return finite((np.nan_to_num(self.measured) - simulated) / self.sigma) * self.weight
 
     def first(self, steps: Sequence[int]) -> "Problem":
         """The same problem of the first control steps of each recording."""

@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from scipy.linalg import solve_triangular
 
 from soro_bench.diagnosis.estimation.fit import Hypothesis, normal_equations
-from soro_bench.diagnosis.estimation.problem import DIVERGED, Problem
+from soro_bench.diagnosis.estimation.problem import Problem, finite
 from soro_bench.diagnosis.localisation.input_models import SCALES, Free, Linear
 from soro_bench.diagnosis.localisation.test_inputs import Acting, Source, replayed, setpoints
 from soro_bench.diagnosis.robots.robot import Robot
@@ -211,15 +211,11 @@ class Search:
 
     def _beside(self, simulated: np.ndarray) -> np.ndarray:
         """(M,) the residual with the parameters of the hypothesis."""
-        return self._finite(self.base.residual - self._added(simulated))
+        return finite(self.base.residual - self._added(simulated))
 
     def _residual(self, estimate: Estimate) -> np.ndarray:
         """(M,) the residual with the parameters in the middle of their priors, to first order."""
-        return self._finite(self._beside(estimate.simulated) - estimate.x @ estimate.jacobian)
-
-    def _finite(self, residual: np.ndarray) -> np.ndarray:
-        """(M,) a residual where a simulation may have diverged."""
-        return np.nan_to_num(residual, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED)
+        return finite(self._beside(estimate.simulated) - estimate.x @ estimate.jacobian)
 
     def _responses(self, estimate: Estimate) -> tuple[np.ndarray, Rows]:
         """(d, M) and (n K, M) change of the residual by the parameters, and by each value of the input."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from soro_bench.arrays import Bools, Floats
 from soro_bench.diagnosis.candidates import Term, effects_at
-from soro_bench.diagnosis.estimation.problem import DIVERGED
+from soro_bench.diagnosis.estimation.problem import DIVERGED, finite
 from soro_bench.diagnosis.paired.changes import LawChange, ParameterChange, Side
 from soro_bench.diagnosis.robots.measured import Measured
 from soro_bench.diagnosis.robots.robot import Robot
@@ -115,8 +115,7 @@ class PairedProblem:
             self.simulated(points), self.measured, self.seen, self.sigma, self.share, strict=True
         ):
             off = np.where(seen, (np.nan_to_num(given) - values) / sigma, 0.0)
-            off = np.clip(np.nan_to_num(off, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED), -DIVERGED, DIVERGED)
-            found.append(off * np.sqrt(share))
+            found.append(np.clip(finite(off), -DIVERGED, DIVERGED) * np.sqrt(share))
         return np.hstack(found)
 
     def squares(self, points: Sequence[Point]) -> Floats:

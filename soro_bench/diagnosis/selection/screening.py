@@ -15,7 +15,7 @@ import numpy as np
 from soro_bench.diagnosis import spread_terms
 from soro_bench.diagnosis.candidates import Term, effects_at
 from soro_bench.diagnosis.estimation.fit import Guess, Hypothesis, normal_equations
-from soro_bench.diagnosis.estimation.problem import DIVERGED, Problem
+from soro_bench.diagnosis.estimation.problem import Problem, finite
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import ScreeningSettings
 from soro_bench.diagnosis.spread_terms import SpreadTerm, spread
@@ -218,8 +218,7 @@ def responses(problem: Problem, base: Hypothesis, candidates: Sequence[Term], ro
             points.append((np.concatenate([base.x, x]), (*base.terms, candidate)))
             magnitudes.append(x[column])
     without, *simulated = problem.simulated(robot, [(base.x, base.terms), *points])
-    rows = (without - np.array(simulated)) / problem.sigma * problem.weight / np.array(magnitudes)[:, None]
-    rows = np.nan_to_num(rows, nan=DIVERGED, posinf=DIVERGED, neginf=-DIVERGED)
+    rows = finite((without - np.array(simulated)) / problem.sigma / np.array(magnitudes)[:, None]) * problem.weight
     ends = np.cumsum([sum(candidate.magnitudes) for candidate in candidates])
     return np.split(rows, ends[:-1])
 
