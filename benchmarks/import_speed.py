@@ -13,6 +13,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -104,14 +105,14 @@ def size_of(path: Path) -> int:
     return sum(file.stat().st_size for file in path.iterdir()) if path.is_dir() else path.stat().st_size
 
 
-def measure(path: Path, mapping: dict, answer: multiprocessing.Queue) -> None:
-    """Read a log; answer with its samples, seconds, seconds of work, and the largest memory of this process [MB]."""
+def measure(path: Path, mapping: dict) -> tuple[int, float, float, float]:
+    """Read a log: its samples, seconds, seconds of work, and the largest memory of this process [MB]."""
     begin, worked = time.perf_counter(), time.process_time()
     with ReadingBar() as bar:
         recording = import_recording(path, mapping, bar)
     took, work = time.perf_counter() - begin, time.process_time() - worked
     samples = len(recording.signals["q"].time)
-    answer.put((samples, took, work, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024))
+    return samples, took, work, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def main() -> None:
@@ -127,11 +128,8 @@ def main() -> None:
         small, some = size_of(write(folder, SAMPLE)), folder.with_name(folder.name + "_large")
         some.mkdir()
         path = write(some, max(1, round(SAMPLE * 1e6 * arguments.megabytes / small)))
-        answer: multiprocessing.Queue = context.Queue()
-        process = context.Process(target=measure, args=(path, mapping, answer))
-        process.start()
-        samples, took, work, memory = answer.get()
-        process.join()
+        with ProcessPoolExecutor(1, context) as alone:  # says so if the process dies or refuses the log
+            samples, took, work, memory = alone.submit(measure, path, mapping).result()
         size = size_of(path) / 1e6
         rows.append((kind, f"{size:.0f}", samples, f"{took:.1f}", f"{work:.1f}", f"{size / work:.0f}", f"{memory:.0f}"))
         for used in (folder, some):
