@@ -99,22 +99,8 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Floats, dict[str, Any]]:
         """As Gymnasium's; ``options["reset_mask"]`` (num_envs,) picks the simulations to reset."""
-        seeds: list[int | None]
-        if seed is None:
-            seeds = [None] * self.num_envs
-        elif isinstance(seed, int | np.integer):
-            seeds = [int(seed) + i for i in range(self.num_envs)]
-        else:
-            seeds = list(seed) if isinstance(seed, Iterable) else [seed]
-            if not all(one is None or isinstance(one, int | np.integer) for one in seeds):
-                raise ValueError(f"seed {seed!r} has to be an integer, or one for each of {self.num_envs} environments")
-        if len(seeds) != self.num_envs:
-            raise ValueError(f"{len(seeds)} seeds for {self.num_envs} environments")
-        options = dict(checked_options(options))
-        mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, bool)))
-        if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
-            raise ValueError(f"reset_mask {mask.tolist()} has to be {self.num_envs} booleans, one of them true")
-        ids = np.flatnonzero(mask)
+        seeds, options = _seeds_of(seed, self.num_envs), dict(checked_options(options))
+        ids = _masked(options.pop("reset_mask", np.ones(self.num_envs, bool)), self.num_envs)
         seeded = {i: seeding.np_random(int(one)) for i in ids if (one := seeds[i]) is not None}  # or none of them
         for i, (rng, used) in seeded.items():
             self._rngs[i], self._seeds[i] = rng, used
@@ -145,17 +131,21 @@ class SoftRobotVectorEnv(CopiedWithTask, VectorEnv[Floats, Any, NDArray[Any]]):
         self._restart(restarting, [{}] * len(restarting), info)
         self._done = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._done.any():
-            done = np.flatnonzero(self._done)
-            final = _moved_out(info, done)
-            if self._done.all():  # then no row is left, and Gymnasium's environments have no such keys
-                info.clear()
-            _scatter(info, {"final_info": final}, done, self.num_envs)
-            # one observation each and None, as Gymnasium has them
-            info["final_obs"], info["_final_obs"] = np.full(self.num_envs, None), self._done.copy()
-            for i in done:
-                info["final_obs"][i] = self._observation[i].copy()
-            self._restart(done, [{}] * len(done), info)
+            self._restart_at_once(info)
         return self._observation.copy(), reward, terminated, truncated, info
+
+    def _restart_at_once(self, info: dict[str, Any]) -> None:
+        """Reset the simulations that are done; what they ended with goes to Gymnasium's ``final_`` keys of ``info``."""
+        done = np.flatnonzero(self._done)
+        final = _moved_out(info, done)
+        if self._done.all():  # then no row is left, and Gymnasium's environments have no such keys
+            info.clear()
+        _scatter(info, {"final_info": final}, done, self.num_envs)
+        # one observation each and None, as Gymnasium has them
+        info["final_obs"], info["_final_obs"] = np.full(self.num_envs, None), self._done.copy()
+        for i in done:
+            info["final_obs"][i] = self._observation[i].copy()
+        self._restart(done, [{}] * len(done), info)
 
     def render(self) -> "tuple[Picture, ...] | None":
         """(480, 640, 3) pixels of every simulation; None, with a warning, without a render_mode."""
@@ -328,6 +318,28 @@ def _limit(max_episode_steps: int) -> float:
         raise ValueError(f"max_episode_steps {max_episode_steps!r}: an integer of 1 or more, or -1 for none, is needed "
                          "(the registered number holds without the argument)")  # fmt: skip
     return int(max_episode_steps)
+
+
+def _seeds_of(seed: Any, num_envs: int) -> list[int | None]:
+    """The seed of each environment, None for those that go on with their generators; ValueError for what is none."""
+    if seed is None:
+        return [None] * num_envs
+    if isinstance(seed, int | np.integer):
+        return [int(seed) + i for i in range(num_envs)]
+    seeds = list(seed) if isinstance(seed, Iterable) else [seed]
+    if not all(one is None or isinstance(one, int | np.integer) for one in seeds):
+        raise ValueError(f"seed {seed!r} has to be an integer, or one for each of {num_envs} environments")
+    if len(seeds) != num_envs:
+        raise ValueError(f"{len(seeds)} seeds for {num_envs} environments")
+    return seeds
+
+
+def _masked(given: object, num_envs: int) -> Ints:
+    """The environments that a reset mask picks; ValueError for what is no mask, or picks none."""
+    mask = np.asarray(given)
+    if mask.shape != (num_envs,) or mask.dtype != bool or not mask.any():
+        raise ValueError(f"reset_mask {mask.tolist()} has to be {num_envs} booleans, one of them true")
+    return np.flatnonzero(mask)
 
 
 def _options_of(options: Mapping[str, Any], i: int, num_envs: int) -> dict[str, Any]:
