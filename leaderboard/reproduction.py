@@ -92,6 +92,7 @@ AFFORDABLE = {
     "droid": "DROID: one value, fitted",
     "memory": "whole box, and five observations remembered",
     "universal_rf_dropo": "whole box, and told RF-DROPO's means",
+    "universal_rf_dropo_cable": "whole box, and told those of the simple model",
     "oracle_flex": "true parameters, trained on the accurate model",
     "dr": "randomised",
     "no_dr": "nominal",
@@ -100,9 +101,8 @@ AFFORDABLE = {
 ROBUSTER = (("rf_dropo", "oracle"), ("rf_dropo", "bayes_sim"), ("rf_dropo", "dr_box"), ("rf_dropo", "udr"))
 WALKER = (("dr", "no_dr"),)
 _TRANSFERRED = ("rf_dropo", "rf_dropo_cable", "bayes_sim", "bayes_sim_variance", "dr_box", "udr")
-TRANSFERS = (
-    *((method, "oracle") for method in _TRANSFERRED), ("memory", "dr_box"), ("universal_rf_dropo", "dr_box"),
-)  # fmt: skip
+_OF_OTHERS = ("memory", "universal_rf_dropo", "universal_rf_dropo_cable")
+TRANSFERS = (*((each, "oracle") for each in _TRANSFERRED), *((each, "dr_box") for each in _OF_OTHERS))
 # Table IV: elevation [mm], mean and standard deviation of three seeds
 LIFT = {
     ("TrunkLift-v0-100g", "no_dr"): (2.34, 4.03),

@@ -367,7 +367,7 @@ def test_a_policy_for_other_observations_is_refused_in_words(tmp_path):
     tensors = {**policy().tensors, "mean": np.zeros(3), "std": np.ones(3), "w0": np.zeros((8, 3))}
     put_policy(path, "seed0.safetensors", Policy(CARD, tensors).to_bytes())
     for read in (verify_control, lambda path: gather_control(tmp_path)):
-        with pytest.raises(ValueError, match=r"seed0\.safetensors is no policy .* 3 inputs; observations have 66 numbers"):
+        with pytest.raises(ValueError, match=r"seed0\.safetensors is no policy .* 3 inputs; .* have 66 numbers"):
             read(path)
     tensors = {**policy().tensors, "w0": np.zeros((1, 66)), "b0": np.zeros(1)}
     put_policy(path, "seed0.safetensors", Policy(CARD, tensors).to_bytes())

@@ -71,7 +71,7 @@ def _identified(board: str) -> list[Run]:
     box = fixed("dr_box", search_box(task.randomized))
     methods = (ORACLE, rf_dropo, cheaply, box, bayes_sim, variance_for_deviation(bayes_sim))
     # methods of others, which the study names and did not run
-    others = (inferred("droid", recording), MEMORY, universal(rf_dropo))
+    others = (inferred("droid", recording), MEMORY, universal(rf_dropo), universal(cheaply))
     seeds = dict.fromkeys(methods, MORE_SEEDS) | dict.fromkeys(others, SEEDS) | {udr(): BOXES}
     return [run for method, some in seeds.items() for run in runs_of(board, method, some)]
 
