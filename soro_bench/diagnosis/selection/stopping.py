@@ -124,7 +124,7 @@ class FormJudge:
 
     heldout: Problem | None
     refined: Sequence[Robot]
-    _last: tuple[Hypothesis, bool] | None = field(default=None, init=False)
+    _last: tuple[Hypothesis, UnderModelForm] | None = field(default=None, init=False)  # of held-out recordings
 
     def possible(self, problem: Problem, hypothesis: Hypothesis) -> bool:
         """Whether what a hypothesis leaves of all recordings may be model-form error, held-out ones included.
@@ -136,9 +136,8 @@ class FormJudge:
             return bool(fitted.possible[0])
         if self._last is None or self._last[0] is not hypothesis:
             points = [(hypothesis.x, hypothesis.terms)]
-            unfitted = UnderModelForm.of(*unfitted_under_model_form(self.heldout, self.refined, points))
-            self._last = hypothesis, bool(fitted.beside(unfitted).possible[0])
-        return self._last[1]
+            self._last = hypothesis, UnderModelForm.of(*unfitted_under_model_form(self.heldout, self.refined, points))
+        return bool(fitted.beside(self._last[1]).possible[0])
 
     def covers(self, problem: Problem, hypothesis: Hypothesis, gain: float, of_all: float) -> bool:
         """Whether what a hypothesis leaves may be model-form error, and is likelier to be that than one more term with
