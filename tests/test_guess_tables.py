@@ -208,6 +208,26 @@ def test_lost_numbers_and_wraps_of_other_periods_are_seen(guessed):
     assert (mapping["signals"]["gon"]["unwrap"], mapping["signals"]["gon"]["period"]) == (True, 400)
 
 
+@pytest.mark.parametrize(("header", "row", "cell"), [
+    ("t,q,u", '{t},"1,0{i:02d}.5",1', "1,000.5"), ("t,q,u", '{t},"1,0{i:02d}",1.0', "1,000"),
+    ("t;q;u", "{t};1 0{i:02d}.5;1", "1 000.5"), ("t;q;u", "{i};1.0{i:02d},5;1,5", "1.000,5"),
+    ("t_ms\tq\tu", "1'0{i:02d}.5\t{i}\t1", "1'000.5"), ("t,q", '{t},"1,0{i:02d}.5"', "1,000.5"),
+])  # fmt: skip
+def test_separators_of_thousands_are_said(tmp_path, header, row, cell):
+    """With the first cell that has them, also where no number is left and the guess is refused."""
+    (tmp_path / "log.csv").write_text(table(header, row))
+    try:
+        said = guess_mapping(tmp_path / "log.csv")
+    except RecordingError as error:
+        said = str(error)
+    assert f"{cell} has separators of thousands, which are not read" in said
+
+
+def test_numbers_that_may_be_thousands_are_asked_about(tmp_path):
+    (tmp_path / "log.csv").write_text("t;q\n" + "\n".join(f"{i};{991 + 2 * i:,}" for i in range(30)) + "\n")
+    assert '# column "q": 1.001 follows 999; if these are thousands' in guess_mapping(tmp_path / "log.csv")
+
+
 def test_stamps_that_go_back_are_said(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("t,x\n0,1\n1,2\n2,3\n3,3\n4,5\n5,5\n5,6\n6,7\n7,7\n")

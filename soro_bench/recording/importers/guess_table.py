@@ -11,6 +11,7 @@ from soro_bench.files import shown
 from soro_bench.recording.importers.clock import overflowed
 from soro_bench.recording.importers.guess_layout import Column, layout
 from soro_bench.recording.importers.mapping import NO_COMMAND
+from soro_bench.recording.importers.table_text import is_grouped
 from soro_bench.recording.importers.tracks import signal_name
 from soro_bench.recording.importers.units import (
     EPOCH,
@@ -22,7 +23,14 @@ from soro_bench.recording.importers.units import (
     split_unit,
     time_unit,
 )
-from soro_bench.recording.importers.wraps import counter_period, lost_number, part_of_turn, saw_period, seen_wraps
+from soro_bench.recording.importers.wraps import (
+    counter_period,
+    lost_number,
+    part_of_turn,
+    saw_period,
+    seen_wraps,
+    thousands,
+)
 from soro_bench.recording.recording import RecordingError
 from soro_bench.recording.untrusted import MAX_BYTES, named_errors, read_bytes
 
@@ -40,6 +48,7 @@ _ON, _BACK = 0.01, 0.05  # of the steps of a clock go on at least, and back at m
 _REPEATED, _NAMES = 0.7, 100  # of the stamps are others, where rows of several names share one; names at most
 _NEARLY = 0.9  # of a turn, that an angle that wraps has seen
 _ROW = "row of units"
+_SEPARATORS = "has separators of thousands, which are not read: export the table without them"
 _CLOCKLIKE = re.compile(r"\d{1,2}:\d\d|\d{8}\D\d{6}")  # in texts that may be times
 
 
@@ -80,10 +89,11 @@ def guessed(path: str | Path) -> str:
         names: set[str] = set()
         entries = [_entry(group, names) for group in groups]
         if not entries:
-            raise RecordingError("no column of numbers is found beside time")
+            raise RecordingError(f"no column of numbers is found beside time{_no_number(rest)}")
         head = [f"# A guess from {shown(Path(path).name)}: correct what is wrong, and take out what you do not need."]
         head += [] if any(group.command for group in groups) else [NO_COMMAND]
         about = [_text_column(column) for column in rest if not column.numeric and any(column.texts)]
+        about += _separators(columns)
         lines = [*lines, *([] if beside else _order(*clock))]
         sections = [[*head, *_format(options)], lines, *([about] if about else []), *entries]
         text = "\n\n".join("\n".join(section) for section in sections) + "\n"
@@ -127,7 +137,7 @@ def _time(columns: Sequence[Column]) -> tuple[list[Column], list[Column], list[s
     nameless = [column for column in steady if not any(letter.isalpha() for letter in column.name)]
     nameless.sort(key=_counts_rows)
     if not (candidates := named or nameless) and (like := next(filter(_like_times, columns), None)):
-        text = shown(like.texts[0])[:40]
+        text = shown(next(iter(like.words), like.texts[0]))[:40]
         return [], [], ["[time]", f"# column {toml(like.label)} may be the time, but {text} cannot be read as one, or "
                         "repeats: correct it, or write rate = ...  # Hz"]  # fmt: skip
     if not candidates:
@@ -201,7 +211,8 @@ def _goes_on(column: Column) -> bool:
 def _like_times(column: Column) -> bool:
     """Whether a column seems to hold times that an import cannot use."""
     if not column.numeric:
-        return any(map(_CLOCKLIKE.search, column.texts[:1]))
+        said = next(iter(column.words), "")
+        return _CLOCKLIKE.search(said) is not None or (_called_time(column.name) and said[:1].isdigit())
     steps = np.diff(column.numbers[np.isfinite(column.numbers)])
     return _called_time(column.name) and len(steps) > 0 and bool((steps >= 0).all())
 
@@ -228,6 +239,23 @@ def _is_clock(column: Column) -> bool:
 def _counts_rows(column: Column) -> bool:
     """Whether numbers only say which row they are in, from 0 or 1."""
     return bool((column.numbers - column.numbers[0] == np.arange(len(column.numbers))).all())
+
+
+def _no_number(columns: Sequence[Column]) -> str:
+    """What a cell has instead of a number."""
+    words = sorted((word for column in columns for word in column.words), key=is_grouped, reverse=True)
+    return "".join(f"; {shown(word)[:40]} {_SEPARATORS if is_grouped(word) else 'is none'}" for word in words[:1])
+
+
+def _separators(columns: Sequence[Column]) -> list[str]:
+    """Comments on columns with separators of thousands, or numbers that look like them."""
+    lines = []
+    for column in columns:
+        word = next(filter(is_grouped, column.words), "")
+        about = f"{shown(word)} {_SEPARATORS}"
+        if doubt := about if word else thousands(column.numbers) if column.numeric else "":
+            lines.append(f"# column {toml(column.label)}: {doubt}")
+    return lines
 
 
 def _time_unit(column: Column) -> tuple[str, str]:
@@ -335,7 +363,7 @@ def _entry(group: Group, names: set[str]) -> list[str]:
         lines.append('# frame = "world"  # if the axes are those of the robot')
     words = sorted({word for column in group.columns for word in column.words})
     texts: list[str | float] = [word for word in words if not any(map(str.isdigit, word))]
-    odd = ", ".join(shown(word) for word in words if word not in texts)[:100]
+    odd = ", ".join(shown(word) for word in words if word not in texts and not is_grouped(word))[:100]
     about = "texts among its numbers" if texts else ""
     if lost:
         about = f"{lost.count} are exactly {lost.number:.10g}, far from those beside: missing?"

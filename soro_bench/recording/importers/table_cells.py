@@ -16,7 +16,17 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 
 from soro_bench.recording.importers.clock import NO_STAMP, Stamps
-from soro_bench.recording.importers.table_text import BLANK, MAX_LETTERS, MISSING, Lines, TableText, plain, split, value
+from soro_bench.recording.importers.table_text import (
+    BLANK,
+    MAX_LETTERS,
+    MISSING,
+    Lines,
+    TableText,
+    is_grouped,
+    plain,
+    split,
+    value,
+)
 from soro_bench.recording.recording import ReadingProgress, RecordingError
 from soro_bench.recording.untrusted import MAX_ROWS
 
@@ -24,9 +34,6 @@ _MAX_CELLS = 50_000_000  # that a mapping asks for
 _BLOCK = 4_000_000  # letters that are read at once
 _NO_SIGN = re.compile(rb"\+(?![0-9.])")
 _COMMA = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
-_GROUPED = re.compile(
-    r"[+-]?\d{1,3}(,\d{3})+\.\d+|[+-]?\d{1,3}(\.\d{3})+(,\d+)?|[+-]?\d{1,3}(['\u2019\s]\d{3})+([.,]\d+)?"
-)  # thousands
 _ROWS = 20_000  # that are read at once where cells have quotation marks
 _NEWLINE, _QUOTE = b'\n"'
 
@@ -251,10 +258,10 @@ class _Rows:
 
     def _hint(self, cell: str, i: int) -> str:
         table = self._table
-        if _GROUPED.fullmatch(cell):
-            return f"separators of thousands are not read: export the table without them; decimal is {table.decimal!r}"
         if _COMMA.fullmatch(cell) and table.decimal == ".":
             return 'of decimal commas [format] says decimal = ",", and separators of thousands are not read'
+        if is_grouped(cell):
+            return f"separators of thousands are not read: export the table without them; decimal is {table.decimal!r}"
         if ":" in cell:
             return "times are read if they are written as 2024-06-27T10:11:02.5Z or 10:11:02.5"
         if _is_number(cell) and value(cell) is None:

@@ -40,6 +40,7 @@ _TRUTHS = {
 }
 _MINUS = str.maketrans("\u2212\u2013", "--")  # that office programs write before numbers
 _FORTRAN = re.compile(r"([+-]?(?:\d+\.\d*|\.\d+))[dD]([+-]?\d{1,3})")  # a number of double precision
+_GROUPED = re.compile(r"[+-]?\d{1,3}((,\d{3})+(\.\d+)?|(\.\d{3})+(,\d+)?|(['\u2019\s]\d{3})+([.,]\d+)?)")
 _HEXADECIMAL = re.compile(r"0[xX][0-9a-fA-F]{1,13}")
 _ZERO, _END = "\x00", "\x1a"  # where the power was lost; the end of a file in DOS
 
@@ -372,6 +373,11 @@ def value(word: str) -> float | None:
     except ValueError:
         return None
     return found if math.isfinite(found) else None
+
+
+def is_grouped(cell: str) -> bool:
+    """Whether a cell that is no number would be one without separators of thousands."""
+    return _GROUPED.fullmatch(cell) is not None
 
 
 def plain(cell: str, decimal: str) -> str:
