@@ -85,6 +85,18 @@ def brief(value: object) -> str:
     return text if len(text) <= 80 else text[:77] + "..."
 
 
+def toml(value: object) -> str:
+    """A text, number, truth value or list as TOML writes it."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(map(toml, value))}]"
+    if not isinstance(value, str):
+        return repr(value)
+    letters = ("\\t" if c == "\t" else c if c.isprintable() and c not in '"\\' else f"\\U{ord(c):08x}" for c in value)
+    return f'"{"".join(letters)}"'
+
+
 def check_output(path: Path, suffix: str) -> None:
     """ValueError if a file could not be written after all the work that goes before, or has another suffix: it would
     take the place of something else."""

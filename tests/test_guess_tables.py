@@ -17,11 +17,11 @@ from soro_bench.blind_benchmark import healthy, sorosim
 from soro_bench.blind_benchmark.robot import Engine, simulate
 from soro_bench.cli import main
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
+from soro_bench.files import toml
 from soro_bench.models import trunk
 from soro_bench.models import trunk_geometry as geo
 from soro_bench.models.trunk_chain import simulate_chain
 from soro_bench.recording.importers import guess_mapping, import_recording
-from soro_bench.recording.importers.guess_table import toml
 from soro_bench.recording.importers.mapping import NO_COMMAND
 from soro_bench.recording.importers.units import split_unit
 from soro_bench.recording.recording import Recording, RecordingError

@@ -1,0 +1,175 @@
+"""Which columns of a table seem to be its times, and what a mapping says about them."""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from soro_bench.files import shown, toml
+from soro_bench.recording.importers.clock import overflowed
+from soro_bench.recording.importers.guess_layout import Column
+from soro_bench.recording.importers.units import (
+    EPOCH,
+    UNITS,
+    in_brackets,
+    of_text,
+    si,
+    since_1970,
+    split_unit,
+    time_unit,
+)
+
+_TIME = re.compile(r"(.*[^a-z])?(t|time|timestamp|stamp|zeit|secs?|seconds?|millis|micros|clock|ms|us|ns)([^a-z].*)?")
+_COUNT = re.compile(r"(.*[^a-z])?(frame|index|idx|row|sample|nr|no|count|n|#)s?([^a-z].*)?")
+_ABROAD = re.compile(r"zeit|temps|tiempo|tempo|elapsed|^x_value$|\u6642\u9593|\u6642\u523b")  # of what goes on evenly
+_STEPS = ("s", 1e-5, 2.0), ("ms", 2.0, 2e3), ("us", 2e3, 2e5), ("ns", 2e5, 1e12)  # the step that each unit has
+_ON, _BACK = 0.01, 0.05  # of the steps of a clock go on at least, and back at most
+_CLOCKLIKE = re.compile(r"\d{1,2}:\d\d|\d{8}\D\d{6}")  # in texts that may be times
+ROW = "row of units"  # says the unit
+
+
+def time_section(columns: Sequence[Column]) -> tuple[list[Column], list[Column], list[str]]:
+    """The columns of time, those of other clocks, and the section [time]."""
+    for column, after in zip(columns, [*columns[1:], None], strict=True):
+        if column.stamped:
+            return [column], [], _section(column, "  # dates and times; without a zone they are taken for UTC")
+        if after is None:
+            continue
+        labels = f"columns = {toml([column.label, after.label])}"
+        if column.dated and after.stamped:
+            return [column, after], [], ["[time]", f"{labels}  # a date, and a time"]
+        if part := _part_of_seconds(column, after):
+            return [column, after], [], ["[time]", labels, f'units = ["s", "{part}"]']
+    found = [column for column in columns if column.numeric and _goes_on(column)]
+    named = [column for column in found if _called_time(column.name)]
+    named = named or [column for column in found if _says_time(column)][:1]
+    steady = [column for column in found if not _COUNT.fullmatch(column.name.lower()) and _is_clock(column)]
+    nameless = [column for column in steady if not any(letter.isalpha() for letter in column.name)]
+    nameless.sort(key=_counts_rows)
+    if not (candidates := named or nameless) and (like := next(filter(_like_times, columns), None)):
+        text = shown(next(iter(like.words), like.texts[0]))[:40]
+        return [], [], ["[time]", f"# column {toml(like.label)} may be the time, but {text} cannot be read as one, or "
+                        "repeats: correct it, or write rate = ...  # Hz"]  # fmt: skip
+    if not candidates:
+        rate = "# rate = ...  # Hz: no column is called time; write how many rows there are in a second"
+        other = [f"# column = {toml(column.label)}  # increases steadily: is this the time?" for column in steady[:3]]
+        return [], [], ["[time]", rate, *other]
+    column, *others = candidates if named else candidates[:1]
+    unit, reason = unit_of_times(column)
+    lines = _section(column, "" if named else "  # the numbers increase steadily; is this the time?")
+    if reason != ROW and (unit != "s" or column.unit):
+        lines.append(f'unit = "{unit}"  # {reason}')
+    return [column], others, lines
+
+
+def _section(column: Column, comment: str) -> list[str]:
+    return ["[time]", f"column = {toml(column.label)}{comment}"]
+
+
+def _part_of_seconds(first: Column, second: Column) -> str:
+    """The unit of a column that goes on within the whole seconds of the one before it: ms, us or ns; else ""."""
+    if (split_unit(first.name)[1] or "s") != "s" or _COUNT.fullmatch(second.name.lower()):
+        return ""
+    a, b = (column.numbers[np.isfinite(column.numbers)] for column in (first, second))
+    if not len(a) or len(a) != len(b) or (a != np.rint(a)).any() or (b != np.rint(b)).any():
+        return ""
+    if b.min() < 0 or np.abs(np.diff(a)).max(initial=0.0) > 1e4:
+        return ""
+    (whole, _), (part, unit) = map(_time_name, (first.name, second.name))
+    if unit in ("ms", "us") and part in ("", whole) and _called_time(first.name):
+        scale = UNITS[unit][1]
+        back = np.diff(a + scale * b) < 0
+        return unit if b.max() * scale < 1 and b.min() < b.max() and back.mean() < _BACK else ""
+    named = re.search("nsec|nano", second.name.lower()) is not None
+    return "ns" if b.max() < 1e9 and (named or (EPOCH[0] < a[0] < EPOCH[1] and b.max() > 1e6)) else ""
+
+
+def _called_time(name: str) -> bool:
+    """Whether a name without its unit is one of times, or with one behind another mark than _, as in "elapsed ms"."""
+    stem, unit = split_unit(name)
+    whole = unit is not None and f"{stem}_{unit}" != name and in_brackets(name) is None
+    return any(_TIME.fullmatch(text.lower()) for text in ([stem, name] if whole else [stem]))
+
+
+def _says_time(column: Column) -> bool:
+    """Whether the unit of a column is one of times, or its name one in another language."""
+    unit = (of_text(column.unit) if column.unit.strip() else None) or time_unit(column.name)
+    if unit and si(unit)[0] == "s":
+        return True
+    return _ABROAD.search(column.name.lower()) is not None and _is_clock(column)
+
+
+def _time_name(name: str) -> tuple[str, str | None]:
+    """A name of times without its unit, and the unit: of "usec", "tv_usec" or "time_us"."""
+    stem, unit = split_unit(name)
+    if unit is None:
+        stem, _, last = name.rpartition(max("_. ", key=name.rfind))
+        unit = of_text(last)
+    return (stem if unit else name).lower(), unit
+
+
+def _goes_on(column: Column) -> bool:
+    """Whether numbers increase but for some, or stay for some rows each time; those of a column called time may
+    decrease, where the newest row is the first."""
+    steps = np.diff(column.numbers[np.isfinite(column.numbers)])
+    called = _called_time(column.name)
+    if called and len(steps) > 0 and (steps < 0).mean() > 1.0 - _BACK:
+        return True
+    return len(steps) > 0 and (steps > 0).mean() > (_ON if called else 0.5) and (steps < 0).mean() < _BACK
+
+
+def _like_times(column: Column) -> bool:
+    """Whether a column seems to hold times that an import cannot use."""
+    if not column.numeric:
+        said = next(iter(column.words), "")
+        return _CLOCKLIKE.search(said) is not None or (_called_time(column.name) and said[:1].isdigit())
+    steps = np.diff(column.numbers[np.isfinite(column.numbers)])
+    return _called_time(column.name) and len(steps) > 0 and bool((steps >= 0).all())
+
+
+def _is_clock(column: Column) -> bool:
+    """Whether numbers increase about evenly."""
+    steps = np.diff(column.numbers[np.isfinite(column.numbers)])
+    middle = np.median(steps)
+    return bool(middle > 0 and (np.abs(steps - middle) < 0.5 * middle).mean() > 0.8)
+
+
+def _counts_rows(column: Column) -> bool:
+    """Whether numbers only say which row they are in, from 0 or 1."""
+    return bool((column.numbers - column.numbers[0] == np.arange(len(column.numbers))).all())
+
+
+def unit_of_times(column: Column) -> tuple[str, str]:
+    """The unit of a clock, and why."""
+    row = of_text(column.unit) if column.unit else None
+    own = time_unit(column.name)
+    for said, reason in ((row, ROW), (own, "from its name")):
+        if said and si(said)[0] == "s":
+            return said, reason
+    numbers = column.numbers[np.isfinite(column.numbers)]
+    steps = np.diff(numbers)
+    step = float(np.median(np.abs(steps[steps != 0])))
+    if epoch := since_1970(float(numbers[0]), step):
+        return epoch, "from its size: a time since 1970"
+    if (numbers == np.rint(numbers)).all():
+        for unit, least, most in _STEPS:
+            if least <= step < most:
+                return unit, f"from its steps of {step:g}; is this right?"
+    return "s", f"the file says {shown(column.unit)}, which is unknown here" if column.unit else ""
+
+
+def order(*columns: Column) -> list[str]:
+    """A comment on stamps that do not increase."""
+    if not columns or not all(column.numeric for column in columns):
+        return []
+    known = np.all([np.isfinite(column.numbers) for column in columns], axis=0)
+    scales = (1.0, *(UNITS[_part_of_seconds(*columns)][1] for _ in columns[1:]))
+    time = sum(scale * column.numbers[known] for scale, column in zip(scales, columns, strict=True))
+    steps = np.diff(overflowed(np.asarray(time))[0])
+    same, back = int((steps == 0).sum()), int((steps < 0).sum())
+    if not same + back:
+        return []
+    if back > len(steps) / 2:
+        return ['order = "sort"  # the newest row is the first']
+    choice = '"keep_first", "keep_last", "sort" or "continue"'
+    return [f'# order = "keep_first"  # stamps that repeat: {same}, that go back: {back}; choose {choice}']
