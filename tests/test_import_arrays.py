@@ -179,9 +179,14 @@ def test_a_counter_of_microseconds_that_overflows_goes_on(read):
         read(MAPPING.replace('"t"', '"t"\nunit = "us"'), t=t.astype("datetime64[us]"), x=FLAT)
 
 
-def test_a_guess_knows_times_since_1970_by_their_size(tmp_path):
-    for unit, factor in (("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
-        np.savez(tmp_path / "a.npz", stamp=((1.7e9 + np.arange(T)) * factor).astype(np.int64), x=FLAT)
+def test_a_guess_knows_dates_in_numbers_by_their_size(tmp_path):
+    days = 739947.5 + np.arange(T) / 86400
+    times = {
+        unit: np.int64((1.7e9 + np.arange(T)) * factor)
+        for unit, factor in [("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)]
+    }
+    for unit, stamp in {"d": days, **times}.items():
+        np.savez(tmp_path / "a.npz", stamp=stamp, x=FLAT)
         mapping = tomllib.loads(guess_mapping(tmp_path / "a.npz"))
         assert mapping["time"] == {"array": "stamp", "unit": unit}
 

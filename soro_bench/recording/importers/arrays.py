@@ -12,7 +12,7 @@ import numpy as np
 from soro_bench.recording.importers.clock import NO_STAMP
 from soro_bench.recording.importers.mapping import NO_COMMAND, FileMapping, Source, load_mapping, texts, unit_doubt
 from soro_bench.recording.importers.tracks import signal_name
-from soro_bench.recording.importers.units import since_1970, split_unit, time_unit
+from soro_bench.recording.importers.units import origin, split_unit, time_unit
 from soro_bench.recording.recording import Recording, RecordingError
 from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, MAX_ROWS
 
@@ -325,7 +325,7 @@ def _clock(names: Sequence[str], shapes: Mapping[str, np.ndarray]) -> _Clock:
         doubt = "" if increasing else f"  # {ascii(name)[1:-1]} does not increase everywhere"
         numbers = shapes[name].ravel().astype(float)
         step = float(np.median(np.diff(numbers))) if numbers.size > 1 else 0.0
-        unit = time_unit(name.rpartition(".")[2]) or since_1970(float(numbers[0]), step) or "s"
+        unit = time_unit(name.rpartition(".")[2]) or (origin(float(numbers[0]), step) or ("s",))[0]
         units = [f'unit = "{unit}"  # or "s", "ms", "us", "ns"'] if shapes[name].dtype.kind not in "mM" else []
         return _Clock([f"array = {json.dumps(name)}{doubt}", *units], shapes[name].size, name)
     if matrix := next(filter(None, (_matrix(*item) for item in shapes.items())), None):

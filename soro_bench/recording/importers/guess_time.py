@@ -13,16 +13,19 @@ from soro_bench.recording.importers.units import (
     UNITS,
     in_brackets,
     of_text,
+    origin,
     si,
-    since_1970,
     split_unit,
     time_unit,
 )
 
 _TIME = re.compile(r"(.*[^a-z])?(t|time|timestamp|stamp|zeit|secs?|seconds?|millis|micros|clock|ms|us|ns)([^a-z].*)?")
 _COUNT = re.compile(r"(.*[^a-z])?(frame|index|idx|row|sample|nr|no|count|n|#)s?([^a-z].*)?")
-_ABROAD = re.compile(r"zeit|temps|tiempo|tempo|elapsed|^x_value$|\u6642\u9593|\u6642\u523b")  # of what goes on evenly
+_ABROAD = re.compile(
+    r"zeit|temps|tiempo|tempo|elapsed|time$|^x_value$|\u6642\u9593|\u6642\u523b"
+)  # that goes on evenly
 _STEPS = ("s", 1e-5, 2.0), ("ms", 2.0, 2e3), ("us", 2e3, 2e5), ("ns", 2e5, 1e12)  # the step that each unit has
+_MORNING, _SLOW, _FAST = 0.01, 5e-5, 1e-6  # of a day: when logs begin; steps of times of day, and of elapsed ones
 _ON, _BACK = 0.01, 0.05  # of the steps of a clock go on at least, and back at most
 _CLOCKLIKE = re.compile(r"\d{1,2}:\d\d|\d{8}\D\d{6}")  # in texts that may be times
 ROW = "row of units"  # says the unit
@@ -43,6 +46,7 @@ def time_section(columns: Sequence[Column]) -> tuple[list[Column], list[Column],
     found = [column for column in columns if column.numeric and _goes_on(column)]
     named = [column for column in found if _called_time(column.name)]
     named = named or [column for column in found if _says_time(column)][:1]
+    named = named or [column for column in found if _origin(column)][:1]
     steady = [column for column in found if not _COUNT.fullmatch(column.name.lower()) and _is_clock(column)]
     nameless = [column for column in steady if not any(letter.isalpha() for letter in column.name)]
     nameless.sort(key=_counts_rows)
@@ -139,6 +143,17 @@ def _counts_rows(column: Column) -> bool:
     return bool((column.numbers - column.numbers[0] == np.arange(len(column.numbers))).all())
 
 
+def _step(column: Column) -> float:
+    """The usual step of a clock."""
+    steps = np.diff(column.numbers[np.isfinite(column.numbers)])
+    return float(np.median(np.abs(steps[steps != 0])))
+
+
+def _origin(column: Column) -> tuple[str, str] | None:
+    """The unit of dates that are written as numbers, and what they count; None for other numbers."""
+    return origin(float(column.numbers[np.isfinite(column.numbers)][0]), _step(column))
+
+
 def unit_of_times(column: Column) -> tuple[str, str]:
     """The unit of a clock, and why."""
     row = of_text(column.unit) if column.unit else None
@@ -146,11 +161,11 @@ def unit_of_times(column: Column) -> tuple[str, str]:
     for said, reason in ((row, ROW), (own, "from its name")):
         if said and si(said)[0] == "s":
             return said, reason
-    numbers = column.numbers[np.isfinite(column.numbers)]
-    steps = np.diff(numbers)
-    step = float(np.median(np.abs(steps[steps != 0])))
-    if epoch := since_1970(float(numbers[0]), step):
-        return epoch, "from its size: a time since 1970"
+    if found := _origin(column):
+        return found[0], f"from its size: {found[1]}"
+    numbers, step = column.numbers[np.isfinite(column.numbers)], _step(column)
+    if numbers.max() < 1.0 and step < (_SLOW if numbers.min() > _MORNING else _FAST):
+        return "d", "from its size: parts of a day, as in spreadsheets; is this right?"
     if (numbers == np.rint(numbers)).all():
         for unit, least, most in _STEPS:
             if least <= step < most:

@@ -26,7 +26,14 @@ UNITS = {
     "mV": ("V", 1e-3), "V": ("V", 1.0), "mA": ("A", 1e-3), "A": ("A", 1.0), "ohm": ("ohm", 1.0), "K": ("K", 1.0),
 }  # fmt: skip
 EPOCH = 1e9, 1e10  # s since 1970 of the years 2001 to 2286
-_SELDOM = 5.0  # s between stamps since 1970 at most; a counter of smaller units may be as large
+_ORIGINS: tuple[tuple[str, float, float, str], ...] = (  # unit, least and largest number, and what it counts
+    *((u, EPOCH[0] / UNITS[u][1], EPOCH[1] / UNITS[u][1], "a time since 1970") for u in ("s", "ms", "us", "ns")),
+    ("d", 20_000.0, 80_000.0, "days since 1899-12-30, as in spreadsheets"),
+    ("d", 710_000.0, 770_000.0, "days since the year 0, as in MATLAB"),
+    ("100ns", 1.2e17, 1.6e17, "a time since 1601, as in Windows"),
+    ("100ns", 6.3e17, 6.7e17, "a time since the year 1, as in .NET"),
+)
+_SELDOM = 5.0  # s between dates at most; a counter of smaller units may be as large
 TIME_UNITS = ", ".join(unit for unit, (dimension, _) in UNITS.items() if dimension == "s")
 
 
@@ -139,11 +146,12 @@ def time_unit(name: str) -> str | None:
     return units.pop() if len(units) == 1 else None
 
 
-def since_1970(number: float, step: float) -> str | None:
-    """The unit in which a number is a time since 1970, if others follow it in such steps; None if it is none."""
-    for unit in ("s", "ms", "us", "ns"):
-        if EPOCH[0] < number * UNITS[unit][1] < EPOCH[1] and step * UNITS[unit][1] < _SELDOM:
-            return unit
+def origin(number: float, step: float) -> tuple[str, str] | None:
+    """The unit in which a number is a date, if others follow it in such steps, and what it counts; None if it is
+    none."""
+    for unit, least, most, counts in _ORIGINS:
+        if least < number < most and step * UNITS[unit][1] < _SELDOM:
+            return unit, counts
     return None
 
 
