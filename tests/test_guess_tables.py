@@ -70,6 +70,11 @@ def test_encoding_delimiter_decimal_and_units_of_the_header(guessed):
         (table("%  t q u\n% s deg V", "  {t}  {i} 1"), {"delimiter": "blank", "unit_row": "take"}),
         (table("t,q,status,mode,u\n0.0,ERR,OK,on,1", "{t}1,{i},OK,off,1"), None),
         (table("t,q,u", "{t},{i},1", "\r\n")[:-5], None),
+        (table("Channel,q,u\nRate,100,100\n\nt,q,u", "{t},{i},1"), {"skip_rows": 3}),
+        (
+            table("Samples\t50\t50\nUnit\tdeg\tV\nX0\t0.0\t0.0\n***End***\t\t\nX_Value\tq\tu", "{t}\t{i}\t1"),
+            {"delimiter": "\t", "skip_rows": 4},
+        ),
     ],
 )
 def test_the_layout_of_rows(guessed, text, options):

@@ -2,6 +2,7 @@
 
 import csv
 import re
+from bisect import bisect
 from collections import Counter
 from dataclasses import dataclass
 from typing import Any
@@ -20,6 +21,8 @@ _DELIMITERS = (",", ";", "\t", "|", BLANK)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _DATE = re.compile(r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[./-]\w{1,3}[./-]\d{4}")
 _JAPANESE = re.compile(r"[\u3040-\u30ff\u4e00-\u9fff]{2,}")
+_SURE = 0.8  # of all cells are numbers in rows of one length: blanks delimit nothing
+_PAIRS = 10  # rows of numbers in a header of names and values at most
 _MOST = 0.5  # of the cells of a row of data that are numbers
 
 
@@ -128,7 +131,7 @@ def _best(delimiters: Any, lines: list[str]) -> tuple[str, str]:
     found, best = (delimiters[0], "."), (-1.0, 0.0, 0)
     for delimiter in delimiters:
         rows = [row for row in _cells(lines, delimiter) if any(row)]
-        if not rows:
+        if not rows or (delimiter == BLANK and best[0] > _SURE and best[1]):
             continue
         count = Counter(map(len, rows)).most_common(1)[0][0]
         cells = [cell for row in rows if len(row) == count for cell in row if cell]
@@ -150,9 +153,7 @@ def _rows_before(rows: list[list[str]], decimal: str, delimiter: str) -> dict[st
         raise RecordingError("there are no rows")
     count = Counter(map(len, filled)).most_common(1)[0][0]
     numeric = _numeric([row for row in filled if abs(len(row) - count) <= 1], decimal)
-    data = next(
-        (i for i, row in enumerate(rows) if abs(len(row) - count) <= 1 and _is_data(row, numeric, decimal)), None
-    )
+    data = _first_data(rows, count, numeric, decimal)
     if data is None:
         raise RecordingError("no row of numbers is found; a table of text has rows of numbers between delimiters")
     if data + 1 < len(rows) and _is_counted(rows[data]) and not all(cell.isdigit() for cell in rows[data + 1]):
@@ -167,6 +168,23 @@ def _rows_before(rows: list[list[str]], decimal: str, delimiter: str) -> dict[st
     if len(above) > 1 and _is_units(rows[above[-1]]) and _names(rows[above[-2]], rows[data], delimiter):
         header, options = above[-2], {"unit_row": "take"}
     return ({"skip_rows": header} if any(any(row) for row in rows[:header]) else {}) | options
+
+
+def _first_data(rows: list[list[str]], count: int, numeric: list[int], decimal: str) -> int | None:
+    """The first row of numbers: behind the last row of names that follows a few of them, as in a header of pairs."""
+    found = [i for i, row in enumerate(rows) if abs(len(row) - count) <= 1 and _is_data(row, numeric, decimal)]
+    first = found[0] if found else None
+    for i, row in enumerate(rows):
+        before = bisect(found, i)
+        if 0 < before <= _PAIRS and before < len(found) and abs(len(row) - count) <= 1 and row not in rows[:i]:
+            first = found[before] if _is_heading(row, decimal) else first
+    return first
+
+
+def _is_heading(row: list[str], decimal: str) -> bool:
+    """Whether each cell that says something names another column."""
+    said = [cell for cell in row if cell]
+    return 1 < len(said) == len(set(said)) and not any(_good(cell, decimal) or _DATE.fullmatch(cell) for cell in said)
 
 
 def _is_counted(row: list[str]) -> bool:
