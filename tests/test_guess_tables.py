@@ -84,6 +84,23 @@ def test_the_layout_of_rows(guessed, text, options):
     assert mapping["commands"]["u"]["columns"] == ["u"]
 
 
+@pytest.mark.parametrize(
+    ("head", "row"),
+    [
+        ("t,q,u\ns,deg,V\nfloat,float,int", "{t},{i},1"),
+        ("origin,C:/log.idf,,\ndisplayname,t,q,u\nunit,s,deg,V\ntrace_values", ",{t},{i},1"),
+        (",arm,arm\n,q [deg],u\nt,,", "{t},{i},1"),
+        ("| t | q / deg | u |\n|---|---|---|", "| {t} | {i} | 1 |"),
+    ],
+)
+def test_names_further_up_are_those_of_the_signals(guessed, head, row):
+    """Above types, a word, an index or a line."""
+    mapping, recording = guessed(table(head, row))
+    assert mapping["format"]["header"] is False
+    assert (list(recording.signals), list(recording.commands)) == (["q"], ["u"])
+    assert recording.signals["q"].unit == "rad" and len(recording.signals["q"].time) == 50
+
+
 @pytest.mark.parametrize("pull, told", [("pull", True), ("u", False)])
 def test_a_guess_tells_that_nothing_is_called_like_a_command(tmp_path, pull, told):
     """Of tables and of arrays."""

@@ -20,6 +20,7 @@ _ROWS = 20_000  # rows that are looked at
 _DELIMITERS = (",", ";", "\t", "|", BLANK)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _DATE = re.compile(r"\d{4}[-/.]\d{1,2}[-/.]\d{1,2}|\d{1,2}[./-]\w{1,3}[./-]\d{4}")
+_TYPE = re.compile(r"(float|double|single|real|u?int|long|bool(ean)?|str(ing)?|object)\d*")
 _JAPANESE = re.compile(r"[\u3040-\u30ff\u4e00-\u9fff]{2,}")
 _SURE = 0.8  # of all cells are numbers in rows of one length: blanks delimit nothing
 _PAIRS = 10  # rows of numbers in a header of names and values at most
@@ -76,9 +77,9 @@ def layout(data: bytes) -> tuple[dict[str, Any], list[Column]]:
     delimiter, decimal = (first[4], _best([first[4]], lines)[1]) if excel else _best(_DELIMITERS, lines)
     options |= {"delimiter": delimiter} if delimiter != "," and not excel else {}
     options |= {"decimal": decimal} if decimal != "." else {}
-    options |= _rows_before(_cells(lines, delimiter), decimal, delimiter)
-    table = read_text(head, options)
-    return options, _columns(table)
+    before, names = _rows_before(_cells(lines, delimiter), decimal, delimiter)
+    options |= before
+    return options, _columns(read_text(head, options), names)
 
 
 def is_number(text: str, decimal: str) -> bool:
@@ -146,8 +147,8 @@ def _best(delimiters: Any, lines: list[str]) -> tuple[str, str]:
     return found
 
 
-def _rows_before(rows: list[list[str]], decimal: str, delimiter: str) -> dict[str, Any]:
-    """What [format] says about the rows before the numbers."""
+def _rows_before(rows: list[list[str]], decimal: str, delimiter: str) -> tuple[dict[str, Any], list[str]]:
+    """What [format] says about the rows before the numbers, and names of columns that it cannot say."""
     filled = [row for row in rows if any(row)]
     if not filled:
         raise RecordingError("there are no rows")
@@ -157,17 +158,51 @@ def _rows_before(rows: list[list[str]], decimal: str, delimiter: str) -> dict[st
     if data is None:
         raise RecordingError("no row of numbers is found; a table of text has rows of numbers between delimiters")
     if data + 1 < len(rows) and _is_counted(rows[data]) and not all(cell.isdigit() for cell in rows[data + 1]):
-        return {"skip_rows": data} if data else {}  # a header of numbers
+        return {"skip_rows": data} if data else {}, []  # a header of numbers
     above = [i for i in range(data) if any(rows[i])]
     if delimiter == "," and above and _split_decimals(rows[above[-1]], rows[data]):
         raise RecordingError(f"{len(rows[above[-1]])} names stand above {len(rows[data])} cells; are these decimal "
                              "commas between commas? Export with semicolons or decimal points")  # fmt: skip
+    if names := _names_further_up([rows[i] for i in above], rows[data], delimiter):
+        return {"header": False, "skip_rows": data}, names
     if not above or not _names(rows[above[-1]], rows[data], delimiter):
-        return {"header": False, **({"skip_rows": data} if data else {})}
+        return {"header": False, **({"skip_rows": data} if data else {})}, []
     header, options = above[-1], {}
     if len(above) > 1 and _is_units(rows[above[-1]]) and _names(rows[above[-2]], rows[data], delimiter):
         header, options = above[-2], {"unit_row": "take"}
-    return ({"skip_rows": header} if any(any(row) for row in rows[:header]) else {}) | options
+    return ({"skip_rows": header} if any(any(row) for row in rows[:header]) else {}) | options, []
+
+
+def _names_further_up(above: list[list[str]], data: list[str], delimiter: str) -> list[str]:
+    """The name of each column with its unit, where other rows stand between names and numbers; none if none do."""
+    near = above[-2:-1] if above and _is_units(above[-1]) else above[-1:]
+    headers = [i for i, row in enumerate(above) if _is_header(row, data)]
+    if not headers or (near and _names(near[0], data, delimiter) and _fills(near[0], data) and not _is_typing(near[0])):
+        return []
+    rows = [row for row in above[headers[-1] :] if _names(row, data, delimiter) and not _is_typing(row)]
+    units = next((row for row in rows if _is_units(row)), [])
+    names = [_lowest([row for row in rows if row is not units], i) for i in range(len(data))]
+    return [f"{name} [{units[i]}]" if units[i : i + 1] > [""] else name for i, name in enumerate(names)]
+
+
+def _lowest(rows: list[list[str]], i: int) -> str:
+    """What the last row says that says something in a column."""
+    return next((row[i] for row in reversed(rows) if i < len(row) and row[i]), "")
+
+
+def _is_header(row: list[str], data: list[str]) -> bool:
+    """Whether a row surely has the names of the columns of a row of numbers."""
+    return _filled(row) == _filled(data) and _fills(row, data) and not _is_units(row) and not _is_typing(row)
+
+
+def _fills(row: list[str], data: list[str]) -> bool:
+    """Whether a row names most columns in which a row of numbers says something."""
+    return sum(map(bool, row)) > _MOST * sum(map(bool, data))
+
+
+def _is_typing(row: list[str]) -> bool:
+    """Whether a row has types of numbers, or lines that are drawn, instead of names."""
+    return all(_TYPE.fullmatch(cell.lower()) or not any(map(str.isalnum, cell)) for cell in row)
 
 
 def _first_data(rows: list[list[str]], count: int, numeric: list[int], decimal: str) -> int | None:
@@ -232,7 +267,8 @@ def _is_units(row: list[str]) -> bool:
     return sum(of_text(cell) is not None for cell in said) > _MOST * len(said)
 
 
-def _columns(table: TableText) -> list[Column]:
+def _columns(table: TableText, names: list[str]) -> list[Column]:
+    """The columns of the first rows; ``names`` where the header says none."""
     rows: list[list[str]] = []
     for row in table.rows(table.lines()):
         if any(cell.strip() for cell in row):
@@ -240,13 +276,13 @@ def _columns(table: TableText) -> list[Column]:
         if len(rows) == _ROWS:
             break
     found = []
-    for i, name in enumerate(table.header):
+    for i, title in enumerate(table.header):
         texts = [row[i] for row in rows]
         good = [is_number(text, table.decimal) for text in texts]
         numbers = [float(plain(text, table.decimal)) if ok else np.nan for text, ok in zip(texts, good, strict=True)]
         words = Counter(text for text, ok in zip(texts, good, strict=True) if not ok and text.lower() not in MISSING)
-        name = name.lstrip("#% ") if i == 0 else name
-        label = name if name and table.header.count(table.header[i]) == 1 else i + 1
+        title, name = (text.lstrip("#% ") if i == 0 else text for text in (title, names[i] if names else title))
+        label = title if title and table.header.count(table.header[i]) == 1 else i + 1
         units = table.units[i] if i < len(table.units) else ""
         found.append(Column(label, name, units, np.array(numbers), texts, words))
     return found
