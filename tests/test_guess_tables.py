@@ -176,6 +176,26 @@ def test_without_a_column_of_time_the_rate_is_asked_for(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("Sample rate: 100 Hz", {"rate": 100}),
+        ("# fs=2.5kHz", {"rate": 2500}),
+        ("Sampling frequency [Hz];100;100", {"rate": 100}),
+        ("Abtastrate;100,5", {"rate": 100.5}),
+        ("Delta_X 0.010", {"interval": 0.01}),
+        ("dt = 5 ms", {"interval": 0.005}),
+        ("Baud rate: 115200", {}),
+        ("Flow rate: 5 ml/min", {}),
+        ("Sample rate: 1,000 Hz", {}),
+        ("Rate: 100\nRate: 200", {}),
+    ],
+)
+def test_the_rate_above_a_table_without_times(tmp_path, line, said):
+    (tmp_path / "log.csv").write_text(f"Take 7\n{line}\n" + table("q;u", "{i}.5;1"))
+    assert tomllib.loads(guess_mapping(tmp_path / "log.csv"))["time"] == said
+
+
+@pytest.mark.parametrize(
     "name", ["Temps [s]", "Messzeit_s", "Tiempo", "\u6642\u523b [s]", "\u7d4c\u904e(\u79d2)", "Elapsed"]
 )
 def test_times_are_known_by_their_unit_or_in_other_languages(guessed, name):

@@ -65,8 +65,8 @@ class Column:
         return bool(said) and all(_DATE.fullmatch(text) for text in said)
 
 
-def layout(data: bytes) -> tuple[dict[str, Any], list[Column]]:
-    """The entries of [format] and the columns of a table; RecordingError if it looks like none."""
+def layout(data: bytes) -> tuple[dict[str, Any], list[Column], list[str]]:
+    """The entries of [format], the columns of a table and the lines above it; RecordingError if it looks like none."""
     head = data if len(data) <= _HEAD else data[: data.rfind(b"\n", 0, _HEAD) + 1] or data[:_HEAD]
     encoding = _encoding(head)
     text = decoded(head, encoding)
@@ -77,9 +77,11 @@ def layout(data: bytes) -> tuple[dict[str, Any], list[Column]]:
     delimiter, decimal = (first[4], _best([first[4]], lines)[1]) if excel else _best(_DELIMITERS, lines)
     options |= {"delimiter": delimiter} if delimiter != "," and not excel else {}
     options |= {"decimal": decimal} if decimal != "." else {}
-    before, names = _rows_before(_cells(lines, delimiter), decimal, delimiter)
+    rows = _cells(lines, delimiter)
+    before, names = _rows_before(rows, decimal, delimiter)
     options |= before
-    return options, _columns(read_text(head, options), names)
+    above = [" ".join(row) for row in rows[: before.get("skip_rows", 0)]]
+    return options, _columns(read_text(head, options), names), above
 
 
 def is_number(text: str, decimal: str) -> bool:

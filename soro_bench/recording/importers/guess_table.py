@@ -65,8 +65,8 @@ def guessed(path: str | Path) -> str:
     """
     data = read_bytes(path, MAX_BYTES)
     with named_errors(path):
-        options, columns = layout(data)
-        clock, others, lines = time_section(columns)
+        options, columns, above = layout(data)
+        clock, others, lines = time_section(columns, above)
         rest = [column for column in columns if column not in clock]
         beside, numbers = _beside(rest, clock), [c for c in rest if c.numeric or c in others]
         groups = _groups(numbers, others) if beside is None else [Group(c.name, [c], beside=beside) for c in numbers]

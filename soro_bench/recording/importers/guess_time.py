@@ -27,12 +27,19 @@ _ABROAD = re.compile(
 _STEPS = ("s", 1e-5, 2.0), ("ms", 2.0, 2e3), ("us", 2e3, 2e5), ("ns", 2e5, 1e12)  # the step that each unit has
 _MORNING, _SLOW, _FAST = 0.01, 5e-5, 1e-6  # of a day: when logs begin; steps of times of day, and of elapsed ones
 _ON, _BACK = 0.01, 0.05  # of the steps of a clock go on at least, and back at most
+_COUNTED = {  # what lines above a table call the rate and the interval of its rows
+    "rate": re.compile(r"(^\W*|sampl\w*[ _-]?|frame[ _-]?|scan[ _-]?|abtast)(rate|freq[a-z]*)(?![a-z])|\bfs\b", re.I),
+    "interval": re.compile(r"(delta[ _]?|\bd)[tx](?![a-z])|sampl\w*[ _-]?(interval|period)", re.I),
+}
+_AMOUNT = re.compile(r"\d+(?:[.,]\d+)?(?:e[+-]?\d+)?", re.I)
+_THOUSANDS = re.compile(r"[1-9]\d{0,2},\d{3}")  # or three decimals
+_SCALES = {"khz": 1e3, "ms": 1e-3, "us": 1e-6, "\u00b5s": 1e-6}
 _CLOCKLIKE = re.compile(r"\d{1,2}:\d\d|\d{8}\D\d{6}")  # in texts that may be times
 ROW = "row of units"  # says the unit
 
 
-def time_section(columns: Sequence[Column]) -> tuple[list[Column], list[Column], list[str]]:
-    """The columns of time, those of other clocks, and the section [time]."""
+def time_section(columns: Sequence[Column], above: Sequence[str]) -> tuple[list[Column], list[Column], list[str]]:
+    """The columns of time, those of other clocks, and the section [time], for which the lines above may say a rate."""
     for column, after in zip(columns, [*columns[1:], None], strict=True):
         if column.stamped:
             return [column], [], _section(column, "  # dates and times; without a zone they are taken for UTC")
@@ -50,20 +57,35 @@ def time_section(columns: Sequence[Column]) -> tuple[list[Column], list[Column],
     steady = [column for column in found if not _COUNT.fullmatch(column.name.lower()) and _is_clock(column)]
     nameless = [column for column in steady if not any(letter.isalpha() for letter in column.name)]
     nameless.sort(key=_counts_rows)
+    counted = _counted(above)
     if not (candidates := named or nameless) and (like := next(filter(_like_times, columns), None)):
         text = shown(next(iter(like.words), like.texts[0]))[:40]
         return [], [], ["[time]", f"# column {toml(like.label)} may be the time, but {text} cannot be read as one, or "
-                        "repeats: correct it, or write rate = ...  # Hz"]  # fmt: skip
+                        "repeats: correct it, or write rate = ...  # Hz", *counted]  # fmt: skip
     if not candidates:
-        rate = "# rate = ...  # Hz: no column is called time; write how many rows there are in a second"
+        ask = ["# rate = ...  # Hz: no column is called time; write how many rows there are in a second"]
         other = [f"# column = {toml(column.label)}  # increases steadily: is this the time?" for column in steady[:3]]
-        return [], [], ["[time]", rate, *other]
+        return [], [], ["[time]", *(counted or ask), *other]
     column, *others = candidates if named else candidates[:1]
     unit, reason = unit_of_times(column)
     lines = _section(column, "" if named else "  # the numbers increase steadily; is this the time?")
     if reason != ROW and (unit != "s" or column.unit):
         lines.append(f'unit = "{unit}"  # {reason}')
     return [column], others, lines
+
+
+def _counted(above: Sequence[str]) -> list[str]:
+    """The entry rate [Hz] or interval [s] that the lines above a table say; none where there are several numbers."""
+    found = {}
+    for line in above:
+        for key, pattern in _COUNTED.items():
+            rest = line[said.end() :].lower() if (said := pattern.search(line)) else ""
+            amounts = set(_AMOUNT.findall(rest))
+            if len(amounts) == 1 and not _THOUSANDS.fullmatch(amount := amounts.pop()):
+                scale = next((_SCALES[word] for word in re.findall(r"[a-z\u00b5]+", rest) if word in _SCALES), 1.0)
+                found[key, scale * float(amount.replace(",", "."))] = shown(line.strip())[:60]
+    entries = [f"{key} = {number:g}  # the file says: {line}" for (key, number), line in found.items() if number > 0]
+    return entries if len(entries) == 1 else []
 
 
 def _section(column: Column, comment: str) -> list[str]:
