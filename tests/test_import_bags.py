@@ -12,7 +12,7 @@ import pytest
 pytest.importorskip("pyarrow")
 pytest.importorskip("rosbags")
 import zstandard
-from mcap.writer import CompressionType
+from mcap.writer import CompressionType, Writer
 
 from benchmarks.write_bags import (
     HUMBLE,
@@ -385,3 +385,33 @@ def test_stamps_of_messages_that_came_late_are_guessed_as_times(tmp_path):
     (tmp_path / "a.toml").write_text(guess_mapping(path))
     signal = import_recording(path, tmp_path / "a.toml").signals["joint_states_position"]
     np.testing.assert_array_equal(signal.values, [position for *_, position in rows])
+
+
+@pytest.mark.parametrize(
+    ("ahead", "source", "said"),
+    [
+        ((0.0, 0.02), "header.stamp", "or log_time"),
+        ((-5000.0, -5000.1), "header.stamp", "or log_time"),
+        ((0.0, None), "log_time", "as only /a has header.stamp"),
+        ((0.0, 3.0), "log_time", "as header.stamp of /b is 3 s ahead of that of /a"),
+        ((None, None), "log_time", "or a stamp that all messages have"),
+    ],
+)
+def test_a_guess_takes_one_clock_for_all_topics_and_says_why(tmp_path, ahead, source, said):
+    """Stamps that are ahead of the times of receipt [s], or no stamps."""
+    with open(tmp_path / "a.mcap", "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("s", "jsonschema", b"{}")
+        for topic, seconds in zip(("/a", "/b"), ahead, strict=True):
+            channel = writer.register_channel(topic, "json", schema)
+            for k in range(10):
+                time = START + k * STEP
+                sec, nanosec = divmod(time + round(1e9 * (seconds or 0.0)), 10**9)
+                stamp = {} if seconds is None else {"header": {"stamp": {"sec": sec, "nanosec": nanosec}}}
+                writer.add_message(channel, time, json.dumps({**stamp, "x": k}).encode(), time)
+        writer.finish()
+    guess = guess_mapping(tmp_path / "a.mcap")
+    assert f'source = "{source}"  # ' in guess and said in guess
+    (tmp_path / "a.toml").write_text(guess)
+    assert import_recording(tmp_path / "a.mcap", tmp_path / "a.toml").names == ["a_x", "b_x"]

@@ -45,6 +45,9 @@ _DAY, _ALIKE = (
     86_400 * SECOND,
     2,
 )  # stamps are not set if they are that far away; they go as fast as time within a factor
+_MOST_SAID = 200  # letters of a list of topics
+_APART = 1.0  # s, by which stamps of two topics are ahead of when they came, and one clock is set wrong
+_RECEIVED = "log_time"
 _STAMPS = ("header.stamp", "stamp", "timestamp", "time")
 _COMMANDS = re.compile(
     r"(^|[/_])(cmd|command|commands|action|actions|target|goal|desired|reference|setpoint)s?($|[/_])"
@@ -158,16 +161,13 @@ def _look(topic: _Topic, channel: Channel, received: int, data: bytes) -> None:
 
 def _written(path: Path, topics: Mapping[str, _Topic], notes: list[str]) -> str:
     proposals = {name: _proposals(topic) for name, topic in sorted(topics.items())}
-    clocks = {name: _clock(topics[name]) for name, found in proposals.items() if found}
-    used = set(clocks.values())
-    clock = used.pop() if len(used) == 1 else "log_time"
-    others = "or log_time, when messages were received" if clock != "log_time" else "or a stamp that all messages have"
+    clock, about = _common_clock({name: _clock(topics[name]) for name, found in proposals.items() if found})
     lines = [
         f"# A guess for {shown(path.name)}. Correct the units and what is a command; remove what is not needed.",
         *(f"# {shown(note)}" for note in notes),
         "",
         "[time]",
-        f"source = {_quoted(clock)}  # {others}",
+        f"source = {_quoted(clock)}  # {about}",
     ]
     taken: set[str] = set()
     for name, topic in sorted(topics.items()):
@@ -257,19 +257,43 @@ def _names(topic: _Topic, path: str) -> list[list[str]]:
     return found[:_MOST_PUBLISHERS]
 
 
-def _clock(topic: _Topic) -> str:
+class _Clock(NamedTuple):
+    """What says when messages of a topic are from."""
+
+    path: str  # of the stamp in them, or log_time
+    ahead: float = 0.0  # s, of when they were received
+
+
+def _common_clock(clocks: Mapping[str, _Clock]) -> tuple[str, str]:
+    """The path of times that all topics share, and what there is to say: signals of one recording need one clock."""
+    paths = {clock.path for clock in clocks.values()} or {_RECEIVED}
+    if paths == {_RECEIVED}:
+        return _RECEIVED, "or a stamp that all messages have"
+    if len(paths) > 1:
+        found = [f"{shown(name)} has {clock.path}" for name, clock in clocks.items() if clock.path != _RECEIVED]
+        return _RECEIVED, f"when messages were received, as only {', '.join(found)[:_MOST_SAID]}"
+    first, last = (choose(clocks, key=lambda name: clocks[name].ahead) for choose in (min, max))
+    path, apart = clocks[last].path, clocks[last].ahead - clocks[first].ahead
+    if apart > _APART:
+        doubt = f"{path} of {shown(last)} is {apart:.3g} s ahead of that of {shown(first)}"
+        return _RECEIVED, f"when messages were received, as {doubt}"
+    return path, "or log_time, when messages were received"
+
+
+def _clock(topic: _Topic) -> _Clock:
     """The stamp in its messages, if it is set and goes on, but for messages that came late."""
+    received = np.array(topic.stamps)
     for path in _STAMPS:
         try:
             found = np.array([_time(content, parse_path(path)) for content in topic.contents])
         except RecordingError:
             continue
         is_set = np.abs(found - np.int64(np.median(found))) < _DAY  # the first ones may not be
-        steps, seconds = np.diff(found[is_set]), np.diff(np.array(topic.stamps)[is_set])
+        steps, seconds = np.diff(found[is_set]), np.diff(received[is_set])
         late = np.maximum.accumulate(found[is_set]) - found[is_set]
         if steps.size and late.max() <= SECOND and seconds.sum() / _ALIKE < steps.sum() < _ALIKE * seconds.sum():
-            return path
-    return "log_time"
+            return _Clock(path, float(np.median(found[is_set] - received[is_set])) / SECOND)
+    return _Clock(_RECEIVED)
 
 
 def _time(content: Any, path: tuple[Step, ...]) -> int:
