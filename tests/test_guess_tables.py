@@ -160,6 +160,26 @@ def test_the_unit_of_time(guessed, header, row, unit):
     assert mapping["time"].get("unit") == unit
 
 
+@pytest.mark.parametrize(
+    ("day", "said"), [("28/11/2025", "day/month/year"), ("11/28/2025", "month/day/year"), ("06/07/2025", None)]
+)
+def test_a_day_after_the_twelfth_says_the_order_of_dates(tmp_path, day, said):
+    for header, row in (
+        ("stamp,x", f"{day} 10:11:02.{{i:03d}},{{i}}"),
+        ("day,hour,x", f"{day},10:11:02.{{i:03d}},{{i}}"),
+    ):
+        (tmp_path / "log.csv").write_text(table(header, row))
+        text = guess_mapping(tmp_path / "log.csv")
+        assert tomllib.loads(text)["time"].get("date") == said
+        assert ("month or day first?" in text) == (said is None)
+
+
+@pytest.mark.parametrize("second", ["elapsed", "t_ms"])
+def test_stamps_of_whole_seconds_are_no_times_beside_a_finer_clock(guessed, second):
+    mapping, _ = guessed(table(f"stamp,{second},x", "2025-11-28 10:11:02,{i}.5,{i}"))
+    assert mapping["time"]["column"] == second
+
+
 def test_without_a_column_of_time_the_rate_is_asked_for(tmp_path):
     """And no number is made up, nor is a column taken that cannot be used."""
     rows = {"x,y": "{i}.5,{t}", "time,x": "10:11:02:{i:03d},{i}", "time,x,y": "1.71943e9,{i},0"}

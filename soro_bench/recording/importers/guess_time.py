@@ -2,11 +2,12 @@
 
 import re
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
 from soro_bench.files import shown, toml
-from soro_bench.recording.importers.clock import overflowed
+from soro_bench.recording.importers.clock import DATE_ORDERS, overflowed
 from soro_bench.recording.importers.guess_layout import Column
 from soro_bench.recording.importers.units import (
     EPOCH,
@@ -34,25 +35,29 @@ _COUNTED = {  # what lines above a table call the rate and the interval of its r
 _AMOUNT = re.compile(r"\d+(?:[.,]\d+)?(?:e[+-]?\d+)?", re.I)
 _THOUSANDS = re.compile(r"[1-9]\d{0,2},\d{3}")  # or three decimals
 _SCALES = {"khz": 1e3, "ms": 1e-3, "us": 1e-6, "\u00b5s": 1e-6}
+_HALF = 0.5  # of the stamps are as the one before
+_SLASHED = re.compile(r"(\d{1,2})[/-](\d{1,2})[/-]\d{4}")  # a date of which either number may be the day
+_MONTHS = 12
+_ZONE = "  # dates and times; without a zone they are taken for UTC"
 _CLOCKLIKE = re.compile(r"\d{1,2}:\d\d|\d{8}\D\d{6}")  # in texts that may be times
 ROW = "row of units"  # says the unit
 
 
 def time_section(columns: Sequence[Column], above: Sequence[str]) -> tuple[list[Column], list[Column], list[str]]:
     """The columns of time, those of other clocks, and the section [time], for which the lines above may say a rate."""
+    found = [column for column in columns if column.numeric and _goes_on(column)]
+    named = [column for column in found if _called_time(column.name)]
+    named = named or [column for column in found if _says_time(column)][:1]
     for column, after in zip(columns, [*columns[1:], None], strict=True):
-        if column.stamped:
-            return [column], [], _section(column, "  # dates and times; without a zone they are taken for UTC")
+        if column.stamped and not (named and _repeats(column)):
+            return [column], [], [*_section(column, _ZONE), *_date_order(column)]
         if after is None:
             continue
         labels = f"columns = {toml([column.label, after.label])}"
         if column.dated and after.stamped:
-            return [column, after], [], ["[time]", f"{labels}  # a date, and a time"]
+            return [column, after], [], ["[time]", f"{labels}  # a date, and a time", *_date_order(column)]
         if part := _part_of_seconds(column, after):
             return [column, after], [], ["[time]", labels, f'units = ["s", "{part}"]']
-    found = [column for column in columns if column.numeric and _goes_on(column)]
-    named = [column for column in found if _called_time(column.name)]
-    named = named or [column for column in found if _says_time(column)][:1]
     named = named or [column for column in found if _origin(column)][:1]
     steady = [column for column in found if not _COUNT.fullmatch(column.name.lower()) and _is_clock(column)]
     nameless = [column for column in steady if not any(letter.isalpha() for letter in column.name)]
@@ -72,6 +77,19 @@ def time_section(columns: Sequence[Column], above: Sequence[str]) -> tuple[list[
     if reason != ROW and (unit != "s" or column.unit):
         lines.append(f'unit = "{unit}"  # {reason}')
     return [column], others, lines
+
+
+def _repeats(column: Column) -> bool:
+    """Whether most stamps of a column are as the one before, as those without parts of seconds are."""
+    same = [text == before for before, text in pairwise(column.texts)]
+    return sum(same) > _HALF * len(same)
+
+
+def _date_order(column: Column) -> list[str]:
+    """The entry date of dates such as 28/11/2025, if one of them says which number is the day; else none."""
+    found = [match.groups() for text in column.texts if (match := _SLASHED.match(text))]
+    is_day = np.any(np.array(found, int).reshape(-1, 2) > _MONTHS, axis=0)
+    return [f"date = {toml(DATE_ORDERS[int(is_day[1])])}"] if is_day.sum() == 1 else []
 
 
 def _counted(above: Sequence[str]) -> list[str]:
