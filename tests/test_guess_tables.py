@@ -70,6 +70,7 @@ def test_encoding_delimiter_decimal_and_units_of_the_header(guessed):
         (table("%  t q u\n% s deg V", "  {t}  {i} 1"), {"delimiter": "blank", "unit_row": "take"}),
         (table("t,q,status,mode,u\n0.0,ERR,OK,on,1", "{t}1,{i},OK,off,1"), None),
         (table("t,q,u", "{t},{i},1", "\r\n")[:-5], None),
+        (table("x-axis,1,2\nsecond,deg,V\nt,q,u", "{t},{i},1"), {"skip_rows": 2}),
         (table("Channel,q,u\nRate,100,100\n\nt,q,u", "{t},{i},1"), {"skip_rows": 3}),
         (
             table("Samples\t50\t50\nUnit\tdeg\tV\nX0\t0.0\t0.0\n***End***\t\t\nX_Value\tq\tu", "{t}\t{i}\t1"),
@@ -99,6 +100,17 @@ def test_names_further_up_are_those_of_the_signals(guessed, head, row):
     assert mapping["format"]["header"] is False
     assert (list(recording.signals), list(recording.commands)) == (["q"], ["u"])
     assert recording.signals["q"].unit == "rad" and len(recording.signals["q"].time) == 50
+
+
+def test_channels_that_are_numbers_are_names(guessed):
+    mapping, recording = guessed(table("x-axis,1,2\nsecond,deg,V", "{t},{i},1"))
+    assert (mapping["format"], mapping["time"]) == ({"unit_row": "take"}, {"column": "x-axis"})
+    assert [len(signal.time) for signal in recording.signals.values()] == [50, 50]
+
+
+def test_the_least_one_is_no_minute(guessed):
+    mapping, _ = guessed(table("t,q [min],q [max],dose [min]", "{t},{i},1,2"))
+    assert [entry["unit"] for entry in mapping["signals"].values()] == ["1", "1", "1"]
 
 
 @pytest.mark.parametrize("pull, told", [("pull", True), ("u", False)])

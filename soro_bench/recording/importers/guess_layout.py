@@ -161,6 +161,8 @@ def _rows_before(rows: list[list[str]], decimal: str, delimiter: str) -> tuple[d
         raise RecordingError("no row of numbers is found; a table of text has rows of numbers between delimiters")
     if data + 1 < len(rows) and _is_counted(rows[data]) and not all(cell.isdigit() for cell in rows[data + 1]):
         return {"skip_rows": data} if data else {}, []  # a header of numbers
+    if 0 in numeric and _counts_channels(rows[data]):
+        data = next((i for i in range(data + 1, len(rows)) if _is_data(rows[i], numeric, decimal)), data)
     above = [i for i in range(data) if any(rows[i])]
     if delimiter == "," and above and _split_decimals(rows[above[-1]], rows[data]):
         raise RecordingError(f"{len(rows[above[-1]])} names stand above {len(rows[data])} cells; are these decimal "
@@ -228,6 +230,12 @@ def _is_counted(row: list[str]) -> bool:
     """Whether cells count the columns from 0, as programs write that know no names; there may be one of the index."""
     said = row if all(row) else row[1:]
     return len(said) > 2 and said == [str(i) for i in range(len(said))]
+
+
+def _counts_channels(row: list[str]) -> bool:
+    """Whether cells behind a name count from 1, as the channels of an oscilloscope do."""
+    name, *others = row[: _filled(row)]
+    return any(map(str.isalpha, name)) and others == [str(i + 1) for i in range(len(others))] != []
 
 
 def _split_decimals(names: list[str], cells: list[str]) -> bool:

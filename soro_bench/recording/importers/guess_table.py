@@ -154,7 +154,9 @@ def _axes(columns: Sequence[Column], count: int) -> str | None:
 
 
 def _unit(column: Column) -> str | None:
-    return (of_text(column.unit) if column.unit else None) or split_unit(column.name)[1]
+    """The unit of a signal that its column says; [min] behind a name is the least one, and no minute."""
+    unit = split_unit(column.name)[1]
+    return (of_text(column.unit) if column.unit else None) or (unit if unit != "min" else None)
 
 
 def _entry(group: Group, names: set[str]) -> list[str]:
