@@ -191,6 +191,26 @@ def test_a_guess_knows_dates_in_numbers_by_their_size(tmp_path):
         assert mapping["time"] == {"array": "stamp", "unit": unit}
 
 
+@pytest.mark.parametrize(
+    ("name", "times"),
+    [
+        ("elapsed_s", TIME),
+        ("time_posix", TIME),
+        ("simTime", TIME),
+        ("ts", TIME),
+        ("epoch", 1.7e9 + TIME),
+        ("dates", np.datetime64("2025-11-28T10:00", "ns") + np.int64(1e9 * TIME)),
+    ],
+)
+def test_a_guess_knows_times_that_increase_by_other_names(tmp_path, name, times):
+    np.savez(tmp_path / "a.npz", q=FLAT, **{name: times})
+    mapping = tomllib.loads(guess_mapping(tmp_path / "a.npz"))
+    assert mapping["time"]["array"] == name
+    assert import_recording(tmp_path / "a.npz", mapping).duration == pytest.approx(np.ptp(TIME))
+    np.savez(tmp_path / "a.npz", q=FLAT, **{name: times[::-1].astype(float) % 7})
+    assert tomllib.loads(guess_mapping(tmp_path / "a.npz"))["time"] == {}
+
+
 def test_a_guess_for_a_file_without_numbers_says_what_it_holds(tmp_path):
     np.savez(tmp_path / "a.npz", log=np.array({"t": TIME}, object))
     with pytest.raises(RecordingError, match=says("no array of numbers", "log", "Python objects")):

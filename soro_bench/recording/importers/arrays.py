@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,6 +23,7 @@ _FORMAT = ("episode", "ends", "lengths", "label", "only")
 _ROWS, _ALL = "rows", ":"  # in indices
 _MAX_DIMENSIONS = 5
 _CLOCKS = ("time", "t", "timestamp", "timestamps", "times", "stamp", "time_s", "sec", "seconds", "tout")
+_TIMELIKE = re.compile(r"(^|[^a-z])(t|ts|elapsed|clock)([^a-z]|$)|^time|time$|stamps?$")  # of what increases
 _COMMANDS = ("action", "actions", "u", "cmd", "command", "commands", "ctrl", "control", "tau_cmd", "q_des", "setpoint")
 _NANOSECONDS = {"ns": 1, "us": 1_000, "ms": 1_000_000}  # of whole numbers, which stay whole
 
@@ -319,6 +321,7 @@ class _Clock:
 def _clock(names: Sequence[str], shapes: Mapping[str, np.ndarray]) -> _Clock:
     """The times in arrays: those that are called so, else the first column or row of a matrix that increases."""
     named = [name for name in shapes if _is_called_time(name)]
+    named = named or [name for name, array in shapes.items() if _is_like_time(name, array)]
     increasing = [name for name in named if (np.diff(shapes[name].ravel().astype(float)) > 0).all()]
     if named:
         name = (increasing or named)[0]
@@ -338,6 +341,18 @@ def _clock(names: Sequence[str], shapes: Mapping[str, np.ndarray]) -> _Clock:
 
 def _is_called_time(name: str) -> bool:
     return split_unit(name.rpartition(".")[2])[0].lower() in _CLOCKS
+
+
+def _is_like_time(name: str, array: np.ndarray) -> bool:
+    """Whether an array of another name holds dates, or increases and its name or its numbers are those of times."""
+    if array.dtype.kind in "mM" or max(array.shape) < array.size:
+        return array.dtype.kind in "mM"
+    numbers = array.ravel().astype(float)
+    steps = np.diff(numbers)
+    return bool((steps > 0).all()) and (
+        _TIMELIKE.search(name.rpartition(".")[2].lower()) is not None
+        or origin(float(numbers[0]), float(np.median(steps))) is not None
+    )
 
 
 def _is_command(name: str) -> bool:
