@@ -69,9 +69,9 @@ def _identified(board: str) -> list[Run]:
     cheaply = replace(inferred("rf-dropo", recording, model=task.cheap), name=f"{rf_dropo.name}_{task.cheap}")
     # what wide randomisation does by itself, about no inferred value
     box = fixed("dr_box", search_box(task.randomized))
-    methods = (ORACLE, rf_dropo, cheaply, box, bayes_sim, variance_for_deviation(bayes_sim))
+    methods = (ORACLE, rf_dropo, cheaply, box, MEMORY, bayes_sim, variance_for_deviation(bayes_sim))
     # methods of others, which the study names and did not run
-    others = (inferred("droid", recording), MEMORY, universal(rf_dropo), universal(cheaply))
+    others = (inferred("droid", recording), universal(rf_dropo), universal(cheaply))
     seeds = dict.fromkeys(methods, MORE_SEEDS) | dict.fromkeys(others, SEEDS) | {udr(): BOXES}
     return [run for method, some in seeds.items() for run in runs_of(board, method, some)]
 
