@@ -196,7 +196,8 @@ def walker() -> None:
 
 # --- distances of TrunkReach and TrunkPush ---
 
-ON_REACH = ("oracle", "rf_dropo", "bayes_sim", "bayes_sim_variance", "udr", "dr_box", "rf_dropo_cable", "oracle_flex")
+ON_REACH = ("oracle", "rf_dropo", "bayes_sim", "bayes_sim_variance", "udr", "dr_box", "memory", "rf_dropo_cable",
+            "oracle_flex")  # fmt: skip
 ON_PUSH = ("oracle", "rf_dropo", "bayes_sim", "bayes_sim_variance", "udr", "dr_box", "rf_dropo_cable",
            "rf_dropo_unmodelled", "bayes_sim_unmodelled", "udr_unmodelled")  # fmt: skip
 
