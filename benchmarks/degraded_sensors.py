@@ -5,7 +5,7 @@
 The robots are the arm of the tests, the servo of the real studies, the trunk, and six public models, which lie in the
 FOLDER of --models (see public_models.py). Each has other parameters than its model, within their priors, and a shorter
 time step; nothing is hidden in it. Writes one JSON file per case into the folder, and goes on where it was stopped.
-Prints a table; with all robots it writes docs/results/measured.json.
+Prints a table; with all robots and sensors it writes docs/results/measured.json.
 """
 
 import argparse
@@ -375,7 +375,7 @@ def main() -> None:
                       f"{'' if one['named'] and not one['physics'] else '<<<'} {', '.join(one['effects'])} "
                       f"{one['seconds']} s", flush=True)  # fmt: skip
     print(summary(found))
-    if not options.robots:
+    if options.models and not options.robots and options.sensors == list(SENSORS):
         write_json(RESULTS, read_json(RESULTS) | {"degraded_sensors": found})
 
 

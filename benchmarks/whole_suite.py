@@ -3,9 +3,10 @@
     python benchmarks/whole_suite.py --out FOLDER [--envs TrunkPush-v0 ...]
     python docs/generate.py
 
-Writes one JSON file per environment into the folder, with the result beside it, goes on where it was stopped, and puts
-what it found into docs/results/measured.json. The effects were chosen before any of these diagnoses ran. The robot to
-diagnose has the model and the parameters of the hidden one, so this tests objects, contacts and cost, not model error.
+Writes one JSON file per environment into the folder, with the result beside it, and goes on where it was stopped; with
+all of them it writes docs/results/measured.json. The effects were chosen before any of these diagnoses ran. The robot
+to diagnose has the model and the parameters of the hidden one, so this tests objects, contacts and cost, not model
+error.
 """
 
 import argparse
@@ -92,11 +93,11 @@ def main() -> None:
     for env_id in options.envs:
         if not (path := options.out / f"{env_id}.json").exists():
             write_json(path, case(env_id, options.out))
-    measured = read_json(RESULTS)
-    measured["whole_suite"] = [read_json(path) for name in HIDDEN if (path := options.out / f"{name}.json").exists()]
-    write_json(RESULTS, measured)
+    found = [read_json(path) for name in HIDDEN if (path := options.out / f"{name}.json").exists()]
     head = ("environment", "hidden", "named", "located", "others named", "s", "CPU-s", "GB")
-    print(table(head, [row for each in measured["whole_suite"] for row in _rows(each)]))
+    print(table(head, [row for each in found for row in _rows(each)]))
+    if len(found) == len(HIDDEN):
+        write_json(RESULTS, read_json(RESULTS) | {"whole_suite": found})
 
 
 def _rows(found: dict) -> list[tuple[str, ...]]:

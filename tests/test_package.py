@@ -4,6 +4,7 @@ Words with an ordinary meaning (floor, place, bar, gate, excess, lead, rough, tw
 or not at all. Names in old formats are allowed as they stand there.
 """
 
+import importlib
 import os
 import re
 import runpy
@@ -11,6 +12,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import gymnasium
 import numpy as np
@@ -18,7 +20,7 @@ import pytest
 
 import soro_bench
 from benchmarks.trunk_models import RECORDED, SEQUENCES, TOLERANCE, copies
-from soro_bench.files import mjcf_path
+from soro_bench.files import mjcf_path, read_json, write_json
 from soro_bench.leaderboard.strict import read_strict
 
 ROOT = Path(__file__).parents[1]
@@ -181,6 +183,30 @@ def test_what_scripts_import_is_there(script, monkeypatch):
     pytest.importorskip("stable_baselines3", reason="needs all extras")
     monkeypatch.syspath_prepend(script.parent)
     runpy.run_path(str(script), run_name="imported")
+
+
+@pytest.mark.parametrize(
+    ("part", "folder", "some", "name"),
+    [
+        ("hidden_effects", "--out", ["--only", "tilt"], "{case}"),
+        ("paired_changes", "--work", ["--only", "accurate"], "{robot}_{case}"),
+        ("whole_suite", "--out", ["--envs", "MultiGait-v0"], "{env}"),
+    ],
+)
+def test_some_cases_of_a_benchmark_do_not_take_the_place_of_all(part, folder, some, name, tmp_path, monkeypatch):
+    pytest.importorskip("stable_baselines3", reason="needs all extras")
+    module = importlib.import_module(f"benchmarks.{part}")
+    cases = {name.format(**row): row for row in read_json(CHECKOUT / "docs/results/measured.json")[part]}
+    for case, row in cases.items():
+        if some[1] in case:
+            write_json(tmp_path / f"{case}.json", row)
+    write_json(results := tmp_path / "results" / "measured.json", {part: "all of them"})
+    monkeypatch.setattr(module, "RESULTS", results)
+    if part == "hidden_effects":
+        monkeypatch.setattr(module, "zoo", lambda _: [SimpleNamespace(name=case.model) for case in module.CASES])
+    monkeypatch.setattr(sys, "argv", [part, folder, str(tmp_path), *some])
+    module.main()
+    assert read_json(results) == {part: "all of them"}
 
 
 # contacts on `flex` amplify the last bit, so that another processor sees another course
