@@ -6,9 +6,9 @@ Prints how many were refused and how many were simulated. A failure, such as a s
 law that caused it.
 """
 
+import argparse
 import json
 import math
-import sys
 import time
 from typing import Any
 
@@ -139,8 +139,11 @@ def _bumps(rng: np.random.Generator, names: list[str]) -> Any:
 
 def main() -> None:
     """Try as many as asked."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("laws", type=int, nargs="?", default=10_000)
+    laws = parser.parse_args().laws
     rng, found = np.random.default_rng(0), {"refused": 0, "harmless": 0}
-    for number in range(int(sys.argv[1]) if len(sys.argv) > 1 else 10_000):
+    for number in range(laws):
         effect = hostile(rng)
         try:
             found[outcome(effect)] += 1

@@ -5,9 +5,9 @@
 The last line printed is a JSON object: what ran, and environment steps. All use the cheap model of the trunk.
 """
 
+import argparse
 import json
 import re
-import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -381,6 +381,15 @@ PROGRAMS = {
     "rllib": rllib,
 }
 
-if __name__ == "__main__":
+
+def main() -> None:
+    """Run what is asked for, and print the object."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("library", choices=PROGRAMS)
+    program = PROGRAMS[parser.parse_args().library]
     np.random.seed(0)  # noqa: NPY002  # of the libraries
-    print(json.dumps(PROGRAMS[sys.argv[1]]()))
+    print(json.dumps(program()))
+
+
+if __name__ == "__main__":
+    main()

@@ -185,6 +185,14 @@ def test_what_scripts_import_is_there(script, monkeypatch):
     runpy.run_path(str(script), run_name="imported")
 
 
+@pytest.mark.parametrize("name", ["hostile_laws", "library_programs"])
+def test_scripts_with_few_arguments_say_which(name, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", [name, "--help"])
+    with pytest.raises(SystemExit, match="0"):
+        runpy.run_path(str(CHECKOUT / "benchmarks" / f"{name}.py"), run_name="__main__")
+    assert f"python benchmarks/{name}.py" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("part", "folder", "some", "name"),
     [
