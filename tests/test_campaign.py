@@ -283,6 +283,15 @@ def test_the_state_of_a_campaign_is_read_from_its_files(tmp_path):
     assert state([one, other], tmp_path, tmp_path / "results", seen)[1] == [f"{one.name}: 400 of 400 steps, evaluation"]
 
 
+@pytest.mark.parametrize("table", ["", "steps\n", "steps,final_mm\n200\n", "episodes\n2\n", "steps\n2\n", "\xff\n1"])
+def test_a_table_that_is_none_does_not_end_the_progress_of_other_runs(table, tmp_path):
+    (run,) = [Run("TrunkReach-v0", ORACLE, TINY)]
+    curve = tmp_path / run.name / "curve.csv"
+    curve.parent.mkdir(parents=True)
+    curve.write_text(table, encoding="latin-1")
+    assert state([run], tmp_path, tmp_path / "results", Seen()) == (0.0, [f"{run.name}: begins"])
+
+
 def test_who_watches_a_campaign_reads_an_archive_of_entries_only_when_it_has_changed(tmp_path, monkeypatch):
     (run,) = [Run("TrunkReach-v0", ORACLE, TINY)]
     read, read_bytes = [], packed.read_bytes

@@ -75,9 +75,9 @@ class Seen:
         path = run.result(results)
         return self._read(path, places(path), lambda: run.done(results))
 
-    def last_row(self, curve: Path) -> dict[str, str] | None:
-        """Of a training's table; None before it has one."""
-        return self._read(curve, [curve], lambda: _last_row(curve))
+    def reached(self, curve: Path) -> tuple[int, float] | None:
+        """Steps and final metric [mm] in the last row of a training's table; None before it has one."""
+        return self._read(curve, [curve], lambda: _reached(curve))
 
     def _read(self, name: Path, files: Sequence[Path], reader: Callable[[], T]) -> T:
         found = [file.stat() for file in files if file.exists()]
@@ -102,17 +102,16 @@ def state(runs: Sequence[Run], work: Path, results: Path, seen: Seen) -> tuple[f
             done += cost
             continue
         folder = Path(work) / run.name
-        row = seen.last_row(folder / "curve.csv")
-        if row is None:
+        reached = seen.reached(folder / "curve.csv")
+        if reached is None:
             if folder.exists():
                 active.append(f"{run.name}: begins")
             continue
-        steps = run.config.num_segments * run.config.segment_steps
-        share = min(int(row["steps"]) / steps, 1.0)
+        (trained, final), steps = reached, run.config.num_segments * run.config.segment_steps
+        share = min(trained / steps, 1.0)
         done += TRAINING * share * cost
-        value = next(value for name, value in row.items() if name.startswith("final_"))
-        what = f"{value} mm in training" if share < 1 else "evaluation"
-        active.append(f"{run.name}: {int(row['steps']):,} of {steps:,} steps, {what}")
+        what = f"{final} mm in training" if share < 1 else "evaluation"
+        active.append(f"{run.name}: {trained:,} of {steps:,} steps, {what}")
     return done / total, active
 
 
@@ -121,13 +120,14 @@ def _cost(run: Run) -> float:
     return run.config.total_steps * _COST.get(run.config.env_id, 1.0) * model
 
 
-def _last_row(path: Path) -> dict[str, str] | None:
+def _reached(path: Path) -> tuple[int, float] | None:
     try:
         with path.open() as file:
-            rows = list(csv.DictReader(file))
-    except FileNotFoundError:  # not begun, or begun anew
-        return None
-    return rows[-1] if rows else None
+            last = list(csv.DictReader(file))[-1]
+        (final,) = (value for name, value in last.items() if name and name.startswith("final_"))
+        return int(last["steps"]), float(final)
+    except (OSError, LookupError, TypeError, ValueError, csv.Error):
+        return None  # not begun, or begun anew; of a table that is none the run itself says more
 
 
 @contextmanager
