@@ -1,5 +1,6 @@
 """Where an unknown input acts, what it is, models of test inputs, and forces over the state."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -207,6 +208,21 @@ def test_shares_say_in_what_an_input_is_linear(problem):
     b = np.concatenate(setpoints)[:, 1]
     b = b - b.mean()
     np.testing.assert_allclose(np.concatenate(model.factors(values))[:, 0], 3.0 * b / np.sqrt((b**2).mean()))
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_point_that_is_never_seen_has_no_share(problem):
+    """The others have the features that they have without it."""
+    setpoints = [np.arange(2.0 * steps).reshape(-1, 2) for steps in STEPS]
+    never = [
+        replace(each, values=np.concatenate([each.values, 0.0 * each.values[:, :1] + np.nan], axis=1))
+        for each in problem.recordings
+    ]
+    found, other = (
+        Linear(replace(problem, recordings=some), setpoints, ["A", "B"]).features
+        for some in (never, problem.recordings)
+    )
+    np.testing.assert_allclose(np.abs(found[:, : other.shape[1]]), np.abs(other), atol=1e-9)
 
 
 NOISE = 2e-4

@@ -142,7 +142,9 @@ class Linear:
     def __init__(self, problem: Problem, setpoints: Sequence[np.ndarray], names: Sequence[str]):
         commanded = np.concatenate(setpoints)
         shape = np.concatenate([each.values.reshape(len(each.values), -1) for each in problem.recordings])
-        shape = np.nan_to_num(shape - np.nanmean(shape, axis=0))  # missing samples count as the mean
+        seen = ~np.isnan(shape)
+        mean = np.where(seen, shape, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+        shape = np.where(seen, shape - mean, 0.0)  # missing samples count as the mean
         shape = shape @ np.linalg.svd(shape, full_matrices=False)[2][:_SHAPES].T
         features = [np.ones((len(commanded), 1)), commanded - commanded.mean(axis=0), shape]
         unscaled = np.concatenate(features, axis=1)
