@@ -18,6 +18,7 @@ from soro_bench.diagnosis.preparation import unexplained
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.selection.forward_selection import explained
 from soro_bench.diagnosis.selection.moves import (
+    begun_best,
     distinct,
     indistinguishable,
     laws,
@@ -32,6 +33,7 @@ from soro_bench.diagnosis.selection.rounds import (
     fitted_in_growing_parts,
     from_base_if_worse,
     may_imitate,
+    replayed_anew,
 )
 from soro_bench.diagnosis.selection.screening import ScreenedCandidate, evidence, responses
 from soro_bench.diagnosis.settings import DEFAULT
@@ -281,6 +283,12 @@ def test_the_search_starts_again_as_often_as_the_settings_say(robot, local_minim
     explanation = explained(given, stuck, robot, [], candidates, 0)
     assert len(explanation.rounds) == 1
     assert explanation.found
+
+
+def test_of_no_guesses_there_are_no_fits(paths):
+    given = arm.problem(paths)
+    assert begun_best(given, []) == fitted(given, [], (1.0,), 0) == replayed_anew(given, []) == []
+    assert given.parameter_values([]).shape == (0, given.parameters)
 
 
 def test_settings_of_the_problem_decide_which_terms_are_tried(paths):

@@ -6,6 +6,7 @@ rank, whose coefficients are unknowns with standard normal priors too (discretis
 Jacobians are regressions over replays around a point (inference/statistical_linearisation.py).
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -179,7 +180,8 @@ def _asked(
 
 def _split(rows: Floats, groups: Sequence[Sequence[Floats] | Floats]) -> list[Floats]:
     """The rows of each group."""
-    return np.split(rows, np.cumsum([len(points) for points in groups])[:-1])
+    ends = np.cumsum([0, *(len(points) for points in groups)])
+    return [rows[begin:end] for begin, end in itertools.pairwise(ends)]
 
 
 def _within(problem: Problem, guesses: Sequence[Guess]) -> list[Guess]:

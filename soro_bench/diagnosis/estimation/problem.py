@@ -103,7 +103,9 @@ class Problem:
         return np.concatenate([each.actions for each in self.recordings])
 
     def simulated(self, robot: Robot, points: Points) -> Floats:
-        """(N, M) samples [first signal's unit] of replays by a robot at N points."""
+        """(N, M) samples [first signal's unit] of replays by a robot at N points, which may be none."""
+        if not points:
+            return np.empty((0, self.weight.size))
         d, parameters = self.parameters, self.parameter_values([x for x, _ in points])
         effects = [effects_at(x[d:], terms) for x, terms in points]
         return self.scaled(robot.simulate_all([each.drive for each in self.recordings], parameters, effects))
@@ -120,7 +122,7 @@ class Problem:
 
     def parameter_values(self, points: Sequence[Floats]) -> Floats:
         """(N, d) values of the parameters at N points of unknowns."""
-        values = np.array([x[: self.parameters] for x in points])
+        values = np.array([x[: self.parameters] for x in points]).reshape(len(points), self.parameters)
         columns = [prior.value(values[:, i]) for i, prior in enumerate(self.robot.priors)]
         return np.stack(columns, axis=1) if columns else values  # all may be known
 

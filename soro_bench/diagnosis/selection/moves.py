@@ -328,6 +328,8 @@ def begun_best(problem: Problem, guesses: Sequence[Guess]) -> list[Guess]:
     That may be at a share of its estimated magnitudes. A law that sets in at a threshold may do nothing there, so it
     may also begin at the magnitudes with which it was screened.
     """
+    if not guesses:
+        return []
     settings, d = problem.settings.selection, problem.parameters
     starts = [
         [*(_with_share_of_terms(guess.x, d, share) for share in _smaller(settings)), _as_screened(guess)]
