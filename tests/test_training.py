@@ -391,6 +391,9 @@ def test_a_policy_is_told_other_values_without_training(tmp_path):
     assert not more
     assert read_json(tmp_path / "config.json")["told"]["trunk_mass"] == 0.3
     assert _bytes(tmp_path)["policy.safetensors"] != first["policy.safetensors"]
+    told = _bytes(tmp_path)
+    train(CONFIG, tmp_path, BOX, told={"young_modulus": 4e6, "trunk_mass": 0.3})  # in another order
+    assert _bytes(tmp_path) == told
     with pytest.raises(ValueError, match="another told"):
         train(CONFIG, tmp_path, BOX, told={"trunk_mass": 0.4})
 

@@ -80,6 +80,7 @@ def _train(
     told: Mapping[str, float],
 ) -> Policy:
     described, old = claim(folder, config, distribution, told=told)
+    told = described.get("told", {})
     env = make_env(config, distribution, tuple(told))
     episode_steps(config)
     agent = make_agent(config, env)
@@ -111,7 +112,7 @@ def claim(
 
     Args:
         learner: the library whose PPO it is, if it is not Stable-Baselines3's.
-        told: see :func:`train`; other values are no other run.
+        told: see :func:`train`; other values are no other run, and it keeps the order in which it was told them.
     """
     described = config.settings() | {"distribution": distribution.to_dict() if distribution else None}
     if config.effects:
@@ -128,7 +129,10 @@ def claim(
                 f"{folder} has {', '.join(left)}, and no config.json that says of which run; choose another folder"
             )
         return described, []
-    if (found := read_json(path)) == described or _but_for_values(found, described):
+    found = read_json(path)
+    if _but_for_values(found, described):
+        return found | {"told": {name: described["told"][name] for name in found["told"]}}, []
+    if found == described:
         return described, []
     if not isinstance(found, dict) or type(trainer := found.get("trainer", 0)) is not int:
         raise ValueError(f"{path} describes no training: it is {brief(found)}")
@@ -145,7 +149,7 @@ def claim(
 def _but_for_values(found: Any, described: dict[str, Any]) -> bool:
     """Whether a run is the same but for what its policy is told afterwards."""
     told = described.get("told", {})
-    if not isinstance(found, dict) or not isinstance(values := found.get("told"), dict) or list(values) != list(told):
+    if not isinstance(found, dict) or not isinstance(values := found.get("told"), dict) or values.keys() != told.keys():
         return False
     return found | {"told": told} == described
 
