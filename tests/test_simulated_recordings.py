@@ -152,6 +152,7 @@ def test_hostile_metadata(metadata):
         ({"action": "torque"}, ("'torque'", "discrete, continuous")),
         ({"model": "fem"}, ("'fem'", "flex, cable")),
         ({"steps": 0}, ("steps 0",)),
+        ({"policy": np.zeros((0, 8))}, ("steps 0",)),
         ({"noise": -1.0}, ("noise -1.0",)),
         ({"policy": "excitation", "action": "discrete"}, ("continuous",)),
         ({"policy": "excitation", "steps": 50}, ("50 steps are too few",)),

@@ -50,7 +50,7 @@ def record(
         action: "discrete" or "continuous"; by default continuous, or what the trained policy needs.
         params: physical parameters; nominal where none is given.
         steps: the episode does not end before; by default what the environment is registered with, and 30 s (or what
-            it takes) for an excitation.
+            it takes) for an excitation. Given actions decide it themselves.
         seed: of the goal, the actions and the noise.
         noise: m, standard deviation of normal noise on every number of all positions; orientations are as noisy as
             those of markers 12.5 mm off the centre.
@@ -63,9 +63,10 @@ def record(
     """
     if env_id not in ENV_IDS:
         raise ValueError(f"unknown environment {env_id!r}; there are {', '.join(ENV_IDS)}")
+    given = None if isinstance(policy, str) else policy
+    steps = steps if given is None else len(given)
     if not 0 <= noise < math.inf or (steps is not None and steps < 1) or seed < 0:
         raise ValueError(f"noise {noise}, steps {steps} and seed {seed}: at least 0, 1 and 0 are needed")
-    given = None if isinstance(policy, str) else policy
     policy = policy if isinstance(policy, str) else "actions"
     trained = None if given is not None or policy in POLICIES else _trained(policy, env_id, action, load)
     action = trained.card.action if trained else action or "continuous"
@@ -78,7 +79,7 @@ def record(
         actions = excitation(task.single_action_space, task.control_timestep, duration, seed)
         act, steps = _in_turn(actions), len(actions)
     elif given is not None:
-        act, steps = _in_turn(given), len(given)
+        act = _in_turn(given)
     else:
         act = trained.act if trained else _random(task.single_action_space, seed)
     inputs = trained.inputs if trained else None
