@@ -329,3 +329,12 @@ def test_a_method_decides_what_its_policies_remember_and_are_told(small_board, t
     assert (told.name, remembers.config.frames) == ("TrunkReach-v0/universal_half/seed0", MEMORY.frames)
     assert values["trunk_mass"] == 0.35 and values["young_modulus"] == ALL_PARAMETERS["young_modulus"].nominal
     assert tuple(values) == box.names and remembers.told(box, tmp_path) == {}
+
+
+def test_a_policy_is_told_what_its_board_gives(tmp_path):
+    """In training the object always has that mass: with another one the policy has never acted."""
+    found = Uniform(("wall_offset",), np.array([0.0]), np.array([0.01]))
+    (run,) = runs_of("TrunkLift-v0-100g", universal(fixed("half", found)), [0], steps=100)
+    box = run.distribution(tmp_path)
+    values = run.told(box, tmp_path)
+    assert values == {"wall_offset": 0.005, "cube_mass": 0.1} and tuple(values) == box.names

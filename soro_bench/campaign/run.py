@@ -83,11 +83,12 @@ class Run:
         return holding(own, BOARDS[self.board].fixed)
 
     def told(self, distribution: Distribution | None, folder: Path) -> dict[str, float]:
-        """What the policy is told of the robot: means of what the method finds, of the parameters that training draws
-        from a distribution; nothing by most methods."""
+        """What the policy is told of the robot [SI units]: of the parameters that training draws from a distribution,
+        those that the board gives, and means of what the method finds of the others; nothing by most methods."""
         if self.method.told is None or distribution is None:
             return {}
-        return means(self.method.told(self.config.env_id, self.config.seed, folder), distribution.names)
+        found = self.method.told(self.config.env_id, self.config.seed, folder)
+        return means(found, distribution.names) | dict(BOARDS[self.board].fixed)
 
     def result(self, results: Path) -> Path:
         """Where its entry is written."""
