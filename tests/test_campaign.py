@@ -22,7 +22,7 @@ from soro_bench.campaign.plan import (
     variance_for_deviation,
 )
 from soro_bench.campaign.run import Run, carry_out
-from soro_bench.commands.campaign import campaign
+from soro_bench.commands.campaign import InferenceBaseline, UniversalBaseline, campaign
 from soro_bench.diagnosis.render import render
 from soro_bench.files import read_json
 from soro_bench.leaderboard.boards import BOARDS, board_of
@@ -317,6 +317,15 @@ def test_seeds_and_steps_are_those_asked_for():
         (4, 64_000, "flex"),
         (7, 64_000, "flex"),
     ]
+
+
+@pytest.mark.parametrize("options", [InferenceBaseline, UniversalBaseline])
+def test_baselines_with_many_options_have_names_that_fit(options, monkeypatch):
+    chosen = []
+    monkeypatch.setattr(options, "carry_out", lambda _, method: chosen.append(method))
+    known = ("young_modulus=3600000.5", "trunk_mass=0.4200000001")
+    options(HERE, "TrunkReach-v0", known=known).run("rf-dropo")
+    runs_of("TrunkReach-v0", chosen[0], [0])
 
 
 def test_a_method_decides_what_its_policies_remember_and_are_told(small_board, tmp_path):

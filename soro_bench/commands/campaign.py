@@ -119,7 +119,8 @@ class InferenceBaseline(_OfOneMethod):
         recording = given or recording_path(BOARDS[self.board].env_id)
         found = inferred(method, recording, parse_params(self.known), self.replay_model,
                          self.noise)  # fmt: skip
-        chosen = self.of(replace(found, name=self._named(found.name)))
+        chosen = self.of(found)
+        chosen = replace(chosen, name=self._named(chosen.name))
         check_name("the method", chosen.name)  # before the work, not after it
         self.carry_out(chosen)
 
