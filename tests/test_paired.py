@@ -64,6 +64,23 @@ def test_clocks_that_are_apart_and_sampled_differently_are_put_on_one() -> None:
     assert pair.after.commands["motors"].time is pair.before.commands["motors"].time
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("after", [0.0, 1.0])
+def test_a_signal_that_stands_still_without_noise_differs_where_it_stands_elsewhere(
+    after: float, tmp_path: Path
+) -> None:
+    def with_gripper(seed: int, value: float) -> Recording:
+        whole = recording(seed)
+        time = whole.signals["markers"].time
+        return replace(whole, signals={**whole.signals, "gripper": Signal(time, np.full(len(time), value))})
+
+    result = compare([with_gripper(0, 0.0)], [with_gripper(1, after)])
+    gripper = next(each for each in result.signals if each.name == "gripper")
+    assert gripper.verdict == ("changed" if after else "same") and gripper.starts[0].differs == bool(after)
+    result.save(tmp_path / "paired.json")
+    assert PairedResult.load(tmp_path / "paired.json").to_json() == result.to_json()
+
+
 def test_other_commands_are_refused_in_one_line() -> None:
     other = recording()
     values = other.commands["motors"].values.copy()

@@ -214,7 +214,8 @@ def _starts(pair: Difference, expected: float, settings: Settings) -> Start:
     if not np.isfinite(distance).any():
         return Start(0, float("nan"), 0.0, False)
     worst = int(np.nanargmax(distance))
-    deviations = float(distance[worst] / (expected * np.sqrt(first.shape[2] / max(len(first), 1))))
+    noise = expected * np.sqrt(first.shape[2] / max(len(first), 1))
+    deviations = float(distance[worst] / max(noise, 1e-300))
     return Start(worst, float(distance[worst]), deviations, deviations > settings.data_quality.outlier_deviations)
 
 
