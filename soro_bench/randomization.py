@@ -227,8 +227,13 @@ def holding(distribution: Distribution | None, values: Mapping[str, float]) -> D
 
 
 def means(distribution: Distribution | None, names: Sequence[str]) -> dict[str, float]:
-    """The mean of each parameter [SI units]; its nominal value where the distribution, if any, is not over it."""
-    known = {} if distribution is None else dict(zip(distribution.names, distribution.mean, strict=True))
+    """The mean of each parameter [SI units], or the bound that it is beyond.
+
+    It is the nominal value where the distribution, if any, is not over the parameter.
+    """
+    if distribution is None:
+        return {name: ALL_PARAMETERS[name].nominal for name in names}
+    known = dict(zip(distribution.names, np.clip(distribution.mean, *_bounds(distribution.names)), strict=True))
     return {name: float(known.get(name, ALL_PARAMETERS[name].nominal)) for name in names}
 
 

@@ -18,6 +18,7 @@ from soro_bench.randomization import (
     from_dict,
     holding,
     load,
+    means,
     random_box,
     search_box,
 )
@@ -283,6 +284,14 @@ def test_goals_do_not_depend_on_randomisation(distribution, seed):
     plain = gymnasium.make("TrunkReach-v0", model="cable")
     random = DomainRandomization(gymnasium.make("TrunkReach-v0", model="cable"), distribution)
     np.testing.assert_array_equal(random.reset(seed=seed)[0][63:], plain.reset(seed=seed)[0][63:])
+
+
+def test_means_are_within_the_bounds_of_their_parameters():
+    """A normal distribution is cut off at the bounds; its peak may be beyond them."""
+    found = TruncatedNormal(("friction", "trunk_mass"), np.array([-0.1, 0.5]), np.array([0.2, 0.1]))
+    expected = {"trunk_mass": 0.5, "friction": 0.0, "poisson_ratio": POISSON_RATIO.nominal}
+    assert means(found, tuple(expected)) == expected
+    assert means(None, ("trunk_mass",)) == {"trunk_mass": TRUNK_MASS.nominal}
 
 
 def test_wrapper_refuses_foreign_parameters():
