@@ -371,6 +371,12 @@ def test_a_policy_is_told_the_parameters_of_its_episode():
             assert (before[i] != task.sim.params[i, columns]).all()
 
 
+def test_a_policy_is_told_no_parameter_that_the_robot_has_not(tmp_path):
+    with pytest.raises(ValueError, match="the robot has no parameter 'mass'; it has trunk_mass"):
+        train(CONFIG, tmp_path / "run", BOX, told={"mass": 0.4})
+    assert not (tmp_path / "run").exists()
+
+
 def test_what_a_policy_is_told_is_part_of_it():
     """It acts on the rest of an observation as on the whole."""
     rng = np.random.default_rng(0)

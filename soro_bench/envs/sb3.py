@@ -124,12 +124,17 @@ class ParametersTold(VecEnvWrapper):
         venv: a :class:`SB3VecEnv`, or wrappers around one.
         task: its simulations.
         names: parameters (d,), which each observation (k,) is followed by [SI units].
+
+    Raises:
+        ValueError: the robot has no such parameter.
     """
 
     def __init__(self, venv: VecEnv, task: Task, names: Sequence[str]):
         space = venv.observation_space
         if not isinstance(space, spaces.Box):
             raise TypeError(f"observations of {space}; a box is needed")
+        if unknown := [name for name in names if name not in task.parameters.names]:
+            raise ValueError(f"the robot has no parameter {unknown[0]!r}; it has {', '.join(task.parameters.names)}")
         low, high = (np.r_[end, np.full(len(names), far)] for end, far in ((space.low, -np.inf), (space.high, np.inf)))
         super().__init__(venv, spaces.Box(low, high, dtype=np.float64))
         self._task, self._columns = task, [task.parameters.names.index(name) for name in names]
