@@ -64,6 +64,22 @@ def test_clocks_that_are_apart_and_sampled_differently_are_put_on_one() -> None:
     assert pair.after.commands["motors"].time is pair.before.commands["motors"].time
 
 
+def without_first_command(given: Recording, share: float = 1.0) -> Recording:
+    """A recording whose first number of the command was lost, and whose second one is only a share of what it was."""
+    sent = given.commands["motors"]
+    values = np.stack([np.full(len(sent.time), np.nan), share * sent.values[:, 1]], axis=1)
+    return replace(given, commands={"motors": replace(sent, values=values)})
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_command_that_was_lost_hides_neither_another_one_that_differs_nor_the_clock() -> None:
+    for lost in (recording(), without_first_command(recording())):
+        with pytest.raises(RecordingError, match=r"'motors' \(number 1\) differs by"):
+            compare([lost], [without_first_command(recording(1), share=0.5)])
+    pair = aligned(without_first_command(recording()), without_first_command(recording(1, clock=3.2, rate=47.0)))
+    assert pair.commands.shift == pytest.approx(3.2, abs=2e-3)
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("after", [0.0, 1.0])
 def test_a_signal_that_stands_still_without_noise_differs_where_it_stands_elsewhere(

@@ -109,9 +109,12 @@ def _at(signal: Signal, times: Floats) -> Floats:
 
 
 def _ranges(first: Signal, second: Signal) -> Floats:
-    """(C,) largest less smallest value of both."""
+    """(C,) largest less smallest value of both; 0 of numbers that neither has."""
     both = np.concatenate([_columns(first), _columns(second)])
-    return np.nanmax(both, axis=0) - np.nanmin(both, axis=0)
+    seen = np.isfinite(both)
+    highest = np.max(both, axis=0, where=seen, initial=-np.inf)
+    lowest = np.min(both, axis=0, where=seen, initial=np.inf)
+    return np.maximum(highest - lowest, 0.0)
 
 
 def _clocks(
@@ -136,7 +139,8 @@ def _clocks(
         inside = (times[part] + shift >= _begin(after)) & (times[part] + shift <= _end(after))
         if inside.sum() < settings.paired.least_overlap * min(len(inside), (_end(after) - _begin(after)) / step):
             return 1.0
-        return float((((other - first[part]) / scales)[inside] ** 2).mean())
+        apart = np.nan_to_num((other - first[part]) / scales)  # what is missing does not count
+        return float((apart[inside] ** 2).mean())
 
     step = float(np.median(np.diff(times)))
     coarse = _coarse(times, first / scales, after, sorted(moving), scales)
@@ -193,7 +197,7 @@ def _coarse(times: Floats, first: Floats, after: Mapping[str, Signal], names: li
     count = max(int((_end(after) - _begin(after)) / step) + 1, 2)
     grid = _begin(after) + step * np.arange(min(count, 4 * len(times)))
     second = np.hstack([_at(after[name], grid) for name in names]) / scales
-    one, other = np.diff(first, axis=0), np.diff(second, axis=0)
+    one, other = (np.nan_to_num(np.diff(each, axis=0)) for each in (first, second))
     size = 1 << int(np.ceil(np.log2(len(one) + len(other))))
     product = np.fft.rfft(other, size, axis=0) * np.conj(np.fft.rfft(one, size, axis=0))
     lag = int(np.fft.irfft(product.sum(axis=1), size).argmax())
@@ -237,6 +241,7 @@ def _compare(
     """Differences of the worst command, rms and largest, as shares of its range.
 
     Samples may be as late as the commands are apart, so a sample counts as far as it is from the nearest value there.
+    One that is missing in either recording does not count.
 
     Raises:
         RecordingError: they are not the same.
@@ -252,7 +257,9 @@ def _compare(
         own = _at(first, times)
         off = np.maximum(around.min(axis=0) - own, own - around.max(axis=0)).clip(0.0) / scales
         off = np.where(_ranges(first, second) > 0, off, 0.0)
-        rms = np.sqrt(np.nanmean(off**2, axis=0))
+        seen = np.isfinite(off)
+        off = np.where(seen, off, 0.0)
+        rms = np.sqrt((off**2).sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
         column = int(rms.argmax())
         if rms[column] > settings.paired.same_commands:
             where = f" (number {column})" if off.shape[1] > 1 else ""
@@ -261,7 +268,7 @@ def _compare(
                 f"the commands are not the same: {name!r}{where} differs by {rms[column]:.2g} of its range (rms), "
                 f"first after {when:.3g} s; allowed is {settings.paired.same_commands:g}"
             )
-        worst, largest = max(worst, float(rms[column])), max(largest, float(np.nanmax(off)))
+        worst, largest = max(worst, float(rms[column])), max(largest, float(off.max()))
     return worst, largest
 
 
