@@ -12,7 +12,7 @@ from typing import Any, Protocol, overload
 
 import numpy as np
 
-from soro_bench.arrays import Floats
+from soro_bench.arrays import Bools, Floats
 from soro_bench.files import brief, read_json
 from soro_bench.parameters import ALL_PARAMETERS, Parameter
 
@@ -27,6 +27,10 @@ class Distribution(Protocol):
     @property
     def mean(self) -> Floats:
         """(d,) their means [SI units]."""
+
+    @property
+    def constant(self) -> Bools:
+        """(d,) whether a parameter always has its mean."""
 
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
         """One draw of all parameters, by name [SI units], within their bounds."""
@@ -91,6 +95,11 @@ class Uniform:
         """(d,) the middle of the box [SI units]."""
         return 0.5 * (np.asarray(self.low, float) + np.asarray(self.high, float))
 
+    @property
+    def constant(self) -> Bools:
+        """(d,) whether a parameter always has its mean."""
+        return np.asarray(self.low) == np.asarray(self.high)
+
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
         """One draw of all parameters, by name [SI units]."""
         return dict(zip(self.names, rng.uniform(self.low, self.high).tolist(), strict=True))
@@ -119,6 +128,11 @@ class TruncatedNormal:
             if std < 0:
                 raise ValueError(f"{name}: a standard deviation of {std} is negative")
         _check_reach(self.names, self.mean, self.std)
+
+    @property
+    def constant(self) -> Bools:
+        """(d,) whether a parameter always has its mean."""
+        return np.asarray(self.std) == 0.0
 
     def sample(self, rng: np.random.Generator) -> dict[str, float]:
         """One draw of all parameters, by name [SI units]."""
@@ -173,6 +187,11 @@ class Gaussian:
             raise ValueError(f"the covariance is not positive semi-definite: its correlation has eigenvalue {lowest}")
         _check_reach(self.names, self.mean, np.sqrt(np.diag(cov)))
 
+    @property
+    def constant(self) -> Bools:
+        """(d,) whether a parameter always has its mean."""
+        return np.diag(self.cov) == 0.0
+
     def holds(self, name: str, value: float) -> bool:
         """Whether a parameter always has a value, as one that was known when the others were inferred."""
         i = self.names.index(name) if name in self.names else None
@@ -226,15 +245,16 @@ def holding(distribution: Distribution | None, values: Mapping[str, float]) -> D
     return from_dict({**distribution.to_dict(), "parameters": rows})
 
 
-def means(distribution: Distribution | None, names: Sequence[str]) -> dict[str, float]:
-    """The mean of each parameter [SI units], or the bound that it is beyond.
+def told_values(found: Distribution | None, training: Distribution) -> dict[str, float]:
+    """What a policy is told of a robot, of the parameters that its training draws [SI units].
 
-    It is the nominal value where the distribution, if any, is not over the parameter.
+    A parameter that training holds constant has that value. Any other one has the mean of ``found``, or the bound that
+    this is beyond; the nominal value where ``found``, if it is not None, is not over it.
     """
-    if distribution is None:
-        return {name: ALL_PARAMETERS[name].nominal for name in names}
-    known = dict(zip(distribution.names, np.clip(distribution.mean, *_bounds(distribution.names)), strict=True))
-    return {name: float(known.get(name, ALL_PARAMETERS[name].nominal)) for name in names}
+    means = {} if found is None else dict(zip(found.names, np.clip(found.mean, *_bounds(found.names)), strict=True))
+    drawn = zip(training.names, training.mean, training.constant, strict=True)
+    means |= {name: mean for name, mean, constant in drawn if constant}
+    return {name: float(means.get(name, ALL_PARAMETERS[name].nominal)) for name in training.names}
 
 
 def search_box(parameters: Sequence[Parameter]) -> Uniform:

@@ -18,9 +18,9 @@ from soro_bench.randomization import (
     from_dict,
     holding,
     load,
-    means,
     random_box,
     search_box,
+    told_values,
 )
 
 NAMES = ("trunk_mass", "poisson_ratio", "young_modulus")
@@ -286,12 +286,17 @@ def test_goals_do_not_depend_on_randomisation(distribution, seed):
     np.testing.assert_array_equal(random.reset(seed=seed)[0][63:], plain.reset(seed=seed)[0][63:])
 
 
-def test_means_are_within_the_bounds_of_their_parameters():
+def test_what_a_policy_is_told_is_within_the_bounds_and_constant_where_training_is():
     """A normal distribution is cut off at the bounds; its peak may be beyond them."""
     found = TruncatedNormal(("friction", "trunk_mass"), np.array([-0.1, 0.5]), np.array([0.2, 0.1]))
-    expected = {"trunk_mass": 0.5, "friction": 0.0, "poisson_ratio": POISSON_RATIO.nominal}
-    assert means(found, tuple(expected)) == expected
-    assert means(None, ("trunk_mass",)) == {"trunk_mass": TRUNK_MASS.nominal}
+    box = search_box((FRICTION, TRUNK_MASS, POISSON_RATIO))
+    expected = {"friction": 0.0, "trunk_mass": 0.5, "poisson_ratio": POISSON_RATIO.nominal}
+    assert told_values(found, box) == expected
+    assert told_values(None, box) == {name: ALL_PARAMETERS[name].nominal for name in box.names}
+    narrow = TruncatedNormal(box.names, np.array([0.3, 0.4, 0.45]), np.array([0.1, 0.0, 0.01]))
+    correlated = Gaussian(box.names, narrow.mean, np.diag(narrow.std) ** 2)
+    for held in (holding(box, {"trunk_mass": 0.4}), narrow, correlated):
+        assert told_values(found, held) == {**expected, "trunk_mass": 0.4}
 
 
 def test_wrapper_refuses_foreign_parameters():

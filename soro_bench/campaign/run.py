@@ -11,7 +11,7 @@ from soro_bench.leaderboard.strict import read_strict
 from soro_bench.options import check_name, check_seed
 from soro_bench.packed import is_there
 from soro_bench.parallel import processors
-from soro_bench.randomization import Distribution, holding, means
+from soro_bench.randomization import Distribution, holding, told_values
 from soro_bench.recording.rerun_stream import require_rerun
 from soro_bench.training.configuration import PPOConfig
 from soro_bench.training.methods import Method
@@ -83,12 +83,11 @@ class Run:
         return holding(own, BOARDS[self.board].fixed)
 
     def told(self, distribution: Distribution | None, folder: Path) -> dict[str, float]:
-        """What the policy is told of the robot [SI units]: of the parameters that training draws from a distribution,
-        those that the board gives, and means of what the method finds of the others; nothing by most methods."""
+        """What the policy is told of the robot [SI units], by what the method finds, of the parameters that training
+        draws from a distribution; nothing by most methods. See :func:`soro_bench.randomization.told_values`."""
         if self.method.told is None or distribution is None:
             return {}
-        found = self.method.told(self.config.env_id, self.config.seed, folder)
-        return means(found, distribution.names) | dict(BOARDS[self.board].fixed)
+        return told_values(self.method.told(self.config.env_id, self.config.seed, folder), distribution)
 
     def result(self, results: Path) -> Path:
         """Where its entry is written."""

@@ -159,10 +159,10 @@ class Train:
 
     def _told(self, distribution: "Distribution | None") -> dict[str, float]:
         """What the policy is told, by name [SI units]; ValueError where it would learn nothing from that."""
-        from soro_bench.randomization import load, means
+        from soro_bench.randomization import load, told_values
 
         if self.told is None:
             return {}
         if distribution is None or self.device != "cpu":
             raise ValueError("--told needs parameters that vary, by --method udr or --randomization, and --device cpu")
-        return means(load(self.told), distribution.names)
+        return told_values(load(self.told), distribution)
