@@ -100,7 +100,8 @@ class InferenceBaseline(_OfOneMethod):
     recording: Path | None = None
     """.parquet; by default the environment's in assets/recordings."""
     known: tuple[str, ...] = ()
-    """Parameters that are held fixed, in the inference and in training, such as young_modulus=3.6e6."""
+    """Parameters that the inference holds fixed, such as young_modulus=3.6e6; training on what it gives does too, and a
+    universal policy, which trains on the whole search box, is told these values."""
     replay_model: str | None = None
     """Model to replay the recording on; the recorded one by default."""
     noise: float = 0.0
