@@ -27,7 +27,7 @@ class RunPreset:
     workers: Parallel
     preset: Literal["quick", "paper"] = "quick"
     """quick: oracle and UDR briefly on TrunkReach, and a diagnosis of a robot with hidden physics.
-    paper: all tasks, methods and seeds; about two days of computing."""
+    paper: all tasks, methods and seeds; about three days of computing."""
     only: tuple[str, ...] = ()
     """Runs whose names (board/method/seed0) hold one of these texts."""
     plan: bool = False
