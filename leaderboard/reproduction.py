@@ -91,6 +91,7 @@ AFFORDABLE = {
     "udr": "random-box UDR",
     "droid": "DROID: one value, fitted",
     "memory": "whole box, and five observations remembered",
+    "oracle_memory": "true parameters, and five observations remembered",
     "universal_rf_dropo": "whole box, and told RF-DROPO's means",
     "universal_rf_dropo_cable": "whole box, and told those of the simple model",
     "oracle_flex": "true parameters, trained on the accurate model",
@@ -100,7 +101,7 @@ AFFORDABLE = {
 # Pairs of methods that the first two claims compare, on the simple and the accurate model
 ROBUSTER = (("rf_dropo", "oracle"), ("rf_dropo", "bayes_sim"), ("rf_dropo", "dr_box"), ("rf_dropo", "udr"))
 WALKER = (("dr", "no_dr"),)
-_TRANSFERRED = ("rf_dropo", "rf_dropo_cable", "bayes_sim", "bayes_sim_variance", "dr_box", "udr")
+_TRANSFERRED = ("rf_dropo", "rf_dropo_cable", "bayes_sim", "bayes_sim_variance", "dr_box", "udr", "oracle_memory")
 _OF_OTHERS = ("memory", "universal_rf_dropo", "universal_rf_dropo_cable")
 TRANSFERS = (*((each, "oracle") for each in _TRANSFERRED), *((each, "dr_box") for each in _OF_OTHERS))
 # Table IV: elevation [mm], mean and standard deviation of three seeds

@@ -64,7 +64,7 @@ def test_the_paper_has_a_run_for_every_cell_of_its_tables():
         for method in ("oracle", "rf_dropo", "rf_dropo_cable", "dr_box", "memory", "bayes_sim", "bayes_sim_variance"):
             assert {f"{board}/{method}/seed{k}" for k in MORE_SEEDS} <= names
         assert {f"{board}/udr/seed{k}" for k in BOXES} <= names
-        for method in ("droid", "universal_rf_dropo", "universal_rf_dropo_cable"):
+        for method in ("droid", "universal_rf_dropo", "universal_rf_dropo_cable", "oracle_memory"):
             assert {f"{board}/{method}/seed{k}" for k in SEEDS} <= names
     for method in ("rf_dropo_unmodelled", "bayes_sim_unmodelled"):
         assert {f"TrunkPush-v0/{method}/seed{k}" for k in MORE_SEEDS} <= names

@@ -70,8 +70,9 @@ def _identified(board: str) -> list[Run]:
     # what wide randomisation does by itself, about no inferred value
     box = fixed("dr_box", search_box(task.randomized))
     methods = (ORACLE, rf_dropo, cheaply, box, MEMORY, bayes_sim, variance_for_deviation(bayes_sim))
-    # methods of others, which the study names and did not run
-    others = (inferred("droid", recording), universal(rf_dropo), universal(cheaply))
+    # methods of others, which the study names and did not run; and what a memory does by itself
+    alone = replace(ORACLE, name=f"{ORACLE.name}_{MEMORY.name}", frames=MEMORY.frames)
+    others = (inferred("droid", recording), universal(rf_dropo), universal(cheaply), alone)
     seeds = dict.fromkeys(methods, MORE_SEEDS) | dict.fromkeys(others, SEEDS) | {udr(): BOXES}
     return [run for method, some in seeds.items() for run in runs_of(board, method, some)]
 
