@@ -12,6 +12,7 @@ from soro_bench.arrays import Floats, Ints
 from soro_bench.envs.task import Task
 from soro_bench.models.simulation import quiet
 from soro_bench.parallel import one_blas_thread
+from soro_bench.policies.policy import MAX_FRAMES
 from soro_bench.registration import make_task, task_type
 
 
@@ -111,11 +112,13 @@ def evaluate(
 
 
 def frames_of(task: Task, inputs: int | None) -> int:
-    """How many observations are so many numbers; one by default. ValueError if they are no whole number of them."""
+    """How many observations are so many numbers; one by default. ValueError if they are none, or too many."""
     (size,) = task.single_observation_space.shape or (0,)
     inputs = size if inputs is None else inputs
     if inputs < size or inputs % size:
         raise ValueError(f"{inputs} inputs; observations have {size} numbers, so a multiple of it is needed")
+    if inputs > MAX_FRAMES * size:
+        raise ValueError(f"{inputs} inputs are {inputs // size} observations; at most {MAX_FRAMES} are remembered")
     return inputs // size
 
 

@@ -334,6 +334,10 @@ def test_a_policy_with_a_memory_sees_the_last_observations():
         assert (after[2] != before[2]).any()
     with pytest.raises(ValueError, match="100 inputs; observations have 66 numbers"):
         evaluate(act, "TrunkReach-v0", "cable", "continuous", [{}], inputs=100)
+    with pytest.raises(ValueError, match="101 observations; at most 100 are remembered"):
+        evaluate(act, "TrunkReach-v0", "cable", "continuous", [{}], inputs=101 * 66)
+    with pytest.raises(ValueError, match="frames = 101; at most 100"):
+        replace(CONFIG, frames=101)
 
 
 def test_training_and_evaluation_remember_alike(tmp_path):

@@ -13,6 +13,7 @@ from soro_bench.files import brief, read_bytes, read_json, replacing, write_json
 
 _WEIGHTS, _CARD = "policy.safetensors", "policy.json"
 MAX_BYTES = 20_000_000  # of a policy file
+MAX_FRAMES = 100  # observations that a policy sees; a stranger's may take no more memory and time
 
 
 @dataclass(frozen=True)

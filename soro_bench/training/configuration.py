@@ -5,7 +5,7 @@ from typing import Any
 
 import gymnasium
 
-from soro_bench.policies.policy import PolicyCard
+from soro_bench.policies.policy import MAX_FRAMES, PolicyCard
 from soro_bench.registration import task_type
 
 
@@ -43,6 +43,8 @@ class PPOConfig:
         for name in counts:
             if (count := getattr(self, name)) < 1:
                 raise ValueError(f"{name} = {count}; at least 1 is needed")
+        if self.frames > MAX_FRAMES:
+            raise ValueError(f"frames = {self.frames}; at most {MAX_FRAMES} are remembered")
 
     @property
     def segment_steps(self) -> int:
