@@ -1,6 +1,7 @@
 """Campaigns: what is planned, and one run from training to its entry."""
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +25,7 @@ from soro_bench.campaign.plan import (
 from soro_bench.campaign.run import Run, carry_out
 from soro_bench.commands.campaign import InferenceBaseline, UniversalBaseline, campaign
 from soro_bench.diagnosis.render import render
-from soro_bench.files import read_json
+from soro_bench.files import read_json, write_json
 from soro_bench.leaderboard.boards import BOARDS, board_of
 from soro_bench.leaderboard.enter import _check_fixed, enter
 from soro_bench.leaderboard.entry import policy_of, read_entry
@@ -161,13 +162,18 @@ def test_an_entry_takes_the_place_of_no_other_policy_unasked(small_board, tmp_pa
 
 def test_what_is_no_training_of_ours_is_refused_before_it_is_evaluated(small_board, tmp_path):
     train(TINY, tmp_path / "a")
+    config = read_json(tmp_path / "a" / "config.json")
+    for told in ([1], {"trunk_mass": "0.4"}, {"trunk_mass": math.inf}):
+        (tmp_path / "a" / "config.json").write_text(json.dumps(config | {"told": told}))
+        with pytest.raises(ValueError, match=r"told is .*finite|no JSON"):
+            enter(tmp_path / "a", "TrunkReach-v0", "me", tmp_path)
+    write_json(tmp_path / "a" / "config.json", config)
     (tmp_path / "a" / "curve.csv").write_text("steps\n")
     with pytest.raises(ValueError, match=r"curve.csv has no rows"):
         enter(tmp_path / "a", "TrunkReach-v0", "me", tmp_path)
     (tmp_path / "a" / "curve.csv").write_text("steps\n3\n")
     with pytest.raises(ValueError, match=r"curve.csv is no table of steps, episodes"):
         enter(tmp_path / "a", "TrunkReach-v0", "me", tmp_path)
-    config = read_json(tmp_path / "a" / "config.json")
     (tmp_path / "a" / "config.json").write_text(json.dumps({"distribution": config["distribution"]}))
     with pytest.raises(ValueError, match=r"config.json lacks trainer"):
         enter(tmp_path / "a", "TrunkReach-v0", "me", tmp_path)

@@ -1,12 +1,14 @@
 """From the folder of a training to an entry: the policy is evaluated on the fixed starts of its board."""
 
 import csv
+import math
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 from soro_bench.envs.task import effects_of
-from soro_bench.files import check_folder, read_json
+from soro_bench.files import brief, check_folder, read_json
 from soro_bench.leaderboard.boards import BOARDS
 from soro_bench.leaderboard.entry import check_free, check_writable, thinned_curve, write_entry
 from soro_bench.parameters import ALL_PARAMETERS
@@ -46,12 +48,20 @@ def enter(folder: Path, board: str, entry: str, results: Path, threads: int = 0,
         "effects": [effect.name for effect in effects],
     }
     if "told" in config:
-        training["told"] = config["told"]
+        training["told"] = _told(config["told"], folder)
     if not replace_other:
         check_free(results, board, entry, policy)
     check_writable(results, board, entry, policy)
     evaluations = record_evaluations(policy, board, tuple(BOARDS[board].conditions), folder, threads)
     return write_entry(results, board, entry, policy, evaluations, config["distribution"], training)
+
+
+def _told(values: Any, folder: Path) -> dict[str, float]:
+    """What a policy was told, as config.json has it."""
+    numbers = values.values() if isinstance(values, dict) else [values]
+    if not all(type(value) in (int, float) and math.isfinite(value) for value in numbers):
+        raise ValueError(f"{folder / 'config.json'}: told is {brief(values)}; it has to be finite numbers by name")
+    return dict(values)
 
 
 def _check_fixed(board: str, distribution: dict | None, folder: Path) -> None:
