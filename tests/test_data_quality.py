@@ -193,6 +193,36 @@ def test_held_values_are_clipped_only_where_they_stay_longer_than_others():
     assert np.array_equal(samples.clipped(Channel(np.minimum(held, 0.4), NOISE), SETTINGS), held >= 0.4)
 
 
+def servo(rate: int, speed: float = np.inf, gain: float = np.inf) -> Channel:
+    """A servo that reads 12 bits and is told one of five angles every 1.5 s: at a limited speed [rad/s], or with a
+    gain [1/s]."""
+    goals = np.random.default_rng(3).choice([-0.8, -0.4, 0.0, 0.4, 0.8], 27).repeat(3 * rate // 2)
+    angle = np.zeros(len(goals))
+    for i in range(1, len(goals)):
+        way = goals[i] - angle[i - 1]
+        angle[i] = angle[i - 1] + np.clip(way * -np.expm1(-gain / rate), -speed / rate, speed / rate)
+    step = 2 * np.pi / 4096
+    return Channel(step * np.round(angle / step), 0.0, step, (np.flatnonzero(np.diff(goals)) + 1,))
+
+
+@pytest.mark.parametrize("rate", [10, 50, 100])
+def test_a_servo_that_stops_at_once_between_two_commands_has_no_faulty_sensor(rate):
+    """A third of its samples were those at "the end of the sensor's range", half of a sensor that "stood still"."""
+    channel = servo(rate, speed=2.0)
+    assert not samples.clipped(channel, SETTINGS).any()
+    assert not samples.stale(channel, SETTINGS)[0].any()
+    assert samples.clipped(replace(channel, changes=()), SETTINGS).any()  # without commands it could be either
+
+
+@pytest.mark.parametrize("rate", [10, 50, 100])
+def test_the_end_of_a_range_is_found_where_a_servo_comes_to_rest_slowly_elsewhere(rate):
+    channel = servo(rate, gain=12.0)
+    limit = channel.step * np.round(0.6 / channel.step)
+    found = samples.clipped(replace(channel, values=np.minimum(channel.values, limit)), SETTINGS)
+    assert np.array_equal(found, channel.values >= limit)
+    assert not samples.clipped(channel, SETTINGS).any()
+
+
 @pytest.mark.parametrize("rows", [1.06, 1.1, 1.27])
 def test_a_sensor_a_little_slower_than_its_logger_is_held_on_levels_too(rows):
     sampled = np.floor(np.arange(400) / rows) * rows

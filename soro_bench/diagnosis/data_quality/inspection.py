@@ -1,11 +1,11 @@
 """Recordings as their sensors made them: what is wrong with the samples is named, and left out or put right."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from soro_bench.arrays import Bools, Floats
+from soro_bench.arrays import Bools, Floats, Ints
 from soro_bench.diagnosis.data_quality import samples
 from soro_bench.diagnosis.data_quality.lattice import is_lattice, lattice_step
 from soro_bench.diagnosis.data_quality.noise import noise_or_zero
@@ -119,6 +119,7 @@ class _Inspection:
         self.recorded = RecordedSignal(recording, robot, observed, signal, settings.data_quality)
         self.settings = settings.data_quality
         self.values = signal.values.reshape(len(signal.time), -1).copy()
+        self.changes = _changes(recording.commands.values(), signal.time)
         self.points, self.coordinates = observed.shape
         self.findings: list[DataFinding] = []
         self.spikes, self.size = 0, 0.0
@@ -196,7 +197,7 @@ class _Inspection:
 
     def _channels(self, steps: Floats) -> Iterator[tuple[int, Channel]]:
         for i in range(self.values.shape[1]):
-            yield i, Channel(self.values[:, i], self.noise, float(steps[i]))
+            yield i, Channel(self.values[:, i], self.noise, float(steps[i]), self.changes)
 
     def _unwrap(self) -> bool:
         """Take out the wraps of angles; RecordingError where they are of no whole turn, which the import has to say."""
@@ -319,6 +320,15 @@ class _Inspection:
         if self.spikes:
             self.size = float(np.sqrt(np.mean(squares)))
             self._note("spikes", self.spikes * self.coordinates, size=self.size)
+
+
+def _changes(commands: Iterable[Signal], time: Floats) -> tuple[Ints, ...]:
+    """Of each number of the commands, the first samples at times (T,) after it changes."""
+    found = []
+    for each in commands:
+        changed = np.diff(each.values.reshape(len(each.time), -1), axis=0) != 0
+        found += [np.unique(np.searchsorted(time, each.time[1:][column])) for column in changed.T]
+    return tuple(found)
 
 
 def _distances(point: Floats, at: Bools) -> list[float]:

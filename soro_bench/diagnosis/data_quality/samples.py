@@ -1,5 +1,6 @@
 """Samples that a sensor or a logger has spoilt: one channel at a time, from its values alone."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,12 +17,14 @@ class Channel:
     """One number of a signal over time.
 
     values: (T,), NaN where missing. noise: standard deviation of white noise, as far as it is known; 0 if it is not.
-    step: between levels; 0 where it is not quantised.
+    step: between levels; 0 where it is not quantised. changes: of each number of the commands, the samples at which it
+    is another one than at the sample before.
     """
 
     values: Floats
     noise: float
     step: float = 0.0
+    changes: tuple[Ints, ...] = ()
 
     @property
     def reach(self) -> float:
@@ -198,36 +201,61 @@ class Runs:
         jump = np.diff(self.value)
         return np.r_[np.nan, jump], np.r_[jump, np.nan]
 
+    def at_rest(self, present: Ints, changes: Sequence[Ints]) -> Bools:
+        """(R,) whether a run is a rest between two commands: one of them changes in the second half of it, as motion
+        begins late, and not in the first half.
+
+        Args:
+            present: (T,) the samples that the runs are of. changes: as of ``Channel``.
+        """
+        begin, end = present[self.first], present[self.first + self.length - 1] + 1
+        middle, found = (begin + end) / 2, np.zeros(len(begin), bool)
+        for each in changes:
+            early, half, late = (np.searchsorted(each, at) for at in (begin, middle, end + 1))
+            found |= (half == early) & (late > half)
+        return found
+
 
 def clipped(channel: Channel, settings: DataQualitySettings) -> Bools:
-    """(T,) where the values stay at the least or at the largest one, longer than at others, and come and go fast."""
+    """(T,) where the values stay at the least or at the largest one, longer than at others, and come and go fast.
+
+    A servo of limited speed does so between two commands too, but elsewhere as well.
+    """
     x = channel.values
     present = np.flatnonzero(np.isfinite(x))
     found = np.zeros(len(x), bool)
     if len(present) < settings.least_samples:
         return found
-    runs = Runs.of(x[present])
-    before, after = map(np.abs, runs.jumps)
-    random = _is_random(channel, settings)
-    sharp = max(settings.jump_steps * channel.step, settings.outlier_deviations * channel.noise * (not random),
-                settings.jump_reach * channel.reach)  # fmt: skip
+    runs, random = Runs.of(x[present]), _is_random(channel, settings)
+    fast, rests = _fast(runs, channel, random, settings), runs.at_rest(present, channel.changes)
+    leaves = fast | _stops_at_once(runs, channel, settings)
     for end in (runs.value.min(), runs.value.max()):
         at = runs.value == end
         samples, longest = runs.length[at].sum(), runs.length[at].max()
         if samples < settings.least_repeats or longest < 2 or longest <= np.median(runs.length):
             continue
-        corners = np.stack([before[at], after[at]])
-        # a robot at its end stop comes fast and leaves slowly, one at rest does both slowly
-        leaves = np.nan_to_num(corners.min(axis=0), nan=0.0) > sharp
-        if (
-            0.0 < settings.least_samples * channel.step < channel.reach
-        ):  # slow motion takes one level after the other; at the end of a range it stops at once
-            beside = np.maximum(np.r_[np.inf, runs.length[:-1]], np.r_[runs.length[1:], np.inf])[at]
-            leaves |= (runs.length[at] > settings.clip_times * beside) & ~_comes_to_rest(runs, settings)[at]
-        if random or leaves.sum() >= max(2, 0.5 * at.sum()):
+        elsewhere = rests & ~at
+        as_usual = fast[at].mean() < 0.5 or not elsewhere.any() or fast[elsewhere].mean() >= 0.5
+        if random or (leaves & ~(rests & as_usual))[at].sum() >= max(2, 0.5 * at.sum()):
             for first, length in zip(runs.first[at], runs.length[at], strict=True):
                 found[present[first : first + length]] = True
     return found
+
+
+def _fast(runs: Runs, channel: Channel, random: bool, settings: DataQualitySettings) -> Bools:
+    """(R,) whether the value comes to a run and leaves it fast: a robot at its end stop comes fast and leaves slowly,
+    one at rest mostly does both slowly."""
+    sharp = max(settings.jump_steps * channel.step, settings.outlier_deviations * channel.noise * (not random),
+                settings.jump_reach * channel.reach)  # fmt: skip
+    return np.nan_to_num(np.minimum(*map(np.abs, runs.jumps)), nan=0.0) > sharp
+
+
+def _stops_at_once(runs: Runs, channel: Channel, settings: DataQualitySettings) -> Bools:
+    """(R,) whether slow motion, which takes one level after the other, stays much longer at a run than beside it."""
+    if not 0.0 < settings.least_samples * channel.step < channel.reach:
+        return np.zeros(len(runs.value), bool)
+    beside = np.maximum(np.r_[np.inf, runs.length[:-1]], np.r_[runs.length[1:], np.inf])
+    return (runs.length > settings.clip_times * beside) & ~_comes_to_rest(runs, settings)
 
 
 def _comes_to_rest(runs: Runs, settings: DataQualitySettings) -> Bools:
@@ -275,6 +303,7 @@ def stale(channel: Channel, settings: DataQualitySettings) -> tuple[Bools, str]:
         following = np.abs(np.r_[after[1:], np.nan])  # motion that begins is smaller than what follows
         chosen = (np.abs(before) > far) & (np.abs(after) > far) & (runs.length >= settings.least_repeats)
         chosen &= (np.abs(after) > following) & ~_comes_to_rest(runs, settings)
+        chosen &= ~runs.at_rest(present, channel.changes)
     found = none.copy()
     for first, length in zip(runs.first[chosen], runs.length[chosen], strict=True):
         found[present[first + 1 : first + length]] = True
