@@ -333,6 +333,15 @@ def test_a_healthy_arm_read_by_a_degraded_sensor_lacks_no_physics(paths, name, s
         assert result.train.noise >= 2 * np.pi / 4096 / np.sqrt(12)
 
 
+def test_what_an_encoder_errs_by_within_a_step_is_no_physics(paths):
+    """A magnet beside the axis of its sensor was a gain or a tilt."""
+    whole = recording(paths, (), 5, noise=0.0)
+    angle, step = whole.signals["angle"], 2 * np.pi / 4096
+    read = replace(angle, values=_encoder(angle.values + step * np.sin(2 * angle.values)))
+    result = diagnose(ModelRobot(*paths, threads=1), [replace(whole, signals={"angle": read})])
+    assert result.verdict == "adequate" and any("within steps of the sensors" in note for note in result.notes)
+
+
 SIGMA = 5e-4
 
 

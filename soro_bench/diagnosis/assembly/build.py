@@ -132,6 +132,9 @@ def _notes(diagnosis: Diagnosis) -> tuple[str, ...]:
     found = [*diagnosis.robot.notes]
     found += [f"{name} {i}: {text}" for name, group in recordings for i, each in enumerate(group, 1)
               for text in each.notes]  # fmt: skip
+    if diagnosis.comparison.within_steps:
+        found.append("What is left is no noise, but within steps of the sensors: rounding takes half of one, and the "
+                     "sensor itself may err by another. A finer sensor would show what it is")  # fmt: skip
     return tuple(dict.fromkeys(found))
 
 

@@ -27,21 +27,25 @@ SEARCHED = 8  # channels, those that move most, in which steps between levels ar
 class Inspected:
     """A recording after the inspection of its signal; the same one where nothing is wrong with it.
 
-    findings: what was found. step: largest one between levels, 0 if the signal is not quantised. quantised: (C,)
-    channels. error, rate: standard deviations of a constant error [s] of time stamps, and of the rate of their clock.
+    findings: what was found. steps: (C,) between the levels of each number [unit], 0 where it is not quantised.
+    error, rate: standard deviations of a constant error [s] of time stamps, and of the rate of their clock.
     spikes: points left out; size: their rms distance of a coordinate [unit].
     others: the same of the robot's other signals, in its order.
     """
 
     recording: Recording
     findings: tuple[DataFinding, ...] = ()
-    step: float = 0.0
-    quantised: tuple[bool, ...] = ()
+    steps: tuple[float, ...] = ()
     error: float = 0.0
     rate: float = 0.0
     spikes: int = 0
     size: float = 0.0
     others: "tuple[Inspected, ...]" = ()
+
+    @property
+    def step(self) -> float:
+        """The largest step between levels [unit]; 0 if the signal is not quantised."""
+        return max(self.steps, default=0.0)
 
     @property
     def all_findings(self) -> tuple[DataFinding, ...]:
@@ -64,14 +68,15 @@ class Inspected:
                 late.append(rows)
             first += part[0].size
         errors = np.concatenate(late) if late else measured.late
-        return replace(measured, values=values[0], others=values[1:], late=errors)
+        steps = [found.steps or np.zeros(part[0].size) for found, part in zip(each, signals, strict=True)]
+        return replace(measured, values=values[0], others=values[1:], late=errors, steps=np.concatenate(steps))
 
     def _without_repeats(self, values: Floats) -> Floats:
         """(T, P, D) samples of the signal without those that only repeat a level."""
-        if not any(self.quantised):
+        if not any(self.steps):
             return values
         columns = values.reshape(len(values), -1).copy()
-        for i in np.flatnonzero(self.quantised):
+        for i in np.flatnonzero(self.steps):
             columns[samples.repeats(columns[:, i]), i] = np.nan
         return columns.reshape(values.shape)
 
@@ -152,8 +157,7 @@ class _Inspection:
             self._note("missing_samples", lost + missing, lost)
         if not self.findings:
             return Inspected(self.recording)
-        return Inspected(recording, tuple(self.findings), float(steps.max()), tuple((steps > 0).tolist()), error, rate,
-                         self.spikes, self.size)  # fmt: skip
+        return Inspected(recording, tuple(self.findings), tuple(steps.tolist()), error, rate, self.spikes, self.size)
 
     def _check_numbers(self) -> None:
         """Refuse what no sensor gives, before it is squared."""

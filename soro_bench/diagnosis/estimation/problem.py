@@ -227,6 +227,19 @@ class Problem:
             found.append(sigma * float(np.sqrt(squares / max(weight, 1.0))))
         return found
 
+    def within_steps(self, residual: Floats) -> bool:
+        """Whether a residual (M,) may be what quantised sensors err by: all but a few samples of every number are off
+        by no more than half a step, which is rounding, and the sensor's own error."""
+        allowed, share = 0.5 + self.settings.data_quality.sensor_error, self.settings.data_quality.within_steps
+        seen, within = np.zeros(self.robot.columns), np.zeros(self.robot.columns)
+        parts = zip(self.recordings, self.rows(residual * self.sigma), self.rows(self.weight), strict=True)
+        for each, left, weight in parts:
+            if each.steps is None:
+                return False
+            seen += (weight > 0).sum(axis=0)
+            within += ((weight > 0) & (np.abs(left) <= allowed * each.steps * self.scales)).sum(axis=0)
+        return bool((within >= share * seen).all())
+
     def allowing(self, *left: float) -> "Problem":
         """The same problem for a simulation whose misfit is ``left`` [each signal's unit].
 

@@ -68,7 +68,8 @@ class Measured:
     early: (E, S) of robots that begin at a signal, the numbers of ``start`` as recorded then and in each control step
     after, for as long as a sensor may be late.
     late: (F, T, C) s, errors that the time stamps of each number may have, one standard deviation each; None where
-    they are exact. file: of the recording, for messages.
+    they are exact. steps: (C,) between the levels of each number [its unit], 0 where it is not quantised; None where
+    nobody has looked. file: of the recording, for messages.
     """
 
     actions: Floats
@@ -82,6 +83,7 @@ class Measured:
     late: Floats | None = None
     others: tuple[Floats, ...] = ()
     early: Floats | None = None
+    steps: Floats | None = None
     file: str = ""
 
     @property
@@ -110,7 +112,7 @@ class Measured:
         if not self.others:
             return self
         values = (self.values, *self.others)[which]
-        return replace(self, values=values, signal=signal.name, unit=signal.unit, late=None, others=())
+        return replace(self, values=values, signal=signal.name, unit=signal.unit, late=None, others=(), steps=None)
 
     def first(self, steps: int) -> "Measured":
         """The same of the first control steps only."""

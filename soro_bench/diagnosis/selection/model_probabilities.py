@@ -75,12 +75,14 @@ class Comparison:
     p_value: of a healthy robot, for the largest predicted gain and for slow residuals, the smaller one; None where the
         misfit dominates, as nobody has counted false alarms there.
     model_form: what the nominal robot leaves beside noise and discretisation error, rms [signal's unit].
+    within_steps: whether there is evidence of a discrepancy, but of one that is within the steps of the sensors.
     """
 
     answers: tuple[Answer, ...]
     unknown: float
     p_value: float | None
     model_form: float = 0.0
+    within_steps: bool = False
 
     @property
     def likeliest(self) -> float:
@@ -166,6 +168,8 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
     weighed = _weighed(explanation, hypotheses, heldout)
     form, misfits, settings = weighed.form, weighed.misfits, problem.settings.probabilities
     p = _p_of_healthy(weighed)
+    small = p < alpha(problem.settings) and all(each.within_steps(left) for each, left in weighed.of_nominal)
+    p = 1.0 if small else p
     unknown, none = _unknown_and_none(explanation, hypotheses, weighed, p)
     scores = weighed.scores - _of_law_errors(problem, hypotheses, misfits)
     probabilities = (1.0 - unknown) * _probabilities(scores, none, temperature(misfits.min(), settings))
@@ -175,7 +179,7 @@ def compared(explanation: Explanation, heldout: tuple[Problem, np.ndarray] | Non
     )
     ranked = tuple(sorted((Answer(*each) for each in parts), key=lambda a: -a.probability))
     uncounted = problem.misfit_dominated and not form.possible[0]
-    return Comparison(ranked, unknown, None if uncounted else p, float(form.left[0]) * problem.sensor)
+    return Comparison(ranked, unknown, None if uncounted else p, float(form.left[0]) * problem.sensor, small)
 
 
 def _weighed(

@@ -31,6 +31,8 @@ class DataQualitySettings:
     )
     level_sharpness: float = setting(0.5, "1", "of the characteristic function; noise of 0.2 steps leaves 0.45")
     evidence: float = setting(7.0, "nats", "against levels, or motion in noise, by chance: one in 1000")
+    sensor_error: float = setting(1.0, "steps", "beside rounding; makers of encoders state a step or more")
+    within_steps: float = setting(0.99, "1", "share of the samples of each number that such errors hold for")
     # samples that a sensor or a logger has spoilt (data_quality/samples.py)
     least_repeats: int = setting(
         4, "samples or runs", "of one value, as a held sensor has; noise hardly repeats itself"
