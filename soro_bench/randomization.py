@@ -257,6 +257,11 @@ def told_values(found: Distribution | None, training: Distribution) -> dict[str,
     return {name: float(means.get(name, ALL_PARAMETERS[name].nominal)) for name in training.names}
 
 
+def alike(one: Any, other: Any) -> bool:
+    """Whether two descriptions give the same samples: samples depend on the order of the parameters too."""
+    return one == other and list((one or {}).get("parameters", ())) == list((other or {}).get("parameters", ()))
+
+
 def search_box(parameters: Sequence[Parameter]) -> Uniform:
     """The uniform distribution over the published search box."""
     low, high = np.array([p.search for p in parameters]).T

@@ -217,6 +217,16 @@ def test_a_folder_with_another_run_is_refused(trained):
     assert (trained / "config.json").read_bytes() == before
 
 
+def test_a_run_whose_parameters_are_drawn_in_another_order_is_another_one(tmp_path):
+    """Samples depend on the order, so that the run would go on with others than it began with."""
+    ends = {"trunk_mass": (0.3, 0.5), "young_modulus": (3e6, 5e6)}
+    boxes = [Uniform(names, *np.array([ends[name] for name in names]).T) for names in (tuple(ends), (*ends,)[::-1])]
+    train(CONFIG, tmp_path, boxes[0])
+    train(CONFIG, tmp_path, boxes[0])
+    with pytest.raises(ValueError, match="another distribution"):
+        train(CONFIG, tmp_path, boxes[1])
+
+
 def test_what_cannot_be_trained_claims_no_folder(tmp_path):
     with pytest.raises(ValueError, match="unknown model 'cabel'"):
         train(replace(CONFIG, model="cabel"), tmp_path)

@@ -11,7 +11,7 @@ from soro_bench.leaderboard.strict import read_strict
 from soro_bench.options import check_name, check_seed
 from soro_bench.packed import is_there
 from soro_bench.parallel import processors
-from soro_bench.randomization import Distribution, holding, told_values
+from soro_bench.randomization import Distribution, alike, holding, told_values
 from soro_bench.recording.rerun_stream import require_rerun
 from soro_bench.training.configuration import PPOConfig
 from soro_bench.training.methods import Method
@@ -69,7 +69,7 @@ class Run:
     def _drew_from(self, entered: dict[str, Any] | None) -> bool:
         """Whether what an entry was trained on is what the method gives now."""
         asked = self.distribution(Path())
-        return entered == (asked and asked.to_dict())
+        return alike(entered, asked and asked.to_dict())
 
     @property
     def name(self) -> str:

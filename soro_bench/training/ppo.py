@@ -31,7 +31,7 @@ from soro_bench.errors import missing, one_line
 from soro_bench.files import brief, read_bytes, read_json, replacing, write_json
 from soro_bench.models.simulation import quiet
 from soro_bench.policies.policy import OBSERVATION_CLIP, Policy
-from soro_bench.randomization import Distribution
+from soro_bench.randomization import Distribution, alike
 from soro_bench.registration import task_type
 from soro_bench.sources import metric_key
 from soro_bench.training.configuration import PPOConfig, card, episode_steps, exploration
@@ -130,9 +130,10 @@ def claim(
             )
         return described, []
     found = read_json(path)
-    if _but_for_values(found, described):
+    drawn = isinstance(found, dict) and alike(found.get("distribution"), described["distribution"])
+    if drawn and _but_for_values(found, described):
         return found | {"told": {name: described["told"][name] for name in found["told"]}}, []
-    if found == described:
+    if drawn and found == described:
         return described, []
     if not isinstance(found, dict) or type(trainer := found.get("trainer", 0)) is not int:
         raise ValueError(f"{path} describes no training: it is {brief(found)}")
@@ -141,15 +142,15 @@ def claim(
     # an older one may not have had some of the settings, but what the robot is like it said
     keys = found.keys() & described.keys() - {"trainer"} | {"effects", "distribution"}
     if different := sorted(k for k in (keys if trainer < TRAINER else found | described)
-                           if found.get(k) != described.get(k)):  # fmt: skip
+                           if found.get(k) != described.get(k) or (k == "distribution" and not drawn)):  # fmt: skip
         raise ValueError(f"{folder} holds a run with another {', '.join(different)}; choose another folder")
     return described, written
 
 
-def _but_for_values(found: Any, described: dict[str, Any]) -> bool:
+def _but_for_values(found: dict[str, Any], described: dict[str, Any]) -> bool:
     """Whether a run is the same but for what its policy is told afterwards."""
     told = described.get("told", {})
-    if not isinstance(found, dict) or not isinstance(values := found.get("told"), dict) or values.keys() != told.keys():
+    if not isinstance(values := found.get("told"), dict) or values.keys() != told.keys():
         return False
     return found | {"told": told} == described
 
