@@ -36,7 +36,7 @@ from soro_bench.diagnosis.selection.rounds import (
     replayed_anew,
 )
 from soro_bench.diagnosis.selection.screening import ScreenedCandidate, evidence, responses
-from soro_bench.diagnosis.settings import DEFAULT
+from soro_bench.diagnosis.settings import DEFAULT, ScreeningSettings
 from soro_bench.effects.effect import EVERY, Effect, Location
 from soro_bench.recording.recording import NOTES, Recording, RecordingError, Signal
 from tests import arm
@@ -299,6 +299,19 @@ def test_settings_of_the_problem_decide_which_terms_are_tried(paths):
     one = explained(replace(given, settings=DEFAULT), fit(given), given.robot, [], candidates, 0)
     assert [t.name for t in one.found[0].terms] == ["coulomb_friction"]
     assert one.remaining_gain < none.remaining_gain
+
+
+def test_settings_leave_at_least_one_term_to_fit(paths):
+    """A round that is worth a fit begins with the best candidate."""
+    given = arm.problem(paths, [FRICTION], settings=replace(DEFAULT, screening=ScreeningSettings(least_share=1.0)))
+    candidates = candidate_terms(given, "coulomb_friction", "viscous_friction")
+    found = explained(given, fit(given), given.robot, [], candidates, 0).found
+    assert [t.name for t in found[0].terms] == ["coulomb_friction"]
+    for name in ("candidates", "candidates_per_law"):
+        with pytest.raises(ValueError, match=f"{name} = 0; at least 1 is needed"):
+            with_selection(**{name: 0})
+    with pytest.raises(ValueError, match=r"least_share = 1\.5; at most 1 is allowed"):
+        ScreeningSettings(least_share=1.5)
 
 
 LINK = """<body name="{0}" pos="{1} 0 0"><joint name="{0}" axis="0 1 0" damping="0.05"/>

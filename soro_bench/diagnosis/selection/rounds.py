@@ -306,7 +306,7 @@ def guesses_of(problem: Problem, screened: Evidence, offered: Sequence[ScreenedC
     """
     settings = problem.settings.selection
     limit = problem.settings.screening.least_share * offered[0].gain if offered else 0.0
-    best = [candidate for candidate in distinct(offered, problem.robot, settings) if candidate.gain > limit]
+    best = [candidate for candidate in distinct(offered, problem.robot, settings) if candidate.gain >= limit]
     taken = {candidate.chosen for candidate in best}
     others = [
         candidate

@@ -19,6 +19,15 @@ class ScreeningSettings:
         "response to a typical magnitude, where the misfit dominates; beyond it is scaled down",
     )
 
+    def __post_init__(self) -> None:
+        """Refuse a share that no term has.
+
+        Raises:
+            ValueError: not even the best term would be tried.
+        """
+        if self.least_share > 1.0:
+            raise ValueError(f"least_share = {self.least_share:.3g}; at most 1 is allowed")
+
 
 @dataclass(frozen=True)
 class SelectionSettings:
@@ -71,11 +80,14 @@ class SelectionSettings:
     )
 
     def __post_init__(self) -> None:
-        """Refuse parts that do not grow.
+        """Refuse parts that do not grow, and rounds without a candidate.
 
         Raises:
-            ValueError: no part would ever be the whole recording.
+            ValueError: no part would ever be the whole recording, or no term would be tried.
         """
+        for name in ("candidates", "candidates_per_law"):
+            if (count := getattr(self, name)) < 1:
+                raise ValueError(f"{name} = {count}; at least 1 is needed")
         if self.part_growth <= 1.0:
             raise ValueError(f"parts that grow by {self.part_growth:.3g} never reach the whole; more than 1 is needed")
 
