@@ -3,6 +3,7 @@
 MUJOCO_GL=egl python docs/images/gifs.py
 """
 
+import argparse
 import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -91,6 +92,7 @@ def shared_palette(pictures: list[Image.Image]) -> Image.Image:
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     for env_id in STEPS:
         pictures = [Image.fromarray(each).resize(SIZE, Image.Resampling.LANCZOS) for each in frames(env_id)]
         palette = shared_palette(pictures)
