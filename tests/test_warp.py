@@ -120,6 +120,7 @@ def test_no_number_is_raised_with_world_and_step(reach, tmp_path):
     sim.batch.bind("qvel")[1, 0] = float("nan")
     with pytest.raises(WorldError, match="world 1 is no number after control step 1"):
         reach.step(torch.zeros(WORLDS, 8))
+    assert [path.name for path in tmp_path.iterdir()] == ["world_1_step_1.npz"]  # and nothing temporary
     with np.load(tmp_path / "world_1_step_1.npz") as written:
         assert np.isnan(written["qvel"][0])
         assert written["param_trunk_mass"] > 0

@@ -15,6 +15,7 @@ from mujoco.batch import MODEL_FIELDS
 
 from soro_bench.arrays import Floats, Ints
 from soro_bench.effects.effect import Effect
+from soro_bench.files import replacing
 from soro_bench.models.simulation import ParameterMap, Simulation, quiet
 from soro_bench.parameters import ParameterSet
 
@@ -294,11 +295,11 @@ class WarpSimulation:
         where = ""
         if self.guard is not None:
             path = self.guard / f"world_{world}_step_{self._steps}.npz"
-            path.parent.mkdir(parents=True, exist_ok=True)
             arrays: dict[str, Any] = {name: values[world].cpu().numpy() for name, values in self._before.items()}
             params = zip(self.parameters.names, self._params[world], strict=True)
             arrays.update((f"param_{name}", np.array(value)) for name, value in params)
-            np.savez(path, **arrays)
+            with replacing(path) as temporary, temporary.open("wb") as file:
+                np.savez(file, **arrays)
             where = f"; its state before that step and its parameters are in {path}"
         if self.on_nan == "raise":
             raise WorldError(f"the state of world {world} is no number after control step {self._steps}{where}")
