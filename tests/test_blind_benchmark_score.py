@@ -69,6 +69,10 @@ def test_what_is_right_is_counted_and_what_is_wrong_is_listed():
     [
         ({"site": "vertebra4"}, {"site": "vertebra5"}, True),
         ({"site": "vertebra4"}, {"site": "vertebra6"}, False),
+        ({"site": "left_finger_9"}, {"site": "left_finger_10"}, True),
+        ({"site": "left_finger_2"}, {"site": "right_finger_2"}, False),
+        ({"site": "elbow"}, {"site": "elbow"}, True),
+        ({"site": "elbow"}, {"site": "wrist"}, False),
         ({"kind": "tendon", "site": "L2"}, {"kind": "actuator", "site": "L2"}, True),
         ({"kind": "tendon", "site": "L2"}, {"kind": "tendon", "site": "L1"}, False),
         ({"site": "*"}, {"site": "*"}, True),

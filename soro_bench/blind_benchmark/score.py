@@ -173,9 +173,16 @@ def same_location(truth: dict, said: dict | None) -> bool:
     if truth.get("index") is not None:
         return said.get("index") is not None and abs(truth["index"] - said["index"]) <= _SEGMENTS
     if truth["kind"] == "body" and "*" not in (truth["name"], said["name"]):
-        numbers = [int("".join(filter(str.isdigit, name)) or -9) for name in (truth["name"], said["name"])]
-        return abs(numbers[0] - numbers[1]) <= _SEGMENTS
+        (chain, number), (other, near) = (_numbered(location["name"]) for location in (truth, said))
+        return chain == other and abs(number - near) <= _SEGMENTS
     return truth["name"] == said["name"]
+
+
+def _numbered(name: str) -> tuple[str, int]:
+    """The name of a body without its last number, and that number; 0 where it has none."""
+    if (found := re.search(r"\d+(?=\D*$)", name)) is None:
+        return name, 0
+    return f"{name[: found.start()]}#{name[found.end() :]}", int(found[0])
 
 
 def _part(location: dict) -> str:
