@@ -119,7 +119,8 @@ def test_every_action_is_played_once_however_its_time_was_written(stamped):
 @pytest.mark.parametrize(
     ("change", "parts"),
     [
-        ({"metadata": {}}, ("env_id None", "TrunkReach-v0", "continuous")),
+        ({"metadata": {}}, ("env_id is None", "TrunkReach-v0", "diagnose with --model and --map")),
+        ({"metadata": {"env_id": "TrunkReach-v0"}}, ("action is None", "continuous")),
         ({"metadata": {"env_id": "os:Trunk-v0", "action": "discrete"}}, ("'os:Trunk-v0'", "TrunkReach-v0")),
         ({"commands": {}}, ("no command 'action'",)),
         ({"commands": {"action": Signal([0.0, 1e9], np.zeros((2, 8)))}}, ("control steps", "100000")),

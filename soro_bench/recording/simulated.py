@@ -15,6 +15,7 @@ from soro_bench.arrays import Floats
 from soro_bench.effects.effect import Effect
 from soro_bench.envs.task import ACTION_MODES
 from soro_bench.evaluation import Episode, evaluate
+from soro_bench.files import brief
 from soro_bench.packed import is_there
 from soro_bench.policies.policy import Policy, TrainedPolicy
 from soro_bench.recording.excitation import excitation
@@ -145,11 +146,13 @@ def recorded_actions(recording: Recording) -> tuple[str, np.ndarray]:
     beginning; before the first, continuous actions are zero. ValueError names what the recording lacks."""
     metadata = recording.metadata
     env_id, action = metadata.get("env_id"), metadata.get("action")
-    if env_id not in ENV_IDS or action not in ACTION_MODES:
+    if env_id not in ENV_IDS:
         raise RecordingError(
-            f"its metadata have env_id {env_id!r} and action {action!r}: nothing to replay it with; environments of "
-            f"the suite are {', '.join(ENV_IDS)}, actions {', '.join(ACTION_MODES)}"
+            f"its env_id is {brief(env_id)}, none of {', '.join(ENV_IDS)}; for another robot use soro-bench "
+            "diagnose with --model and --map"
         )
+    if action not in ACTION_MODES:
+        raise RecordingError(f"its action is {brief(action)}; allowed are {', '.join(ACTION_MODES)}")
     if COMMAND not in recording.commands:
         raise RecordingError(f"there is no command {COMMAND!r} to replay; there are {sorted(recording.commands)}")
     timestep = task_type(env_id).control_timestep
