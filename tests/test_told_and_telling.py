@@ -23,6 +23,7 @@ from soro_bench.diagnosis.robots.measured import Drive
 from soro_bench.diagnosis.robots.model_robot import ModelRobot
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import DEFAULT
+from soro_bench.effects.effect import Effect, Location
 from soro_bench.inference.statistical_linearisation import LowRank
 from soro_bench.options import joined
 from soro_bench.recording.known import Known, known_parameters
@@ -258,8 +259,8 @@ deviation = 0.2
 """
 
 
-def _reached(robot: Robot, goals: np.ndarray) -> dict[tuple[str, str], ReachedLimit]:
-    found = limits_of(robot, [Drive(goals[:, None])], np.ones((1, 1)), [], DEFAULT.limits)
+def _reached(robot: Robot, goals: np.ndarray, *effects: Effect) -> dict[tuple[str, str], ReachedLimit]:
+    found = limits_of(robot, [Drive(goals[:, None])], np.ones((1, 1)), effects, DEFAULT.limits)
     return {(each.name, each.element): each for each in found}
 
 
@@ -278,7 +279,21 @@ def test_a_control_at_the_end_of_its_range_is_told(robot_of):
     robot = robot_of(MAP.format(actuator="motor", joint="hinge", unit="rad", body="arm"), STOPPED)
     reached = _reached(robot, np.repeat([0.0, 3.0], [150, 50]))["control_limit", "actuator motor"]
     assert (reached.value, reached.unit) == (3.0, "rad")
-    assert reached.share == pytest.approx(0.25, abs=0.01)
+    assert reached.share == 0.25  # with the last step
+
+
+@pytest.mark.parametrize("gain", [0.5, 2.0])
+@pytest.mark.parametrize("integrates", [False, True])
+def test_a_limit_of_control_is_that_of_commands_whatever_a_law_makes_of_them(robot_of, integrates, gain):
+    """Of a servo that is told its goal, or its rate: 1 rad/s for 3 s."""
+    model, goals = STOPPED, np.repeat([0.0, 3.0], [150, 50])
+    if integrates:
+        model = STOPPED.replace("<position", "<intvelocity").replace("ctrlrange", "actrange")
+        goals = np.repeat([1.0, 0.0], [150, 50])
+    robot = robot_of(MAP.format(actuator="motor", joint="hinge", unit="rad", body="arm"), model)
+    law = Effect("actuator_gain", Location("actuator", "motor"), {"gain": gain})
+    reached = _reached(robot, goals, law)["control_limit", "actuator motor"]
+    assert reached.value == 3.0 and reached.share == pytest.approx(0.25, abs=0.01)
 
 
 def test_a_rope_is_slack_at_its_limit_or_neither_and_its_load_rests_on_the_floor(robot_of):

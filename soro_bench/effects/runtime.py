@@ -315,6 +315,14 @@ class ActiveEffects:
         limited = getattr(self.batch.model, f"actuator_{name}limited")[actuators].astype(bool)
         return np.where(limited, np.clip(values, *self.ranges[f"actuator_{name}range"][rows, actuators].T), values)
 
+    def without_laws(self, row: int, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Give copies of a simulation's model and data the ranges and activations that commands have before laws of
+        setpoints change them."""
+        for name, values in self.ranges.items():
+            getattr(model, name)[...] = values[row]
+        own = self._touched[row] & self.integrates
+        data.act[self.slot[own]] = self.setpoint[row, own]
+
     def asked(self, rows: Ints, actuators: Ints) -> Floats:
         """(n,) setpoints of the time step at hand as they were commanded, before laws change them."""
         model = self.batch.model

@@ -152,6 +152,15 @@ class Simulation:
         """(N, nu) what actuators are asked for, where laws change it, and what they have added, summed over time."""
         return self._instrumented.setpoint, self._instrumented.added
 
+    def commanded(
+        self, row: int, model: mujoco.MjModel | None = None, data: mujoco.MjData | None = None
+    ) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Model and data of a simulation, perhaps written into others, with controls, activations and their ranges as
+        before laws of setpoints."""
+        model, data = self.batch.get_model(row, model), self.batch.get_data(row, data)
+        self._instrumented.without_laws(row, model, data)
+        return model, data
+
     @property
     def _instrumented(self) -> ActiveEffects:
         """The effects of a simulation whose model is prepared for them; RuntimeError for another."""

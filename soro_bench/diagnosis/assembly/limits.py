@@ -56,6 +56,7 @@ def limits_of(
     for drive in drives:
         watch = _Watch(robot, settings)
         robot.simulate_all([drive], parameters, [effects], watch)
+        watch(len(drive.actions))
         found += watch.found
         steps += watch.steps
     shares = {one: count / max(steps, 1) for one, count in found.items()}
@@ -68,7 +69,7 @@ def limits_of(
 
 
 class _Watch:
-    """Counts limits that simulation 0 of a robot reaches. It is called before every control step."""
+    """Counts limits that simulation 0 of a robot reaches. It is called before every control step and after the last."""
 
     def __init__(self, robot: Robot, settings: LimitSettings) -> None:
         self._robot, self._settings = robot, settings
@@ -80,11 +81,9 @@ class _Watch:
 
     def __call__(self, step: int) -> None:
         """Count what is reached now, after the step before."""
-        batch = self._robot.simulation.batch
-        if self._model is None:
-            self._model = batch.get_model(0)
-            return  # before the first step nothing has acted
-        self._data = batch.get_data(0, self._data)
+        if step == 0:
+            return  # nothing has acted
+        self._model, self._data = self._robot.simulation.commanded(0, self._model, self._data)
         self.steps += 1
         self.found.update(set(self._reached(self._model, self._data)))
 
