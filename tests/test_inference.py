@@ -45,13 +45,15 @@ def test_the_recordings_own_parameters_are_not_looked_at(reach):
 
 
 def test_an_inference_that_was_killed_ends_with_the_same_bytes(reach, tmp_path):
-    replay = Replay(reach[0], names=("trunk_mass",), threads=1)
-    infer("rf-dropo", replay, tmp_path / "whole.log").save(tmp_path / "whole.json")
+    """Half-way, in the last of many results, and when all of them were there."""
+    replay = Replay(reach[0], noise=5e-4, threads=1)
+    infer("rf-dropo", replay, tmp_path / "whole.log", starts=1).save(tmp_path / "whole.json")
     log = (tmp_path / "whole.log").read_bytes()
-    (tmp_path / "cut.log").write_bytes(log[: len(log) // 2])
-    infer("rf-dropo", replay, tmp_path / "cut.log").save(tmp_path / "cut.json")
-    assert (tmp_path / "cut.json").read_bytes() == (tmp_path / "whole.json").read_bytes()
-    assert (tmp_path / "cut.log").read_bytes() == log
+    for kept in (len(log) // 2, len(log) - 9, len(log)):
+        (tmp_path / "cut.log").write_bytes(log[:kept])
+        infer("rf-dropo", replay, tmp_path / "cut.log", starts=1).save(tmp_path / "cut.json")
+        assert (tmp_path / "cut.json").read_bytes() == (tmp_path / "whole.json").read_bytes()
+        assert (tmp_path / "cut.log").read_bytes() == log
 
 
 def test_simulations_of_a_bayes_sim_that_was_killed_are_not_repeated(reach, tmp_path):

@@ -260,8 +260,7 @@ _FUNCTIONS: dict[str, Callable[..., _Found]] = {
 
 def _slope(search: Search, point: Floats) -> Floats:
     """(T, k, d) derivative of what is simulated with respect to the parameters in their units."""
-    jacobian = search.log(lambda p: rf_dropo.jacobian_at(search.residuals, p, search.replay.steps), point, "jacobian")
-    return -jacobian / search.width
+    return -rf_dropo.logged_jacobian(search.residuals, point, search.replay.steps, search.log) / search.width
 
 
 def _posterior(

@@ -84,8 +84,7 @@ def sampled(
 
     best = cma_search(cost, 2 * dimension, iterations, popsize, seed, progress)
     mean, std = (row[0] for row in _unpack(best[None]))
-    jacobian = log(lambda m: jacobian_at(residuals, m, steps), mean, "jacobian")
-    return Fit(mean, std, jacobian)
+    return Fit(mean, std, logged_jacobian(residuals, mean, steps, log))
 
 
 def linearised(
@@ -119,7 +118,7 @@ def refined(residuals: Residuals, deviation: Floats, mean: Floats, log: Evaluati
 
     def slopes(mean: Floats) -> Floats:
         """The Jacobian; 0 where it is not known."""
-        found = log(lambda m: jacobian_at(residuals, m, steps), mean, "jacobian")
+        found = logged_jacobian(residuals, mean, steps, log)
         return np.where(np.isfinite(found), found, 0.0)
 
     jacobian = slopes(mean)
@@ -182,6 +181,12 @@ def jacobian_at(residuals: Residuals, mean: Floats, steps: int) -> Floats:
     (up, down), (right, left) = np.split(found, 2), np.split(np.where(there, reach, 0.0), 2)
     width = np.where(right > left, right - left, np.nan)
     return np.moveaxis((up - down) / width, 0, -1)
+
+
+def logged_jacobian(residuals: Residuals, mean: Floats, steps: int, log: EvaluationLog) -> Floats:
+    """The same by a log; in memory as it was computed, on which the last digits of its products depend."""
+    found = log(lambda m: jacobian_at(residuals, m, steps), mean, "jacobian")
+    return np.moveaxis(np.ascontiguousarray(np.moveaxis(found, -1, 0)), 0, -1)
 
 
 def _unpack(points: Floats) -> tuple[Floats, Floats]:
