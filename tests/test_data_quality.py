@@ -223,6 +223,28 @@ def test_the_end_of_a_range_is_found_where_a_servo_comes_to_rest_slowly_elsewher
     assert not samples.clipped(channel, SETTINGS).any()
 
 
+@pytest.mark.parametrize("step", [0.0, 2 * np.pi / 4096, 2 * np.pi / 256])
+@pytest.mark.parametrize("rate", [50, 250])
+def test_motion_with_play_turns_within_its_range(rate, step):
+    """A quarter of its samples, those of the play, were left out."""
+    drive, angle = 0.5 * np.sin(2 * np.pi * 0.3 * np.arange(30 * rate) / rate), np.zeros(30 * rate)
+    for i in range(1, len(angle)):
+        angle[i] = np.clip(angle[i - 1], drive[i] - 0.05, drive[i] + 0.05)
+    read = step * np.round(angle / step) if step else angle
+    assert not samples.clipped(Channel(read, 0.0, step), SETTINGS).any()
+
+
+def test_no_sensor_is_to_blame_where_the_simulated_robot_is_stopped_too(paths):
+    whole = recording(paths, (), 0, noise=0.0)
+    time, angle = whole.signals["angle"].time, whole.signals["angle"].values
+    stopped = replace(whole, signals={"angle": Signal(time, np.minimum(angle, 0.1), "rad")})
+    assert inspected(stopped, 0, ModelRobot(*paths, threads=1)).findings
+    paths[0].write_text(
+        ARM.replace('damping="0.02"', f'damping="0.02" range="-180 {np.degrees(0.1)}" solreflimit="0.01 1"')
+    )
+    assert not inspected(stopped, 0, ModelRobot(*paths, threads=1)).findings
+
+
 @pytest.mark.parametrize("rows", [1.06, 1.1, 1.27])
 def test_a_sensor_a_little_slower_than_its_logger_is_held_on_levels_too(rows):
     sampled = np.floor(np.arange(400) / rows) * rows

@@ -1,7 +1,8 @@
 """Recordings as their sensors made them: what is wrong with the samples is named, and left out or put right."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -137,7 +138,7 @@ class _Inspection:
         self._leave_out_placeholders()
         steps = self._steps()
         self.noise = max(self._noise(), steps.max() / np.sqrt(12))
-        self._leave_out("clipping", lambda c: samples.clipped(c, self.settings), steps)
+        self._leave_out_clipped(steps)
         held, spacing = self._leave_out_stale(steps)
         self._leave_out_spikes()
         rows = self._usable()
@@ -202,6 +203,14 @@ class _Inspection:
     def _channels(self, steps: Floats) -> Iterator[tuple[int, Channel]]:
         for i in range(self.values.shape[1]):
             yield i, Channel(self.values[:, i], self.noise, float(steps[i]), self.changes)
+
+    @cached_property
+    def _replay(self) -> Floats | None:
+        return self.recorded.replayed()
+
+    def _replayed(self, number: int, channel: Channel) -> Channel:
+        """The channel beside a replay of the nominal robot."""
+        return channel if self._replay is None else replace(channel, replay=self._replay[:, number])
 
     def _unwrap(self) -> bool:
         """Take out the wraps of angles; RecordingError where they are of no whole turn, which the import has to say."""
@@ -273,15 +282,17 @@ class _Inspection:
             self._note("quantisation", count, step=float(steps.max()))
         return steps
 
-    def _leave_out(self, name: str, found_in: Callable[[Channel], Bools], steps: Floats) -> None:
-        """Leave out what is found in each channel."""
+    def _leave_out_clipped(self, steps: Floats) -> None:
+        """Leave out what lies at the end of a sensor's range, unless the simulated robot stops there too."""
         count = 0
         for i, channel in self._channels(steps):
-            at = found_in(channel)
+            at = samples.clipped(channel, self.settings)
+            if at.any():
+                at = samples.clipped(self._replayed(i, channel), self.settings)
             self.values[at, i] = np.nan
             count += int(at.sum())
         if count:
-            self._note(name, count)
+            self._note("clipping", count)
 
     def _leave_out_stale(self, steps: Floats) -> tuple[bool, float]:
         """Leave out values that are only held; whether the sensor holds throughout, and the interval of rows [s]."""
@@ -289,6 +300,8 @@ class _Inspection:
         given = self.values.copy()
         for i, channel in self._channels(steps):
             at, kind = samples.stale(channel, self.settings)
+            if kind == "frozen":
+                at, kind = samples.stale(self._replayed(i, channel), self.settings)
             self.values[at, i] = np.nan
             if kind:
                 counts[kind] += int(at.sum())

@@ -9,7 +9,7 @@ from soro_bench.diagnosis.data_quality.stamps import Stamps, interpolated
 from soro_bench.diagnosis.robots.measured import ObservedSignal
 from soro_bench.diagnosis.robots.robot import Robot
 from soro_bench.diagnosis.settings import DataQualitySettings
-from soro_bench.recording.recording import Recording, Signal
+from soro_bench.recording.recording import Recording, RecordingError, Signal
 
 _CLOCK_RATE = 5e-4  # deviation of a rebuilt clock's rate; a crystal is within 1e-4
 
@@ -56,6 +56,22 @@ class RecordedSignal:
         if spacing is not None and not rate:  # a fresh value may be as old as the interval between two rows
             error = spacing / np.sqrt(3)
         return self._on_steps(recording, time, values[rows], noise), error, rate
+
+    def replayed(self) -> Floats | None:
+        """(T, C) the signal at the times of its samples, as the nominal robot moves; None where nobody can tell."""
+        try:
+            measured = self.robot.measured(self.recording)
+        except RecordingError:  # which is told where the recording is prepared
+            return None
+        nominal = np.array([[prior.nominal for prior in self.robot.priors]])
+        (found,) = self.robot.simulate_all([measured.drive], nominal, [()])
+        first, time = 0, self.robot.begins(self.recording) + measured.time
+        for each in self.robot.signals:
+            if each.name == self.observed.name:
+                columns = found[0][:, first : first + each.size]
+                return np.stack([np.interp(self.signal.time, time, column) for column in columns.T], axis=1)
+            first += each.size
+        return None
 
     def _snapped(self, found: Stamps) -> Floats:
         """Rebuilt time stamps, moved onto control steps where they are as near as their error allows."""

@@ -1,5 +1,6 @@
 """Samples that a sensor or a logger has spoilt: one channel at a time, from its values alone."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,13 +19,14 @@ class Channel:
 
     values: (T,), NaN where missing. noise: standard deviation of white noise, as far as it is known; 0 if it is not.
     step: between levels; 0 where it is not quantised. changes: of each number of the commands, the samples at which it
-    is another one than at the sample before.
+    is another one than at the sample before. replay: (T,) values of a simulated robot; None where nobody has asked.
     """
 
     values: Floats
     noise: float
     step: float = 0.0
     changes: tuple[Ints, ...] = ()
+    replay: Floats | None = None
 
     @property
     def reach(self) -> float:
@@ -219,7 +221,8 @@ class Runs:
 def clipped(channel: Channel, settings: DataQualitySettings) -> Bools:
     """(T,) where the values stay at the least or at the largest one, longer than at others, and come and go fast.
 
-    A servo of limited speed does so between two commands too, but elsewhere as well.
+    A servo of limited speed does so between two commands too, but elsewhere as well. Where a simulated robot stands
+    still too, as a gripper that holds something, it is no sensor.
     """
     x = channel.values
     present = np.flatnonzero(np.isfinite(x))
@@ -227,35 +230,71 @@ def clipped(channel: Channel, settings: DataQualitySettings) -> Bools:
     if len(present) < settings.least_samples:
         return found
     runs, random = Runs.of(x[present]), _is_random(channel, settings)
-    fast, rests = _fast(runs, channel, random, settings), runs.at_rest(present, channel.changes)
-    leaves = fast | _stops_at_once(runs, channel, settings)
-    for end in (runs.value.min(), runs.value.max()):
-        at = runs.value == end
+    hidden, rests = _hidden(x[present], runs, channel, settings), runs.at_rest(present, channel.changes)
+    still = _stands_still(runs, present, hidden, channel, settings)
+    for sign in (-1.0, 1.0):
+        at = runs.value == sign * (sign * runs.value).max()
         samples, longest = runs.length[at].sum(), runs.length[at].max()
         if samples < settings.least_repeats or longest < 2 or longest <= np.median(runs.length):
             continue
         elsewhere = rests & ~at
-        as_usual = fast[at].mean() < 0.5 or not elsewhere.any() or fast[elsewhere].mean() >= 0.5
-        if random or (leaves & ~(rests & as_usual))[at].sum() >= max(2, 0.5 * at.sum()):
+        as_usual = not elsewhere.any() or (hidden[elsewhere] > 0).mean() >= 0.5
+        stops = still & ~_beyond(runs, present, sign, channel, settings)
+        ends = (hidden > 0) & ~stops & ~(rests & as_usual)
+        if stops[at & (runs.length > 1)].mean() < 0.5 if random else ends[at].sum() >= max(2, 0.5 * at.sum()):
             for first, length in zip(runs.first[at], runs.length[at], strict=True):
                 found[present[first : first + length]] = True
     return found
 
 
-def _fast(runs: Runs, channel: Channel, random: bool, settings: DataQualitySettings) -> Bools:
-    """(R,) whether the value comes to a run and leaves it fast: a robot at its end stop comes fast and leaves slowly,
-    one at rest mostly does both slowly."""
-    sharp = max(settings.jump_steps * channel.step, settings.outlier_deviations * channel.noise * (not random),
-                settings.jump_reach * channel.reach)  # fmt: skip
-    return np.nan_to_num(np.minimum(*map(np.abs, runs.jumps)), nan=0.0) > sharp
+def _stands_still(runs: Runs, present: Ints, hidden: Floats, channel: Channel, settings: DataQualitySettings) -> Bools:
+    """(R,) whether the replay stands still in the inner half of a run: it comes there earlier or later, and moves much
+    less than the parabola that is ``hidden``."""
+    found = np.zeros(len(runs.value), bool)
+    if channel.replay is None:
+        return found
+    least = np.maximum(hidden / 8.0, settings.stands_still * channel.reach)  # a parabola moves by a quarter of it
+    for i in np.flatnonzero(runs.length > 1):
+        first, length = runs.first[i], runs.length[i]
+        inner = channel.replay[present[first + length // 4 : first + length - length // 4]]
+        found[i] = np.ptp(inner) <= least[i]
+    return found
 
 
-def _stops_at_once(runs: Runs, channel: Channel, settings: DataQualitySettings) -> Bools:
-    """(R,) whether slow motion, which takes one level after the other, stays much longer at a run than beside it."""
-    if not 0.0 < settings.least_samples * channel.step < channel.reach:
+def _beyond(runs: Runs, present: Ints, sign: float, channel: Channel, settings: DataQualitySettings) -> Bools:
+    """(R,) whether the replay is further to one side than the value in the middle of a run."""
+    if channel.replay is None:
         return np.zeros(len(runs.value), bool)
-    beside = np.maximum(np.r_[np.inf, runs.length[:-1]], np.r_[runs.length[1:], np.inf])
-    return (runs.length > settings.clip_times * beside) & ~_comes_to_rest(runs, settings)
+    middle = channel.replay[present[runs.first + runs.length // 2]]
+    return np.asarray(sign * (middle - runs.value) > settings.stands_still * channel.reach)
+
+
+def _far(channel: Channel, settings: DataQualitySettings) -> float:
+    """What is no rounding, no noise, and no small motion of a robot that comes to rest."""
+    sizes = settings.jump_steps * channel.step, settings.outlier_deviations * channel.noise
+    return max(*sizes, settings.jump_reach * channel.reach)
+
+
+def _hidden(x: Floats, runs: Runs, channel: Channel, settings: DataQualitySettings) -> Floats:
+    """(R,) how far motion that goes on smoothly would leave the value of a run in x (T,); 0 unless it comes and goes
+    fast, and that is far.
+
+    A robot at its end stop comes fast and leaves slowly; one that turns, sticks or has play does both slowly. Motion
+    that comes and goes with speed v is v n / 4 beyond the value that it has n samples apart, if it is a parabola.
+    """
+    moves = np.abs(np.diff(x))
+    if not (moves > 0).any():
+        return np.zeros(len(runs.value))
+    steps = settings.jump_steps * channel.step
+    width = max(1, min(math.ceil(steps / np.sqrt(np.mean(moves[moves > 0] ** 2))), len(x) // 2))
+    apart = np.abs(x[width:] - x[:-width])
+    first, last = runs.first - 1 - width, runs.first + runs.length  # the run cuts the steps into it and out of it short
+    inside = (first >= 0) & (last < len(apart))
+    slower = np.minimum(apart[np.maximum(first, 0)], apart[np.minimum(last, len(apart) - 1)])
+    speed = np.maximum(slower - channel.step, 0.0) / width  # of which rounding may be a step
+    hidden, usual = speed * runs.length / 4.0, np.median(apart[apart > 0]) / width
+    fast = inside & (speed > settings.clip_speed * usual) & (hidden > _far(channel, settings))
+    return np.where(fast, hidden, 0.0)
 
 
 def _comes_to_rest(runs: Runs, settings: DataQualitySettings) -> Bools:
@@ -283,15 +322,16 @@ def stale(channel: Channel, settings: DataQualitySettings) -> tuple[Bools, str]:
         return none, ""
     runs = Runs.of(x[present])
     before, after = runs.jumps
+    rests = runs.at_rest(present, channel.changes)
     repeated = none.copy()
-    repeated[present[np.diff(x[present], prepend=np.nan) == 0]] = True
+    repeated[present[(np.diff(x[present], prepend=np.nan) == 0) & ~np.repeat(rests, runs.length)]] = True
     if _is_random(channel, settings):
         if repeated.sum() >= max(settings.least_repeats, settings.held_share * len(present)):
             return repeated, "held" if (runs.length > 1).mean() > settings.held_share else "frozen"
-        chosen = runs.length >= settings.least_repeats
+        chosen = ~rests & (runs.length >= settings.least_repeats)
     else:
-        far = max(settings.jump_steps * channel.step, settings.jump_reach * channel.reach)
-        moving = (np.abs(before) > far) & (np.abs(after) > far) & (before * after > 0)  # nor turning
+        far = _far(channel, settings)
+        moving = (np.abs(before) > far) & (np.abs(after) > far) & (before * after > 0) & ~rests  # nor turning
         long = moving & (runs.length > 1)
         lengths = runs.length[long]
         even = len(lengths) and (np.abs(lengths - np.median(lengths)) <= 1).mean() > settings.mostly
@@ -303,7 +343,7 @@ def stale(channel: Channel, settings: DataQualitySettings) -> tuple[Bools, str]:
         following = np.abs(np.r_[after[1:], np.nan])  # motion that begins is smaller than what follows
         chosen = (np.abs(before) > far) & (np.abs(after) > far) & (runs.length >= settings.least_repeats)
         chosen &= (np.abs(after) > following) & ~_comes_to_rest(runs, settings)
-        chosen &= ~runs.at_rest(present, channel.changes)
+        chosen &= ~rests & ~_stands_still(runs, present, np.zeros(len(runs.value)), channel, settings)
     found = none.copy()
     for first, length in zip(runs.first[chosen], runs.length[chosen], strict=True):
         found[present[first + 1 : first + length]] = True

@@ -10,8 +10,8 @@ TEXTS = {
     "write that number, as it stands in the file, into missing = [...] of the mapping, or check the sensor's line",
     "quantisation": "its values are {step} apart, so the noise was taken as {rounding} at least and repeated values "
     "count once; a finer sensor would show smaller effects",
-    "clipping": "{share} of the samples lie at the end of the sensor's range, and were left out; use a larger range or "
-    "a smaller motion",
+    "clipping": "{share} of the samples lie at the end of the sensor's range, or where something stops the robot, and "
+    "were left out; use a larger range or a smaller motion",
     "held": "{share} of the samples only repeat the one before, and were left out; log the sensor at its own rate, as "
     "delays of less than a row cannot be told now",
     "frozen": "{share} of the samples are those of a sensor that stood still for a while, and were left out; check its "
