@@ -147,6 +147,7 @@ def test_dates_and_times(read, stamps, entries, expected):
         ("27 June 2024 10:11:02|", "", ("line 2", "as 2024-06-27T10:11:02")),
         ("0001-01-01 10:11:02|", "", ("line 2", "expected a year")),
         ("2024-06-27 10:11:02|", 'unit = "s"', ("unit of time has no effect",)),
+        ("2024-06-27 10:11:02|", "period = 60", ("[time] period has no effect", "dates")),
         ("27 June|28 June", "", ("line 2", "no finite number")),
         ("10:75:00|10:76:00", "", ("line 2", "'10:75:00'")),
     ],
@@ -165,6 +166,8 @@ def test_time_in_two_columns(read):
     np.testing.assert_allclose(time, [0, 2e-9], rtol=1e-9)
     with pytest.raises(RecordingError, match=says("2 columns", 'units = ["s", "ns"]')):
         read(table, mapping.replace('units = ["s", "ns"]', ""))
+    with pytest.raises(RecordingError, match=says("[time] period has no effect", "several columns")):
+        read(table, mapping.replace("units", "period = 60\nunits"))
     with pytest.raises(RecordingError, match=says("both unit and units")):
         read(table, mapping.replace("units = ", 'unit = "s"\nunits = '))
 

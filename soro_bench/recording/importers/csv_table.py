@@ -211,11 +211,15 @@ class _Reader:
             own = "time" in source.place
             if {"time_unit"} & source.place.keys() if own else {"unit", "units"} & self._spec.time.keys():
                 raise RecordingError("a unit of time has no effect: its column holds dates or times of day")
+            if "period" in self._spec.time and not own:
+                raise RecordingError("[time] period has no effect: its column holds dates or times of day")
             if len(positions) == 1 and any(is_minutes(cell) for cell in cells):
                 self._spec.notes.add("[time]", "times of two parts are taken for minutes and seconds")
             return [Times(tuple(positions), Stamps(self._spec.time.get("date", "")))]
         if "date" in self._spec.time:
             raise RecordingError("[time] date has no effect: the column of times holds no dates")
+        if "period" in self._spec.time and len(positions) > 1:
+            raise RecordingError("[time] period has no effect: times in several columns begin nowhere again")
         missing = frozenset(word.strip().lower() for word in self._words if value(word) is None)
         return [Numbers(i, missing) for i in positions]
 
