@@ -147,6 +147,8 @@ def test_rows_are_counted_in_the_unit_of_time_or_by_a_rate(read, time, expected)
         (CLOCK + F + "scale = [1, 2]\n", ("signals.f", "scale", "(2,)", "()")),
         (CLOCK + F + "scale = [[1], [1, 2]]\n", ("signals.f", "scale", "finite numbers")),
         (CLOCK + F + "leaves = 1\noffset = 1\n", ("signals.f", "offset has no effect beside leaves")),
+        (CLOCK + F + "leaves = 1\n", ("signals.f", "leaves makes a command", "[commands.f]")),
+        (CLOCK + F + "frame = 'robot'\n", ("signals.f", "frame = 'robot'", '"world"')),
         (CLOCK + F + "rotation = [[1, 0], [0, 1]]\n", ("rotation", "(2, 2)", "quaternion", "rpy")),
         (CLOCK + F + "rotation = [[1, 0, 0], [0, 1, 0], [0, 0, -1]]\n", ("rotation is no rotation", "sign")),
         (CLOCK + F + "rotation = {quaternion = [1, 1, 0, 0]}\n", ("quaternion", "length 1")),

@@ -349,6 +349,8 @@ def load_mapping(
                 check_name(name): _named(f"{group}.{name}", read_source, entry, place_keys, unit_optional)
                 for name, entry in table.get(group, {}).items()
             }
+        if wrong := [name for name, source in table["signals"].items() if source.leaves is not None]:
+            raise RecordingError(f"signals.{wrong[0]}: leaves makes a command; write [commands.{wrong[0]}]")
         if not table["commands"] and not table["signals"]:
             raise RecordingError("the mapping has neither [commands.<name>] nor [signals.<name>]")
         _check_time(table.get("time", {}), time_keys)

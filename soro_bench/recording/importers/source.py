@@ -238,6 +238,8 @@ def _check_effects(entry: Mapping) -> None:
         raise RecordingError(f'relative = {brief(relative)}; expected true, false or "first"')
     if relative == "first" and len(entry.get("shape", ())) < 2:
         raise RecordingError('relative = "first" is of points; write shape = [n, 3]')
+    if (frame := entry.get("frame", "")) not in ("", "world"):
+        raise RecordingError(f'frame = {brief(frame)}; expected "world", of positions in the robot\'s frame')
     for key in ("offset", "frame", "rotation", "relative", "interpolate"):
         if key in entry and "leaves" in entry:
             raise RecordingError(f"{key} has no effect beside leaves, which looks at distances only")
