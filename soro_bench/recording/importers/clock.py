@@ -22,6 +22,13 @@ _STAMP = re.compile(
 )
 _MINUTES = re.compile(r"([0-5]?\d):([0-5]\d(?:[.,]\d{1,12})?)")  # and seconds: a log of hours and minutes is too slow
 _COMPACT = re.compile(r"^(\d{4})(\d\d)(\d\d)[T_](\d\d)(\d\d)(\d\d)")
+_DURATIONS = (  # sign, days, sign, hours, minutes, seconds; as pandas, Python and .NET write them, and ISO 8601
+    re.compile(r"()([+-]?\d{1,4}) days?,? ([+-]?)(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d{1,12})?)"),
+    re.compile(r"(-?)(\d{1,4})\.()(\d\d):([0-5]\d):([0-5]\d(?:\.\d{1,12})?)"),
+    re.compile(
+        r"([+-]?)P(?!$|T$)(?:(\d{1,4})D)?()(?:T(?=\d)(?:(\d{1,6})H)?(?:(\d{1,7})M)?(?:(\d{1,9}(?:[.,]\d{1,12})?)S)?)?"
+    ),
+)
 _DAY = 86_400_000_000_000  # ns
 _LONGEST = 64  # letters of a time stamp
 _LATEST = 9.2e9  # s, whose nanoseconds fit into 64 bits
@@ -112,8 +119,8 @@ def _complaint(time: np.ndarray, steps: np.ndarray, rows: np.ndarray | None) -> 
 
 
 def is_stamp(text: str) -> bool:
-    """Whether a text is a time of day, with or without a date."""
-    return _found(text.strip()) is not None
+    """Whether a text is a time of day, with or without a date, or a duration."""
+    return _found(text.strip()) is not None or _duration(text.strip()) is not None
 
 
 def is_minutes(text: str) -> bool:
@@ -129,8 +136,20 @@ def _found(text: str) -> re.Match[str] | None:
     return _STAMP.fullmatch(_COMPACT.sub(r"\1-\2-\3 \4:\5:\6", text))
 
 
+def _duration(text: str) -> int | None:
+    """Whole ns of a duration such as "0 days 00:00:01.25" or PT1.25S; None for another text."""
+    found = next(filter(None, (form.fullmatch(text) for form in _DURATIONS)), None) if len(text) <= _LONGEST else None
+    if not found:
+        return None
+    sign, days, inner, hours, minutes, seconds = found.groups("0")
+    whole, _, fraction = seconds.replace(",", ".").partition(".")
+    clock = (3600 * int(hours) + 60 * int(minutes) + int(whole)) * 1_000_000_000 + int(fraction.ljust(9, "0")[:9])
+    total = int(days) * _DAY + (-clock if inner == "-" else clock)
+    return -total if sign == "-" else total
+
+
 class Stamps:
-    """Reads dates and times such as 2024-06-27T10:11:02.5+02:00, 27.06.2024 10:11:02,5 or 10:11:02.5.
+    """Reads dates and times such as 2024-06-27T10:11:02.5+02:00, 27.06.2024 10:11:02,5 or 10:11:02.5, and durations.
 
     Those without a zone are taken for UTC; with and without one do not mix.
 
@@ -144,7 +163,9 @@ class Stamps:
         self._zoned: bool | None = None
 
     def __call__(self, text: str) -> int:
-        """ns since 1970, or since midnight where there is no date; RecordingError for anything else."""
+        """ns since 1970, since midnight where there is no date, or of a duration; RecordingError for anything else."""
+        if (duration := _duration(text)) is not None:
+            return duration
         if not (found := _found(text)):
             raise RecordingError(f"{ascii(text)[:40]} is no time such as 2024-06-27T10:11:02.5Z")
         date, hours, minutes, whole, fraction, half, zone = found.groups()
