@@ -186,6 +186,13 @@ def test_a_day_after_the_twelfth_says_the_order_of_dates(tmp_path, day, said):
         assert ("month or day first?" in text) == (said is None)
 
 
+def test_dates_of_digits_only_are_times(guessed):
+    """As are 17 digits, of which a number would lose the last ones."""
+    mapping, recording = guessed(table("stamp,x", "20251128140305{i:03},{i}"))
+    assert mapping["time"] == {"column": "stamp"}
+    np.testing.assert_allclose(recording.signals["x"].time, np.arange(50) / 1000, atol=1e-9)
+
+
 @pytest.mark.parametrize("second", ["elapsed", "t_ms"])
 def test_stamps_of_whole_seconds_are_no_times_beside_a_finer_clock(guessed, second):
     mapping, _ = guessed(table(f"stamp,{second},x", "2025-11-28 10:11:02,{i}.5,{i}"))

@@ -116,6 +116,9 @@ def test_columns_between_blanks(read, table):
         ("27-Jun-2024 10:11:02|27-JUN-2024 10:11:03", "", [0, 1]),
         ("27-Okt-2024 10:11:02 GMT|27-OCT-2024 10:11:03 GMT", "", [0, 1]),
         ("20240627T101102.5Z|20240627_101103Z", "", [0, 0.5]),
+        ("20240627235959|20240628000000.5", "", [0, 1.5]),
+        ("20240627235959250|20240628000000125", "", [0, 0.875]),
+        ("20240627101161|20240628101161", 'unit = "ns"', [0, 1e-3]),
         ("2024-06-27 10:11:02+02|2024-06-27 08:11:03Z", "", [0, 1]),
         ("2:59.5|3:00.25", "", [0, 0.75]),
         ("30/06/2024 23:59:59|01/07/2024 00:00:00", 'date = "day/month/year"', [0, 1]),
@@ -151,6 +154,7 @@ def test_dates_and_times(read, stamps, entries, expected):
         ("0|1", 'date = "day/month/year"', ("date has no effect",)),
         ("27 June 2024 10:11:02|", "", ("line 2", "as 2024-06-27T10:11:02")),
         ("0001-01-01 10:11:02|", "", ("line 2", "expected a year")),
+        ("20240627101102|20240627101103", 'unit = "us"', ("unit of time has no effect",)),
         ("2024-06-27 10:11:02|", 'unit = "s"', ("unit of time has no effect",)),
         ("2024-06-27 10:11:02|", "period = 60", ("[time] period has no effect", "dates")),
         ("27 June|28 June", "", ("line 2", "no finite number")),
@@ -181,8 +185,9 @@ def test_time_in_two_columns(read):
 
 def test_a_date_and_a_time_of_day_in_two_columns(read):
     mapping = '[time]\ncolumns = ["d", "t"]\n' + X
-    recording = read("d,t,x\n2024-06-27,23:59:59,1\n2024-06-28,00:00:01,2\n", mapping)
-    np.testing.assert_allclose(recording.signals["x"].time, [0, 2])
+    for late, early in (("2024-06-27,23:59:59", "2024-06-28,00:00:01"), ("20240627,235959.0", "20240628,000001.0")):
+        recording = read(f"d,t,x\n{late},1\n{early},2\n", mapping)
+        np.testing.assert_allclose(recording.signals["x"].time, [0, 2])
 
 
 @pytest.mark.parametrize("words", [("WAHR", "FALSCH"), ("vrai", "faux"), ("ON", "OFF")])

@@ -2,6 +2,7 @@
 
 import datetime
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -21,7 +22,11 @@ _STAMP = re.compile(
     r"(Z|UTC|GMT|[+-]\d\d(?::?\d\d)?)?"
 )
 _MINUTES = re.compile(r"([0-5]?\d):([0-5]\d(?:[.,]\d{1,12})?)")  # and seconds: a log of hours and minutes is too slow
-_COMPACT = re.compile(r"^(\d{4})(\d\d)(\d\d)[T_](\d\d)(\d\d)(\d\d)")
+_COMPACT = re.compile(r"^(\d{4})(\d\d)(\d\d)[T_ ](\d?\d)(\d\d)(\d\d)")
+_DIGITS = re.compile(  # a date and a time of day of digits only, at whole seconds, ms or us
+    r"((?:19|20)\d\d(?:0[1-9]|1[0-2])(?:0[1-9]|[12]\d|3[01]))((?:[01]\d|2[0-3])[0-5]\d[0-5]\d)"
+    r"(?:[.,](\d{1,12})|(\d{3}|\d{6}))?"
+)
 _DURATIONS = (  # sign, days, sign, hours, minutes, seconds; as pandas, Python and .NET write them, and ISO 8601
     re.compile(r"()([+-]?\d{1,4}) days?,? ([+-]?)(\d{1,2}):([0-5]\d):([0-5]\d(?:[.,]\d{1,12})?)"),
     re.compile(r"(-?)(\d{1,4})\.()(\d\d):([0-5]\d):([0-5]\d(?:\.\d{1,12})?)"),
@@ -123,6 +128,11 @@ def is_stamp(text: str) -> bool:
     return _found(text.strip()) is not None or _duration(text.strip()) is not None
 
 
+def holds_stamps(cells: Sequence[str]) -> bool:
+    """Whether cells hold times of day, dates or durations; of digits only, in each of them."""
+    return bool(cells) and (all(map(is_stamp, cells)) or any(is_stamp(c) and not _DIGITS.fullmatch(c) for c in cells))
+
+
 def is_minutes(text: str) -> bool:
     """Whether a text is read as minutes and seconds, such as 02:15 or 02:15.250."""
     return _MINUTES.fullmatch(text.strip()) is not None
@@ -133,6 +143,8 @@ def _found(text: str) -> re.Match[str] | None:
         return None
     if minutes := _MINUTES.fullmatch(text):
         text = f"0:{minutes[1]:0>2}:{minutes[2]}"
+    if digits := _DIGITS.fullmatch(text):
+        text = f"{digits[1]}T{digits[2]}.{digits[3] or digits[4] or 0}"
     return _STAMP.fullmatch(_COMPACT.sub(r"\1-\2-\3 \4:\5:\6", text))
 
 

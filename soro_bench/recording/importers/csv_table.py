@@ -15,8 +15,8 @@ from soro_bench.recording.importers.clock import (
     DATE_ORDERS,
     NO_STAMP,
     Stamps,
+    holds_stamps,
     is_minutes,
-    is_stamp,
     over_midnight,
     together,
 )
@@ -206,8 +206,8 @@ class _Reader:
             raise RecordingError(f"time is in columns {brief(self._clock_columns(source))}; expected each once")
         if not positions:
             return []
-        cells = [" ".join(row[i] for i in positions) for row in self._peeked if max(positions) < len(row)]
-        if any(is_stamp(cell) for cell in cells):
+        cells = [" ".join(row[i] for i in positions).strip() for row in self._peeked if max(positions) < len(row)]
+        if holds_stamps([cell for cell in cells if cell.lower() not in MISSING]):
             own = "time" in source.place
             if {"time_unit"} & source.place.keys() if own else {"unit", "units"} & self._spec.time.keys():
                 raise RecordingError("a unit of time has no effect: its column holds dates or times of day")
