@@ -347,6 +347,28 @@ def test_a_clock_in_two_columns_is_one_time(guessed, names, unit):
     assert recording.signals["q"].time == pytest.approx(0.07 * np.arange(40), abs=1e-9)
 
 
+@pytest.mark.parametrize(("names", "units"), [
+    ("Hour,Minute,Second", ["h", "min", "s"]), ("h,min,s", ["h", "min", "s"]), ("t_min,t_s", ["min", "s"]),
+    ("year,HH,MM,SS,ms", ["h", "min", "s", "ms"]),
+])  # fmt: skip
+def test_parts_of_a_day_in_columns_are_one_time(guessed, names, units):
+    """A sample every 0.25 s from 59.5 s after 23:58 on, over midnight where there are hours."""
+    rows = [",".join(names.split(",")) + ",q"]
+    for i in range(300 if "h" in units else 240):
+        ms = (23 * 60 + 58) * 60_000 + 500 + 250 * i
+        whole, part = ms // 1000, ms % 1000
+        day = {
+            "h": whole // 3600 % 24,
+            "min": whole // 60 % 60,
+            "s": whole % 60 + (0 if "ms" in units else part / 1000),
+        }
+        cells = [f"{(day | {'ms': part})[unit]}" for unit in units]
+        rows.append(",".join([*(["2024"] if "year" in names else []), *cells, f"{i}"]))
+    mapping, recording = guessed("\n".join(rows) + "\n")
+    assert mapping["time"] == {"columns": names.split(",")[-len(units) :], "units": units}
+    np.testing.assert_allclose(recording.signals["q"].time, 0.25 * np.arange(len(rows) - 1), atol=1e-9)
+
+
 @pytest.mark.parametrize("names", ["time_s,latency_ms", "time_s,time_ms", "load,ms"])
 def test_milliseconds_beside_whole_seconds_need_not_be_parts_of_them(guessed, names):
     """A delay at each second; the same clock again; a clock beside a number."""

@@ -238,6 +238,7 @@ class _Reader:
                 found = over_midnight(present[0])
             elif len(units) > 1:
                 found = together(present, [self._spec.to_seconds(unit) for unit in units])
+                found = over_midnight(found) if units[0] == "h" else found
             else:
                 found = self._spec.clock(present[0], units[0])
             time = np.zeros(len(known), found.dtype)

@@ -39,6 +39,14 @@ _HALF = 0.5  # of the stamps are as the one before
 _SLASHED = re.compile(r"(\d{1,2})[/-](\d{1,2})[/-]\d{4}")  # a date of which either number may be the day
 _MONTHS = 12
 _ZONE = "  # dates and times; without a zone they are taken for UTC"
+_PARTS = {  # of a time of day, each in a column of its own: their names, and where they begin again
+    "h": (("h", "hr", "hrs", "hour", "hours", "hh", "std", "stunde", "stunden"), 24.0),
+    "min": (("m", "min", "mins", "minute", "minutes", "mm", "minuten"), 60.0),
+    "s": (("s", "sec", "secs", "second", "seconds", "ss", "sekunde", "sekunden"), 60.0),
+    "ms": (("ms", "msec", "millis", "millisecond", "milliseconds"), 1e3),
+    "us": (("us", "\u00b5s", "usec", "micros", "microsecond", "microseconds"), 1e6),
+}
+_LEAST = "min", "s"  # of such parts
 _CLOCKLIKE = re.compile(r"\d{1,2}:\d\d|\d{8}\D\d{6}")  # in texts that may be times
 ROW = "row of units"  # says the unit
 
@@ -48,7 +56,10 @@ def time_section(columns: Sequence[Column], above: Sequence[str]) -> tuple[list[
     found = [column for column in columns if column.numeric and _goes_on(column)]
     named = [column for column in found if _called_time(column.name)]
     named = named or [column for column in found if _says_time(column)][:1]
-    for column, after in zip(columns, [*columns[1:], None], strict=True):
+    for i, (column, after) in enumerate(zip(columns, [*columns[1:], None], strict=True)):
+        if (units := _parts_of_day(columns[i:])) and all(each in columns[i : i + len(units)] for each in named):
+            parts = list(columns[i : i + len(units)])
+            return parts, [], ["[time]", f"columns = {toml([part.label for part in parts])}", f"units = {toml(units)}"]
         if column.stamped and not (named and _repeats(column)):
             return [column], [], [*_section(column, _ZONE), *_date_order(column)]
         if after is None:
@@ -108,6 +119,34 @@ def _counted(above: Sequence[str]) -> list[str]:
 
 def _section(column: Column, comment: str) -> list[str]:
     return ["[time]", f"column = {toml(column.label)}{comment}"]
+
+
+def _parts_of_day(columns: Sequence[Column]) -> list[str]:
+    """The units of the first columns if they are hours, minutes, seconds and parts of these, or from minutes on."""
+    units: list[str] = []
+    for column, unit in zip(columns, list(_PARTS)[0 if columns and _is_part(columns[0], "h") else 1 :], strict=False):
+        if not _is_part(column, unit):
+            break
+        units.append(unit)
+    if not set(_LEAST) <= set(units):
+        return []
+    steps = np.diff(_total(columns[: len(units)], units))
+    return units if (steps > 0).any() and (steps < 0).mean() < _BACK else []
+
+
+def _is_part(column: Column, unit: str) -> bool:
+    """Whether a column is called like a part of a time of day, and has such numbers."""
+    names, most = _PARTS[unit]
+    known = column.numbers[np.isfinite(column.numbers)]
+    called = any(word in names for word in re.findall(r"[a-z\u00b5]+", column.name.lower()))
+    whole = unit == "s" or bool((known == np.rint(known)).all())
+    return called and len(known) > 0 and whole and known.min() >= 0 and known.max() < most
+
+
+def _total(columns: Sequence[Column], units: Sequence[str]) -> np.ndarray:
+    """(T,) times [s] in several columns."""
+    known = np.all([np.isfinite(column.numbers) for column in columns], axis=0)
+    return np.sum([UNITS[u][1] * c.numbers[known] for u, c in zip(units, columns, strict=True)], axis=0)
 
 
 def _part_of_seconds(first: Column, second: Column) -> str:
@@ -217,10 +256,8 @@ def order(*columns: Column) -> list[str]:
     """A comment on stamps that do not increase."""
     if not columns or not all(column.numeric for column in columns):
         return []
-    known = np.all([np.isfinite(column.numbers) for column in columns], axis=0)
-    scales = (1.0, *(UNITS[_part_of_seconds(*columns)][1] for _ in columns[1:]))
-    time = sum(scale * column.numbers[known] for scale, column in zip(scales, columns, strict=True))
-    steps = np.diff(overflowed(np.asarray(time))[0])
+    units = _parts_of_day(columns) or ["s", *(_part_of_seconds(*columns) for _ in columns[1:])]
+    steps = np.diff(overflowed(_total(columns, units))[0])
     same, back = int((steps == 0).sum()), int((steps < 0).sum())
     if not same + back:
         return []
