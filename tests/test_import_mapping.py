@@ -407,6 +407,22 @@ def test_a_clock_that_begins_anew_at_another_number_is_told_about_period(read, s
         read(table, CLOCK + F)
 
 
+@pytest.mark.parametrize("first", [86_399, 86_395, 45_000, 59])
+def test_numbers_of_hours_minutes_and_seconds_are_read_as_such_and_said(read, first):
+    """As GPS receivers write them, also over midnight; without a new minute they are seconds anyway."""
+    since = first + 0.25 * np.arange(40)
+    stamps = [f"{t // 3600 % 24:02.0f}{t // 60 % 60:02.0f}{t % 60:05.2f}" for t in since]
+    recording = read("t,f\n" + "".join(f"{t},1\n" for t in stamps), CLOCK + F)
+    np.testing.assert_allclose(recording.signals["f"].time, since - first)
+    assert ("hours, minutes and seconds" in recording.metadata.get(NOTES, "")) == (first != 45_000)
+
+
+@pytest.mark.parametrize("stamps", [np.arange(0, 3000, 100.0), np.r_[0:59, 300:350], np.arange(200.0)])
+def test_other_seconds_are_no_hours_and_minutes(read, stamps):
+    recording = read("t,f\n" + "".join(f"{t},1\n" for t in stamps), CLOCK + F)
+    np.testing.assert_allclose(recording.signals["f"].time, stamps)
+
+
 def test_a_clock_of_another_period_is_unwrapped_on_request(read):
     recording = read("t,f\n58,0\n59,1\n0,2\n1,3\n", CLOCK + "period = 60\n" + F)
     np.testing.assert_allclose(recording.signals["f"].time, range(4))

@@ -41,6 +41,7 @@ _YEARS = 1678, 2261  # whose nanoseconds since 1970 fit into 64 bits
 _EPOCH = datetime.date(1970, 1, 1).toordinal()
 _ANEW = 0.9  # of all times a step back at least goes where a clock begins anew
 _SOON = 10  # median steps, within which a counter goes on after it has overflowed
+_MINUTE, _DAY_END = 40.0, 240_000  # by which 100 is after 60 in numbers such as 235959 of a time of day; their end
 
 
 def overflowed(numbers: np.ndarray) -> tuple[np.ndarray, str, float]:
@@ -64,6 +65,24 @@ def overflowed(numbers: np.ndarray) -> tuple[np.ndarray, str, float]:
                 said = f"overflows of a clock of {bits} bits that are unwrapped: {back.size}"
                 return unwrapped(numbers, period), said, period
     return numbers, "", 0.0
+
+
+def of_day(numbers: np.ndarray) -> tuple[np.ndarray, str]:
+    """(T,) seconds of numbers of hours, minutes and seconds, such as 235959.5, and what there is to say.
+
+    Each new minute, and one at least, has to show it by a jump; otherwise the numbers stay as they are.
+    """
+    whole = np.floor(numbers)
+    minutes = whole // 100
+    if not len(numbers) or numbers.min() < 0 or numbers.max() >= _DAY_END or (np.c_[whole, minutes] % 100 >= 60).any():
+        return numbers, ""
+    seconds = numbers - _MINUTE * minutes - 60 * _MINUTE * (whole // 10_000)
+    seconds += 86_400.0 * np.concatenate([[0], np.cumsum(np.diff(seconds) < -43_200.0)])
+    steps, new = np.diff(seconds), np.diff(minutes) != 0
+    usual = float(np.median(np.abs(steps[~new]))) if not new.all() else _MINUTE
+    if not new.any() or not 0 < _SOON * usual < _MINUTE or (np.abs(steps[new]) > _SOON * usual).any():
+        return numbers, ""
+    return seconds, f"times such as {whole[-1]:06.0f} are taken for hours, minutes and seconds"
 
 
 def continued(time: np.ndarray) -> tuple[np.ndarray, str]:

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from soro_bench.files import shown, toml
-from soro_bench.recording.importers.clock import DATE_ORDERS, overflowed
+from soro_bench.recording.importers.clock import DATE_ORDERS, of_day, over_midnight, overflowed
 from soro_bench.recording.importers.guess_layout import Column
 from soro_bench.recording.importers.units import (
     EPOCH,
@@ -257,7 +257,8 @@ def order(*columns: Column) -> list[str]:
     if not columns or not all(column.numeric for column in columns):
         return []
     units = _parts_of_day(columns) or ["s", *(_part_of_seconds(*columns) for _ in columns[1:])]
-    steps = np.diff(overflowed(_total(columns, units))[0])
+    time = of_day(_total(columns, units))[0]
+    steps = np.diff(over_midnight(np.rint(1e9 * time).astype(np.int64)) if units[0] == "h" else overflowed(time)[0])
     same, back = int((steps == 0).sum()), int((steps < 0).sum())
     if not same + back:
         return []

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from soro_bench.files import parsed_toml, shown
-from soro_bench.recording.importers.clock import ORDERS, chosen, continued, overflowed
+from soro_bench.recording.importers.clock import ORDERS, chosen, continued, of_day, overflowed
 from soro_bench.recording.importers.source import Source, check_keys, positive, read_source, when_left
 from soro_bench.recording.importers.units import si, split_unit, time_unit
 from soro_bench.recording.importers.wraps import thousands, unwrapped
@@ -99,7 +99,8 @@ class FileMapping:
                                      "anew spans less: correct period, or leave it out")  # fmt: skip
             numbers, note = unwrapped(numbers, period), ""
         else:
-            numbers, note, period = overflowed(numbers)
+            numbers, note = of_day(numbers) if self.to_seconds(unit) == 1.0 else (numbers, "")
+            numbers, note, period = (numbers, note, 0.0) if note else overflowed(numbers)
             self.periods.extend([self.to_seconds(unit) * period] if period else [])
         self.notes.add("[time]", note)
         return self.to_seconds(unit) * numbers
