@@ -432,6 +432,8 @@ def test_a_unit_of_time_that_no_robot_has_is_asked_for(read):
     table = "t,f\n" + "".join(f"{10_000 * i},{i}\n" for i in range(20))
     assert read(table, CLOCK + F).metadata[NOTES] == "signals.f: a sample every 10000 s; is the unit of time right?"
     assert NOTES not in read(table, CLOCK + "unit = 'us'\n" + F).metadata
+    assert "a sample every 10 s" in read(table, CLOCK + "unit = 'ms'\n" + F).metadata[NOTES]
+    assert "a sample every 1e-05 s" in read(table, CLOCK + "unit = 'ns'\n" + F).metadata[NOTES]
     table = "t,f\n" + "".join(f"{1_719_433_753_000 + 10 * (i + 360_000 * (i > 9))},{i}\n" for i in range(20))
     notes = read(table, CLOCK + F).metadata[NOTES]
     assert "[time]: begins at 1.72e+12 s; is the unit of time right?" in notes

@@ -20,7 +20,8 @@ MAX_BYTES = 1_000_000
 _ROUNDING = 1e-9  # s
 _REGULAR = 1.5  # times the median interval, up to which others are regular too
 _FEW = 10  # samples, of which nothing is asked
-_PACE = 1e-6, 100.0  # s between samples of a robot
+_PACE = 2.5e-5, 5.0  # s between samples of a robot
+_SELDOM = 100.0  # s between its commands
 _LATEST = 1e11  # s since 1970, or since a computer was started: 3000 years
 _APART = 86_400.0  # s, between the beginnings of two signals: their clocks differ
 _NEARLY = 0.1  # of a thousand, by which the ratio of two durations differs from it at most
@@ -228,7 +229,7 @@ class FileMapping:
             self.notes.add(label, source.lost(numbers))
         self.notes.add(label, thousands(numbers))
         self.notes.add(label, _named(label, source.note, numbers, unit, is_command))
-        self.notes.add(label, _pace(since))
+        self.notes.add(label, _pace(since, _SELDOM if is_command else _PACE[1]))
         self.notes.add(label, _pause(since))
         found = _named(label, source.signal, np.maximum(since, 0.0), numbers, unit)
         if source.leaves is not None:
@@ -245,10 +246,10 @@ def _between(since: np.ndarray, until: float) -> np.ndarray:
     return np.arange(begun[0], begun[0] + ended[0] if ended.size else len(since))
 
 
-def _pace(since: np.ndarray) -> str:
+def _pace(since: np.ndarray, most: float) -> str:
     """A question about the unit of times that robots do not have, or ""."""
     step = float(np.median(np.diff(since))) if len(since) > _FEW else 1.0
-    return "" if _PACE[0] <= step <= _PACE[1] else f"a sample every {step:g} s; is the unit of time right?"
+    return "" if _PACE[0] <= step <= most else f"a sample every {step:g} s; is the unit of time right?"
 
 
 def _pause(since: np.ndarray) -> str:
