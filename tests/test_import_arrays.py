@@ -133,6 +133,7 @@ def test_an_episode_of_rows_one_after_the_other(read, key, numbers):
     [
         (np.array([0, 0, 1, 1, 1, 2]), "[1]"),
         (np.array(["a", "a", "pull 1", "pull 1", "pull 2", "b"]), '["pull"]'),
+        (np.array(["pull 10", "a", "pull 1", "pull 1", "pull 1 ", "b"]), '["pull 1"]'),
     ],
 )
 def test_rows_with_a_label(read, labels, only):

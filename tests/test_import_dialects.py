@@ -324,6 +324,8 @@ def test_rows_of_one_signal(read):
     """Each signal may have rows of its own; trial 1 is not trial 10."""
     trials = read("t,x,trial\n0,1,1\n1,2,10\n2,3,1.0\n", '[format]\nlabel = "trial"\nonly = [1]\n' + CLOCK + X)
     assert values(trials) == [1, 3]
+    runs = '[format]\nlabel = "trial"\nonly = ["run1"]\n'
+    assert values(read("t,x,trial\n0,1,run1\n1,2,run10\n2,3,run1_pull\n", runs + CLOCK + X)) == [1, 3]
     signals = [f'[signals.{n}]\ncolumns = ["q"]\nunit = "1"\nlabel = "joint"\nonly = ["{n}"]\n' for n in "ab"]
     recording = read(LONG, CLOCK + "".join(signals))
     assert [recording.signals[n].values.tolist() for n in "ab"] == [[1, 3], [2, 4, 6]]

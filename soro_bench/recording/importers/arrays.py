@@ -12,6 +12,7 @@ import numpy as np
 
 from soro_bench.recording.importers.clock import NO_STAMP
 from soro_bench.recording.importers.mapping import NO_COMMAND, FileMapping, Source, load_mapping, texts, unit_doubt
+from soro_bench.recording.importers.table_cells import occurs
 from soro_bench.recording.importers.tracks import signal_name
 from soro_bench.recording.importers.units import origin, split_unit, time_unit
 from soro_bench.recording.recording import Recording, RecordingError
@@ -182,7 +183,7 @@ def _labelled(arrays: _Arrays, label: Any, only: Any) -> np.ndarray:
     if found.dtype.kind in "US":
         words = texts("[format] only", only)
         decoded = np.char.decode(found, "utf-8", "replace") if found.dtype.kind == "S" else found
-        kept = np.array([any(word in text for word in words) for text in decoded.tolist()], bool)
+        kept = np.array([any(occurs(word, text) for word in words) for text in decoded.tolist()], bool)
     elif found.dtype.kind in "fiub" and all(type(number) in (int, float) for number in only):
         kept = np.isin(found, only)
     else:

@@ -94,13 +94,17 @@ class Labels:
     def read(self, chunk: Chunk) -> np.ndarray:
         """(n,) bool."""
         cells = chunk.texts(self.position)
-        kept = {cell: any(_occurs(text, cell) for text in self.only) for cell in set(cells)}
+        kept = {cell: any(occurs(text, cell) for text in self.only) for cell in set(cells)}
         return np.array([kept[cell] for cell in cells], bool)
 
 
-def _occurs(text: str, cell: str) -> bool:
+def occurs(text: str, cell: str) -> bool:
+    """Whether a text is in a cell, where no number goes on beyond it; of two numbers, whether they are equal."""
     numbers = value(text), value(cell)
-    return text in cell if None in numbers else numbers[0] == numbers[1]
+    if None not in numbers:
+        return numbers[0] == numbers[1]
+    before, after = r"(?<!\d)" * text[:1].isdigit(), r"(?!\d)" * text[-1:].isdigit()
+    return re.search(f"{before}{re.escape(text)}{after}", cell) is not None
 
 
 @dataclass(frozen=True)
