@@ -320,6 +320,14 @@ def test_numbers_are_chosen_by_the_names_beside_them(read, table, place):
         read(table.replace("a,1", "b,1").replace("b,a", "b,b"), CLOCK + signal)
 
 
+def test_names_whose_stamps_differ_are_said(read):
+    """Each sample then lacks the numbers of all others."""
+    table = "t,joint,q\n0,a,1\n0.001,b,2\n1,a,3\n1.001,b,4\n"
+    mapping = '[signals.q]\ncolumns = ["q"]\nunit = "1"\nnames = ["a", "b"]\nnames_from = "joint"\n'
+    assert "of 4 times 0 have all of ['a', 'b']" in read(table, CLOCK + mapping).metadata[NOTES]
+    assert NOTES not in read(table.replace("001", "0"), CLOCK + mapping).metadata
+
+
 def test_rows_of_one_signal(read):
     """Each signal may have rows of its own; trial 1 is not trial 10."""
     trials = read("t,x,trial\n0,1,1\n1,2,10\n2,3,1.0\n", '[format]\nlabel = "trial"\nonly = [1]\n' + CLOCK + X)

@@ -31,6 +31,7 @@ from soro_bench.recording.untrusted import EXPANSION, MAX_BYTES, named_errors, r
 
 _PLACE = ("columns", "first", "last", "time", "time_unit", "missing", "label", "only", "names", "names_from")
 _TIME = ("column", "columns", "unit", "units", "interval", "rate", "period", "date")
+_TOGETHER = 0.5  # of the times have all names that are gathered at least
 _PEEKED, _SEARCHED = 20, 1000  # rows that tell whether a column holds dates, and in which its first one is looked for
 
 
@@ -95,6 +96,10 @@ class _Reader:
             places = np.column_stack([self._columns[want][rows] for want in wants])[known]
             time, numbers, lines = chosen_by_name(wants, places, time[known], numbers[known], lines[known])
             known = np.ones(len(time), bool)
+            whole = ~np.isnan(numbers).any(axis=1)
+            if len(wants) == 1 and whole.mean() < _TOGETHER:
+                said = f"of {len(time)} times {whole.sum()} have all of {brief(source.place['names'])}"
+                self._spec.notes.add("names", f"{said}; those of one time need equal stamps")
         present = known & ~np.isnan(numbers).all(axis=1)
         if not present.any():
             raise RecordingError("no row has a time and a number")
