@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from benchmarks.fuzz_recordings import mutated, outcome, readers, write_lerobot
 from soro_bench.cli import main
 from soro_bench.recording.importers import guess_mapping, import_recording
+from soro_bench.recording.importers.clock import of_day
 from soro_bench.recording.importers.wraps import saw_period
 from soro_bench.recording.parquet import load
 from soro_bench.recording.recording import NOTES, Recording, RecordingError
@@ -415,6 +416,13 @@ def test_numbers_of_hours_minutes_and_seconds_are_read_as_such_and_said(read, fi
     recording = read("t,f\n" + "".join(f"{t},1\n" for t in stamps), CLOCK + F)
     np.testing.assert_allclose(recording.signals["f"].time, since - first)
     assert ("hours, minutes and seconds" in recording.metadata.get(NOTES, "")) == (first != 45_000)
+
+
+def test_a_missing_one_among_such_numbers_changes_no_others():
+    for numbers, note in ((np.array([59.0, np.nan, 59.5, 100.0, 100.5]), True), (np.array([0.0, np.nan, 1.0]), False)):
+        found, said = of_day(numbers)
+        np.testing.assert_allclose(found, numbers - 40 * (numbers >= 100))
+        assert bool(said) == note
 
 
 @pytest.mark.parametrize("stamps", [np.arange(0, 3000, 100.0), np.r_[0:59, 300:350], np.arange(200.0)])

@@ -72,6 +72,10 @@ def of_day(numbers: np.ndarray) -> tuple[np.ndarray, str]:
 
     Each new minute, and one at least, has to show it by a jump; otherwise the numbers stay as they are.
     """
+    if not (known := np.isfinite(numbers)).all():
+        found = numbers.copy()
+        found[known], note = of_day(numbers[known])
+        return found, note
     whole = np.floor(numbers)
     minutes = whole // 100
     if not len(numbers) or numbers.min() < 0 or numbers.max() >= _DAY_END or (np.c_[whole, minutes] % 100 >= 60).any():
