@@ -62,7 +62,8 @@ def _module(path: Path, mapping: str | Path | Mapping | None) -> tuple[str, Modu
         raise ImportError("recordings need pyarrow: pip install soro_bench[record]")
     name = _folder(path) if path.is_dir() else _MODULES.get(path.suffix.lower())
     if name is None:
-        raise RecordingError(f"{path}: expected {', '.join(_MODULES)}, or the folder of a bag or a LeRobot dataset")
+        raise RecordingError(f"{path}: expected {', '.join(_MODULES)}, or the folder of a bag or a LeRobot dataset; "
+                             "rename a table of text to .txt, and export other files as one")  # fmt: skip
     if name == "csv_table":
         from soro_bench.recording.importers.motion_capture import is_export
 
