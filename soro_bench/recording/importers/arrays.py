@@ -290,6 +290,7 @@ def written(file: ArrayFile) -> str:
             continue
         parts = {f"{name}.{part}": array[part] for part in array.dtype.names or ()} or {name: array}
         shapes.update({key: each for key, each in parts.items() if each.dtype.kind in "fiubmM" and each.size > 1})
+        lines += [f"# {ascii(name)[1:-1]} is left out: complex numbers"] if array.dtype.kind == "c" else []
     if not shapes:
         found = "; ".join(line.removeprefix("# ") for line in lines[1:4]) or f"there are {len(file.names)} arrays"
         raise RecordingError(f"no array of numbers is found: {found}")
@@ -389,6 +390,7 @@ def _section(name: str, array: np.ndarray, rows: int, indices: str = "") -> list
     elif len(line) != rows and rows in line.shape:
         axes = [_ROWS if size == rows and i == line.shape.index(rows) else _ALL for i, size in enumerate(line.shape)]
         found.insert(3, f"indices = {json.dumps(axes)}  # samples lie along this axis")
+    found[1] += f", not {rows} rows" * (rows not in line.shape)
     if rows not in line.shape or math.prod(line.shape) // rows > 1000:
         found = [f"# {each}" if each else "" for each in found]
     return found
