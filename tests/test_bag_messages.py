@@ -431,3 +431,10 @@ def test_signals_of_two_clocks_are_refused(tmp_path):
     path = write_mcap(tmp_path / "a.mcap", stamped(range(0, 50 * STEP, STEP)))
     with pytest.raises(RecordingError, match=says("signals.p begins", "their clocks differ", "log_time")):
         import_recording(path, both)
+
+
+def test_seconds_and_microseconds_are_refused_by_name(tmp_path):
+    """Only whole seconds of them would be left."""
+    rows = [(START + k * STEP, {"stamp": {"sec": k, "usec": 5}, "position": [k]}) for k in range(5)]
+    with pytest.raises(RecordingError, match=says("sec, usec", "usec is not read", "log_time")):
+        import_recording(write_json(tmp_path / "a.mcap", rows), mapping(time="stamp"))

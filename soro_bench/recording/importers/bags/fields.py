@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 from soro_bench.files import brief
 from soro_bench.recording.importers.table_text import MISSING as NOTHING
+from soro_bench.recording.importers.units import of_text
 from soro_bench.recording.recording import MAX_SIZE, RecordingError
 
 SECOND = 1_000_000_000  # ns
@@ -206,6 +207,9 @@ def stamp_parts(node: Any, topic: str) -> tuple[Any, ...]:
         raise RecordingError(
             f"topic {topic}: time holds {listed(node)}: name the field of sec and nanosec, or a number"
         )
+    if parts := [key for key in node if of_text(key) in ("us", "ms")]:
+        hint = 'write another time, such as "log_time"'
+        raise RecordingError(f"topic {topic}: time holds {listed(node)}, and {parts[0]} is not read; {hint}")
     return node[whole[0]], next((node[key] for key in _PART if key in node), 0)
 
 
