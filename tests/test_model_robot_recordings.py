@@ -244,6 +244,16 @@ def test_a_command_may_come_only_where_it_changes(paths):
     assert (measured.actions == 0.1).all()
 
 
+@pytest.mark.parametrize("first", [0.0, 0.004])
+def test_commands_whose_stamps_are_a_little_late_count_from_their_own_steps(paths, first):
+    """Each would count from nearly a step later, and a healthy robot would have a delay that comes and goes."""
+    given, robot = recording(paths, [], 0), ModelRobot(*paths, threads=1)
+    goal = given.commands["goal"]
+    late = np.r_[first, np.random.default_rng(0).uniform(0, 0.008, len(goal.time) - 1)]
+    logged = replace(given, commands={"goal": replace(goal, time=goal.time + late)})
+    assert np.array_equal(robot.measured(logged).actions, robot.measured(given).actions)
+
+
 def test_a_robot_without_actuators_needs_no_commands(tmp_path):
     model, mapping = tmp_path / "arm.xml", tmp_path / "map.toml"
     model.write_text(re.sub("<actuator>.*</actuator>", "", ARM))

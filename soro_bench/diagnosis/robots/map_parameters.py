@@ -41,6 +41,7 @@ _OBJECTS = {
 _STATES = ("key_qpos", "key_qvel", "key_act")  # fields of keyframes that a robot begins with
 _DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_length0", "tendon_invweight0")
 _FAR = 100.0  # prior deviations, bounds of a shifted parameter
+_NEAREST = 0.49  # of the spacing of commands, by which one may be late; half-way it counts from the next step on
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,10 @@ class Fields:
 
 
 def held(recording: Recording, name: str, times: Floats, columns: int) -> Floats:
-    """(T, columns) the latest numbers of a command at each of the times [s]; before its first, those.
+    """(T, columns) the numbers of a command from each of the evenly spaced times [s] on; before its first, those.
+
+    Each sample counts from the nearest time on, unless samples are closer together: with time stamps that are a little
+    late, it would count from nearly a step later.
 
     Raises:
         RecordingError: the recording has no such command, or not in so many columns, or numbers are missing.
@@ -114,7 +118,9 @@ def held(recording: Recording, name: str, times: Floats, columns: int) -> Floats
     values = command.values.reshape(len(command.time), -1)
     if values.shape[1] != columns:
         raise RecordingError(f"command {name!r} has {values.shape[1]} columns; expected {columns}")
-    held = values[np.maximum(latest(command, times), 0)]
+    apart = [float(np.median(np.diff(each))) for each in (command.time, times) if len(each) > 1]
+    nearest = times + _NEAREST * min(apart) if len(apart) == 2 else times
+    held = values[np.maximum(latest(command, nearest), 0)]
     if (missing := np.isnan(held).any(axis=1)).any():
         raise RecordingError(f"the command {name!r} has missing numbers, first at {times[missing.argmax()]:.6g} s")
     return held
