@@ -301,6 +301,13 @@ def test_stamps_of_receipt_are_late_in_bursts_however_many_are(share):
     assert np.abs(found.time - time).max() < 0.002
 
 
+def test_a_fine_clock_does_not_round_jitter():
+    """Ticks of 0.5 ms were said to have rounded stamps by up to 4 ms."""
+    given = 5e-4 * np.round((0.02 * np.arange(400) + np.random.default_rng(2).uniform(0, 0.008, 400)) / 5e-4)
+    found = stamps(given, noisy()[:, None], SETTINGS)
+    assert found is not None and found.kinds == ("jitter",)
+
+
 def test_lost_rows_are_counted_and_leave_the_stamps_alone():
     kept = np.r_[True, np.random.default_rng(4).random(399) > 0.1]
     time = 0.02 * np.arange(400)[kept]

@@ -86,8 +86,9 @@ def _irregular(time: Floats, values: Floats, settings: DataQualitySettings, lagg
     rest = np.asarray(time - level, float)
     period, offset = _line(number, rest)
     early, at_first = _lower_line(number, rest, window)
-    coarse = _coarse(time, period, settings)
-    one_sided = _one_sided(rest - offset - period * number, settings)
+    off = rest - offset - period * number
+    coarse = float(np.abs(off).max()) <= _tick(time, period, settings)  # rounding does not change more
+    one_sided = _one_sided(off, settings)
     one_sided |= not coarse and _many_at_once(rest - at_first - early * number, settings)
     if one_sided or lagging:
         period, offset = early, at_first
@@ -142,14 +143,14 @@ def _many_at_once(late: Floats, settings: DataQualitySettings) -> bool:
     return bool(at_once.mean() > settings.at_once)
 
 
-def _coarse(time: Floats, period: float, settings: DataQualitySettings) -> bool:
-    """Whether intervals are multiples of one tick, at least a share of the period."""
+def _tick(time: Floats, period: float, settings: DataQualitySettings) -> float:
+    """The tick [s], at least a share of the period, of which intervals are multiples; 0 if there is none."""
     intervals = np.unique(np.round(np.diff(time), 9))
     tick = float(np.diff(intervals).max(initial=0.0))
     if not tick > settings.regular * period:
-        return False
+        return 0.0
     whole = np.diff(time) / tick
-    return bool((np.abs(whole - np.round(whole)) < settings.whole).mean() > settings.mostly)
+    return tick if (np.abs(whole - np.round(whole)) < settings.whole).mean() > settings.mostly else 0.0
 
 
 def _level_steps(extra: Floats, late: Floats, period: float, settings: DataQualitySettings) -> tuple[list[int], Floats]:
