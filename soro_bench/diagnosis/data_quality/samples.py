@@ -326,7 +326,8 @@ def stale(channel: Channel, settings: DataQualitySettings) -> tuple[Bools, str]:
     repeated = none.copy()
     repeated[present[(np.diff(x[present], prepend=np.nan) == 0) & ~np.repeat(rests, runs.length)]] = True
     if _is_random(channel, settings):
-        if repeated.sum() >= max(settings.least_repeats, settings.held_share * len(present)):
+        least = max(settings.least_repeats, settings.held_share * len(present), _by_chance(channel, settings))
+        if repeated.sum() >= least:
             return repeated, "held" if (runs.length > 1).mean() > settings.held_share else "frozen"
         chosen = ~rests & (runs.length >= settings.least_repeats)
     else:
@@ -348,6 +349,19 @@ def stale(channel: Channel, settings: DataQualitySettings) -> tuple[Bools, str]:
     for first, length in zip(runs.first[chosen], runs.length[chosen], strict=True):
         found[present[first + 1 : first + length]] = True
     return found, "frozen" if found.any() else ""
+
+
+def _by_chance(channel: Channel, settings: DataQualitySettings) -> float:
+    """Repeats that a robot at rest hardly exceeds by chance, as its samples are rounded finer than their noise.
+
+    Two of them are equal with the probability of a step times the density of their difference at 0.
+    """
+    levels = np.unique(channel.values[np.isfinite(channel.values)])
+    apart = np.diff(levels)
+    apart = apart[apart > settings.least_noise * channel.noise]  # less are errors of the last digit
+    step = float(apart.min()) if len(apart) else 0.0
+    expected = np.isfinite(channel.values).sum() * step / (2.0 * np.sqrt(np.pi) * channel.noise)
+    return float(expected + np.sqrt(2.0 * settings.evidence * expected))
 
 
 def _is_random(channel: Channel, settings: DataQualitySettings) -> bool:
