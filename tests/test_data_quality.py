@@ -311,6 +311,20 @@ def test_stamps_of_receipt_are_late_in_bursts_however_many_are(share):
     assert np.abs(found.time - time).max() < 0.002
 
 
+@pytest.mark.parametrize("right", [True, False])
+def test_motion_in_noise_tells_whether_jittered_stamps_are_right(right):
+    """Also of another signal with the same stamps, which hardly moves."""
+    rng, time = np.random.default_rng(2), 0.02 * np.arange(400)
+    given = time + rng.uniform(0, 0.004, 400)
+    taken = given if right else time
+    moves = np.sin(3 * taken) + 0.3 * np.sin(9 * taken) + 3e-3 * rng.standard_normal(400)
+    rests = 1e-3 * rng.standard_normal(400)
+    found = stamps(given, moves[:, None], SETTINGS)
+    assert found is not None and found.kinds == (("irregular",) if right else ("jitter",))
+    beside = stamps(given, rests[:, None], SETTINGS, beside=[moves[:, None]])
+    assert beside is not None and beside.kinds == found.kinds and np.array_equal(beside.time, found.time)
+
+
 def test_a_fine_clock_does_not_round_jitter():
     """Ticks of 0.5 ms were said to have rounded stamps by up to 4 ms."""
     given = 5e-4 * np.round((0.02 * np.arange(400) + np.random.default_rng(2).uniform(0, 0.008, 400)) / 5e-4)

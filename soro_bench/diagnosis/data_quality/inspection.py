@@ -94,18 +94,18 @@ def inspected(recording: Recording, number: int, robot: Robot, settings: Setting
     """
     found: list[Inspected] = []
     for each in robot.signals:
-        found.append(_of_signal(found[-1].recording if found else recording, number, robot, each, settings))
+        found.append(_of_signal(found[-1].recording if found else recording, recording, number, robot, each, settings))
     return replace(found[0], recording=found[-1].recording, others=tuple(found[1:]))
 
 
 def _of_signal(
-    recording: Recording, number: int, robot: Robot, observed: ObservedSignal, settings: Settings
+    recording: Recording, given: Recording, number: int, robot: Robot, observed: ObservedSignal, settings: Settings
 ) -> Inspected:
-    """A recording of which one signal is inspected."""
+    """A recording of which one signal is inspected; ``given`` is before others were."""
     signal = recording.signals.get(observed.name)
     if signal is None or signal.unit != observed.unit or signal.values[0].size != observed.size:
         return Inspected(recording)
-    return _Inspection(recording, number, robot, observed, settings, signal).result()
+    return _Inspection(recording, given, number, robot, observed, settings, signal).result()
 
 
 class _Inspection:
@@ -114,6 +114,7 @@ class _Inspection:
     def __init__(
         self,
         recording: Recording,
+        given: Recording,
         number: int,
         robot: Robot,
         observed: ObservedSignal,
@@ -121,6 +122,7 @@ class _Inspection:
         signal: Signal,
     ):
         self.recording, self.number, self.robot, self.signal = recording, number, robot, signal
+        self.given = given
         self.observed = observed
         self.recorded = RecordedSignal(recording, robot, observed, signal, settings.data_quality)
         self.settings = settings.data_quality
@@ -144,7 +146,7 @@ class _Inspection:
         rows = self._usable()
         if not held:  # lost rows are those of the log, not those that were left out
             rows[:] = True
-        found = stamps(self.signal.time[rows], self.values[rows], self.settings, late=held)
+        found = stamps(self.signal.time[rows], self.values[rows], self.settings, held, self._beside(rows))
         recording, error, rate = self.recording, 0.0, 0.0
         if found is not None or held:
             self._note_stamps(found, held)
@@ -159,6 +161,13 @@ class _Inspection:
         if not self.findings:
             return Inspected(self.recording)
         return Inspected(recording, tuple(self.findings), tuple(steps.tolist()), error, rate, self.spikes, self.size)
+
+    def _beside(self, rows: Bools) -> list[Floats]:
+        """(T, C) rows of the other signals that are explained and have the same time stamps."""
+        others = [self.given.signals[each.name] for each in self.robot.signals
+                  if each.name != self.observed.name and each.name in self.given.signals]  # fmt: skip
+        return [other.values.reshape(len(other.time), -1)[rows] for other in others
+                if np.array_equal(other.time, self.signal.time)]  # fmt: skip
 
     def _check_numbers(self) -> None:
         """Refuse what no sensor gives, before it is squared."""

@@ -5,6 +5,7 @@ coarse clock rounds, and a clock that is set makes a step. What is left of a sta
 tells them apart; the motion tells a clock step from a gap.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,9 @@ from soro_bench.arrays import Floats, Ints
 from soro_bench.diagnosis.settings import DataQualitySettings
 
 _LEAST_GAP = 0.1  # of the spacing, below which a cubic through two samples says nothing
+_BLOCK = 5  # samples, of which errors of cubics depend on each other
+_SURE = 3.0  # deviations of noise, beyond which a difference is motion
+_MEDIAN = 0.6745  # of the absolute value of a normal number
 
 
 @dataclass(frozen=True)
@@ -34,11 +38,14 @@ class Stamps:
     size: float = 0.0
 
 
-def stamps(time: Floats, values: Floats, settings: DataQualitySettings, late: bool = False) -> Stamps | None:
+def stamps(
+    time: Floats, values: Floats, settings: DataQualitySettings, late: bool = False, beside: Sequence[Floats] = ()
+) -> Stamps | None:
     """What became of the time stamps (T,) [s] of samples (T, C); None where they are regular.
 
     Args:
         late: whether each sample is at least as old as its stamp, as one that a logger holds.
+        beside: (T, C) samples of other signals that have the same stamps, and tell too whether these are right.
     """
     if len(time) < settings.least_samples:
         return None
@@ -55,7 +62,7 @@ def stamps(time: Floats, values: Floats, settings: DataQualitySettings, late: bo
         and (np.abs(interval - number * period) <= settings.regular * period * number).all()
     ):
         return Stamps(("gaps",), (len(time),), time, period, int((number - 1).sum()))
-    return _irregular(time, values, settings, late)
+    return _irregular(time, values, settings, late, beside)
 
 
 def _is_even(time: Floats, tick: float, settings: DataQualitySettings) -> bool:
@@ -65,7 +72,9 @@ def _is_even(time: Floats, tick: float, settings: DataQualitySettings) -> bool:
     return bool(np.abs(time - offset - period * number).max() <= (0.5 + settings.whole) * tick)
 
 
-def _irregular(time: Floats, values: Floats, settings: DataQualitySettings, lagging: bool) -> Stamps:
+def _irregular(
+    time: Floats, values: Floats, settings: DataQualitySettings, lagging: bool, beside: Sequence[Floats]
+) -> Stamps:
     """Regular stamps if the motion is smoother with them, else the given ones."""
     count = len(time)
     window = min(settings.least_samples, count // 4)
@@ -105,7 +114,10 @@ def _irregular(time: Floats, values: Floats, settings: DataQualitySettings, lagg
     if missing:
         kinds.append("gaps")
         affected.append(missing)
-    if far.any() and _roughness(rest, values) < settings.mostly * _roughness(fitted, values):
+    if far.any() and (
+        _roughness(rest, values) < settings.mostly * _roughness(fitted, values)
+        or sum(_evidence(rest, fitted, each, settings) for each in (values, *beside)) > settings.evidence
+    ):
         return Stamps(("irregular",), (int(far.sum()),), time, period, 0)
     # all samples may be as late as they seem beside the earliest one
     error = float(np.sqrt(np.mean((left - left.min()) ** 2))) if far.any() else 0.0
@@ -209,6 +221,48 @@ def _stood(values: Floats, at: int, settings: DataQualitySettings) -> bool:
 
 def _roughness(time: Floats, values: Floats) -> float:
     """Median distance [unit] of samples (T, C) from the cubics through the two on either side, while they move."""
+    deviation, _ = _off_cubics(time, values)
+    off = np.linalg.norm(deviation, axis=1)
+    moved = np.linalg.norm(values[3:-1] - values[1:-3], axis=1)
+    fast = moved > np.nanmedian(moved) if np.isfinite(moved).any() else np.zeros(len(moved), bool)
+    off = np.where(np.isnan(off) & np.isfinite(moved), moved, off)  # stamps together that values are not
+    return float(np.nanmedian(off[fast])) if fast.any() else 0.0
+
+
+def _evidence(given: Floats, regular: Floats, values: Floats, settings: DataQualitySettings) -> float:
+    """Log odds [nats] of samples (T, C) that they were taken at their given stamps rather than at regular ones.
+
+    Samples at given stamps that are taken for regular ones are off the cubics through those beside them by what the
+    stamps differ. Of that, each channel shows a share, with an error that allows for samples that depend on each other:
+    1 where the given stamps are right, and 0 where the regular ones are.
+    """
+    odds = 0.0
+    for column in values.T:
+        off, weights = _off_cubics(regular, column[:, None])
+        other, others = _off_cubics(given, column[:, None])
+        seen, shift = off[:, 0], (off - other)[:, 0]
+        sigma = min(_deviation(off, weights), _deviation(other, others))
+        noisy = sigma * np.sqrt(((weights - others) ** 2).sum(axis=0))
+        moves = np.abs(shift) > _SURE * noisy  # else noise alone would be the shift
+        moves &= np.minimum(np.abs(seen), np.abs(other[:, 0])) < settings.outlier_deviations * sigma  # else a spike
+        seen, shift = np.where(moves, seen, 0.0), np.where(moves, shift, 0.0)
+        if total := float(shift @ shift):
+            share = float(seen @ shift) / total
+            left = (seen - share * shift) * shift
+            blocks = np.pad(left, (0, -len(left) % _BLOCK)).reshape(-1, _BLOCK).sum(axis=1)
+            odds += (share - 0.5) * total**2 / max(float(blocks @ blocks), sigma**2 * total, np.finfo(float).tiny)
+    return odds
+
+
+def _deviation(off: Floats, weights: Floats) -> float:
+    """Standard deviation of the noise of samples (n, 1) that are so far off their cubics, of weights (4, n)."""
+    each = np.abs(off[:, 0]) / np.sqrt(1.0 + (weights**2).sum(axis=0))
+    return float(np.nanmedian(each)) / _MEDIAN if np.isfinite(each).any() else 0.0
+
+
+def _off_cubics(time: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """(T - 4, C) how far samples (T, C) are from the cubics through the two on either side, and (4, T - 4) the weights
+    of these; NaN where they are too close."""
     spacing = np.median(np.diff(time))
     weights = []
     at = time[2:-2]
@@ -219,11 +273,7 @@ def _roughness(time: Floats, values: Floats) -> float:
         gap = np.where(np.abs(gap) < _LEAST_GAP * spacing, np.nan, gap)
         weights.append(np.prod((at - nodes[others]) / gap, axis=0))
     near = (values[:-4], values[1:-3], values[3:-1], values[4:])
-    off = np.linalg.norm(values[2:-2] - sum(w[:, None] * each for w, each in zip(weights, near, strict=True)), axis=1)
-    moved = np.linalg.norm(values[3:-1] - values[1:-3], axis=1)
-    fast = moved > np.nanmedian(moved) if np.isfinite(moved).any() else np.zeros(len(moved), bool)
-    off = np.where(np.isnan(off) & np.isfinite(moved), moved, off)  # stamps together that values are not
-    return float(np.nanmedian(off[fast])) if fast.any() else 0.0
+    return values[2:-2] - sum(w[:, None] * each for w, each in zip(weights, near, strict=True)), np.array(weights)
 
 
 def interpolated(
