@@ -212,6 +212,13 @@ def test_a_patch_that_makes_it_worse_says_so_with_both_errors() -> None:
     assert "The patch is rejected: it makes held-out recordings worse." in text
 
 
+def test_a_warning_calls_replays_as_the_table_above_it_does() -> None:
+    """An error of the best hypothesis was said to be that with the effects, which has another in the table."""
+    result = RESULTS["arm gain"]()
+    text = summary(replace(result, train=replace(result.train, corrected_after=0.5 * result.train.after)))
+    assert "of 0.0056 rad with the best hypothesis on fitted recordings" in " ".join(text.split())
+
+
 @pytest.mark.parametrize("name", RESULTS)
 def test_plain_replay_errors_stand_first(name: str) -> None:
     """On the console and in the report, of every robot whose replays are shown, as they are in the result."""

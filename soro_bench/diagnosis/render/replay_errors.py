@@ -48,13 +48,18 @@ def replays(result: Result) -> Rows:
 
 def signals(result: Result) -> list[str]:
     """Errors of plain replays of every signal, where there are several, a sentence each."""
-    found = []
+    found, what = [], f" by the {ROBOTS['best']}" if _of_best(result) else ""
     for each in result.signals:
         said = f"{each.name}: RMSE {change(each.before, each.after, each.unit)}"
         if each.heldout_before is not None and each.heldout_after is not None:
             said += f", held out {change(each.heldout_before, each.heldout_after, each.unit)}"
-        found.append(f"{said}; noise {number(each.noise, each.unit)}")
+        found.append(f"{said}{what}; noise {number(each.noise, each.unit)}")
     return found
+
+
+def _of_best(result: Result) -> bool:
+    """Whether errors are of the best hypothesis, and the effects are others: a law that was found, or none."""
+    return any(each.name == "best" for each in result.robots)
 
 
 def _taken_off(plain: float, corrected: float, unit: str) -> str:
@@ -78,12 +83,13 @@ def explained(result: Result) -> str:
 def of_errors(result: Result) -> list[str]:
     """Where plain errors are not what the verdict is about, and where the effects make replays worse."""
     said, heldout, unit, far = [], result.heldout, result.robot.unit, []
+    them = f"the {ROBOTS['best']}" if _of_best(result) else "the effects"
     if not result.robots:
         said.append("Of an older version: replays had half the model's time step, unlike those of soro-bench check.")
     for name, each in (("fitted", result.train), ("held-out", heldout)):
         pairs = [("with fitted parameters", each.before, each.corrected_before)] if each else []
         if each and result.best.effects:
-            pairs.insert(0, ("with the effects", each.after, each.corrected_after))
+            pairs.insert(0, (f"with {them}", each.after, each.corrected_after))
         large = [row for row in pairs if 0.0 < row[1] < math.inf and row[1] > CORRECTED * row[2]]
         far += [f"{_taken_off(error, left, unit)} of {number(error, unit)} {which} on {name} recordings"
                 for which, error, left in large[:1]]  # fmt: skip
@@ -94,7 +100,7 @@ def of_errors(result: Result) -> list[str]:
         off = "" if worse else ", discretisation error taken off"
         said.append(f"The patch is rejected: it makes held-out recordings worse{off}.")
     elif heldout and worse and result.best.effects:
-        said.append("A plain replay of held-out recordings is worse with the effects than without them.")
+        said.append(f"A plain replay of held-out recordings is worse with {them} than with fitted parameters alone.")
     return said
 
 
