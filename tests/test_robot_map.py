@@ -273,6 +273,24 @@ def test_a_guess_takes_names_and_the_control_step_from_a_recording(guessed):
     assert robot.simulation.model.opt.timestep == pytest.approx(0.025 / 13)
 
 
+def test_a_guess_matches_commands_by_their_units(guessed):
+    """Where names say nothing, the first command went to the first actuator, an opening [m] to a hinge."""
+    given = {"first": Signal(TIME[:-1], np.zeros(STEPS), "m"), "second": Signal(TIME[:-1], np.zeros(STEPS), "rad")}
+    text, table, _ = guessed(Recording(given, recorded().signals))
+    assert {name: entry["actuators"] for name, entry in table["commands"].items()} == {
+        "first": ["gripper"],
+        "second": ["motor"],
+    }
+    assert "[commands.first]   # matched by unit: check the order" in text
+
+
+def test_a_guess_scales_the_rest_of_a_servo_with_its_gain(guessed):
+    """Else a winch of 1200 (u + 0.12 - x) N at another gain would be at rest elsewhere."""
+    winch = '<general joint="hinge" biastype="affine" gainprm="1200" biasprm="144 -1200"/>'
+    _, table, _ = guessed(model=re.sub('<position name="motor"[^>]*>', winch, HAND))
+    assert "actuator_biasprm[0]:*" in table["parameters"]["position_gain"]["fields"]
+
+
 @pytest.mark.parametrize(
     ("start", "initial"),
     [(0.5, {"keyframe": "home"}), (0.0, {"keyframe": ""}), (-2.0, {"keyframe": "home", "joints": ["hinge"]})],

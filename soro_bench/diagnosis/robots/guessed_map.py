@@ -16,6 +16,7 @@ import numpy as np
 
 from soro_bench.arrays import Floats, Ints
 from soro_bench.diagnosis.robots.model_file import joint_width, load_model, name_of, springs
+from soro_bench.effects.elements import setpoint_unit
 from soro_bench.files import shown
 from soro_bench.models.simulation import quiet
 from soro_bench.recording.recording import Recording, Signal
@@ -170,15 +171,19 @@ class _Guess:
             best = max(alike.values(), default=0) if columns == 1 else 0
             named = [i for i in left if best and alike[i] == best]
             in_order = sum(width.values()) == model.nu or columns == len(left)
-            chosen = named[:1] or (left[:columns] if in_order else [])
+            unit = self.recording.commands[name].unit
+            alike_in_unit = [i for i in left if setpoint_unit(model, i) == unit]
+            exact = len(alike_in_unit) == columns < len(left)
+            chosen = named[:1] or (alike_in_unit if exact else left[:columns] if in_order else [])
             if len(chosen) != columns:
                 yield f"\n# command {name!r} has {columns} columns; say which actuators they move:"
                 yield f"# [commands.{_key(name)}]\n# actuators = {_list(self.all_called(_ACTUATOR, left))}"
                 continue
             left = [i for i in left if i not in chosen]
-            yield f"\n[commands.{_key(name)}]" + ("" if named else "   # matched by number of columns: check the order")
+            by = "unit" if exact else "number of columns"
+            yield f"\n[commands.{_key(name)}]" + ("" if named else f"   # matched by {by}: check the order")
             yield f"actuators = {_list(self.all_called(_ACTUATOR, chosen))}"
-            yield f"unit = {_text(self.recording.commands[name].unit)}"
+            yield f"unit = {_text(unit)}"
         if left:
             yield "\n# no command drives these; give constant controls, or they are held at 0 or as in the keyframe"
             yield "# [fixed]"
@@ -321,6 +326,9 @@ class _Guess:
             if np.any(values):
                 yield from _parameter(name, [f"{field}:*" for field in fields], deviation, what)
         for name, columns, ids, what in _gains(model):
+            # the bias of a servo that is at rest elsewhere is a product with its gain too
+            rests = [("biasprm", 0)] if name == "position_gain" and model.actuator_biasprm[ids, 0].any() else []
+            columns = [columns[0], *rests, *columns[1:]]
             of = ["*"] if len(ids) == model.nu else self.all_called(_ACTUATOR, ids)
             gains = [f"actuator_{field}[{column}]:{one}" for one in of for field, column in columns]
             yield from _parameter(name, gains, _GAIN_DEVIATION, what)
