@@ -245,6 +245,16 @@ def test_no_sensor_is_to_blame_where_the_simulated_robot_is_stopped_too(paths):
     assert not inspected(stopped, 0, ModelRobot(*paths, threads=1)).findings
 
 
+def test_a_robot_that_friction_holds_has_no_sensor_that_stands_still():
+    """A log was resampled, so its encoder's levels are not seen: a servo that rests repeats itself, one that moves does
+    not. Two thirds of its samples were left out."""
+    phase = np.cumsum(np.tile(np.repeat([0.01, 0.0], [157, 150]), 12)) * np.pi / 1.57  # rests where it turns
+    levels = np.round(-200 * np.cos(phase))
+    resampled = np.interp(np.arange(0, len(levels) - 1, 0.97), np.arange(len(levels)), levels)
+    channel = Channel(resampled, 0.5)
+    assert samples._is_random(channel, SETTINGS) and not samples.stale(channel, SETTINGS)[0].any()
+
+
 @pytest.mark.parametrize("rows", [1.06, 1.1, 1.27])
 def test_a_sensor_a_little_slower_than_its_logger_is_held_on_levels_too(rows):
     sampled = np.floor(np.arange(400) / rows) * rows

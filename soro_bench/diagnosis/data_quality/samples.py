@@ -325,15 +325,19 @@ def stale(channel: Channel, settings: DataQualitySettings) -> tuple[Bools, str]:
     rests = runs.at_rest(present, channel.changes)
     repeated = none.copy()
     repeated[present[(np.diff(x[present], prepend=np.nan) == 0) & ~np.repeat(rests, runs.length)]] = True
+    far = _far(channel, settings)
+    moving = (np.abs(before) > far) & (np.abs(after) > far) & (before * after > 0) & ~rests  # nor turning
+    long = moving & (runs.length > 1)
+    following = np.abs(np.r_[after[1:], np.nan])  # motion that begins is smaller than what follows
+    chosen = (runs.length >= settings.least_repeats) & (np.abs(after) > far) & (np.abs(after) > following)
+    chosen &= ~rests & ~_stands_still(runs, present, np.zeros(len(runs.value)), channel, settings)
     if _is_random(channel, settings):
         least = max(settings.least_repeats, settings.held_share * len(present), _by_chance(channel, settings))
-        if repeated.sum() >= least:
+        # a sensor that is held is so in motion too; what repeats at rest only is a robot that friction holds
+        in_motion = moving.sum() < settings.least_samples or long.sum() >= settings.held_share * moving.sum()
+        if repeated.sum() >= least and in_motion:
             return repeated, "held" if (runs.length > 1).mean() > settings.held_share else "frozen"
-        chosen = ~rests & (runs.length >= settings.least_repeats)
     else:
-        far = _far(channel, settings)
-        moving = (np.abs(before) > far) & (np.abs(after) > far) & (before * after > 0) & ~rests  # nor turning
-        long = moving & (runs.length > 1)
         lengths = runs.length[long]
         even = len(lengths) and (np.abs(lengths - np.median(lengths)) <= 1).mean() > settings.mostly
         # a sensor that is far slower than its log repeats nearly all values; few long runs are a robot at rest
@@ -341,10 +345,7 @@ def stale(channel: Channel, settings: DataQualitySettings) -> tuple[Bools, str]:
         share = settings.mostly if slow else settings.held_share
         if long.sum() >= settings.least_repeats and even and long.sum() >= share * moving.sum():
             return repeated, "held"
-        following = np.abs(np.r_[after[1:], np.nan])  # motion that begins is smaller than what follows
-        chosen = (np.abs(before) > far) & (np.abs(after) > far) & (runs.length >= settings.least_repeats)
-        chosen &= (np.abs(after) > following) & ~_comes_to_rest(runs, settings)
-        chosen &= ~rests & ~_stands_still(runs, present, np.zeros(len(runs.value)), channel, settings)
+        chosen &= (np.abs(before) > far) & ~_comes_to_rest(runs, settings)
     found = none.copy()
     for first, length in zip(runs.first[chosen], runs.length[chosen], strict=True):
         found[present[first + 1 : first + length]] = True

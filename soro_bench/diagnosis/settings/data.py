@@ -44,7 +44,7 @@ class DataQualitySettings:
         1e-4, "1", "share of the range of a jump, as robots that come to rest make smaller ones; or of random noise"
     )
     clip_speed: float = setting(0.25, "1", "of the usual speed, that motion has where a sensor's range ends")
-    stands_still: float = setting(0.02, "1", "share of a range, by which a simulated stop may give way")
+    stands_still: float = setting(0.05, "1", "share of a range, by which a stop may be elsewhere in the simulation")
     rest_slows: float = setting(0.7, "1", "share of the step before, below which motion comes to rest before its end")
     random_flips: float = setting(0.42, "1", "share of sign changes of differences; 0.6 in noise, 0.25 without any")
     held_share: float = setting(0.03, "1", "share of the samples; rounding to six digits repeats 0.1 % by chance")
