@@ -242,7 +242,7 @@ def _angle(numbers: np.ndarray) -> tuple[str, int]:
 def _range(numbers: np.ndarray) -> str:
     finite = numbers[np.isfinite(numbers)]
     missing = int(np.isnan(numbers).any(axis=1).sum())
-    ends = f"  # from {finite.min():.6g} to {finite.max():.6g}" if finite.size else "  # no numbers"
+    ends = f"  # from {finite.min() + 0.0:.6g} to {finite.max() + 0.0:.6g}" if finite.size else "  # no numbers"
     return f"{ends}, {missing} of {len(numbers)} rows lack one" if missing else ends
 
 
