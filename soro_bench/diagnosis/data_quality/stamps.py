@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soro_bench.arrays import Floats, Ints
+from soro_bench.arrays import Floats
 from soro_bench.diagnosis.settings import DataQualitySettings
 
 _LEAST_GAP = 0.1  # of the spacing, below which a cubic through two samples says nothing
@@ -67,7 +67,7 @@ def stamps(
 
 def _is_even(time: Floats, tick: float, settings: DataQualitySettings) -> bool:
     """Whether stamps are evenly spaced but for the rounding to a tick, which leaves half of one."""
-    number = np.arange(len(time))
+    number = np.arange(len(time), dtype=float)
     period, offset = _line(number, time)
     return bool(np.abs(time - offset - period * number).max() <= (0.5 + settings.whole) * tick)
 
@@ -81,14 +81,18 @@ def _irregular(
     period = float(np.median(time[window:] - time[:-window])) / window
     late = time - time[0] - period * np.arange(count)
     steps, jumps = _level_steps(np.diff(time) - period, late, period, settings)
-    number, level, missing, clock = np.arange(count), np.zeros(count), 0, 0
+    number, level, missing, clock = np.arange(count, dtype=float), np.zeros(count), 0, 0
+    noise = np.array([_deviation(*_off_cubics(time, column[:, None])) for column in values.T])
     for at, jump in zip(steps, jumps, strict=True):
         lost = max(round(jump / period), 0)
         whole = lost >= 1 and abs(jump - lost * period) < settings.whole * period
-        if _moved_on(values, at, period, jump) or (whole and not _stood(values, at, settings)):
+        moved = _moved_on(values, at, period, jump, noise)
+        if moved or (whole and not _stood(values, at, settings)):
             number[at:] += lost
             level[at:] += jump - lost * period
             missing += lost
+        elif moved is None:  # a logger that waited is commoner than a clock that was set
+            number[at:] += jump / period
         else:
             level[at:] += jump
             clock += 1
@@ -97,8 +101,8 @@ def _irregular(
     early, at_first = _lower_line(number, rest, window)
     off = rest - offset - period * number
     coarse = float(np.abs(off).max()) <= _tick(time, period, settings)  # rounding does not change more
-    one_sided = _one_sided(off, settings)
-    one_sided |= not coarse and _many_at_once(rest - at_first - early * number, settings)
+    at_once = not coarse and _many_at_once(rest - at_first - early * number, settings)
+    one_sided = at_once or _one_sided(off, settings)
     if one_sided or lagging:
         period, offset = early, at_first
     fitted = np.asarray(offset + period * number, float)
@@ -115,7 +119,8 @@ def _irregular(
         kinds.append("gaps")
         affected.append(missing)
     if far.any() and (
-        _roughness(rest, values) < settings.mostly * _roughness(fitted, values)
+        (not at_once and not coarse and _wanders(left, window))
+        or _roughness(rest, values) < settings.mostly * _roughness(fitted, values)
         or sum(_evidence(rest, fitted, each, settings) for each in (values, *beside)) > settings.evidence
     ):
         return Stamps(("irregular",), (int(far.sum()),), time, period, 0)
@@ -124,13 +129,21 @@ def _irregular(
     return Stamps(tuple(kinds), tuple(affected), fitted, period, missing, error, float(np.abs(time - fitted).max()))
 
 
-def _line(number: Ints, time: Floats) -> tuple[float, float]:
+def _wanders(left: Floats, window: int) -> bool:
+    """Whether stamps (T,) [s] are off for long, one way and the other, more than from one to the next: then a logger's
+    loop takes different times, and tells them."""
+    blocks = left[: len(left) // window * window].reshape(-1, window)
+    within = blocks - blocks.mean(axis=1, keepdims=True)
+    return bool(blocks.mean(axis=1).std() > within.std())
+
+
+def _line(number: Floats, time: Floats) -> tuple[float, float]:
     """Period and offset of the line through times."""
     period, offset = np.polyfit(number, time, 1)
     return float(period), float(offset)
 
 
-def _lower_line(number: Ints, time: Floats, window: int) -> tuple[float, float]:
+def _lower_line(number: Floats, time: Floats, window: int) -> tuple[float, float]:
     """Period and offset of a line along the earliest of the times: those of samples that were received at once."""
     blocks = np.array_split(np.arange(len(time)), max(len(time) // window, 2))
     slope, _ = _line(number, time)
@@ -158,7 +171,7 @@ def _many_at_once(late: Floats, settings: DataQualitySettings) -> bool:
 def _tick(time: Floats, period: float, settings: DataQualitySettings) -> float:
     """The tick [s], at least a share of the period, of which intervals are multiples; 0 if there is none."""
     intervals = np.unique(np.round(np.diff(time), 9))
-    tick = float(np.diff(intervals).max(initial=0.0))
+    tick = float(np.median(np.diff(intervals))) if len(intervals) > 1 else 0.0  # a gap is many ticks
     if not tick > settings.regular * period:
         return 0.0
     whole = np.diff(time) / tick
@@ -203,13 +216,16 @@ def _lasting(steps: list[int], late: Floats, window: int, least: float) -> tuple
         steps = [step for i, step in enumerate(steps) if i != int(weak.argmin())]
 
 
-def _moved_on(values: Floats, at: int, period: float, jump: float) -> bool:
-    """Whether the motion between two samples fits a gap of ``period + jump`` rather than one of ``period``."""
+def _moved_on(values: Floats, at: int, period: float, jump: float, noise: Floats) -> bool | None:
+    """Whether the motion between two samples fits a gap of ``period + jump`` rather than one of ``period``; None where
+    noise (C,) hides which."""
     near = values[max(at - 3, 0) : at + 3]
     if len(near) < 6 or not np.isfinite(near).all():
         return True
     speed = 0.5 * (near[2] - near[0] + near[5] - near[3]) / (2.0 * period)
-    change = near[3] - near[2]
+    change, unsure = near[3] - near[2], noise * (1.5 + abs(jump) / period)  # that of the speed, times the jump
+    if (np.abs(speed * jump) <= _SURE * unsure).all():
+        return None
     return bool(np.linalg.norm(change - speed * (period + jump)) < np.linalg.norm(change - speed * period))
 
 
