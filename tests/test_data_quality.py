@@ -302,6 +302,16 @@ STAMPS = {
 }
 
 
+def test_a_logger_whose_loop_waits_stamps_what_it_samples():
+    """A public bench had a clock that was set by 0.3 s, and a force sensor with a delay."""
+    rng = np.random.default_rng(2)
+    waits = np.where(rng.random(600) < 0.01, rng.uniform(0.004, 0.3, 600), rng.exponential(4e-4, 600))
+    time = np.round(np.cumsum(0.01 + waits), 3)
+    slow = np.sin(0.5 * time) + 0.01 * rng.standard_normal(600)
+    found = stamps(time, slow[:, None], SETTINGS)
+    assert found.kinds == ("irregular",) and np.array_equal(found.time, time)
+
+
 @pytest.mark.parametrize("kind", STAMPS)
 def test_regular_stamps_come_back(kind):
     """To within a constant, which nothing tells from a delay."""

@@ -15,6 +15,7 @@ from soro_bench.diagnosis.settings import DataQualitySettings
 
 _LEAST_GAP = 0.1  # of the spacing, below which a cubic through two samples says nothing
 _BLOCK = 5  # samples, of which errors of cubics depend on each other
+_SHORT, _FEW = 0.5, 0.01  # of the period, and of the intervals
 _SURE = 3.0  # deviations of noise, beyond which a difference is motion
 _MEDIAN = 0.6745  # of the absolute value of a normal number
 
@@ -101,8 +102,8 @@ def _irregular(
     early, at_first = _lower_line(number, rest, window)
     off = rest - offset - period * number
     coarse = float(np.abs(off).max()) <= _tick(time, period, settings)  # rounding does not change more
-    at_once = not coarse and _many_at_once(rest - at_first - early * number, settings)
-    one_sided = at_once or _one_sided(off, settings)
+    one_sided = _one_sided(off, settings)
+    one_sided |= not coarse and _many_at_once(rest - at_first - early * number, settings)
     if one_sided or lagging:
         period, offset = early, at_first
     fitted = np.asarray(offset + period * number, float)
@@ -119,7 +120,7 @@ def _irregular(
         kinds.append("gaps")
         affected.append(missing)
     if far.any() and (
-        (not at_once and not coarse and _wanders(left, window))
+        (not coarse and _wanders(left, window) and not _catches_up(time, period))
         or _roughness(rest, values) < settings.mostly * _roughness(fitted, values)
         or sum(_evidence(rest, fitted, each, settings) for each in (values, *beside)) > settings.evidence
     ):
@@ -135,6 +136,11 @@ def _wanders(left: Floats, window: int) -> bool:
     blocks = left[: len(left) // window * window].reshape(-1, window)
     within = blocks - blocks.mean(axis=1, keepdims=True)
     return bool(blocks.mean(axis=1).std() > within.std())
+
+
+def _catches_up(time: Floats, period: float) -> bool:
+    """Whether some intervals are short, as after a stamp that is late; a loop that waited goes on as before."""
+    return bool((np.diff(time) < _SHORT * period).mean() > _FEW)
 
 
 def _line(number: Floats, time: Floats) -> tuple[float, float]:
