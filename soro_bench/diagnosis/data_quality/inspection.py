@@ -29,7 +29,6 @@ class Inspected:
     """A recording after the inspection of its signal; the same one where nothing is wrong with it.
 
     findings: what was found. steps: (C,) between the levels of each number [unit], 0 where it is not quantised.
-    once: (C,) whether repeated values of it count once, as on levels, also those that resampling hides.
     error, rate: standard deviations of a constant error [s] of time stamps, and of the rate of their clock.
     spikes: points left out; size: their rms distance of a coordinate [unit].
     others: the same of the robot's other signals, in its order.
@@ -38,7 +37,6 @@ class Inspected:
     recording: Recording
     findings: tuple[DataFinding, ...] = ()
     steps: tuple[float, ...] = ()
-    once: tuple[bool, ...] = ()
     error: float = 0.0
     rate: float = 0.0
     spikes: int = 0
@@ -76,10 +74,10 @@ class Inspected:
 
     def _without_repeats(self, values: Floats) -> Floats:
         """(T, P, D) samples of the signal without those that only repeat a level."""
-        if not any(self.once):
+        if not any(self.steps):
             return values
         columns = values.reshape(len(values), -1).copy()
-        for i in np.flatnonzero(self.once):
+        for i in np.flatnonzero(self.steps):
             columns[samples.repeats(columns[:, i]), i] = np.nan
         return columns.reshape(values.shape)
 
@@ -160,13 +158,9 @@ class _Inspection:
         lost = found.missing * self.values.shape[1] if found and not held else 0
         if lost or missing:
             self._note("missing_samples", lost + missing, lost)
-        again = np.array([samples.repeats(column).mean() for column in self.values.T])
-        once = tuple(((steps > 0) | (again > self.settings.held_share)).tolist())
         if not self.findings:
-            return Inspected(self.recording, once=once)
-        return Inspected(
-            recording, tuple(self.findings), tuple(steps.tolist()), once, error, rate, self.spikes, self.size
-        )
+            return Inspected(self.recording)
+        return Inspected(recording, tuple(self.findings), tuple(steps.tolist()), error, rate, self.spikes, self.size)
 
     def _beside(self, rows: Bools) -> list[Floats]:
         """(T, C) rows of the other signals that are explained and have the same time stamps."""
